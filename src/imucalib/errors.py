@@ -1,0 +1,59 @@
+"""Errors that say what happened, where, and what to do; each kind owns one exit code.
+
+This is the only place where a failure gets its exit code, so a script can rely on the number.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class ImucalError(Exception):
+    """A failure that the user can act on.
+
+    `what` states the problem, `where` the file, row, byte or option, `remedy` the next step.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
+        self.what, self.where, self.remedy = what, where, remedy
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        text = f"{self.where}: {self.what}" if self.where else self.what
+        return f"{text}. {self.remedy}" if self.remedy else text
+
+
+class LimitBroken(ImucalError):
+    """The calibration is valid but breaks a limit that the user gave."""
+
+    exit_code = 1
+
+
+class UsageError(ImucalError):
+    """The call itself is wrong: an unknown name, a contradictory or missing option."""
+
+    exit_code = 2
+
+
+class UnreadableInput(ImucalError):
+    """The input cannot be read, or what it holds is not what it must hold."""
+
+    exit_code = 3
+
+
+class Undetermined(ImucalError):
+    """The data cannot determine the parameters that were asked for."""
+
+    exit_code = 4
+
+
+class NotConverged(ImucalError):
+    """An iteration ended before its result can be trusted."""
+
+    exit_code = 6
+
+
+#: Exit code of a calibration that is finished but whose residual stays unexplained.
+UNEXPLAINED_EXIT_CODE = 5

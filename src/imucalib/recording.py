@@ -1,0 +1,62 @@
+"""A recording: time series as they were read, units known, provenance and losses kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One quantity of one sensor triad over time.
+
+    t : (N,) seconds since the recording's start, non-decreasing within a gap-free part
+    values : (N, k) in SI units (m/s², rad/s, °C), or raw counts when `unit` is "counts"
+    quantity : "acceleration", "angular_rate", "temperature", or a name from the file
+    triad : the sensor that it belongs to, for example "imu0"
+    rate : samples a second, from the median time step (or the file's header)
+    """
+
+    t: Array
+    values: Array
+    unit: str
+    quantity: str
+    triad: str
+    rate: float
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.t.shape != self.values.shape[:1]:
+            raise ValueError(f"channel shapes differ: t {self.t.shape}, values {self.values.shape}")
+
+
+@dataclass(frozen=True)
+class Gap:
+    """An interval without samples: no still segment and no derivative may cross it."""
+
+    start: float
+    stop: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Channels by name ("imu0/acceleration"), with where they come from and what was lost.
+
+    start_ns : UTC time of t = 0, int64 nanoseconds since 1970, or None when the file has no date
+    notes : what was detected, repaired or lost, one sentence each, for the reports
+    mapping : the resolved mapping (column or topic -> channel, unit, ...) that read the file
+    """
+
+    channels: Mapping[str, Channel]
+    path: str
+    format: str
+    sha256: str
+    start_ns: int | None = None
+    gaps: tuple[Gap, ...] = ()
+    notes: tuple[str, ...] = ()
+    mapping: Mapping[str, object] = field(default_factory=dict)

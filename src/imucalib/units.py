@@ -1,0 +1,103 @@
+"""Units, converted once at the border: everything inside is SI (m/s², rad/s, °C, s).
+
+Parameters that a person reads are in the field's units (mg, deg); the two factors that
+connect them, `MG` and `DEG`, live here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import UnreadableInput, UsageError
+
+STANDARD_GRAVITY = 9.80665  # m/s², exact by definition (3rd CGPM, 1901)
+MG = STANDARD_GRAVITY * 1e-3  # m/s² in one mg
+DEG = math.pi / 180.0  # rad in one degree
+
+ACCELERATION_UNITS: dict[str, float] = {
+    "m/s2": 1.0,
+    "g": STANDARD_GRAVITY,
+    "mg": MG,
+    "ug": MG * 1e-3,
+}
+RATE_UNITS: dict[str, float] = {"rad/s": 1.0, "deg/s": DEG, "mrad/s": 1e-3}
+ANGLE_UNITS: dict[str, float] = {"rad": 1.0, "deg": DEG, "mrad": 1e-3}
+
+_SPELLINGS = {
+    "m/s^2": "m/s2", "m/s²": "m/s2", "m s^-2": "m/s2", "m s-2": "m/s2", "ms-2": "m/s2",
+    "m s⁻²": "m/s2", "m/s/s": "m/s2", "m*s^-2": "m/s2", "mps2": "m/s2", "gee": "g", "milli-g": "mg",
+    "millig": "mg", "µg": "ug", "micro-g": "ug", "1e-6 g": "ug", "1e-3 g": "mg",
+    "rad s^-1": "rad/s", "rad s-1": "rad/s", "rads-1": "rad/s", "rps": "rad/s", "deg s^-1": "deg/s",
+    "dps": "deg/s", "°/s": "deg/s", "degrees/s": "deg/s", "degree": "deg", "degrees": "deg",
+    "°": "deg", "radian": "rad", "radians": "rad",
+}  # fmt: skip
+
+
+def canonical(unit: str) -> str:
+    """The one spelling of a unit that this package uses; unknown text comes back stripped."""
+    text = unit.strip().strip("[]()").strip()
+    return _SPELLINGS.get(text.lower(), text.lower() if text.lower() in _ALL else text)
+
+
+_ALL = {**ACCELERATION_UNITS, **RATE_UNITS, **ANGLE_UNITS}
+
+
+def factor(unit: str, family: dict[str, float], where: str = "") -> float:
+    """SI units per `unit`, within a family of units; raises UsageError for an unknown unit."""
+    known = canonical(unit)
+    if known not in family:
+        choices = ", ".join(family)
+        raise UsageError(
+            f"unknown unit '{unit}'", where=where, remedy=f"use one of: {choices}"
+        )
+    return family[known]
+
+
+@dataclass(frozen=True)
+class DetectedUnit:
+    """A unit inferred from the norm at rest, with the sentence that is shown to the user."""
+
+    unit: str
+    norm_at_rest: float
+    sentence: str
+
+
+def detect_acceleration_unit(
+    norms_at_rest: NDArray[np.float64], where: str, tolerance: float = 0.25
+) -> DetectedUnit:
+    """Infer the acceleration unit from norms at rest (raw, one for each still interval).
+
+    Gravity is the reference that every accelerometer at rest carries. The median norm must lie
+    within `tolerance` (relative) of 1 g in exactly one known unit, otherwise UnreadableInput.
+    """
+    norm = float(np.median(norms_at_rest)) if norms_at_rest.size else math.nan
+    for unit, si in ACCELERATION_UNITS.items():
+        if abs(norm * si / STANDARD_GRAVITY - 1.0) <= tolerance:
+            return DetectedUnit(unit, norm, f"norm at rest = {norm:.6g} -> unit {unit}")
+    raise UnreadableInput(
+        f"norm at rest = {norm:.6g} fits no known unit (g, mg, ug, m/s2)",
+        where=where,
+        remedy="name it with --unit, or give the scale with --unit counts --lsb-per-g N",
+    )
+
+
+def local_gravity(latitude_deg: float, height_m: float = 0.0) -> float:
+    """Normal gravity (m/s²) at a geodetic latitude (deg) and height above the ellipsoid (m).
+
+    WGS 84: Somigliana's closed form and the second-order free-air term (NIMA TR8350.2, 3rd ed.,
+    eqs. 4-1 and 4-3). Local anomalies of up to about 0.1 mg remain. Raises UsageError when the
+    latitude is outside [-90, 90].
+    """
+    if not -90.0 <= latitude_deg <= 90.0:
+        raise UsageError(f"latitude {latitude_deg} is outside [-90, 90] degrees")
+    gamma_e, k, e2 = 9.7803253359, 0.00193185265241, 0.00669437999014
+    a, f, m = 6378137.0, 1.0 / 298.257223563, 0.00344978650684
+    s2 = math.sin(latitude_deg * DEG) ** 2
+    surface = gamma_e * (1.0 + k * s2) / math.sqrt(1.0 - e2 * s2)
+    return surface * (
+        1.0 - 2.0 / a * (1.0 + f + m - 2.0 * f * s2) * height_m + 3.0 * (height_m / a) ** 2
+    )
