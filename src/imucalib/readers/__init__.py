@@ -1,0 +1,114 @@
+"""Recording formats: each module of this folder that has a `READER` reads one format.
+
+A reader is found by its file being here; `read` picks the one that recognises the input.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Protocol
+
+from imucalib.errors import UnreadableInput
+from imucalib.mapping import FieldMapping
+from imucalib.readers.source import head_of, sha256_of
+from imucalib.recording import Recording
+
+__all__ = ["BLOCK_SAMPLES", "Reader", "blocks", "read", "reader_for", "readers", "sha256_of"]
+
+BLOCK_SAMPLES = 1 << 18  #: default samples (rows) of a block
+
+
+class Reader(Protocol):
+    """One recording format. Memory of `blocks` is bounded by the block, not by the file.
+
+    Rules that hold for every reader and are tested on all of them:
+    - `recognises` looks at the content (`head` is the first 64 KiB), never at the suffix;
+    - times `t` of all blocks count from the same `start_ns`, and each block holds consecutive
+      samples, so that concatenating the blocks equals `read`; a block may lack a channel;
+    - a note or gap appears in one block only: the first in which it is known (a gap between two
+      blocks belongs to the later one);
+    - units are SI, or "counts" when raw integers were declared without a scale;
+    - damage gives what is readable and a note; with `strict` it raises UnreadableInput;
+    - nothing but an ImucalError leaves a reader.
+    """
+
+    @property
+    def name(self) -> str:
+        """Short name of the format, stored in `Recording.format`."""
+        ...
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """Lower-case file name endings that this format usually has, with the dot."""
+        ...
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Whether the content is of this format."""
+        ...
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """Yield the recording in time order, in blocks of about `block_samples` samples."""
+        ...
+
+    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
+        """Read the whole recording."""
+        ...
+
+
+@cache
+def readers() -> tuple[Reader, ...]:
+    """Every reader of this folder, in the order of their module names."""
+    names = sorted(m.name for m in pkgutil.iter_modules(__path__))
+    modules = (importlib.import_module(f"{__name__}.{name}") for name in names)
+    return tuple(m.READER for m in modules if hasattr(m, "READER"))
+
+
+def reader_for(path: str | os.PathLike[str]) -> Reader:
+    """The reader for a file: by content first, then by suffix; UnreadableInput when none fits."""
+    file = Path(path)
+    head = head_of(file)
+    for reader in readers():
+        if reader.recognises(file, head):
+            return reader
+    for reader in readers():
+        if file.name.lower().endswith(reader.suffixes):
+            return reader
+    formats = ", ".join(f"{r.name} ({' '.join(r.suffixes)})" for r in readers())
+    raise UnreadableInput(
+        f"the format is not known; the file starts with {head[:8]!r}",
+        where=str(path),
+        remedy=f"readable formats: {formats}",
+    )
+
+
+def read(
+    path: str | os.PathLike[str], mapping: FieldMapping | None = None, *, strict: bool = False
+) -> Recording:
+    """Read a whole recording of any known format.
+
+    Units are SI. What was detected, repaired or lost is in `Recording.notes`. Raises
+    UnreadableInput when nothing can be read or, with `strict`, when anything is damaged, and
+    UsageError when the mapping names what the file does not have.
+    """
+    return reader_for(path).read(
+        Path(path), (mapping or FieldMapping()).with_preset(), strict=strict
+    )
+
+
+def blocks(
+    path: str | os.PathLike[str],
+    mapping: FieldMapping | None = None,
+    *,
+    block_samples: int = BLOCK_SAMPLES,
+    strict: bool = False,
+) -> Iterator[Recording]:
+    """Read a recording of any known format piecewise, in bounded memory; errors as in `read`."""
+    full = (mapping or FieldMapping()).with_preset()
+    return reader_for(path).blocks(Path(path), full, block_samples=block_samples, strict=strict)

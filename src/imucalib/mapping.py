@@ -1,0 +1,246 @@
+"""How a file's fields become channels: what the user states, and the record of how it was read.
+
+A reader starts from the user's `FieldMapping` (every unset field is found by the reader), and
+stores the resolved one in `Recording.mapping`, so any result can be reproduced from its file.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import UnreadableInput, UsageError
+
+#: Seconds in one unit of a numeric time stamp; "text" is a date or a time of day.
+TIME_UNITS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100us": 1e-4}
+
+
+@dataclass(frozen=True)
+class FieldMapping:
+    """Overrides of the user before reading; the whole resolved mapping after it.
+
+    A field address is, by format: CSV, a column name or number counted from 1, three to a triad;
+    HDF5, a dataset path, one to a triad (or one dataset (N, K, 3) for K triads); MCAP, "topic" or
+    "topic:field.path" of a 3-vector, one to a triad.
+
+    acc, gyro, temperature, time : field addresses; time empty means "from `rate`"
+    triads : names of the sensors, in the order of `acc` ("imu0", "imu1", ... when empty)
+    acc_unit, gyro_unit, temperature_unit : units of the file; "counts" for raw integers
+    lsb_per_g, lsb_per_dps : counts per g and per deg/s, one value or one an axis
+    acc_offset, gyro_offset : counts at zero, subtracted before scaling, one value or one an axis
+    rate : samples a second, when the file has no time stamps (or wrong ones)
+    time_unit : a key of TIME_UNITS or "text"
+    time_format : strptime format of text stamps that are not ISO 8601
+    axis_map : sensor axes of the output in terms of the file's, for example "x,-y,z"
+    skip : lines before the header or, with `header` False, before the first data row
+    header : whether a line of column names exists
+    decimal, delimiter : of a CSV; delimiter " " stands for any run of blanks
+    preset : name of the entry of PRESETS that filled what was not stated
+    """
+
+    acc: tuple[str, ...] = ()
+    gyro: tuple[str, ...] = ()
+    temperature: tuple[str, ...] = ()
+    time: str = ""
+    triads: tuple[str, ...] = ()
+    acc_unit: str = ""
+    gyro_unit: str = ""
+    temperature_unit: str = ""
+    lsb_per_g: tuple[float, ...] = ()
+    lsb_per_dps: tuple[float, ...] = ()
+    acc_offset: tuple[float, ...] = ()
+    gyro_offset: tuple[float, ...] = ()
+    rate: float | None = None
+    time_unit: str = ""
+    time_format: str = ""
+    axis_map: str = ""
+    skip: int | None = None
+    header: bool | None = None
+    decimal: str = ""
+    delimiter: str = ""
+    preset: str = ""
+
+    def __post_init__(self) -> None:
+        parse_axis_map(self.axis_map)
+        for name in ("lsb_per_g", "lsb_per_dps"):
+            if any(not np.isfinite(v) or v == 0 for v in getattr(self, name)):
+                raise UsageError(f"{name} must be finite and not zero", where=f"mapping: {name}")
+        if self.rate is not None and not (np.isfinite(self.rate) and self.rate > 0):
+            raise UsageError(f"rate {self.rate} is not a positive number", where="mapping: rate")
+        if self.skip is not None and self.skip < 0:
+            raise UsageError(f"skip {self.skip} is negative", where="mapping: skip")
+        if self.time_unit not in ("", "text", *TIME_UNITS):
+            choices = ", ".join((*TIME_UNITS, "text"))
+            raise UsageError(
+                f"unknown time unit '{self.time_unit}'",
+                where="mapping: time_unit",
+                remedy=f"use one of: {choices}",
+            )
+        if self.decimal not in ("", ".", ","):
+            raise UsageError(
+                f"decimal mark '{self.decimal}' is neither . nor ,", where="mapping: decimal"
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The stated fields only, as plain lists, numbers and strings."""
+        out: dict[str, Any] = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value not in ((), "", None):
+                out[f.name] = list(value) if isinstance(value, tuple) else value
+        return out
+
+    def filled_from(self, other: FieldMapping) -> FieldMapping:
+        """This mapping, with every field that is not stated taken from `other`."""
+        return replace(other, **{k: _as_field(k, v) for k, v in self.to_dict().items()})
+
+    def with_preset(self) -> FieldMapping:
+        """This mapping, filled from its preset. Raises UsageError for an unknown preset."""
+        if not self.preset:
+            return self
+        if self.preset not in PRESETS:
+            raise UsageError(
+                f"unknown preset '{self.preset}'",
+                where="mapping: preset",
+                remedy=f"use one of: {', '.join(PRESETS)}",
+            )
+        return self.filled_from(PRESETS[self.preset])
+
+
+def from_dict(data: Mapping[str, object], where: str = "mapping") -> FieldMapping:
+    """A mapping from plain data; lists may be given as "a,b,c". Raises UsageError on a bad key."""
+    known = {f.name for f in fields(FieldMapping)}
+    for key in data:
+        if key not in known:
+            raise UsageError(
+                f"unknown field '{key}'", where=where, remedy=f"known: {', '.join(sorted(known))}"
+            )
+    return FieldMapping(**{k: _as_field(k, v, where) for k, v in data.items() if v is not None})
+
+
+_FLOATS = ("lsb_per_g", "lsb_per_dps", "acc_offset", "gyro_offset")
+_STRINGS = ("acc", "gyro", "temperature", "triads")
+
+
+def _as_field(key: str, value: object, where: str = "mapping") -> Any:
+    try:
+        if key in _FLOATS or key in _STRINGS:
+            parts: Any = value.split(",") if isinstance(value, str) else value
+            items = list(parts) if isinstance(parts, list | tuple) else [parts]
+            return tuple(float(v) if key in _FLOATS else str(v).strip() for v in items)
+        if key == "rate":
+            return float(value)  # type: ignore[arg-type]
+        if key == "skip":
+            return int(value)  # type: ignore[call-overload]
+        if key == "header":
+            return _as_bool(value)
+        return str(value)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"'{value}' is not a valid {key}", where=where) from error
+
+
+def _as_bool(value: object) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"{value!r} is not true or false")
+    return value
+
+
+@dataclass(frozen=True)
+class AxisMap:
+    """Signed permutation of three axes: output axis i is sign[i] * input axis order[i]."""
+
+    order: tuple[int, int, int] = (0, 1, 2)
+    sign: tuple[float, float, float] = field(default=(1.0, 1.0, 1.0))
+
+    def apply(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Map values (..., 3); the input itself when the map changes nothing."""
+        if self == UNCHANGED:
+            return values
+        return np.asarray(values[..., self.order] * np.array(self.sign))
+
+
+UNCHANGED = AxisMap()
+
+
+def parse_axis_map(text: str) -> AxisMap:
+    """Parse "x,-y,z"; empty means unchanged. Raises UsageError unless it names each axis once."""
+    if not text.strip():
+        return UNCHANGED
+    parts = [p.strip().lower() for p in text.split(",")]
+    names = [p.lstrip("+-") for p in parts]
+    if sorted(names) != ["x", "y", "z"] or any(
+        len(p) - len(n) > 1 for p, n in zip(parts, names, strict=True)
+    ):
+        raise UsageError(
+            f"axis map '{text}' does not name x, y and z once each",
+            where="mapping: axis_map",
+            remedy='write it like "x,-y,z"',
+        )
+    order = ["xyz".index(n) for n in names]
+    sign = [-1.0 if p.startswith("-") else 1.0 for p in parts]
+    return AxisMap((order[0], order[1], order[2]), (sign[0], sign[1], sign[2]))
+
+
+def load_mapping(path: str | os.PathLike[str]) -> FieldMapping:
+    """Read a mapping from YAML. Raises UnreadableInput for bad YAML, UsageError for a bad field."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        data = YAML(typ="safe", pure=True).load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, YAMLError, ValueError) as error:
+        detail = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise UnreadableInput(
+            f"the mapping cannot be read: {detail}",
+            where=str(path),
+            remedy="write one with 'imucal inspect FILE --save-mapping'",
+        ) from error
+    if not isinstance(data, dict):
+        raise UnreadableInput("the mapping is not a list of 'field: value' lines", where=str(path))
+    return from_dict({str(k): v for k, v in data.items()}, where=str(path))
+
+
+def save_mapping(mapping: FieldMapping, path: str | os.PathLike[str]) -> None:
+    """Write the stated fields as YAML, atomically: a temporary file beside it, then a rename."""
+    from ruamel.yaml import YAML
+
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("w", encoding="utf-8") as out:
+            YAML(typ="safe", pure=True).dump(mapping.to_dict(), out)
+        os.replace(temporary, target)
+    except OSError as error:
+        raise UsageError(
+            f"the mapping cannot be written: {error.strerror}", where=str(path)
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+#: What well-known sources mean, for files whose own header does not say it.
+PRESETS: dict[str, FieldMapping] = {
+    "actigraph": FieldMapping(acc=("1", "2", "3"), acc_unit="g", preset="actigraph"),
+    "geneactiv": FieldMapping(
+        time="1", acc=("2", "3", "4"), temperature=("7",), time_unit="text",
+        time_format="%Y-%m-%d %H:%M:%S:%f", acc_unit="g", temperature_unit="degC",
+        preset="geneactiv",
+    ),
+    "axivity": FieldMapping(time="1", acc=("2", "3", "4"), acc_unit="g", preset="axivity"),
+    "euroc": FieldMapping(
+        time="1", gyro=("2", "3", "4"), acc=("5", "6", "7"), time_unit="ns",
+        acc_unit="m/s2", gyro_unit="rad/s", preset="euroc",
+    ),
+    "xsens": FieldMapping(
+        acc=("Acc_X", "Acc_Y", "Acc_Z"), gyro=("Gyr_X", "Gyr_Y", "Gyr_Z"),
+        acc_unit="m/s2", gyro_unit="rad/s", preset="xsens",
+    ),
+    "apdm": FieldMapping(acc_unit="m/s2", gyro_unit="rad/s", time_unit="us", preset="apdm"),
+    "sensor_msgs": FieldMapping(acc_unit="m/s2", gyro_unit="rad/s", preset="sensor_msgs"),
+}  # fmt: skip

@@ -1,0 +1,187 @@
+"""From the numbers of a file to SI, once, at the border: unit, counts, offset and axes.
+
+The unit comes from, in this order: the user's mapping, the file, the norm at rest. What was
+decided, and why, is one sentence in `Conversion.note`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib import units
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.mapping import UNCHANGED, AxisMap, FieldMapping, parse_axis_map
+from imucalib.recording import Array
+
+COUNTS = "counts"
+_IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor
+_STILL_SHARE = 0.1  # the quietest windows that stand for "at rest"
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """Output = axes((raw - offset) * factor), in `unit`.
+
+    unit : "m/s2", "rad/s", "degC", or "counts" when no scale is known
+    source_unit : unit of the file
+    factor, offset : (1,) or (3,) per file axis
+    note : how the unit was found, or empty when the file states it
+    """
+
+    unit: str
+    source_unit: str
+    factor: Array
+    offset: Array
+    axes: AxisMap = UNCHANGED
+    note: str = ""
+
+    def apply(self, raw: NDArray[np.generic]) -> Array:
+        """Convert raw values (..., 3), or (..., 1) for a scalar quantity, to float64."""
+        values = np.asarray(raw, dtype=np.float64)
+        if self.offset.any():
+            values = values - self.offset
+        if (self.factor != 1.0).any():
+            values = values * self.factor
+        return self.axes.apply(values)
+
+
+def norms_at_rest(pieces: Sequence[Array], window: int) -> Array:
+    """Norms of the window means of the quietest tenth of all windows.
+
+    pieces : arrays (n, 3) of consecutive raw samples; window : samples. Constant windows (idle or
+    dead sensor) and windows with a missing value say nothing about gravity and are left out.
+    """
+    means, spreads = [], []
+    for piece in pieces:
+        width = min(window, piece.shape[0])
+        count = piece.shape[0] // width if width else 0
+        if count == 0:
+            continue
+        windows = piece[: count * width].reshape(count, width, 3)
+        means.append(windows.mean(axis=1))
+        spreads.append(windows.std(axis=1).sum(axis=1))
+    if not means:
+        return np.empty(0)
+    mean, spread = np.concatenate(means), np.concatenate(spreads)
+    usable = np.isfinite(spread) & (np.any(mean != 0.0, axis=1))
+    alive = usable & (spread > 0.0)
+    usable = alive if alive.any() else usable
+    mean, spread = mean[usable], spread[usable]
+    quietest = np.argsort(spread)[: max(1, int(_STILL_SHARE * spread.size))]
+    norms: Array = np.linalg.norm(mean[quietest], axis=1)
+    return norms
+
+
+def acceleration(mapping: FieldMapping, stated: str, rest: Array, where: str) -> Conversion:
+    """Conversion of raw acceleration to m/s².
+
+    stated : unit that the file (or its format) states, or ""; rest : raw norms at rest, from
+    `norms_at_rest`, used to find the unit and to refuse a wrong one (a unit of the user's own
+    is only remarked on). Raises UnreadableInput when no unit fits, UsageError for an unknown one.
+    """
+    axes = parse_axis_map(mapping.axis_map)
+    offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
+    unit = units.canonical(mapping.acc_unit or stated)
+    if mapping.lsb_per_g and unit in ("", COUNTS):
+        scale = units.STANDARD_GRAVITY / _per_axis(mapping.lsb_per_g, "lsb_per_g", 1.0)
+        return Conversion("m/s2", COUNTS, scale, offset, axes, "acceleration from counts per g")
+    if unit == COUNTS:
+        note = "acceleration kept as raw counts"
+        return Conversion(COUNTS, COUNTS, np.ones(1), offset, axes, note)
+    note = ""
+    if not unit:
+        found = units.detect_acceleration_unit(rest, where)
+        unit, note = found.unit, f"acceleration: {found.sentence}"
+    factor = _factor(unit, units.ACCELERATION_UNITS, mapping.acc_unit, "--unit", where)
+    if not note:
+        note = _judge_stated(unit, factor, rest, bool(mapping.acc_unit), where)
+    return Conversion("m/s2", unit, np.array([factor]), offset, axes, note)
+
+
+def _judge_stated(unit: str, factor: float, rest: Array, by_user: bool, where: str) -> str:
+    if rest.size == 0:
+        return ""
+    norm = float(np.median(rest))
+    ratio = norm * factor / units.STANDARD_GRAVITY
+    if 1.0 / _IMPLAUSIBLE <= ratio <= _IMPLAUSIBLE:
+        return ""
+    what = f"the norm at rest is {norm:.6g}, which is {ratio:.3g} g when the unit is {unit}"
+    if by_user:
+        return f"acceleration: {what}"
+    raise UnreadableInput(
+        f"{what}, as the file states", where=where, remedy="name the true unit with --unit"
+    )
+
+
+def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
+    """Conversion of raw angular rate to rad/s; without any unit the numbers stay "counts"."""
+    axes = parse_axis_map(mapping.axis_map)
+    offset = _per_axis(mapping.gyro_offset, "gyro_offset", 0.0)
+    unit = units.canonical(mapping.gyro_unit or stated)
+    if mapping.lsb_per_dps and unit in ("", COUNTS):
+        scale = units.DEG / _per_axis(mapping.lsb_per_dps, "lsb_per_dps", 1.0)
+        return Conversion("rad/s", COUNTS, scale, offset, axes, "angular rate from counts")
+    if unit in ("", COUNTS):
+        note = "angular rate kept as raw counts"
+        if not unit:
+            note = "angular rate: no unit is stated, kept as raw counts; name it with --gyro-unit"
+        return Conversion(COUNTS, COUNTS, np.ones(1), offset, axes, note)
+    factor = _factor(unit, units.RATE_UNITS, mapping.gyro_unit, "--gyro-unit", where)
+    return Conversion("rad/s", unit, np.array([factor]), offset, axes)
+
+
+_TEMPERATURE: dict[str, tuple[float, float]] = {  # degC = (raw - offset) * factor
+    "degC": (1.0, 0.0), "C": (1.0, 0.0), "°C": (1.0, 0.0), "deg C": (1.0, 0.0),
+    "celsius": (1.0, 0.0), "Celsius": (1.0, 0.0), "deg_C": (1.0, 0.0), "K": (1.0, 273.15),
+    "degF": (5.0 / 9.0, 32.0), "F": (5.0 / 9.0, 32.0), "°F": (5.0 / 9.0, 32.0),
+}  # fmt: skip
+
+
+def temperature(mapping: FieldMapping, stated: str, raw: Array, where: str) -> Conversion:
+    """Conversion of raw temperature to °C.
+
+    Without a unit, numbers that all lie in -60..130 are taken as °C, with a note; others stay
+    "counts". raw : any sample of the values.
+    """
+    unit = units.canonical(mapping.temperature_unit or stated)
+    note = ""
+    if not unit:
+        known = raw[np.isfinite(raw)]
+        unit = "degC" if known.size and known.min() >= -60 and known.max() <= 130 else COUNTS
+        note = f"temperature: no unit is stated, taken as {unit}"
+    if unit == COUNTS:
+        return Conversion(COUNTS, COUNTS, np.ones(1), np.zeros(1), note=note)
+    if unit not in _TEMPERATURE:
+        raise _unknown(
+            unit, "degC, K, degF, counts", mapping.temperature_unit, "temperature_unit", where
+        )
+    factor, offset = _TEMPERATURE[unit]
+    return Conversion("degC", unit, np.array([factor]), np.array([offset]), note=note)
+
+
+def _per_axis(values: tuple[float, ...], name: str, default: float) -> Array:
+    if len(values) not in (0, 1, 3):
+        raise UsageError(f"{name} needs one value, or one an axis", where=f"mapping: {name}")
+    return np.array(values or (default,), dtype=np.float64)
+
+
+def _factor(unit: str, family: dict[str, float], by_user: str, option: str, where: str) -> float:
+    if unit not in family:
+        raise _unknown(unit, ", ".join((*family, COUNTS)), by_user, option, where)
+    return family[unit]
+
+
+def _unknown(
+    unit: str, choices: str, by_user: str, option: str, where: str
+) -> UsageError | UnreadableInput:
+    if by_user:
+        return UsageError(f"unknown unit '{unit}'", where=option, remedy=f"use one of: {choices}")
+    return UnreadableInput(
+        f"the file states the unknown unit '{unit}'",
+        where=where,
+        remedy=f"name it with {option}: {choices}",
+    )
