@@ -1,0 +1,269 @@
+"""MCAP records: the bytes of one record to typed values, and the messages of a block to arrays.
+
+Source: MCAP format specification, version 0 (https://mcap.dev/spec).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+MESSAGE_INDEX, STATISTICS, DATA_END = 0x07, 0x0B, 0x0F
+RECORD_HEADER = struct.Struct("<BQ")
+MESSAGE_HEADER_SIZE = 22
+
+_CHUNK_HEAD = struct.Struct("<QQQIL")
+_U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
+#: A message record as seen from its first byte; the payload follows at byte 31.
+_MESSAGE_HEAD = np.dtype(
+    {
+        "names": ["opcode", "length", "channel", "sequence", "log_time", "publish_time"],
+        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
+        "offsets": [0, 1, 9, 11, 15, 23],
+        "itemsize": 31,
+    }
+)
+_RUN_START = 8  # equal lengths in a row before a whole run is looked for
+
+
+class MalformedRecord(ValueError):
+    """The bytes of a record contradict its type; the scanner turns this into a `Damage`."""
+
+
+class Schema(NamedTuple):
+    """How the messages of a topic are described."""
+
+    id: int
+    name: str
+    encoding: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Topic:
+    """An MCAP channel: the topic, how its messages are encoded, and their schema."""
+
+    id: int
+    name: str
+    encoding: str
+    schema: Schema | None
+    metadata: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def type_name(self) -> str:
+        return self.schema.name if self.schema else "no schema"
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A part of the file that could not be read, or not be trusted.
+
+    offset, size : bytes of the file
+    first_ns, last_ns : log times that the part's header claims, None when unknown
+    messages : how many messages were lost, None when unknown
+    """
+
+    offset: int
+    size: int
+    reason: str
+    first_ns: int | None = None
+    last_ns: int | None = None
+    messages: int | None = None
+
+    def __str__(self) -> str:
+        text = f"byte {self.offset}: {self.reason}"
+        if self.size:
+            text += f"; {self.size} bytes"
+        if self.messages:
+            text += f", {self.messages} messages"
+        if self.first_ns is not None and self.last_ns is not None:
+            text += f", {(self.last_ns - self.first_ns) * 1e-9:.6g} s of log time"
+        return text + (" lost" if self.size or self.messages else "")
+
+
+@dataclass(frozen=True)
+class MessageBlock:
+    """Messages of one chunk (or of a stretch of an unchunked file), in file order.
+
+    data : the decompressed records
+    starts, lengths : (n,) int64, where each payload begins in `data` and how long it is
+    offset : the file byte where the block's chunk begins
+    """
+
+    data: bytes
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    offset: int
+
+    def header(self, name: str) -> NDArray[np.uint64]:
+        """(n,) one message header field: channel, sequence, log_time (ns), publish_time (ns)."""
+        column = _rows(self.data)[name]
+        return column[self.starts - 31]  # type: ignore[no-any-return]
+
+    def payloads(self) -> list[bytes]:
+        """The payload of every message, for encodings that must be parsed one by one."""
+        pairs = zip(self.starts.tolist(), (self.starts + self.lengths).tolist(), strict=True)
+        return [self.data[a:b] for a, b in pairs]
+
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> MessageBlock:
+        """The block restricted to some of its messages."""
+        return MessageBlock(self.data, self.starts[rows], self.lengths[rows], self.offset)
+
+
+class ChunkHead(NamedTuple):
+    """The fields of a Chunk record before its compressed records."""
+
+    first_ns: int
+    last_ns: int
+    uncompressed_size: int
+    uncompressed_crc: int
+    compression: str
+    body: int  # where the compressed records begin, from the start of the content
+    size: int  # how many bytes they have
+
+    def fits(self, length: int, slack: int = 0) -> bool:
+        """Whether the inner length agrees with the record's own, which has 64 bits to be wrong."""
+        return 0 <= length - self.body - self.size <= slack
+
+
+def parse_chunk_head(content: bytes) -> ChunkHead | None:
+    """The head of a Chunk record, or None when the bytes cannot be one."""
+    if len(content) < 40:
+        return None
+    first, last, size, crc, name_length = _CHUNK_HEAD.unpack_from(content)
+    if name_length > 16 or len(content) < 40 + name_length:
+        return None
+    name = content[32 : 32 + name_length]
+    (inner,) = _U64.unpack_from(content, 32 + name_length)
+    text = name.decode("ascii", "replace")
+    return ChunkHead(first, last, size, crc, text, 40 + name_length, inner)
+
+
+def _text(content: bytes, at: int) -> tuple[str, int]:
+    raw, end = _blob(content, at)
+    return raw.decode("utf-8", "replace"), end
+
+
+def _blob(content: bytes, at: int) -> tuple[bytes, int]:
+    if at + 4 > len(content):
+        raise MalformedRecord("a field runs past the end of its record")
+    end = at + 4 + int(_U32.unpack_from(content, at)[0])
+    if end > len(content):
+        raise MalformedRecord("a field runs past the end of its record")
+    return content[at + 4 : end], end
+
+
+def parse_schema(content: bytes) -> Schema:
+    """A Schema record; raises MalformedRecord."""
+    if len(content) < 2:
+        raise MalformedRecord("a schema record is too short")
+    name, at = _text(content, 2)
+    encoding, at = _text(content, at)
+    data, _ = _blob(content, at)
+    return Schema(int(_U16.unpack_from(content)[0]), name, encoding, data)
+
+
+def parse_channel(content: bytes, schemas: dict[int, Schema]) -> Topic:
+    """A Channel record, its schema looked up; raises MalformedRecord."""
+    if len(content) < 4:
+        raise MalformedRecord("a channel record is too short")
+    name, at = _text(content, 4)
+    encoding, at = _text(content, at)
+    packed, _ = _blob(content, at)
+    pairs, at = [], 0
+    while at < len(packed):
+        key, at = _text(packed, at)
+        value, at = _text(packed, at)
+        pairs.append((key, value))
+    number, schema = struct.unpack_from("<HH", content)
+    return Topic(number, name, encoding, schemas.get(schema), tuple(pairs))
+
+
+def index_count(content: bytes) -> int:
+    """How many messages a MessageIndex record lists; raises MalformedRecord."""
+    if len(content) < 6:
+        raise MalformedRecord("a message index is too short")
+    return int(_U32.unpack_from(content, 2)[0]) // 16
+
+
+class Walk(NamedTuple):
+    """What `walk` found: message records, other records (opcode, start, stop), and the end."""
+
+    starts: NDArray[np.int64]
+    others: list[tuple[int, int, int]]
+    end: int
+    stopped: str  # why the walk ended before the last byte, or ""
+
+
+def walk(data: bytes) -> Walk:
+    """Find the records in a chunk's bytes: runs of equal-length messages as whole arrays.
+
+    Stops before the first record that is incomplete or cannot belong into a chunk.
+    """
+    pieces: list[NDArray[np.int64]] = []
+    single: list[int] = []
+    others: list[tuple[int, int, int]] = []
+    at, size, last, streak, stopped = 0, len(data), -1, 0, ""
+    unpack = RECORD_HEADER.unpack_from
+    while at + 9 <= size:
+        opcode, length = unpack(data, at)
+        end = at + 9 + length
+        if end > size or (opcode == MESSAGE and length < MESSAGE_HEADER_SIZE):
+            stopped = "a record runs past the end" if end > size else "a message is too short"
+            break
+        if opcode != MESSAGE:
+            if opcode not in (SCHEMA, CHANNEL) and opcode < 0x80:
+                stopped = f"unexpected record type 0x{opcode:02x}"
+                break
+            others.append((opcode, at + 9, end))
+            at, streak = end, 0
+            continue
+        streak = streak + 1 if length == last else 0
+        last = length
+        if streak < _RUN_START:
+            single.append(at)
+            at = end
+            continue
+        run = _run(data, at, length)
+        pieces += [np.array(single, dtype=np.int64), run]
+        single, streak = [], 0
+        at = int(run[-1]) + 9 + length
+    else:
+        stopped = "a record header is incomplete" if at < size else ""
+    pieces.append(np.array(single, dtype=np.int64))
+    return Walk(np.concatenate(pieces), others, at, stopped)
+
+
+def _run(data: bytes, at: int, length: int) -> NDArray[np.int64]:
+    """Starts of the message records from `at` on that share its length."""
+    stride = 9 + length
+    rows = (len(data) - at) // stride
+    head = np.dtype({"names": ["op", "len"], "formats": ["u1", "<u8"], "offsets": [0, 1]})
+    view = np.ndarray((rows,), head, data, at, (stride,))
+    count, look = 0, 64
+    while count < rows:
+        part = view[count : count + look]
+        same = (part["len"] == length) & (part["op"] == MESSAGE)
+        good = len(same) if same.all() else int(same.argmin())
+        count += good
+        if good < len(same):
+            break
+        look *= 4
+    return at + stride * np.arange(count, dtype=np.int64)
+
+
+def _rows(data: bytes) -> NDArray[np.void]:
+    """A message header at every byte of the block, so that any start can be gathered."""
+    return np.ndarray((max(len(data) - 30, 0),), _MESSAGE_HEAD, data, 0, (1,))
+
+
+def message_block(data: bytes, starts: NDArray[np.int64], offset: int) -> MessageBlock:
+    """The messages whose records start at `starts` in `data`."""
+    lengths = _rows(data)["length"][starts].astype(np.int64) - MESSAGE_HEADER_SIZE
+    return MessageBlock(data, starts + 31, lengths, offset)

@@ -1,0 +1,313 @@
+"""A linear scan of an MCAP file that needs no index and survives damage.
+
+Every chunk is checked against its CRC, size and time span. A damaged part costs only itself:
+the scan goes on at the next chunk whose two lengths agree, and reports what was passed over.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from imucalib.errors import UnreadableInput
+from imucalib.readers import mcap_records as mr
+from imucalib.readers.mcap_chunks import unpack_chunk, unpack_cut_chunk
+from imucalib.readers.mcap_records import Damage, MalformedRecord, MessageBlock, Schema, Topic
+
+_WINDOW = 1 << 22
+_PEEK = 64
+_KNOWN = range(0x01, 0x10)
+_CHUNK_PATTERN = re.compile(
+    rb"(?=\x06.{5}\x00{3}.{21}\x00{3}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4).{5}\x00{3})",
+    re.DOTALL,
+)
+_MESSAGE_PATTERN = re.compile(rb"(?=\x05.{3}\x00{5})", re.DOTALL)
+
+
+class Scanner:
+    """One pass over a file: `blocks` yields the messages, `topics` and `damages` fill meanwhile.
+
+    With `strict` the first damage raises UnreadableInput.
+    """
+
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
+        self.path, self.strict = path, strict
+        self.topics: dict[int, Topic] = {}
+        self.damages: list[Damage] = []
+        self.messages = 0
+        self._schemas: dict[int, Schema] = {}
+        self._hidden: int | None = None  # the damage whose messages the next indexes can count
+        self._chunks = 0
+        self._done = False
+        self._crc: int | None = None
+
+    def blocks(self) -> Iterator[MessageBlock]:
+        """The messages in file order, a chunk at a time."""
+        with open(self.path, "rb") as file:
+            self._file: BinaryIO = file
+            self._size = file.seek(0, 2)
+            if self._read(0, len(mr.MAGIC)) != mr.MAGIC:
+                raise UnreadableInput(
+                    "this is not an MCAP file: its first 8 bytes are not the MCAP magic",
+                    where=str(self.path),
+                    remedy="check that the download or copy is complete",
+                )
+            at = len(mr.MAGIC)
+            while not self._done and at < self._size:
+                at = yield from self._step(at)
+            if not self._done:
+                self._report(at, 0, "the file ends without its footer; it was not closed properly")
+
+    # -- one record ---------------------------------------------------------------------------
+
+    def _step(self, at: int) -> Iterator[MessageBlock]:  # type: ignore[misc]
+        """Read the record at `at`; the generator returns where the next one begins."""
+        peek = self._read(at, 9 + _PEEK)
+        if len(peek) < 9:
+            return (yield from self._recover(at, "a record header is incomplete"))
+        opcode, length = mr.RECORD_HEADER.unpack_from(peek)
+        end = at + 9 + length
+        chunk = mr.parse_chunk_head(peek[9:])
+        if opcode != mr.CHUNK and chunk and chunk.fits(length) and _plausible(chunk, length):
+            self._report(at, 0, f"a chunk is marked as record type 0x{opcode:02x}")
+            opcode = mr.CHUNK
+        if opcode not in _KNOWN and opcode < 0x80:
+            return (yield from self._recover(at, f"unknown record type 0x{opcode:02x}"))
+        if end > self._size:
+            return (yield from self._recover(at, "a record runs past the end of the file"))
+        if opcode == mr.CHUNK:
+            return (yield from self._chunk(at, end, chunk))
+        if opcode == mr.MESSAGE:
+            return (yield from self._loose(at))
+        try:
+            self._other(opcode, at, end)
+        except MalformedRecord as error:
+            return (yield from self._recover(at, str(error)))
+        return end
+
+    def _chunk(self, at: int, end: int, head: mr.ChunkHead | None) -> Iterator[MessageBlock]:  # type: ignore[misc]
+        if head is None or not head.fits(end - at - 9, slack=end):
+            return (yield from self._recover(at, "a chunk header contradicts itself"))
+        self._chunks += 1
+        self._hidden = None
+        try:
+            data = unpack_chunk(head, self._read(at + 9 + head.body, head.size))
+        except MalformedRecord as error:
+            self._hidden = len(self.damages)
+            self._report(at, end - at, str(error), head)
+            return end
+        yield from self._records(data, at, end, head)
+        return end
+
+    def _records(self, data: bytes, at: int, end: int, head: mr.ChunkHead) -> Iterator[MessageBlock]:
+        walk = mr.walk(data)
+        self._define(data, walk, at)
+        block = mr.message_block(data, walk.starts, at)
+        if walk.stopped:
+            self._report(at, 0, f"in a chunk, {walk.stopped}; the rest of it is lost", head)
+        elif walk.starts.size:
+            times = block.header("log_time")
+            if (int(times.min()), int(times.max())) != (head.first_ns, head.last_ns):
+                self._report(at, 0, "a chunk header's time span differs from its messages'")
+        if walk.starts.size:
+            self.messages += walk.starts.size
+            yield block
+
+    def _loose(self, at: int) -> Iterator[MessageBlock]:  # type: ignore[misc]
+        """Messages outside any chunk, a window at a time."""
+        _, length = mr.RECORD_HEADER.unpack(self._read(at, 9))
+        data = self._read(at, max(_WINDOW, 9 + length))
+        walk = mr.walk(data)
+        if walk.end == 0:
+            return (yield from self._recover(at, walk.stopped))
+        self._define(data, walk, at)
+        if walk.starts.size:
+            self.messages += walk.starts.size
+            yield mr.message_block(data, walk.starts, at)
+        return at + walk.end
+
+    def _other(self, opcode: int, at: int, end: int) -> None:
+        if opcode in (mr.SCHEMA, mr.CHANNEL):
+            self._declare(opcode, self._read(at + 9, end - at - 9), at)
+        elif opcode == mr.MESSAGE_INDEX and self._hidden is not None:
+            lost = self.damages[self._hidden]
+            count = (lost.messages or 0) + mr.index_count(self._read(at + 9, 6))
+            self.damages[self._hidden] = dataclasses.replace(lost, messages=count)
+        elif opcode == mr.DATA_END:
+            self._check_data_end(at, end)
+        elif opcode == mr.STATISTICS:
+            self._check_count(at)
+        elif opcode == mr.FOOTER:
+            if end - at < 29:
+                raise MalformedRecord("the footer is too short")
+            tail = self._read(end, len(mr.MAGIC) + 1)
+            if tail != mr.MAGIC:
+                self._report(end, 0, "the bytes after the footer are not the closing magic")
+            self._done = True
+
+    # -- definitions and checks ---------------------------------------------------------------
+
+    def _define(self, data: bytes, walk: mr.Walk, at: int) -> None:
+        for opcode, start, stop in walk.others:
+            if opcode in (mr.SCHEMA, mr.CHANNEL):
+                try:
+                    self._declare(opcode, data[start:stop], at)
+                except MalformedRecord as error:
+                    self._report(at, 0, str(error))
+
+    def _declare(self, opcode: int, content: bytes, at: int) -> None:
+        if opcode == mr.SCHEMA:
+            schema = mr.parse_schema(content)
+            if self._schemas.setdefault(schema.id, schema) != schema:
+                self._report(at, 0, f"schema {schema.id} is defined twice, differently")
+            return
+        topic = mr.parse_channel(content, self._schemas)
+        if self.topics.setdefault(topic.id, topic) != topic:
+            self._report(at, 0, f"channel {topic.id} is defined twice, differently")
+
+    def _check_data_end(self, at: int, end: int) -> None:
+        content = self._read(at + 9, min(end - at - 9, 4))
+        if len(content) < 4:
+            raise MalformedRecord("the end-of-data record is too short")
+        expected = int.from_bytes(content, "little")
+        if expected and expected != self._data_crc(at):
+            self._report(at, 0, "the CRC of the whole data section differs from the file's bytes")
+
+    def _data_crc(self, stop: int) -> int:
+        crc = 0
+        for at in range(0, stop, _WINDOW):
+            crc = zlib.crc32(self._read(at, min(_WINDOW, stop - at)), crc)
+        return crc
+
+    def _check_count(self, at: int) -> None:
+        declared = int.from_bytes(self._read(at + 9, 8), "little")
+        lost = [damage.messages for damage in self.damages if damage.size or damage.messages]
+        if None not in lost and declared != self.messages + sum(n or 0 for n in lost):
+            text = f"the file's statistics declare {declared} messages, {self.messages} were found"
+            self._report(at, 0, text)
+
+    # -- damage -------------------------------------------------------------------------------
+
+    def _report(self, at: int, size: int, reason: str, head: mr.ChunkHead | None = None) -> None:
+        span = (head.first_ns, head.last_ns) if head else (None, None)
+        damage = Damage(at, size, reason, *span)
+        self.damages.append(damage)
+        if self.strict:
+            raise UnreadableInput(
+                f"damaged at {damage}",
+                where=str(self.path),
+                remedy="read it without the strict option to keep what is intact",
+            )
+
+    def _recover(self, at: int, reason: str) -> Iterator[MessageBlock]:  # type: ignore[misc]
+        """Find where the file makes sense again; read a cut last chunk as far as it goes."""
+        found = self._search(at + 1)
+        if found is not None:
+            self._report(at, found - at, reason)
+            return found
+        peek = self._read(at, 9 + _PEEK)
+        head = mr.parse_chunk_head(peek[9:])
+        data = b""
+        if peek[:1] == bytes([mr.CHUNK]) and head is not None:
+            begin = at + 9 + head.body
+            data = unpack_cut_chunk(head, self._read(begin, self._size - begin))
+        walk = mr.walk(data)
+        self._define(data, walk, at)
+        self.messages += walk.starts.size
+        kept = f"; {walk.starts.size} messages of the cut chunk are kept" if data else ""
+        self._report(at, self._size - at, reason + kept, head if data else None)
+        if walk.starts.size:
+            yield mr.message_block(data, walk.starts, at)
+        return self._size
+
+    def _search(self, start: int) -> int | None:
+        """The next chunk whose lengths agree; in a file without chunks, the next messages."""
+        found = self._scan(start, _CHUNK_PATTERN, self._is_chunk)
+        if found is None and not self._chunks:
+            found = self._scan(start, _MESSAGE_PATTERN, self._is_message_chain)
+        return found
+
+    def _scan(self, start: int, pattern: re.Pattern[bytes], check: object) -> int | None:
+        for at in range(start, self._size, _WINDOW):
+            window = self._read(at, _WINDOW + _PEEK)
+            for match in pattern.finditer(window):
+                if match.start() < _WINDOW and check(at + match.start()):  # type: ignore[operator]
+                    return at + match.start()
+        return None
+
+    def _is_chunk(self, at: int) -> bool:
+        content = self._read(at + 9, _PEEK)
+        length = int.from_bytes(self._read(at + 1, 8), "little")
+        head = mr.parse_chunk_head(content)
+        return head is not None and head.fits(length, slack=_PEEK) and _plausible(head, length)
+
+    def _is_message_chain(self, at: int) -> bool:
+        for _ in range(3):
+            header = self._read(at, 11)
+            if len(header) < 11:
+                return len(header) == 0
+            opcode, length = mr.RECORD_HEADER.unpack_from(header)
+            if opcode == mr.DATA_END:
+                return bool(length == 4)
+            channel = int.from_bytes(header[9:11], "little")
+            if opcode != mr.MESSAGE or length < mr.MESSAGE_HEADER_SIZE or channel not in self.topics:
+                return False
+            at += 9 + length
+        return at <= self._size
+
+    def _read(self, at: int, size: int) -> bytes:
+        self._file.seek(at)
+        return self._file.read(size)
+
+
+def _plausible(head: mr.ChunkHead, length: int) -> bool:
+    ordered = head.first_ns <= head.last_ns
+    return ordered and head.compression in ("", "zstd", "lz4") and length >= 40
+
+
+def known_topics(path: Path) -> dict[int, Topic]:
+    """Channels from the summary at the file's end, empty when it is absent or damaged.
+
+    A fallback for a file whose only channel definitions were in a chunk that is lost.
+    """
+    with open(path, "rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - 37, 0))
+        tail = file.read()
+        if len(tail) < 37 or tail[0] != mr.FOOTER or tail[-8:] != mr.MAGIC:
+            return {}
+        summary = int.from_bytes(tail[9:17], "little")
+        if not len(mr.MAGIC) <= summary < size:
+            return {}
+        file.seek(summary)
+        data = file.read(size - 37 - summary)
+    expected = int.from_bytes(tail[25:29], "little")
+    if expected and zlib.crc32(data + tail[:25]) != expected:
+        return {}
+    return _channels(data)
+
+
+def _channels(data: bytes) -> dict[int, Topic]:
+    schemas: dict[int, Schema] = {}
+    topics: dict[int, Topic] = {}
+    at = 0
+    try:
+        while at + 9 <= len(data):
+            opcode, length = mr.RECORD_HEADER.unpack_from(data, at)
+            content = data[at + 9 : at + 9 + length]
+            if opcode == mr.SCHEMA:
+                schema = mr.parse_schema(content)
+                schemas[schema.id] = schema
+            elif opcode == mr.CHANNEL:
+                topic = mr.parse_channel(content, schemas)
+                topics[topic.id] = topic
+            at += 9 + length
+    except MalformedRecord:
+        return {}
+    return topics
