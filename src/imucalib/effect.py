@@ -1,0 +1,182 @@
+"""An effect: one named piece of physics that acts on the truth, with its parameters.
+
+Two shapes cover the static catalogue. A `Response` adds to the reading what the sensor makes
+of the specific force x: linear in its parameters, reading = x + Σ basis(x)·θ. A `Rotation` turns
+the truth before the sensor sees it, about an axis by an angle that is linear in its parameters.
+Both act on the truth, never on the reading: the inverse is derived (`model.correct`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.context import Context
+from imucalib.parameter import Parameter
+from imucalib.units import DEG
+
+Array = NDArray[np.float64]
+#: fixture: the reference is off (never applied to new readings); mounting: the triad's attitude in
+#: the tool; sensor: what the sensor does. The last two are undone by `apply`.
+Stage = Literal["fixture", "mounting", "sensor"]
+
+
+class Effect(Protocol):
+    """The contract of the catalogue. Law tests run over every effect that is found."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def stage(self) -> Stage: ...
+    @property
+    def sentence(self) -> str: ...
+    @property
+    def equation(self) -> str: ...
+    @property
+    def source(self) -> str: ...
+    @property
+    def identify(self) -> str: ...
+    @property
+    def needs(self) -> tuple[str, ...]: ...
+    def parameters(self, context: Context) -> tuple[Parameter, ...]: ...
+    def missing(self, context: Context) -> str:
+        """Why the context cannot carry the effect; empty when it can."""
+        ...
+
+    def delta(self, theta: Array, x: Array, context: Context) -> Array:
+        """(n, K, 3) m/s² that the effect adds to the truth x (n, K, 3); zero at θ = 0."""
+        ...
+
+    def d_theta(self, theta: Array, x: Array, context: Context) -> Array:
+        """(n, K, 3, p) derivative of `delta`, m/s² per unit of each parameter."""
+        ...
+
+    def d_x(self, theta: Array, x: Array, context: Context) -> Array:
+        """(n, K, 3, 3) derivative of `delta` with respect to x."""
+        ...
+
+
+@dataclass(frozen=True)
+class Described:
+    """The words of an effect, shown by `imucal effects` and written into every calibration.
+
+    needs : covariates of the context; each must be there and must vary
+    identify : how to record data that determines it and separates it from its aliases
+    """
+
+    name: str
+    sentence: str
+    equation: str
+    source: str
+    identify: str
+    needs: tuple[str, ...] = ()
+
+    def missing(self, context: Context) -> str:
+        for name in self.needs:
+            if name not in context:
+                return f"no {name.replace('_', ' ')} was recorded"
+            if np.ptp(context[name]) <= 0.0:
+                return f"{name.replace('_', ' ')} does not vary"
+        return ""
+
+
+Basis = Callable[[Array, Context], Array]
+
+
+@dataclass(frozen=True)
+class Response(Described):
+    """A sensor effect, linear in its parameters, the same shape on every triad.
+
+    each : parameters of one triad, m of them, in the basis' order
+    basis : (x (n, K, 3), context) -> (n, K, 3, m), m/s² per unit
+    basis_dx : (x, context) -> (n, K, 3, m, 3), its derivative with respect to x
+    """
+
+    each: tuple[Parameter, ...] = ()
+    basis: Basis = lambda x, context: x[..., None]
+    basis_dx: Basis = lambda x, context: np.zeros((*x.shape, 1, 3))
+
+    stage: Stage = "sensor"
+
+    def parameters(self, context: Context) -> tuple[Parameter, ...]:
+        if len(context.triads) == 1:
+            return self.each
+        return tuple(
+            Parameter(f"{triad}.{p.name}", p.unit, p.typical, p.plausible, p.start)
+            for triad in context.triads
+            for p in self.each
+        )
+
+    def _table(self, theta: Array, context: Context) -> Array:
+        return theta.reshape(len(context.triads), len(self.each))
+
+    def delta(self, theta: Array, x: Array, context: Context) -> Array:
+        table = self._table(theta, context)
+        return np.asarray(np.einsum("nkim,km->nki", self.basis(x, context), table))
+
+    def d_theta(self, theta: Array, x: Array, context: Context) -> Array:
+        basis = self.basis(x, context)
+        n, k, _, m = basis.shape
+        out = np.zeros((n, k, 3, k, m))
+        out[:, np.arange(k), :, np.arange(k)] = basis.transpose(1, 0, 2, 3)
+        return out.reshape(n, k, 3, k * m)
+
+    def d_x(self, theta: Array, x: Array, context: Context) -> Array:
+        table = self._table(theta, context)
+        return np.asarray(np.einsum("nkimj,km->nkij", self.basis_dx(x, context), table))
+
+
+Turn = Callable[[Context], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class Rotation(Described):
+    """A rotation of the truth: successive turns, each about its own axis.
+
+    turns : each gives (axis (n, 3), angle per degree of each parameter (n, p)) from the context;
+        the angle of a turn is the weighted sum of the parameters, which are in degrees
+    named : parameters, p of them, or a function of the context when their number depends on it
+    """
+
+    named: tuple[Parameter, ...] | Callable[[Context], tuple[Parameter, ...]] = ()
+    turns: tuple[Turn, ...] = ()
+    stage: Stage = "fixture"
+
+    def parameters(self, context: Context) -> tuple[Parameter, ...]:
+        return self.named(context) if callable(self.named) else self.named
+
+    def _turned(self, theta: Array, x: Array, context: Context) -> tuple[Array, Array, Array]:
+        """Turned x, its derivative along θ (n, K, 3, p), and the total rotation (n, 3, 3)."""
+        slope = np.zeros((*x.shape, theta.size))
+        total = np.broadcast_to(np.eye(3), (x.shape[0], 3, 3))
+        for turn in self.turns:
+            axis, weight = turn(context)
+            rotation = rotation_about(axis, weight @ theta * DEG)
+            x = np.einsum("nij,nkj->nki", rotation, x)
+            slope = np.einsum("nij,nkjp->nkip", rotation, slope)
+            slope += np.cross(axis[:, None], x)[..., None] * (weight * DEG)[:, None, None, :]
+            total = rotation @ total
+        return x, slope, total
+
+    def delta(self, theta: Array, x: Array, context: Context) -> Array:
+        return self._turned(theta, x, context)[0] - x
+
+    def d_theta(self, theta: Array, x: Array, context: Context) -> Array:
+        return self._turned(theta, x, context)[1]
+
+    def d_x(self, theta: Array, x: Array, context: Context) -> Array:
+        total = self._turned(theta, x, context)[2] - np.eye(3)
+        return np.broadcast_to(total[:, None], (*x.shape, 3)).copy()
+
+
+def rotation_about(axis: Array, angle: Array) -> Array:
+    """Rotation matrices (n, 3, 3) about unit axes (n, 3) by angles (n,) in rad (Rodrigues)."""
+    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    x, y, z = axis.T
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * cross @ cross)

@@ -1,0 +1,163 @@
+"""Bias and scale that follow a covariate: temperature, time, warm-up, the previous position."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from imucalib.context import Context
+from imucalib.effect import Array, Basis, Response
+from imucalib.parameter import Parameter
+from imucalib.units import MG
+
+Drive = Callable[[Context], Array]
+
+
+#: Where the covariate's own zero is, a constant, so that a subset keeps the parameters' meaning.
+_REFERENCE = {"temperature": 25.0, "order": 0.5}
+
+
+def _from_reference(name: str) -> Drive:
+    return lambda context: context[name] - _REFERENCE[name]
+
+
+def _warm_up(context: Context) -> Array:
+    return np.exp(-4.0 * context["order"])
+
+
+def _step(context: Context) -> Array:
+    return (context["sweep"] > 0.0).astype(float)
+
+
+def _bias_with(drive: Drive) -> tuple[Basis, Basis]:
+    def basis(x: Array, context: Context) -> Array:
+        return np.asarray(np.eye(3) * MG * drive(context)[:, None, None, None] + 0.0 * x[..., None])
+
+    def basis_dx(x: Array, context: Context) -> Array:
+        return np.zeros((*x.shape, 3, 3))
+
+    return basis, basis_dx
+
+
+def _scale_with(drive: Drive) -> tuple[Basis, Basis]:
+    def basis(x: Array, context: Context) -> Array:
+        return np.asarray(np.eye(3) * 1e-3 * drive(context)[:, None, None, None] * x[..., None])
+
+    def basis_dx(x: Array, context: Context) -> Array:
+        out = np.zeros((*x.shape, 3, 3))
+        for axis in range(3):
+            out[..., axis, axis, axis] = 1e-3 * drive(context)[:, None]
+        return out
+
+    return basis, basis_dx
+
+
+def _previous(x: Array, context: Context) -> Array:
+    before = np.stack([context[f"previous_{a}"] for a in "xyz"], axis=-1)
+    return np.asarray(np.eye(3) * 1e-3 * before[:, None, :, None] + 0.0 * x[..., None])
+
+
+def _effect(
+    name: str,
+    words: tuple[str, str, str, str],
+    needs: tuple[str, ...],
+    unit: str,
+    typical: float,
+    pair: tuple[Basis, Basis],
+) -> Response:
+    each = tuple(Parameter(f"{name}_{a}", unit, typical, 30.0 * typical) for a in "xyz")
+    return Response(name, *words, needs, each=each, basis=pair[0], basis_dx=pair[1])
+
+
+EFFECTS = (
+    _effect(
+        "temperature_bias",
+        (
+            "The bias follows the temperature.",
+            "y_i = x_i + c_i (T - 25 °C)",
+            "0.02-1 mg/°C in MEMS data sheets",
+            "Record the temperature; repeat positions at two temperatures, in mixed order.",
+        ),
+        ("temperature",),
+        "mg/degC",
+        0.5,
+        _bias_with(_from_reference("temperature")),
+    ),
+    _effect(
+        "temperature_scale",
+        (
+            "The scale factor follows the temperature.",
+            "y_i = x_i (1 + c_i (T - 25 °C))",
+            "0.01-0.04 %/°C in MEMS data sheets",
+            "Record the temperature; repeat positions at two temperatures, in mixed order.",
+        ),
+        ("temperature",),
+        "mg/g/degC",
+        0.2,
+        _scale_with(_from_reference("temperature")),
+    ),
+    _effect(
+        "bias_drift",
+        (
+            "The bias moves steadily over the recording.",
+            "y_i = x_i + d_i (order - 1/2), order from 0 to 1",
+            "1 mg per session, practice",
+            "Repeat a few positions at the end, and take the positions in random order.",
+        ),
+        ("order",),
+        "mg",
+        1.0,
+        _bias_with(_from_reference("order")),
+    ),
+    _effect(
+        "scale_drift",
+        (
+            "The scale factor moves steadily over the recording.",
+            "y_i = x_i (1 + d_i (order - 1/2)), order from 0 to 1",
+            "0.1 % per session, practice",
+            "Repeat a few positions at the end, and take the positions in random order.",
+        ),
+        ("order",),
+        "mg/g",
+        1.0,
+        _scale_with(_from_reference("order")),
+    ),
+    _effect(
+        "warm_up",
+        (
+            "The bias settles exponentially from the start, within a quarter of the recording.",
+            "y_i = x_i + w_i exp(-4 order)",
+            "about 1 mg, practice",
+            "Let the sensor warm up, or record its temperature.",
+        ),
+        ("order",),
+        "mg",
+        1.0,
+        _bias_with(_warm_up),
+    ),
+    _effect(
+        "bias_step",
+        (
+            "The bias changes where a new sweep begins (a knock, a re-clamped tool).",
+            "y_i = x_i + d_i [sweep > first]",
+            "1-20 mg after a knock, practice",
+            "Repeat a position of the first sweep in the later ones.",
+        ),
+        ("sweep",),
+        "mg",
+        2.0,
+        _bias_with(_step),
+    ),
+    _effect(
+        "hysteresis",
+        (
+            "The reading keeps a share of the previous position's.",
+            "y_i = x_i + h_i x_i(previous position)",
+            "about 1 mg/g, practice",
+            "Approach some positions from both sides.",
+        ),
+        ("previous_x", "previous_y", "previous_z"),
+        "mg/g",
+        1.0,
+        (_previous, lambda x, context: np.zeros((*x.shape, 3, 3))),
+    ),
+)

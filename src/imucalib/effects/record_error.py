@@ -1,0 +1,35 @@
+"""A gross error of one record: a free number on one component of one observation.
+
+Not part of the catalogue that is scored block by block: `record_errors.py` scans all records.
+"""
+
+import numpy as np
+
+from imucalib.context import Context
+from imucalib.effect import Array, Response
+from imucalib.parameter import Parameter
+from imucalib.units import MG
+
+
+def record_error(record: int, label: str, axes: str = "xyz") -> Response:
+    """Free error of some axes of the observation whose covariate "record" equals `record`."""
+    columns = ["xyz".index(a) for a in axes]
+
+    def basis(x: Array, context: Context) -> Array:
+        hit = (context["record"] == record).astype(float)[:, None, None, None] * MG
+        return np.asarray(np.eye(3)[:, columns] * hit + 0.0 * x[..., :1, None])
+
+    def basis_dx(x: Array, context: Context) -> Array:
+        return np.zeros((*x.shape, len(columns), 3))
+
+    return Response(
+        f"record_error_{record}_{axes}",
+        f"The record of {label} is wrong in {', '.join(axes)}.",
+        "y = x + e, on this record only",
+        "geodetic data snooping (Baarda 1968)",
+        "Look at the laboratory's notes, or take the position again.",
+        ("record",),
+        each=tuple(Parameter(f"record_{record}_{a}", "mg", 50.0, 1e7) for a in axes),
+        basis=basis,
+        basis_dx=basis_dx,
+    )

@@ -1,0 +1,23 @@
+"""A parameter: a number with a name, a unit, a physical size and a range outside of which it is
+not believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown of an effect.
+
+    unit : the unit that a person reads (mg, deg, 1, mg/degC); the effect converts it to SI
+    typical : one standard deviation of what data sheets and practice let one expect, in `unit`
+    plausible : largest absolute value that is still believed, in `unit`
+    start : the value at which the effect is absent
+    """
+
+    name: str
+    unit: str
+    typical: float
+    plausible: float
+    start: float = 0.0
