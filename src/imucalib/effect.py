@@ -25,6 +25,20 @@ Array = NDArray[np.float64]
 Stage = Literal["fixture", "mounting", "sensor"]
 
 
+@dataclass(frozen=True)
+class Action:
+    """What an effect does to the truth x.
+
+    delta : (n, K, 3) m/s², added to x
+    d_theta : (n, K, 3, p) m/s² per unit of each parameter
+    d_x : (n, K, 3, 3) derivative of delta with respect to x
+    """
+
+    delta: Array
+    d_theta: Array
+    d_x: Array
+
+
 class Effect(Protocol):
     """The contract of the catalogue. Law tests run over every effect that is found."""
 
@@ -47,16 +61,8 @@ class Effect(Protocol):
         """Why the context cannot carry the effect; empty when it can."""
         ...
 
-    def delta(self, theta: Array, x: Array, context: Context) -> Array:
-        """(n, K, 3) m/s² that the effect adds to the truth x (n, K, 3); zero at θ = 0."""
-        ...
-
-    def d_theta(self, theta: Array, x: Array, context: Context) -> Array:
-        """(n, K, 3, p) derivative of `delta`, m/s² per unit of each parameter."""
-        ...
-
-    def d_x(self, theta: Array, x: Array, context: Context) -> Array:
-        """(n, K, 3, 3) derivative of `delta` with respect to x."""
+    def act(self, theta: Array, x: Array, context: Context) -> Action:
+        """What the effect adds to the truth x (n, K, 3) in m/s², zero at θ = 0, and its slopes."""
         ...
 
 
@@ -111,23 +117,18 @@ class Response(Described):
             for p in self.each
         )
 
-    def _table(self, theta: Array, context: Context) -> Array:
-        return theta.reshape(len(context.triads), len(self.each))
-
-    def delta(self, theta: Array, x: Array, context: Context) -> Array:
-        table = self._table(theta, context)
-        return np.asarray(np.einsum("nkim,km->nki", self.basis(x, context), table))
-
-    def d_theta(self, theta: Array, x: Array, context: Context) -> Array:
+    def act(self, theta: Array, x: Array, context: Context) -> Action:
+        table = theta.reshape(len(context.triads), len(self.each))
         basis = self.basis(x, context)
         n, k, _, m = basis.shape
-        out = np.zeros((n, k, 3, k, m))
-        out[:, np.arange(k), :, np.arange(k)] = basis.transpose(1, 0, 2, 3)
-        return out.reshape(n, k, 3, k * m)
-
-    def d_x(self, theta: Array, x: Array, context: Context) -> Array:
-        table = self._table(theta, context)
-        return np.asarray(np.einsum("nkimj,km->nkij", self.basis_dx(x, context), table))
+        d_theta = np.zeros((n, k, 3, k, m))
+        for triad in range(k):
+            d_theta[:, triad, :, triad] = basis[:, triad]
+        return Action(
+            np.asarray(np.einsum("nkim,km->nki", basis, table)),
+            d_theta.reshape(n, k, 3, k * m),
+            np.asarray(np.einsum("nkimj,km->nkij", self.basis_dx(x, context), table)),
+        )
 
 
 Turn = Callable[[Context], tuple[Array, Array]]
@@ -149,34 +150,30 @@ class Rotation(Described):
     def parameters(self, context: Context) -> tuple[Parameter, ...]:
         return self.named(context) if callable(self.named) else self.named
 
-    def _turned(self, theta: Array, x: Array, context: Context) -> tuple[Array, Array, Array]:
-        """Turned x, its derivative along θ (n, K, 3, p), and the total rotation (n, 3, 3)."""
+    def act(self, theta: Array, x: Array, context: Context) -> Action:
+        turned = x
         slope = np.zeros((*x.shape, theta.size))
         total = np.broadcast_to(np.eye(3), (x.shape[0], 3, 3))
         for turn in self.turns:
             axis, weight = turn(context)
-            rotation = rotation_about(axis, weight @ theta * DEG)
-            x = np.einsum("nij,nkj->nki", rotation, x)
-            slope = np.einsum("nij,nkjp->nkip", rotation, slope)
-            slope += np.cross(axis[:, None], x)[..., None] * (weight * DEG)[:, None, None, :]
+            cross = cross_matrix(axis)
+            rotation = _rodrigues(cross, weight @ theta * DEG)
+            turned = turned @ rotation.transpose(0, 2, 1)
+            slope = rotation[:, None] @ slope
+            slope += (turned @ -cross)[..., None] * (weight * DEG)[:, None, None, :]
             total = rotation @ total
-        return x, slope, total
-
-    def delta(self, theta: Array, x: Array, context: Context) -> Array:
-        return self._turned(theta, x, context)[0] - x
-
-    def d_theta(self, theta: Array, x: Array, context: Context) -> Array:
-        return self._turned(theta, x, context)[1]
-
-    def d_x(self, theta: Array, x: Array, context: Context) -> Array:
-        total = self._turned(theta, x, context)[2] - np.eye(3)
-        return np.broadcast_to(total[:, None], (*x.shape, 3)).copy()
+        d_x = np.broadcast_to((total - np.eye(3))[:, None], (*x.shape, 3))
+        return Action(turned - x, slope, d_x)
 
 
-def rotation_about(axis: Array, angle: Array) -> Array:
-    """Rotation matrices (n, 3, 3) about unit axes (n, 3) by angles (n,) in rad (Rodrigues)."""
+def cross_matrix(axis: Array) -> Array:
+    """(n, 3, 3) with cross_matrix(a) @ v = a × v."""
+    out = np.zeros((axis.shape[0], 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    return out - out.transpose(0, 2, 1)
+
+
+def _rodrigues(cross: Array, angle: Array) -> Array:
+    """Rotation matrices (n, 3, 3) about the axes of `cross` by angles (n,) in rad."""
     s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    x, y, z = axis.T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
-    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * cross @ cross)
+    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * (cross @ cross))

@@ -74,18 +74,20 @@ class Model:
             if effect.stage == "sensor":
                 continue
             part, own = slices[effect.name], theta[slices[effect.name]]
-            step = effect.d_x(own, x, context) + np.eye(3)
+            action = effect.act(own, x, context)
+            step = action.d_x + np.eye(3)
             slope = step @ slope
-            slope[..., part] += effect.d_theta(own, x, context)
+            slope[..., part] += action.d_theta
             chain = step @ chain
-            x = x + effect.delta(own, x, context)
+            x = x + action.delta
         reading, response, direct = x.copy(), np.broadcast_to(np.eye(3), chain.shape).copy(), {}
         for effect in self.effects:
             if effect.stage == "sensor":
                 part, own = slices[effect.name], theta[slices[effect.name]]
-                reading += effect.delta(own, x, context)
-                response += effect.d_x(own, x, context)
-                direct[effect.name] = effect.d_theta(own, x, context)
+                action = effect.act(own, x, context)
+                reading += action.delta
+                response += action.d_x
+                direct[effect.name] = action.d_theta
         slope = response @ slope
         for name, columns in direct.items():
             slope[..., slices[name]] += columns
@@ -103,8 +105,9 @@ class Model:
         for _ in range(30):
             predicted, response = x.copy(), np.broadcast_to(np.eye(3), (*x.shape, 3)).copy()
             for effect in sensor:
-                predicted += effect.delta(theta[slices[effect.name]], x, context)
-                response += effect.d_x(theta[slices[effect.name]], x, context)
+                action = effect.act(theta[slices[effect.name]], x, context)
+                predicted += action.delta
+                response += action.d_x
             step = np.linalg.solve(response, (reading - predicted)[..., None])[..., 0]
             x = x + step
             if np.abs(step).max(initial=0.0) <= 1e-12 * max(np.abs(x).max(initial=0.0), 1.0):
@@ -116,6 +119,6 @@ class Model:
             )
         for effect in reversed(self.effects):
             if effect.stage == "mounting":
-                turn = np.eye(3) + effect.d_x(theta[slices[effect.name]], x, context)
+                turn = np.eye(3) + effect.act(theta[slices[effect.name]], x, context).d_x
                 x = np.linalg.solve(turn, x[..., None])[..., 0]
         return x

@@ -1,0 +1,143 @@
+"""What could be missing: catalogue effects, smooth probes, correlated noise and single records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.effect import Effect
+from imucalib.evidence import Candidate
+from imucalib.fit import Fit
+from imucalib.units import DEG, MG
+
+Array = NDArray[np.float64]
+
+#: Typical size of an unknown curve: 1 mg on an axis, 0.1 deg on an angle, 50 mg on one record.
+_CURVE_MG, _CURVE_DEG, _RECORD_MG, _RECORD_DEG = 1.0, 0.1, 50.0, 2.0
+_TERMS = 8
+
+
+def effect_columns(fit: Fit, effect: Effect) -> Array:
+    """(N, m) columns of a catalogue effect at θ = 0, scaled by its typical sizes.
+
+    The effect's own derivative at the fitted truth, chained through what acts after it.
+    """
+    extended = fit.model.plus(effect)
+    context, reference = fit.observations.context, fit.observations.reference
+    slices = extended.slices(context)
+    theta = extended.start(context)
+    for name, part in fit.model.slices(context).items():
+        theta[slices[name]] = fit.theta[part]
+    prediction = extended.predict(theta, reference.truth(fit.eta), context)
+    typical = np.array([p.typical for p in effect.parameters(context)])
+    return fit.at.columns(prediction.d_theta[..., slices[effect.name]] * typical)
+
+
+def effect_candidates(
+    fit: Fit, effects: Iterable[Effect]
+) -> tuple[tuple[Candidate, ...], dict[str, str]]:
+    """Candidates of all effects that the context can carry, and why the others cannot be tested."""
+    found, missing = [], {}
+    for effect in effects:
+        if effect.name in fit.model.names:
+            continue
+        reason = effect.missing(fit.observations.context)
+        if reason or not effect.parameters(fit.observations.context):
+            missing[effect.name] = reason or "it has no parameter on these data"
+            continue
+        found.append(Candidate(effect.name, "effect", effect_columns(fit, effect)))
+    return tuple(found), missing
+
+
+def _cosines(values: Array, terms: int) -> Array:
+    """(n, terms) smooth curves over the range of a covariate, rougher ones smaller."""
+    span = float(np.ptp(values))
+    unit = (values - values.min()) / span if span > 0.0 else np.zeros_like(values)
+    k = np.arange(1, terms + 1)
+    return np.asarray(np.sqrt(2.0) * np.cos(np.pi * k * unit[:, None]) / k)
+
+
+def _harmonics(angle: Array, terms: int) -> Array:
+    k = np.arange(1, terms // 2 + 1)
+    waves = np.concatenate([np.sin(angle[:, None] * k), np.cos(angle[:, None] * k)], axis=1)
+    return np.asarray(waves / np.concatenate([k, k]))
+
+
+def probes(fit: Fit) -> tuple[Candidate, ...]:
+    """Smooth curves of every sensor axis and every reference angle against every covariate."""
+    context, reference = fit.observations.context, fit.observations.reference
+    prediction = fit.model.predict(fit.theta, reference.truth(fit.eta), context)
+    directions = reference.directions(fit.eta)
+    n, k, _ = prediction.reading.shape
+    found = []
+    for axis, letter in enumerate("xyz"):
+        curves = _cosines(prediction.force[:, :, axis].ravel(), _TERMS).reshape(n, k, _TERMS)
+        block = np.zeros((n, k, 3, _TERMS))
+        block[:, :, axis] = curves * _CURVE_MG * MG
+        found.append(_probe(fit, f"response of {letter} against its own input", block, letter))
+    for name in ("order", "temperature", "inclination", "tool_face"):
+        if name not in context or np.ptp(context[name]) <= 0.0:
+            continue
+        terms = min(_TERMS, max(2, len(np.unique(context[name])) - 1))
+        periodic = name == "tool_face"
+        curves = (_harmonics if periodic else _cosines)(context[name], terms)
+        words = name.replace("_", "-")
+        block = np.einsum("nt,ij->nijt", curves, np.eye(3))[:, None]
+        wide = np.broadcast_to(block, (n, k, 3, 3, curves.shape[1])).reshape(n, k, 3, -1)
+        found.append(_probe(fit, f"bias against {words}", wide * _CURVE_MG * MG, words))
+        for column, component in enumerate(directions.component):
+            if component is None:
+                continue
+            angle = prediction.d_truth @ directions.derivative[..., column, None]
+            block = angle * curves[:, None, None, :] * _CURVE_DEG * DEG
+            what = component.replace(" setting", "")
+            found.append(_probe(fit, f"{what} error against {words}", block, words))
+    return tuple(found)
+
+
+def _probe(fit: Fit, name: str, block: Array, driver: str) -> Candidate:
+    return Candidate(name, "probe", fit.at.columns(block), driver)
+
+
+def correlated_noise(fit: Fit) -> tuple[Candidate, ...]:
+    """Noise that neighbours in the order of recording share (an exponential correlation)."""
+    context = fit.observations.context
+    if "order" not in context or context.n < 8:
+        return ()
+    position = np.argsort(np.argsort(context["order"])).astype(float)
+    covariance = np.exp(-np.abs(position[:, None] - position[None]) / 2.0)
+    values, vectors = np.linalg.eigh(covariance)
+    top = slice(max(0, context.n - 16), None)
+    curves = vectors[:, top] * np.sqrt(values[top])
+    k = fit.observations.reading.shape[1]
+    block = np.einsum("nt,ij->nijt", curves, np.eye(3)).reshape(context.n, 1, 3, -1)
+    wide = np.broadcast_to(block, (context.n, k, 3, block.shape[-1]))
+    columns = fit.at.columns(wide * _CURVE_MG * MG)
+    return (Candidate("noise correlated in time", "noise", columns, "order"),)
+
+
+def record_candidates(fit: Fit) -> tuple[Candidate, ...]:
+    """A free error on every component of every record, and on every setting of the bench."""
+    at, labels = fit.at, fit.observations.label
+    n, k, _ = fit.observations.reading.shape
+    found = []
+    if at.keep.shape[2] == 3 * k:
+        for row in range(n):
+            for axis in range(3 * k):
+                column = np.zeros((n, 3 * k, 1))
+                column[row, axis] = _RECORD_MG * MG / at.sigma[row, axis]
+                name = f"{row}:{'xyz'[axis % 3]}"
+                found.append(Candidate(name, "record", column.reshape(-1, 1), labels[row]))
+    else:
+        for row in range(n):
+            own = (at.owner == row).astype(float)[:, None] * _RECORD_MG * MG / at.sigma[row, 0]
+            found.append(Candidate(f"{row}:norm", "record", own, labels[row]))
+    for name, matrix in zip(at.component, at.settings, strict=True):
+        for setting in range(matrix.shape[1]):
+            column = matrix[:, setting : setting + 1] * _RECORD_DEG * DEG
+            rows = np.unique(at.owner[np.abs(column[:, 0]) > 1e-9 * np.abs(column).max()])
+            if rows.size == 1:  # a setting of several rows is not one record
+                found.append(Candidate(f"{rows[0]}:{name}", "record", column, labels[rows[0]]))
+    return tuple(found)

@@ -1,0 +1,141 @@
+"""Generalised least squares with variance components: the estimator of `lab` and `actigraph`.
+
+Alternates two exact steps until neither moves: θ and η by Levenberg-Marquardt at fixed noise, and
+the noise by restricted maximum likelihood (REML) at the linearised balance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.balance import Balanced, Noise, balance, setting_errors, whitener
+from imucalib.estimators.levenberg_marquardt import minimise
+from imucalib.estimators.variance import NoiseEstimate, estimate_noise
+from imucalib.fit import Fit
+from imucalib.identifiability import null_directions
+from imucalib.model import Model
+from imucalib.observations import Observations
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """θ and η together: the point at which the balance is linearised."""
+
+    theta: Array
+    eta: Array
+
+
+def fit(
+    model: Model,
+    observations: Observations,
+    *,
+    start: Array | None = None,
+    noise: Noise | None = None,
+    rounds: int = 25,
+) -> Fit:
+    """Fit θ, η and, unless `noise` is given, the noise.
+
+    start : θ to start from; the effects' own starting values by default
+    noise : held fixed when given (held-out refits); otherwise estimated by REML
+    A Fit whose `converged` is False must not be reported as a calibration.
+    """
+    context, reference = observations.context, observations.reference
+    theta = model.start(context) if start is None else start
+    corrected = model.correct(theta, observations.reading, context)
+    state = State(theta, reference.start(corrected))
+    names = balance(model, state.theta, state.eta, observations).component
+    current = noise or Noise(1.0, names, tuple(0.01 for _ in names))
+    estimate: NoiseEstimate | None = None
+    converged, steps = False, 0
+    for _ in range(rounds):
+        solution = _solve(model, observations, state, current)
+        state, steps = solution.state, steps + solution.iterations
+        at = balance(model, state.theta, state.eta, observations)
+        estimate = estimate_noise(at, current, fixed=noise is not None)
+        settled = _same(estimate.noise, current)
+        current = estimate.noise
+        if settled:
+            converged = solution.converged
+            break
+    assert estimate is not None
+    return _finish(model, observations, state, at, estimate, converged, steps)
+
+
+def _solve(model: Model, observations: Observations, start: State, noise: Noise):  # type: ignore[no-untyped-def]
+    ratio = tuple(sd / noise.factor for sd in noise.sd)
+
+    def linearise(state: State) -> tuple[Array, Array]:
+        at = balance(model, state.theta, state.eta, observations)
+        white = whitener(at.settings, ratio)
+        both = white(np.column_stack([at.residual, at.jacobian]))
+        return both[:, 0], both[:, 1:]
+
+    def move(state: State, step: Array) -> State:
+        return _with_eta(model, observations, State(state.theta + step, state.eta), noise)
+
+    return minimise(linearise, move, start)
+
+
+def _with_eta(model: Model, observations: Observations, state: State, noise: Noise) -> State:
+    """η moved to its best for this θ, to first order: it converges along with θ."""
+    if noise.component:
+        at = balance(model, state.theta, state.eta, observations)
+        return State(state.theta, setting_errors(at, noise, at.residual))
+    step = _flat_step(model, observations, state)
+    return State(state.theta, observations.reference.move(state.eta, step))
+
+
+def _flat_step(model: Model, observations: Observations, state: State) -> Array:
+    """Gauss-Newton step along the flat directions of every observation, at fixed θ."""
+    reference = observations.reference
+    predicted = model.predict(state.theta, reference.truth(state.eta), observations.context)
+    directions = reference.directions(state.eta)
+    n, q = directions.index.shape
+    sigma = observations.sigma.reshape(n, -1)
+    free = (predicted.d_truth @ directions.derivative).reshape(n, -1, q) / sigma[..., None]
+    residual = (observations.reading - predicted.reading).reshape(n, -1) / sigma
+    gram = free.transpose(0, 2, 1) @ free
+    slope = free.transpose(0, 2, 1) @ residual[..., None]
+    return np.asarray(np.linalg.solve(gram, slope).reshape(-1))
+
+
+def _same(new: Noise, old: Noise) -> bool:
+    a = np.array([new.factor, *new.sd])
+    b = np.array([old.factor, *old.sd])
+    # A component that has vanished may keep shrinking without changing anything.
+    return bool(np.all(np.abs(a - b) <= 1e-5 * np.maximum(a, 1e-7)))
+
+
+def _finish(
+    model: Model,
+    observations: Observations,
+    state: State,
+    at: Balanced,
+    estimate: NoiseEstimate,
+    converged: bool,
+    steps: int,
+) -> Fit:
+    parameters = model.parameters(observations.context)
+    return Fit(
+        model=model,
+        parameters=parameters,
+        theta=state.theta,
+        covariance=estimate.covariance,
+        eta=state.eta,
+        noise=estimate.noise,
+        noise_covariance=estimate.noise_covariance,
+        slope=estimate.slope,
+        at=at,
+        observations=observations,
+        chi2=estimate.chi2,
+        dof=estimate.dof,
+        log_likelihood=estimate.log_likelihood,
+        null_directions=null_directions(estimate.white_jacobian, parameters, estimate.noise.factor),
+        converged=converged,
+        iterations=steps,
+    )

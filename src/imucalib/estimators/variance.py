@@ -1,0 +1,136 @@
+"""Variance components by restricted maximum likelihood (REML).
+
+V = s² I + Σ sd_c² N_c N_cᵀ in units of the declared noise. REML loses no degrees of freedom to the
+fitted parameters, which matters when 12 parameters face 12 settings (Patterson and Thompson 1971).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.balance import Balanced, Noise, whitener
+
+Array = NDArray[np.float64]
+
+#: Search range of a setting's standard deviation, rad: from far below any bench to 15 degrees.
+_BOUNDS = (1e-6, 0.26)
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """The noise and all that follows from it at one linearised balance.
+
+    covariance : (p, p) of θ; slope : (c, p, p) its derivative by each log noise parameter
+    noise_covariance : (c, c) of the log noise parameters, zero where the noise was given
+    chi2 : weighted sum of squares with the settings' covariance, at factor 1; dof : N - p
+    """
+
+    noise: Noise
+    covariance: Array
+    slope: Array
+    noise_covariance: Array
+    chi2: float
+    dof: int
+    log_likelihood: float
+    white_jacobian: Array
+
+
+def estimate_noise(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
+    """REML estimate from a balance; with `fixed`, only evaluate at `start`."""
+    if not at.settings:
+        return _independent(at, start, fixed=fixed)
+    noise = start if fixed else _search(at, start)
+    return _evaluate(at, noise, fixed=fixed)
+
+
+def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
+    """No settings: one factor, in closed form, without any N by N matrix."""
+    size, p = at.jacobian.shape
+    q, r = np.linalg.qr(at.jacobian)
+    rest = at.residual - q @ (q.T @ at.residual)
+    chi2, dof = float(rest @ rest), size - p
+    factor = start.factor if fixed else float(np.sqrt(max(chi2 / max(dof, 1), 1e-30)))
+    inverse = np.linalg.pinv(r.T @ r, rcond=1e-14)
+    covariance = factor**2 * inverse
+    log_det = float(np.log(np.maximum(np.abs(np.diag(r)), 1e-300)).sum())
+    likelihood = -0.5 * chi2 / factor**2 - dof * np.log(factor) - log_det
+    spread = 0.0 if fixed else 1.0 / (2.0 * max(dof, 1))
+    return NoiseEstimate(
+        Noise(factor),
+        covariance,
+        2.0 * covariance[None],
+        np.array([[spread]]),
+        chi2,
+        dof,
+        float(likelihood),
+        at.jacobian,
+    )
+
+
+def _projector(at: Balanced, values: Array) -> tuple[Array, Array, list[Array], float, float]:
+    """P, J'V⁻¹, dV/dlog(values), log det V and log det J'V⁻¹J for values = (s, sd_c...)."""
+    size = at.residual.size
+    derivative = [2.0 * values[0] ** 2 * np.eye(size)]
+    derivative += [2.0 * v**2 * m @ m.T for v, m in zip(values[1:], at.settings, strict=True)]
+    covariance = 0.5 * np.sum(derivative, axis=0)
+    lower = np.linalg.cholesky(covariance)
+    inverse = np.linalg.inv(covariance)
+    weighted = at.jacobian.T @ inverse
+    information = weighted @ at.jacobian
+    projector = inverse - weighted.T @ np.linalg.pinv(information, rcond=1e-14) @ weighted
+    log_v = 2.0 * float(np.log(np.diag(lower)).sum())
+    log_j = float(np.linalg.slogdet(information)[1])
+    return projector, weighted, derivative, log_v, log_j
+
+
+def _search(at: Balanced, start: Noise) -> Noise:
+    from scipy.optimize import minimize
+
+    def objective(logs: Array) -> tuple[float, Array]:
+        projector, _, derivative, log_v, log_j = _projector(at, np.exp(logs))
+        py = projector @ at.residual
+        value = 0.5 * (log_v + log_j + float(at.residual @ py))
+        slope = [0.5 * (float(np.sum(projector * d)) - float(py @ d @ py)) for d in derivative]
+        return value, np.array(slope)
+
+    first = np.log([start.factor, *np.clip(start.sd, 1e-4, 0.1)])
+    bounds = [(np.log(1e-9), np.log(1e9))] + [(np.log(b), np.log(t)) for b, t in [_BOUNDS]] * len(
+        at.settings
+    )
+    found = minimize(
+        objective, first, jac=True, method="L-BFGS-B", bounds=bounds,
+        options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 200},
+    )  # fmt: skip
+    values = np.exp(found.x)
+    return Noise(float(values[0]), at.component, tuple(float(v) for v in values[1:]))
+
+
+def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
+    values = np.array([noise.factor, *noise.sd])
+    projector, weighted, derivative, log_v, log_j = _projector(at, values)
+    covariance = np.linalg.pinv(weighted @ at.jacobian, rcond=1e-14)
+    gain = covariance @ weighted
+    slope = np.array([gain @ d @ gain.T for d in derivative])
+    py = projector @ at.residual
+    directed = [d @ py for d in derivative]
+    information = 0.5 * np.array([[float(a @ projector @ b) for b in directed] for a in directed])
+    # At the lower bound a component is zero: nothing to learn about it, nothing to propagate.
+    alive = np.array([True] + [sd > 2.0 * _BOUNDS[0] for sd in noise.sd])
+    spread = np.zeros_like(information)
+    if not fixed:
+        spread[np.ix_(alive, alive)] = np.linalg.pinv(information[np.ix_(alive, alive)])
+    white = whitener(at.settings, tuple(sd / noise.factor for sd in noise.sd))
+    quadratic = float(at.residual @ py)
+    return NoiseEstimate(
+        noise,
+        covariance,
+        slope,
+        spread,
+        quadratic * noise.factor**2,
+        at.residual.size - at.jacobian.shape[1],
+        -0.5 * (log_v + log_j + quadratic),
+        white(at.jacobian),
+    )
