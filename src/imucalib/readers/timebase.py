@@ -1,0 +1,83 @@
+"""The clock of a recording: step, unit, and where it has gaps. Nothing here moves a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.errors import UnreadableInput
+from imucalib.mapping import TIME_UNITS
+from imucalib.recording import Array, Gap
+
+_YEAR_2000, _YEAR_2100 = 946_684_800.0, 4_102_444_800.0
+_MISSING_ONE = 1.75  # a step of two periods is a lost sample when the clock is clean
+_JITTERY = 5.0  # else only a step of this many times its 99th percentile is a gap
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """step : median positive step, s; threshold : a longer step is a gap, s."""
+
+    step: float
+    threshold: float
+
+
+def stepping(pieces: Sequence[Array]) -> Stepping | None:
+    """Step statistics of pieces of consecutive times (s); None when no time ever advances."""
+    steps = np.concatenate([np.diff(t) for t in pieces]) if pieces else np.empty(0)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    if steps.size == 0:
+        return None
+    step = float(np.median(steps))
+    high = float(np.percentile(steps, 99))
+    return Stepping(step, max(_MISSING_ONE * step, _JITTERY * high if high > 1.5 * step else 0.0))
+
+
+def find_gaps(t: Array, rows: Array, threshold: float, before: float | None) -> list[Gap]:
+    """Gaps and back-steps of the times of one channel (s).
+
+    rows : number of each sample's row in the file, to tell missing values from missing rows;
+    before : the last time of the previous block, or None.
+    """
+    lead = [before] if before is not None else []
+    times = np.concatenate([lead, t])
+    order = np.concatenate([[rows[0] - 1] if lead else [], rows]) if rows.size else rows
+    steps = np.diff(times)
+    found = np.flatnonzero((steps > threshold) | (steps < 0))
+    gaps = []
+    for k in found:
+        start, stop = float(times[k]), float(times[k + 1])
+        lost = int(order[k + 1] - order[k]) > 1
+        reason = "time steps back" if stop < start else "values missing" if lost else "no samples"
+        gaps.append(Gap(start, stop, reason))
+    return gaps
+
+
+def is_absolute(seconds: float) -> bool:
+    """Whether seconds since 1970 fall in this century."""
+    return _YEAR_2000 <= seconds <= _YEAR_2100
+
+
+def guess_unit(first: float, step: float, where: str) -> tuple[str, str]:
+    """The unit of numeric time stamps from their size and step, with the sentence that says why.
+
+    Raises UnreadableInput when more than one unit, or none, gives a rate of 5 to 8000 Hz.
+    """
+    for unit in ("s", "ms", "us", "ns"):
+        size = TIME_UNITS[unit]
+        if is_absolute(first * size) and 0.01 <= 1.0 / (step * size) <= 20_000.0:
+            return unit, f"time: {first:.16g} is a date when the unit is {unit}"
+    if step < 1.0:
+        return "s", f"time: a median step of {step:.6g} -> unit s"
+    fitting = [u for u in ("s", "ms", "us", "ns") if 5.0 <= 1.0 / (step * TIME_UNITS[u]) <= 8000.0]
+    if len(fitting) == 1:
+        rate = 1.0 / (step * TIME_UNITS[fitting[0]])
+        sentence = f"time: a median step of {step:.6g} -> unit {fitting[0]} ({rate:.6g} Hz)"
+        return fitting[0], sentence
+    raise UnreadableInput(
+        f"the unit of the time stamps is unclear: their median step is {step:.6g}",
+        where=where,
+        remedy="name it with --time-unit, or give --rate",
+    )

@@ -1,0 +1,95 @@
+"""Recordings as a text table: `time [s]`, then one column an axis, units in the header.
+
+Acceleration, angular rate and temperature come back bit for bit; numbers have the shortest text
+that gives the same float64. Channels with their own times get rows of their own, blank elsewhere.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import UsageError
+from imucalib.recording import Array, Channel, Recording
+
+Index = NDArray[np.intp]
+_ROWS = 1 << 16  # rows that are made into text at a time
+
+
+class CsvWriter:
+    """Writer of text tables; see `imucalib.writers.Writer`."""
+
+    name = "csv"
+    suffixes = (".csv",)
+
+    def write(self, recording: Recording, path: Path) -> None:
+        """Write all channels. Raises UsageError when channels differ in times that step back."""
+        if not recording.channels:
+            raise UsageError("the recording has no channels", where=recording.path)
+        channels = dict(recording.channels)
+        t, rows = _union_of_times(channels, recording.path)
+        width = 1 + sum(c.values.shape[1] for c in channels.values())
+        with path.open("w", encoding="utf-8", newline="\n") as out:
+            start = "none" if recording.start_ns is None else str(recording.start_ns)
+            out.write(f"# imucal recording, start_ns: {start}\n")
+            out.write(",".join(_names(channels)) + "\n")
+            for first in range(0, t.size, _ROWS):
+                block = np.full((min(_ROWS, t.size - first), width), "", dtype="U32")
+                block[:, 0] = t[first : first + _ROWS].astype("U32")
+                _fill(block, first, channels, rows)
+                out.write("\n".join(map(",".join, block.tolist())) + "\n")
+
+
+WRITER = CsvWriter()
+
+
+def _names(channels: dict[str, Channel]) -> list[str]:
+    names = ["time [s]"]
+    for name, channel in channels.items():
+        k = channel.values.shape[1]
+        axes = [""] if k == 1 else [f"/{a}" for a in ("xyz" if k == 3 else range(k))]
+        names += [f"{name}{axis} [{channel.unit}]" for axis in axes]
+    return names
+
+
+def _union_of_times(channels: dict[str, Channel], where: str) -> tuple[Array, dict[str, Index]]:
+    """All times, and the row of every sample of every channel."""
+    first = next(iter(channels.values())).t
+    if all(np.array_equal(c.t, first) for c in channels.values()):
+        return first, {name: np.arange(first.size) for name in channels}
+    if any((np.diff(c.t) < 0).any() for c in channels.values()):
+        raise UsageError(
+            "channels with different times that step back do not fit one table",
+            where=where,
+            remedy="write HDF5 (.h5) instead",
+        )
+    keys = np.concatenate([_keys(c.t) for c in channels.values()])
+    unique, inverse = np.unique(keys, return_inverse=True)
+    stops = np.cumsum([c.t.size for c in channels.values()])[:-1]
+    parts = np.split(inverse.ravel(), stops)
+    return np.asarray(unique["t"]), dict(zip(channels, parts, strict=True))
+
+
+def _keys(t: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.void]]:
+    """(time, how many earlier samples have the same time): equal times stay separate rows."""
+    starts = np.flatnonzero(np.diff(t, prepend=np.nan) != 0)
+    counts = np.diff(starts, append=t.size)
+    keys = np.empty(t.size, dtype=[("t", "f8"), ("rank", "i8")])
+    keys["t"] = t
+    keys["rank"] = np.arange(t.size) - np.repeat(starts, counts)
+    return keys
+
+
+def _fill(
+    block: np.ndarray[tuple[int, ...], np.dtype[np.str_]], first: int,
+    channels: dict[str, Channel], rows: dict[str, Index],
+) -> None:  # fmt: skip
+    column = 1
+    for name, channel in channels.items():
+        a, b = np.searchsorted(rows[name], [first, first + block.shape[0]])
+        at, width = rows[name][a:b] - first, channel.values.shape[1]
+        text = channel.values[a:b].astype("U32")
+        block[at, column : column + width] = np.where(np.isnan(channel.values[a:b]), "", text)
+        column += width
