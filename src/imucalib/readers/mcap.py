@@ -1,0 +1,282 @@
+"""Recordings in MCAP: ROS 2, ROS 1, JSON and protobuf messages.
+
+Every topic of type sensor_msgs/Imu becomes a triad; without any, topics whose field names tell of
+an acceleration do. Split accelerometer and gyroscope topics are joined into one triad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imucalib.errors import UnreadableInput
+from imucalib.mapping import FieldMapping
+from imucalib.readers import conversion
+from imucalib.readers.conversion import Conversion
+from imucalib.readers.mcap_fields import TopicFields
+from imucalib.readers.mcap_records import MAGIC
+from imucalib.readers.mcap_select import Triad, no_imu, resolved, triads_of
+from imucalib.readers.mcap_series import Clock, Timeline, choose_clock
+from imucalib.readers.mcap_store import Store
+from imucalib.readers.mcap_stream import TopicStream, checked
+from imucalib.readers.source import sha256_of
+from imucalib.recording import Array, Channel, Gap, Recording
+
+_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
+_HOUR = 3_600_000_000_000
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One channel to be: its name and triad, where its values come from, how they become SI."""
+
+    name: str
+    triad: str
+    quantity: str
+    topic: str
+    column: int
+    conversion: Conversion
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What the first pass decided for the whole file."""
+
+    head: Recording  # without channels; its notes and mapping are those of the file
+    parts: tuple[_Part, ...]
+    clocks: dict[str, Clock]
+    start_ns: int
+
+    def timelines(self) -> dict[str, Timeline]:
+        labels = {part.topic: part.triad for part in reversed(self.parts)}
+        return {t: Timeline(c, self.start_ns, labels[t]) for t, c in self.clocks.items()}
+
+
+class McapReader:
+    """The MCAP reader."""
+
+    name = "mcap"
+    suffixes = (".mcap",)
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Whether the file begins with the MCAP magic."""
+        return head.startswith(MAGIC)
+
+    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
+        """Read all samples in one pass; peak memory is the result and one spare channel."""
+        try:
+            stream, store = _collect(path, mapping, strict, keep=True)
+            plan = _decide(path, mapping, stream, store)
+        except OSError as error:
+            raise checked(error, path) from error
+        outputs = {}
+        gaps: list[Gap] = []
+        timelines = plan.timelines()
+        for topic, timeline in timelines.items():
+            marks = stream.sources[topic].marks
+            stamps, log, columns = store.taken(topic, needs_stamps=timeline.clock.source == "stamp")
+            pieces = [timeline.push(stamps, log, columns, marks), timeline.flush(marks)]
+            done = [piece for piece in pieces if piece]
+            gaps += [gap for piece in done for gap in piece[2]]
+            outputs[topic] = [(t, values) for t, values, _ in done]
+        notes = (*plan.head.notes, *_missing(timelines))
+        return _recording(plan, outputs, gaps, notes)
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """Read the file twice: what holds for all of it first, then the samples in blocks."""
+        try:
+            stream, store = _collect(path, mapping, strict, keep=False)
+            plan = _decide(path, mapping, stream, store)
+            yield from _emit(path, mapping, plan, block_samples)
+        except OSError as error:
+            raise checked(error, path) from error
+
+
+def _collect(
+    path: Path, mapping: FieldMapping, strict: bool, *, keep: bool
+) -> tuple[TopicStream, Store]:
+    stream = TopicStream(path, mapping, strict=strict)
+    store = Store(keep)
+    for samples in stream.samples():
+        store.add(samples)
+    store.close()
+    return stream, store
+
+
+def _decide(path: Path, mapping: FieldMapping, stream: TopicStream, store: Store) -> _Plan:
+    """Triads, clocks, units and notes, from everything that the first pass saw."""
+    sources = {n: s for n, s in stream.sources.items() if s.rows}
+    if any(source.imu for source in sources.values()) and not any((*mapping.acc, *mapping.gyro)):
+        sources = {n: s for n, s in sources.items() if s.imu}
+    fields = {name: source.fields for name, source in sources.items()}
+    alive = {name: store.surveys[name].alive for name in sources}
+    triads = triads_of(mapping, fields, alive)
+    if not any(triad.parts for triad in triads):
+        raise no_imu(str(path), stream.candidates())
+    used = list(dict.fromkeys(t for triad in triads for t, _ in triad.parts.values()))
+    clocks = _clocks({name: fields[name] for name in used}, mapping, store)
+    parts, notes = _parts(path, mapping, triads, fields, clocks, store)
+    notes = [*_described(triads, fields, clocks, alive), *notes, *stream.losses()]
+    start = min(clock.first for clock in clocks.values())
+    states = {part.quantity: part.conversion.source_unit for part in reversed(parts)}
+    found = resolved(mapping, triads, fields, [states.get("acc", ""), states.get("gyro", "")])
+    dated = all(clock.dated for clock in clocks.values())
+    head = Recording(
+        {}, str(path), "mcap", sha256_of(path), start if dated else None, (), tuple(notes),
+        found.to_dict(),
+    )  # fmt: skip
+    return _Plan(head, tuple(parts), clocks, start)
+
+
+def _clocks(
+    topics: dict[str, TopicFields], mapping: FieldMapping, store: Store
+) -> dict[str, Clock]:
+    """A clock for each topic; one clock for all where their stamps tell of different epochs."""
+    clocks = {name: _clock(store, name, fields, mapping) for name, fields in topics.items()}
+    starts = [clock.first for clock in clocks.values()]
+    logs = [store.surveys[name].log.low for name in clocks]
+    if max(starts) - min(starts) <= max(logs) - min(logs) + _HOUR:
+        return clocks
+    return {name: _clock(store, name, TopicFields(()), mapping) for name in topics}
+
+
+def _clock(store: Store, name: str, fields: TopicFields, mapping: FieldMapping) -> Clock:
+    survey = store.surveys[name] if fields.time_leaves else store.without_stamps(name)
+    scalar = len(fields.time_leaves) == 1
+    return choose_clock(survey, scalar=scalar, time_unit=mapping.time_unit, rate=mapping.rate)
+
+
+def _parts(
+    path: Path,
+    mapping: FieldMapping,
+    triads: list[Triad],
+    topics: dict[str, TopicFields],
+    clocks: dict[str, Clock],
+    store: Store,
+) -> tuple[list[_Part], list[str]]:
+    parts, notes = [], []
+    for triad in triads:
+        for quantity, (topic, column) in triad.parts.items():
+            stated = topics[topic].fields[column].unit
+            pieces = store.surveys[topic].rest_pieces(column)
+            where = f"{path}, topic {topic}"
+            convert = _conversion(quantity, mapping, stated, pieces, clocks[topic].period, where)
+            if convert.note:
+                notes.append(f"{triad.name}: {convert.note}")
+            name = f"{triad.name}/{_NAMES[quantity]}"
+            parts.append(_Part(name, triad.name, quantity, topic, column, convert))
+    return parts, notes
+
+
+def _conversion(
+    quantity: str, mapping: FieldMapping, stated: str, pieces: list[Array], period: float, where: str
+) -> Conversion:
+    if quantity == "acc":
+        window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
+        return conversion.acceleration(
+            mapping, stated, conversion.norms_at_rest(pieces, window), where
+        )
+    if quantity == "gyro":
+        return conversion.angular_rate(mapping, stated, where)
+    return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
+
+
+def _described(
+    triads: list[Triad],
+    topics: dict[str, TopicFields],
+    clocks: dict[str, Clock],
+    alive: dict[str, list[bool]],
+) -> list[str]:
+    notes = []
+    for triad in triads:
+        for topic in dict.fromkeys(name for name, _ in triad.parts.values()):
+            clock = clocks[topic]
+            source = topics[topic].time if clock.source == "stamp" else clock.source
+            lines = "; ".join(clock.notes)
+            notes.append(f"{triad.name}: topic {topic}, time from {source}: {lines}")
+    for topic, flags in alive.items():
+        for f, living in zip(topics[topic].fields, flags, strict=True):
+            if not living:
+                notes.append(f"topic {topic}: {f.address} is always zero")
+    return notes
+
+
+def _missing(timelines: dict[str, Timeline]) -> list[str]:
+    return [
+        f"{line.label}: {line.missing} samples are missing in short steps, below a gap's length"
+        for line in timelines.values()
+        if line.missing
+    ]
+
+
+def _emit(
+    path: Path, mapping: FieldMapping, plan: _Plan, block_samples: int
+) -> Iterator[Recording]:
+    # The first pass has raised already if the file must be whole.
+    stream = TopicStream(path, mapping, strict=False)
+    timelines = plan.timelines()
+    outputs: dict[str, list[tuple[Array, list[Array]]]] = {name: [] for name in timelines}
+    gaps: list[Gap] = []
+    notes = plan.head.notes
+    for samples in stream.samples():
+        if samples.topic not in timelines:
+            continue
+        marks = stream.sources[samples.topic].marks
+        columns = [np.array(c, dtype=np.float64) for c in samples.columns]
+        t, values, found = timelines[samples.topic].push(
+            samples.stamps, samples.log, columns, marks
+        )
+        gaps += found
+        outputs[samples.topic].append((t, values))
+        if sum(part[0].size for part in outputs[samples.topic]) >= block_samples:
+            yield _recording(plan, outputs, gaps, notes)
+            outputs, gaps, notes = {name: [] for name in timelines}, [], ()
+    for name, timeline in timelines.items():
+        last = timeline.flush(stream.sources[name].marks)
+        if last:
+            outputs[name].append(last[:2])
+            gaps += last[2]
+    notes = (*notes, *_missing(timelines))
+    if notes or gaps or any(t.size for parts in outputs.values() for t, _ in parts):
+        yield _recording(plan, outputs, gaps, notes)
+
+
+def _recording(
+    plan: _Plan,
+    outputs: dict[str, list[tuple[Array, list[Array]]]],
+    gaps: list[Gap],
+    notes: tuple[str, ...],
+) -> Recording:
+    times: dict[str, Array] = {}
+    channels: dict[str, Channel] = {}
+    for part in plan.parts:
+        pieces = outputs[part.topic]
+        if part.topic not in times:
+            times[part.topic] = _whole([t for t, _ in pieces])
+        if not times[part.topic].size:
+            continue
+        values = part.conversion.apply(_whole([columns[part.column] for _, columns in pieces]))
+        period = plan.clocks[part.topic].period
+        channels[part.name] = Channel(
+            times[part.topic], values, part.conversion.unit, _NAMES[part.quantity], part.triad,
+            1e9 / period if period else 0.0,
+        )  # fmt: skip
+    head, ordered = plan.head, sorted(gaps, key=lambda gap: (gap.start, gap.stop, gap.reason))
+    return Recording(
+        channels, head.path, head.format, head.sha256, head.start_ns, tuple(ordered), notes,
+        head.mapping,
+    )  # fmt: skip
+
+
+def _whole(pieces: list[Array]) -> Array:
+    if not pieces:
+        raise UnreadableInput("a topic has no samples")
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+
+
+READER = McapReader()

@@ -1,0 +1,84 @@
+"""What the first pass keeps of each topic: always its survey, and its samples when asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.readers.mcap_series import ClockFacts, Growing, Stamps, Survey
+from imucalib.readers.mcap_stream import Samples
+from imucalib.recording import Array
+
+_BATCH = 4096  # rows that are surveyed at once when samples are not kept
+
+
+class Store:
+    """Samples by topic. With `keep`, whole arrays; without, only what the surveys need."""
+
+    def __init__(self, keep: bool) -> None:
+        self.surveys: dict[str, Survey] = {}
+        self._keep = keep
+        self._kept: dict[str, _Kept] = {}
+
+    def add(self, samples: Samples) -> None:
+        """Add consecutive samples of one topic."""
+        kept = self._kept.get(samples.topic)
+        if kept is None:
+            kept = self._kept[samples.topic] = _Kept(samples)
+            self.surveys[samples.topic] = Survey(len(samples.columns))
+        kept.append(samples)
+        if not self._keep and kept.log.size >= _BATCH:
+            self._survey(samples.topic)
+
+    def close(self) -> None:
+        """Finish the surveys."""
+        for topic in self._kept:
+            self._survey(topic)
+
+    def taken(
+        self, topic: str, *, needs_stamps: bool
+    ) -> tuple[Stamps | None, NDArray[np.int64], list[Array]]:
+        """The kept stamps, log times and columns of a topic, handed over."""
+        kept = self._kept.pop(topic)
+        stamps = kept.stamps.taken() if kept.stamps is not None and needs_stamps else None
+        return stamps, kept.log.taken(), [column.taken() for column in kept.columns]
+
+    def without_stamps(self, topic: str) -> Survey:
+        """The survey of a topic as if its messages had no stamp."""
+        survey = self.surveys[topic]
+        copy = replace(survey, stamp=ClockFacts(), head_stamp=[])
+        copy.alive, copy.pieces = survey.alive, survey.pieces
+        return copy
+
+    def _survey(self, topic: str) -> None:
+        kept = self._kept[topic]
+        stamps = kept.stamps.taken() if kept.stamps is not None else None
+        columns: list[Any] = [column.taken() for column in kept.columns]
+        if kept.log.size:
+            self.surveys[topic].update(stamps, kept.log.taken(), columns)
+        if not self._keep:
+            kept.clear()
+
+
+class _Kept:
+    """The growing arrays of one topic."""
+
+    def __init__(self, first: Samples) -> None:
+        self.stamps = Growing(None, first.stamps.dtype.type) if first.stamps is not None else None
+        self.log = Growing(None, np.int64)
+        self.columns = [Growing(column.shape[1], np.float64) for column in first.columns]
+
+    def append(self, samples: Samples) -> None:
+        if self.stamps is not None and samples.stamps is not None:
+            self.stamps.append(samples.stamps)
+        self.log.append(samples.log)
+        for growing, column in zip(self.columns, samples.columns, strict=True):
+            growing.append(column)
+
+    def clear(self) -> None:
+        for growing in (self.stamps, self.log, *self.columns):
+            if growing is not None:
+                growing.size = 0
