@@ -61,11 +61,13 @@ def nice_step(span: float, count: int) -> float:
 
 
 def linear_axis(low: float, high: float, count: int) -> Axis:
-    """A linear axis with about `count` ticks; `low` < `high`."""
+    """A linear axis with about `count` ticks, at least two; `low` < `high`."""
     step = nice_step(high - low, count)
     offset = _offset(low, high, step)
     first = math.ceil((low - offset) / step - 1e-9)
     last = math.floor((high - offset) / step + 1e-9)
+    if last <= first:
+        return linear_axis(low, high, 2 * count)
     index = np.arange(first, last + 1, dtype=np.float64)
     labels, note = _labels(index, step)
     if offset:
@@ -144,19 +146,23 @@ def y_parts(plot: Plot) -> list[Array]:
     return parts
 
 
+def plot_limits(plot: Plot) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Limits of x and of y (log10 where logarithmic), before scales are made equal."""
+    x_low, x_high = limits([s.x for s in plot.series], pad=0.03)
+    y_low, y_high = limits(y_parts(plot), log=plot.log_y)
+    slot = bar_slot(plot)
+    if slot and not plot.log_y:
+        y_low, y_high = _seated(y_parts(plot), y_low, y_high)
+    return (x_low - slot / 2, x_high + slot / 2), (y_low, y_high)
+
+
 def plot_axes(plot: Plot, shape: tuple[float, float], counts: tuple[int, int]) -> tuple[Axis, Axis]:
     """The two axes of a plot.
 
     shape : width and height of the drawing in one unit of length, used where `plot.equal`
     counts : about how many ticks on x and on y
     """
-    x_low, x_high = limits([s.x for s in plot.series], pad=0.03)
-    slot = bar_slot(plot)
-    if slot:
-        x_low, x_high = x_low - slot / 2, x_high + slot / 2
-    y_low, y_high = limits(y_parts(plot), log=plot.log_y)
-    if slot and not plot.log_y:
-        y_low, y_high = _seated(y_parts(plot), y_low, y_high)
+    (x_low, x_high), (y_low, y_high) = plot_limits(plot)
     if plot.equal and not plot.log_y:
         unit = max((x_high - x_low) / shape[0], (y_high - y_low) / shape[1])
         x_low, x_high = _widened(x_low, x_high, unit * shape[0])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.report import svg_marks as marks
-from imucalib.report.axes import Axis, bar_slot, drawable, named_places, plot_axes
+from imucalib.report.axes import Axis, bar_slot, drawable, named_places, plot_axes, plot_limits
 from imucalib.report.document import Array, Plot, Series
 from imucalib.report.markup import clipped, escape, short, text_width
 
@@ -96,9 +96,8 @@ def _frame(plot: Plot, width: int, height: int, legend_height: float) -> Frame:
 
 def _equal_height(plot: Plot, width: float, tallest: float) -> float:
     """Height at which equal scales just hold the data, within sensible bounds."""
-    x, y = plot_axes(plot, (1e-9, 1.0), (5, 5)), plot_axes(plot, (1.0, 1e-9), (5, 5))
-    rise, run = x[1].high - x[1].low, y[0].high - y[0].low
-    return float(np.clip(width * rise / run, 140, tallest))
+    x, y = plot_limits(plot)
+    return float(np.clip(width * ((y[1] - y[0]) / (x[1] - x[0])), 140, tallest))
 
 
 def _categories(plot: Plot, axis: Axis, width: float) -> Axis:

@@ -9,14 +9,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.report.document import Array
 from imucalib.report.markup import escape, points, short
+from imucalib.report.thinning import LONGEST, Indices, runs, thinned
 
-Indices = NDArray[np.intp]
-
-LONGEST = 2000  # points drawn one by one; beyond, extremes of buckets
 NAMED = 600  # points that carry a hover title
 
 MARKERS: tuple[Callable[[float, float], str], ...] = (
@@ -40,30 +37,6 @@ class Placed:
     low: Array | None
     high: Array | None
     titles: tuple[str, ...]
-
-
-def thinned(x: Array, y: Array) -> Indices:
-    """Indices, ascending, of the points to draw: all, or first, last and bucket extremes of x, y.
-
-    The number kept is bounded by about two times `LONGEST`; gaps are not among them.
-    """
-    good = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-    if good.size <= LONGEST:
-        return good
-    buckets = LONGEST // 2
-    size = -(-good.size // buckets)
-    rows = np.concatenate([good, np.full(-good.size % size, good[-1])]).reshape(-1, size)
-    extremes = [pick(values[rows], axis=1) for values in (x, y) for pick in (np.argmin, np.argmax)]
-    ends = [good[:1], good[-1:]]
-    return np.unique(np.concatenate([rows[np.arange(len(rows)), c] for c in extremes] + ends))
-
-
-def runs(keep: Indices, broken: NDArray[np.bool_]) -> list[Indices]:
-    """The kept indices split where a gap (`broken`, bool (n,)) lies between two neighbours."""
-    if keep.size == 0:
-        return []
-    gaps = np.cumsum(broken)
-    return np.split(keep, np.flatnonzero(np.diff(gaps[keep])) + 1)
 
 
 def line(placed: Placed, dash: str = "", step: bool = False) -> str:
