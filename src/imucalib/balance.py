@@ -74,8 +74,9 @@ def balanced(prediction: Prediction, eta: Array, observations: Observations) -> 
     m, q = 3 * k, directions.index.shape[1]
     sigma = observations.sigma.reshape(n, m)
     residual = (observations.reading - prediction.reading).reshape(n, m) / sigma
-    jacobian = prediction.d_theta.reshape(n, m, -1) / sigma[..., None]
-    free = (prediction.d_truth @ directions.derivative).reshape(n, m, q) / sigma[..., None]
+    jacobian = prediction.d_theta.reshape(n, m, prediction.d_theta.shape[3]) / sigma[..., None]
+    free = (prediction.d_truth @ directions.derivative).reshape(n, m, q)
+    free = free / sigma[..., None]
 
     flat = [j for j, name in enumerate(directions.component) if name is None]
     keep = np.broadcast_to(np.eye(m), (n, m, m))

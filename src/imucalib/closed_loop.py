@@ -11,17 +11,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.candidates import correlated_noise, effect_candidates, probes, record_candidates
 from imucalib.effect import Effect
 from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.evidence import Candidate, Score, collinearity, score
+from imucalib.evidence import Score, score
 from imucalib.fit import Fit
 from imucalib.held_out import held_out, log_predictive
 from imucalib.model import Model
 from imucalib.observations import Observations
 from imucalib.record_errors import RecordError, diagnose
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -66,12 +69,13 @@ class Loop:
     """The whole search.
 
     base, final : fits before and after; records are free in both once they are set aside
-    as_recorded : the final model with every record taken as it stands
+    plain, as_recorded : the base and the final model with every record taken as it stands
     scores : the last search's table; missing : why effects could not be tested
     """
 
     base: Fit
     final: Fit
+    plain: Fit
     as_recorded: Fit
     records: tuple[RecordError, ...] = ()
     steps: tuple[Step, ...] = ()
@@ -94,10 +98,14 @@ def close_loop(
     effects: Mapping[str, Effect],
     rng: np.random.Generator,
     settings: LoopSettings | None = None,
+    start: Array | None = None,
 ) -> Loop:
-    """Run the search from a base model; `effects` are the catalogue's candidates."""
+    """Run the search from a base model; `effects` are the catalogue's candidates.
+
+    start : θ of the base model to start from
+    """
     rules = settings or LoopSettings()
-    plain = fit_model(model, observations)
+    plain = fit_model(model, observations, start=start)
     current, records = _set_records_aside(plain, (), rng, rules)
     base, steps = current, list[Step]()
     rejected: dict[str, str] = {}
@@ -108,7 +116,7 @@ def close_loop(
         chosen = _choose(scores, rules) if len(steps) < rules.most_effects else None
         if chosen is None:
             break
-        trial = fit_model(current.model.plus(effects[chosen.name]), observations)
+        trial = _extended(current, effects[chosen.name])
         reason = _why_not(current, trial)
         if reason:
             rejected[chosen.name] = reason
@@ -116,12 +124,15 @@ def close_loop(
         steps.append(_step(current, trial, chosen, scores))
         current, records = _set_records_aside(trial, records, rng, rules)
     if records:
-        base = fit_model(_with_records(model, records, observations), observations)
+        base = plain
+        for record in records:
+            base = _extended(base, _record_effect(observations, record.row, record.channel))
     final, steps = _eliminate(current, steps, effects, rng, rules)
     return Loop(
         base,
         final,
-        fit_model(_physics(final.model), observations) if records else final,
+        plain,
+        _reduced(final, _record_names(final)) if records else final,
         records,
         tuple(steps),
         tuple(rejected.items()),
@@ -203,7 +214,7 @@ def _set_records_aside(
             break
         row, channel = best[0].name.split(":")
         effect = _record_effect(current.observations, int(row), channel)
-        trial = fit_model(current.model.plus(effect), current.observations)
+        trial = _extended(current, effect)
         if not trial.converged:
             break
         found = diagnose(trial, int(row), channel, best[0].p, best[0].evidence)
@@ -224,16 +235,27 @@ def _record_effect(observations: Observations, row: int, channel: str) -> Effect
     return record_error(row, observations.label[row], axes)
 
 
-def _with_records(
-    model: Model, records: tuple[RecordError, ...], observations: Observations
-) -> Model:
-    for record in records:
-        model = model.plus(_record_effect(observations, record.row, record.channel))
-    return model
+def _record_names(fit: Fit) -> tuple[str, ...]:
+    return tuple(name for name in fit.model.names if name.startswith("record_error"))
 
 
-def _physics(model: Model) -> Model:
-    return Model(tuple(e for e in model.effects if not e.name.startswith("record_error")))
+def _extended(fit: Fit, effect: Effect) -> Fit:
+    """Refit with one more effect, from where the fit is."""
+    return _refit(fit, fit.model.plus(effect))
+
+
+def _reduced(fit: Fit, names: tuple[str, ...]) -> Fit:
+    """Refit without some effects, from where the fit is."""
+    return _refit(fit, Model(tuple(e for e in fit.model.effects if e.name not in names)))
+
+
+def _refit(fit: Fit, model: Model) -> Fit:
+    context = fit.observations.context
+    start, own = model.start(context), model.slices(context)
+    for name, part in fit.model.slices(context).items():
+        if name in own:
+            start[own[name]] = fit.theta[part]
+    return fit_model(model, fit.observations, start=start)
 
 
 def _eliminate(
@@ -245,7 +267,7 @@ def _eliminate(
 ) -> tuple[Fit, list[Step]]:
     """Drop an earlier effect that a later one has made unnecessary (less than 1 nat)."""
     for step in steps[:-1]:
-        without = fit_model(current.model.minus(step.effect), current.observations)
+        without = _reduced(current, (step.effect,))
         candidates, _ = effect_candidates(without, [effects[step.effect]])
         if score(without, candidates, rng, draws=1)[0].evidence < 1.0:
             current, steps = without, [s for s in steps if s.effect != step.effect]
@@ -257,10 +279,3 @@ def _unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexpl
     return tuple(
         Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence) for s in left[:3]
     )
-
-
-def aliases_of(fit: Fit, name: str, candidates: tuple[Candidate, ...]) -> dict[str, float]:
-    """Cosines of one candidate with all others after projection, those above 0.9."""
-    one = next(c for c in candidates if c.name == name)
-    cosines = {c.name: collinearity(fit, one, c) for c in candidates if c.name != name}
-    return {other: cosine for other, cosine in cosines.items() if cosine > 0.9}

@@ -26,8 +26,9 @@ Array = NDArray[np.float64]
 Kind = Literal["effect", "probe", "noise", "record"]
 
 _TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
-#: Variance components are re-estimated on this grid of factors of the fitted ratio.
-_SHRINK = (0.0, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
+#: Variance components are re-estimated on this grid of factors of the fitted ratio. The fitted
+#: ratio itself is left out: the data would sit on a grid point and simulated data beside one.
+_SHRINK = (0.0, 1 / 8, 1 / 4, 1 / 2, 0.72, 0.9, 1.12, 1.4, 2.0)
 #: A block that keeps less than this share of its columns is absorbed by the fitted parameters.
 _ABSORBED = 1e-5
 

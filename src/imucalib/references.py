@@ -83,6 +83,7 @@ class KnownVector:
     gravity : m/s²
     inclination_setting, tool_face_setting : (n,) id of the setting of each row; rows between
         which the axis was not touched share an id, hence share the setting's error
+    setting_errors : False takes the angles as exact (the plain vector least squares)
     """
 
     inclination: Array
@@ -90,6 +91,7 @@ class KnownVector:
     gravity: float
     inclination_setting: Index
     tool_face_setting: Index
+    setting_errors: bool = True
 
     COMPONENTS = ("inclination setting", "tool-face setting")
     eta_unit = "rad"
@@ -117,6 +119,8 @@ class KnownVector:
         return self.gravity * unit_vector(*self._set_angles(eta))[:, None, :]
 
     def directions(self, eta: Array) -> Directions:
+        if not self.setting_errors:
+            return Directions(np.zeros((self.n, 1, 3, 0)), np.zeros((self.n, 0), np.intp), ())
         i, t = self._set_angles(eta)
         along_i = unit_vector(i + np.pi / 2.0, t)
         along_t = np.stack([np.cos(i) * np.cos(t), -np.cos(i) * np.sin(t), np.zeros_like(i)], -1)
@@ -143,6 +147,7 @@ class KnownVector:
             self.gravity,
             renumber(self.inclination_setting),
             renumber(self.tool_face_setting),
+            self.setting_errors,
         )
 
 

@@ -6,13 +6,13 @@ the noise by restricted maximum likelihood (REML) at the linearised balance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.balance import Balanced, Noise, balance, setting_errors, whitener
-from imucalib.estimators.levenberg_marquardt import minimise
+from imucalib.estimators.levenberg_marquardt import Solution, minimise
 from imucalib.estimators.variance import NoiseEstimate, estimate_noise
 from imucalib.fit import Fit
 from imucalib.identifiability import null_directions
@@ -66,7 +66,25 @@ def fit(
     return _finish(model, observations, state, at, estimate, converged, steps)
 
 
-def _solve(model: Model, observations: Observations, start: State, noise: Noise):  # type: ignore[no-untyped-def]
+def evaluate(
+    model: Model,
+    observations: Observations,
+    theta: Array,
+    covariance: Array,
+    noise: Noise | None = None,
+) -> Fit:
+    """A Fit at a θ that another estimator found, with that estimator's covariance."""
+    state = State(theta, observations.reference.start(observations.reading))
+    at = balance(model, theta, state.eta, observations)
+    estimate = estimate_noise(at, noise or Noise(1.0, at.component, ()), fixed=False)
+    found = _finish(model, observations, state, at, estimate, True, 0)
+    spread = np.zeros_like(estimate.noise_covariance)
+    return replace(found, covariance=covariance, noise_covariance=spread, null_directions=())
+
+
+def _solve(
+    model: Model, observations: Observations, start: State, noise: Noise
+) -> Solution[State]:
     ratio = tuple(sd / noise.factor for sd in noise.sd)
 
     def linearise(state: State) -> tuple[Array, Array]:

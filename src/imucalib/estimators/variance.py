@@ -15,8 +15,9 @@ from imucalib.balance import Balanced, Noise, whitener
 
 Array = NDArray[np.float64]
 
-#: Search range of a setting's standard deviation, rad: from far below any bench to 15 degrees.
-_BOUNDS = (1e-6, 0.26)
+#: Search range of a setting's standard deviation, as its largest effect on a reading in units of
+#: the readings' noise. At the lower end the component counts as zero.
+_RATIO = (1e-3, 1e5)
 
 
 @dataclass(frozen=True)
@@ -87,25 +88,33 @@ def _projector(at: Balanced, values: Array) -> tuple[Array, Array, list[Array], 
 
 
 def _search(at: Balanced, start: Noise) -> Noise:
+    """Maximise over the log ratios sd_c / s, with s in closed form at each."""
     from scipy.optimize import minimize
 
-    def objective(logs: Array) -> tuple[float, Array]:
-        projector, _, derivative, log_v, log_j = _projector(at, np.exp(logs))
-        py = projector @ at.residual
-        value = 0.5 * (log_v + log_j + float(at.residual @ py))
-        slope = [0.5 * (float(np.sum(projector * d)) - float(py @ d @ py)) for d in derivative]
-        return value, np.array(slope)
+    dof = at.residual.size - at.jacobian.shape[1]
+    reach = np.array([max(float(np.abs(m).max()), 1e-300) for m in at.settings])
+    low, high = np.log(_RATIO[0] / reach), np.log(_RATIO[1] / reach)
 
-    first = np.log([start.factor, *np.clip(start.sd, 1e-4, 0.1)])
-    bounds = [(np.log(1e-9), np.log(1e9))] + [(np.log(b), np.log(t)) for b, t in [_BOUNDS]] * len(
-        at.settings
-    )
+    def objective(logs: Array) -> tuple[float, Array]:
+        values = np.array([1.0, *np.exp(logs)])
+        projector, _, derivative, log_v, log_j = _projector(at, values)
+        py = projector @ at.residual
+        power = max(float(at.residual @ py), 1e-300)
+        slope = [
+            0.5 * (float(np.sum(projector * d)) - dof * float(py @ d @ py) / power)
+            for d in derivative[1:]
+        ]
+        return 0.5 * (log_v + log_j + dof * np.log(power)), np.array(slope)
+
+    first = np.clip(np.log(np.maximum(start.sd, 1e-12)) - np.log(start.factor), low, high)
     found = minimize(
-        objective, first, jac=True, method="L-BFGS-B", bounds=bounds,
+        objective, first, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)),
         options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 200},
     )  # fmt: skip
-    values = np.exp(found.x)
-    return Noise(float(values[0]), at.component, tuple(float(v) for v in values[1:]))
+    ratio = np.where(found.x > low + 1e-6, np.exp(found.x), 0.0)
+    projector = _projector(at, np.array([1.0, *ratio]))[0]
+    factor = float(np.sqrt(max(float(at.residual @ projector @ at.residual) / dof, 1e-30)))
+    return Noise(factor, at.component, tuple(float(r) * factor for r in ratio))
 
 
 def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
@@ -117,8 +126,8 @@ def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
     py = projector @ at.residual
     directed = [d @ py for d in derivative]
     information = 0.5 * np.array([[float(a @ projector @ b) for b in directed] for a in directed])
-    # At the lower bound a component is zero: nothing to learn about it, nothing to propagate.
-    alive = np.array([True] + [sd > 2.0 * _BOUNDS[0] for sd in noise.sd])
+    # A component that is zero: nothing to learn about it, nothing to propagate.
+    alive = np.array([True] + [sd > 0.0 for sd in noise.sd])
     spread = np.zeros_like(information)
     if not fixed:
         spread[np.ix_(alive, alive)] = np.linalg.pinv(information[np.ix_(alive, alive)])
