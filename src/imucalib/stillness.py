@@ -1,0 +1,164 @@
+"""Which windows of one sensor are still: its own noise first, then a test of every window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import UsageError
+from imucalib.recording import Array
+from imucalib.windows import Windows
+
+Flags = NDArray[np.bool_]
+_QUIETEST = 0.05  # share of the windows that is surely still in a recording worth calibrating
+_FROZEN_SECONDS = 60.0
+
+
+@dataclass(frozen=True)
+class StillSettings:
+    """Settings of the detector; the defaults suit bench logs with rests of a few seconds.
+
+    window : s; fewest : samples that a window has at least
+    shortest : s, of a segment after trimming; longest : s, a longer rest is split, or None
+    trim : windows cut off at both ends of a rest, where the hand still touches
+    variance_ratio : variance of a still window over the noise variance, at most, on each axis
+    range_ratio : max - min of a still window over the noise standard deviation, at most
+    drift_ratio : change of the mean between neighbouring windows, over the noise, at most
+    turning : rad/s, deviation of the angular rate that a rest in the hand may have; 0.05 rad/s
+        during half a second tilts by 1.4°, which changes a mean norm by less than 1e-4
+    """
+
+    window: float = 0.5
+    fewest: int = 5
+    shortest: float = 1.0
+    longest: float | None = None
+    trim: int = 1
+    variance_ratio: float = 4.0
+    range_ratio: float = 10.0
+    drift_ratio: float = 1.0
+    turning: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("window", "shortest", "variance_ratio", "range_ratio", "drift_ratio"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise UsageError(
+                    f"{name} = {value} is not a positive number", where="still settings"
+                )
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """The windows of one channel of a triad; rate in Hz."""
+
+    triad: str
+    quantity: str
+    rate: float
+    windows: Windows
+
+    @cached_property
+    def noise(self) -> Array:
+        """(3,) standard deviation of one sample at rest, from the quietest windows.
+
+        The quietest twentieth gives a first value, biased low by the choice; the windows within
+        three times its variance, which are chosen by a rule that does not favour low ones, give
+        the second and last. Quantisation, step²/12, is the floor.
+        """
+        w = self.windows
+        # A constant axis is clipped, unless the resolution is so coarse that most rests have one.
+        live, whole = np.any(w.high > w.low, axis=1), np.all(w.high > w.low, axis=1)
+        live = whole if 2 * whole.sum() > live.sum() else live
+        variance = w.variance[live] if live.any() else w.variance
+        floor = np.where(np.isfinite(w.finest), w.finest, 0.0) ** 2 / 12.0
+        total = variance.sum(axis=1)
+        quiet = np.quantile(total, _QUIETEST)
+        level = np.median(variance[total <= quiet], axis=0)
+        for _ in range(3):
+            level = np.maximum(level, floor)
+            inside = np.all(variance <= 3.0 * level, axis=1)
+            level = np.median(variance[inside], axis=0) if inside.any() else level
+        return np.asarray(np.sqrt(np.maximum(level, floor)))
+
+    @cached_property
+    def fine(self) -> Flags:
+        """(3,) axes whose noise is above the resolution, so that they cannot stand still."""
+        finest = self.windows.finest
+        return np.asarray(self.noise > 0.5 * np.where(np.isfinite(finest), finest, 0.0))
+
+
+def judge(
+    sensor: Sensor, settings: StillSettings
+) -> tuple[list[tuple[float, float]], Flags, list[str]]:
+    """Still spans (start, stop) in s, the still windows, and what was left out."""
+    w, noise = sensor.windows, sensor.noise
+    if sensor.quantity == "angular_rate":
+        noise = np.maximum(noise, settings.turning / np.sqrt(settings.variance_ratio))
+    quiet = np.all(w.variance <= settings.variance_ratio * noise**2, axis=1)
+    quiet &= np.all(w.high - w.low <= settings.range_ratio * noise, axis=1)
+    frozen, clipped = _frozen(sensor), _clipped(sensor)
+    name = f"{sensor.triad}/{sensor.quantity}"
+    notes = []
+    for flags, word in ((frozen, "frozen"), (clipped, "clipped")):
+        if (flags & quiet).any():
+            seconds = float((flags & quiet).sum()) * w.samples / sensor.rate
+            notes.append(f"{name}: {seconds:.4g} s of {word} samples left out of the rests")
+    still = quiet & ~frozen & ~clipped
+    return _spans(w, still, noise, settings), still, notes
+
+
+def _frozen(sensor: Sensor) -> Flags:
+    """Windows in which no axis ever changes, where the noise says that it would.
+
+    A sensor whose noise is far below its resolution repeats itself at rest; of such a one only
+    a constancy of a minute counts as a dead or sleeping sensor.
+    """
+    w = sensor.windows
+    constant = np.all(w.high == w.low, axis=1)
+    if sensor.fine.any():
+        return np.asarray(constant)
+    same = constant & np.append(False, np.all(w.mean[1:] == w.mean[:-1], axis=1))
+    starts = np.flatnonzero(~same)
+    lengths = np.diff(starts, append=same.size)
+    needed = _FROZEN_SECONDS * sensor.rate / w.samples
+    lead = np.full(starts[0] if starts.size else same.size, 0)
+    long = np.concatenate([lead, np.repeat(lengths, lengths)]) >= needed
+    return np.asarray(constant & long)
+
+
+def _clipped(sensor: Sensor) -> Flags:
+    """Windows in which one axis stands at its extreme of the whole recording while others move."""
+    w = sensor.windows
+    constant = (w.high == w.low) & sensor.fine
+    extreme = (w.high == w.high.max(axis=0)) | (w.low == w.low.min(axis=0))
+    return np.asarray(np.any(constant & extreme, axis=1) & ~np.all(w.high == w.low, axis=1))
+
+
+def _spans(
+    w: Windows, still: Flags, noise: Array, settings: StillSettings
+) -> list[tuple[float, float]]:
+    """Joined, trimmed and split still windows, as times of their first and last sample."""
+    chosen = np.flatnonzero(still)
+    if chosen.size == 0:
+        return []
+    change = np.abs(np.diff(w.mean[chosen], axis=0))
+    limit = settings.drift_ratio * noise + 6.0 * noise * np.sqrt(2.0 / w.samples)
+    together = (np.diff(chosen) == 1) & (np.diff(w.run[chosen]) == 0)
+    together &= np.all(change <= limit, axis=1)
+    edges = np.flatnonzero(~together) + 1
+    spans = []
+    for group in np.split(chosen, edges):
+        inner = group[settings.trim : group.size - settings.trim] if settings.trim else group
+        for part in _parts(inner, w, settings.longest):
+            spans.append((float(w.start[part[0]]), float(w.stop[part[-1]])))
+    return spans
+
+
+def _parts(group: NDArray[np.intp], w: Windows, longest: float | None) -> list[NDArray[np.intp]]:
+    if group.size == 0:
+        return []
+    length = float(w.stop[group[-1]] - w.start[group[0]])
+    pieces = 1 if longest is None else max(1, int(np.ceil(length / longest)))
+    return [p for p in np.array_split(group, pieces) if p.size]
