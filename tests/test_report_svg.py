@@ -95,6 +95,12 @@ def test_gap_breaks_the_band() -> None:
     assert path.count("M") == path.count("z") == 2
 
 
+def test_band_without_a_middle_line_is_still_drawn() -> None:
+    edge = np.array([1.0, 2.0, 3.0])
+    band = Series("a", np.arange(3.0), np.full(3, np.nan), "band", edge, edge + 1)
+    assert len(_points(_line(_plot(band)))) == 6
+
+
 def test_long_line_is_thinned_but_keeps_extremes_ends_and_gaps() -> None:
     n = 300_000
     y = np.random.default_rng(3).standard_normal(n)
@@ -149,8 +155,17 @@ def test_constant_data_and_a_single_point_are_in_the_middle() -> None:
 
 def test_nothing_to_draw_still_gives_axes() -> None:
     for series in ((), (Series("a", np.empty(0), np.empty(0), "points"),)):
-        svg = render_svg(_plot(*series))
-        assert len(_elements(svg, "text")) > 4
+        told = [e.text for e in _elements(render_svg(_plot(*series)), "text")]
+        assert len(told) > 4
+        assert "no values to draw" in told
+
+
+def test_labels_that_differ_in_late_digits_are_told_from_a_round_offset() -> None:
+    assert linear_axis(1.7e9 - 10, 1.7e9 + 410, 6).note == "+ 1700000000"
+    axis = linear_axis(9.812365, 9.812391, 6)
+    assert axis.note == "×10⁻⁶ + 9.81234"
+    assert axis.labels[0] == "25"
+    assert linear_axis(-9.812391, -9.812365, 6).note == "×10⁻⁶ − 9.8124"
 
 
 def test_texts_are_escaped_and_points_have_hover_names() -> None:

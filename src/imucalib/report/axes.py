@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.report.document import Array, Plot
+from imucalib.report.document import Array, Plot, Series
 
 LARGEST = 1e300  # beyond it differences overflow: drawn as a gap
 SMALLEST = 1e-290  # below it steps underflow: drawn as zero
@@ -53,6 +53,13 @@ def drawable(values: Array, log: bool = False) -> Array:
         return np.where(shown > 0, shown, np.nan) if log else shown
 
 
+def drawable_at_all(series: Series, log: bool) -> bool:
+    """Whether any point of the series, or of its band, can be shown."""
+    parts = [part for part in (series.y, series.low, series.high) if part is not None]
+    x = drawable(series.x)
+    return any(bool(np.isfinite(x + drawable(part, log)).any()) for part in parts)
+
+
 def nice_step(span: float, count: int) -> float:
     """The 1-2-5 step that cuts `span` into at most about `count` parts."""
     raw = span / max(count, 1)
@@ -76,11 +83,16 @@ def linear_axis(low: float, high: float, count: int) -> Axis:
 
 
 def _offset(low: float, high: float, step: float) -> float:
-    """What to take off long labels whose leading digits never change; 0 for ordinary data."""
+    """What to take off long labels that differ in their last digits only; 0 for ordinary data.
+
+    The roundest number between one span below the axis and its high end.
+    """
     if max(abs(low), abs(high)) < 1e5 * step or low <= 0 <= high:
         return 0.0
-    coarse = 10.0 ** math.ceil(math.log10(high - low))
-    return math.floor(low / coarse) * coarse
+    start, power = low - (high - low), math.ceil(math.log10(max(abs(low), abs(high))))
+    while math.ceil(start / 10.0**power) * 10.0**power > high:
+        power -= 1
+    return float(f"{math.ceil(start / 10.0**power)}e{power}")
 
 
 def _labels(index: Array, step: float) -> tuple[tuple[str, ...], str]:
@@ -131,7 +143,8 @@ def limits(parts: Iterable[Array], *, log: bool = False, pad: float = 0.04) -> t
     values = np.log10(values) if log else values
     low, high = float(values.min()), float(values.max())
     if high - low <= max(1e-12 * max(abs(low), abs(high)), SMALLEST * 1e3):
-        half = 0.5 if log else 0.1 * max(abs(low), abs(high)) or 1.0
+        size = max(abs(low), abs(high))
+        half = 0.5 if log else 0.1 * size if size > SMALLEST * 1e3 else 1.0
         return low - half, high + half
     margin = pad * (high - low)
     return low - margin, high + margin

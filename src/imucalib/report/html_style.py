@@ -57,6 +57,8 @@ font-size:.875rem;line-height:1.45;font-variant-numeric:tabular-nums}
 .facts dd{overflow-wrap:anywhere}
 .table{margin:1.5rem 0 1.7rem}
 .scroll{overflow-x:auto;overscroll-behavior-x:contain}
+@media (min-width:50rem){.scroll{width:max-content;min-width:100%;max-width:min(100vw - 4rem,72rem);
+position:relative;left:50%;transform:translateX(-50%)}}
 .scroll:focus-visible{outline:2px solid var(--accent);outline-offset:2px}
 table{border-collapse:collapse;width:100%;font-size:.845rem;line-height:1.35;
 font-variant-numeric:tabular-nums lining-nums;border-bottom:1.5px solid var(--ink)}
@@ -95,7 +97,7 @@ h2{margin-top:2.2rem}.facts{grid-template-columns:1fr}
 .facts dt{padding-bottom:0;border-bottom:0;font-size:.8125rem}.facts dd{padding-top:0}
 footer .facts dd{padding-bottom:.4rem}
 td.l{white-space:nowrap;min-width:0}thead th,tbody td{padding-left:.4rem;padding-right:.4rem}
-figure svg{font-size:15px}}
+figure svg{font-size:14px}}
 @media print{
 :root{color-scheme:light;--paper:#fff;--ink:#000;--soft:#444;--rule:#999;--hair:#ddd;
 --tint:#f4f4f4;--accent:#1f4e79;--ok:#1a6b3c;--ok-tint:#e9f4ec;--warning:#8a5300;
@@ -103,8 +105,8 @@ figure svg{font-size:15px}}
 --series-0:#0072b2;--series-1:#d55e00;--series-2:#009e73;--series-3:#b8608f;--series-4:#c98a00;
 --series-5:#3a9bd0;--series-6:#000}
 @page{size:A4;margin:18mm 17mm 20mm}
-body{font-size:10.5pt;line-height:1.45}.sheet{max-width:none;padding:0}
-nav{display:none}a{color:inherit}.scroll{overflow:visible}
+html{font-size:14px}body{font-size:10.5pt;line-height:1.45}.sheet{max-width:none;padding:0}
+nav{display:none}a{color:inherit}.scroll{overflow:visible;width:auto;max-width:none;position:static;transform:none}
 h2{margin-top:1.8rem}tr,.verdict,.facts dd{break-inside:avoid}thead{display:table-header-group}
-figure svg{max-width:150mm}p{orphans:3;widows:3}}
+figure svg{max-width:150mm;font-size:12.5px}p{orphans:3;widows:3}}
 """

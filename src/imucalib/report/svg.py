@@ -12,27 +12,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.report import svg_marks as marks
-from imucalib.report.axes import Axis, bar_slot, drawable, named_places, plot_axes, plot_limits
+from imucalib.report.axes import (
+    Axis,
+    bar_slot,
+    drawable,
+    drawable_at_all,
+    named_places,
+    plot_axes,
+    plot_limits,
+)
 from imucalib.report.document import Array, Plot, Series
 from imucalib.report.markup import clipped, escape, short, text_width
+from imucalib.report.svg_style import FONT, coloured, dash_of, shaped
 
-PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "currentColor")
 WIDTH, HEIGHT = 680, 340
-FONT = 12.5
 LEGEND_ROW = 20.0
 SWATCH = 26.0
-
-# Presentation attributes, not a style sheet: any CSS of the page wins over them.
-_SHAPES = {
-    "line": 'fill="none" stroke="currentColor" stroke-width="1.6" stroke-linejoin="round"'
-    ' stroke-linecap="round"',
-    "band": 'fill="currentColor" fill-opacity="0.2"',
-    "whisker": 'fill="none" stroke="currentColor" stroke-width="1.2"',
-    "stem": 'fill="none" stroke="currentColor" stroke-width="1.2"',
-    "mark": 'fill="currentColor"',
-    "bar": 'fill="currentColor" fill-opacity="0.85"',
-    "dots": 'fill="none" stroke="currentColor" stroke-width="2.6" stroke-linecap="round"',
-}
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,7 @@ def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> str:
     frame = _frame(plot, width, height, legend_height)
     total = frame.top + frame.height + (46 if plot.x_label or frame.x.note else 26)
     label = escape(f"{plot.title}. {plot.caption}".strip(". "))
-    body = "".join([legend, _grid(frame), _series(plot, frame), _x_axis(plot, frame)])
+    body = "".join([legend, _grid(frame), _x_axis(plot, frame), _series(plot, frame)])
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="plot" role="img" aria-label="{label}"'
         f' viewBox="0 0 {width} {short(total)}" width="{width}" height="{short(total)}"'
@@ -88,7 +83,7 @@ def _frame(plot: Plot, width: int, height: int, legend_height: float) -> Frame:
     counts = (max(2, width // 90), max(2, round(tall / 42)))
     y_axis = plot_axes(plot, (width - 90.0, tall), counts)[1]
     widest = max((text_width(text, FONT) for text in y_axis.labels), default=0)
-    left = min(12 + widest + (24 if plot.y_label or y_axis.note else 0), width / 2)
+    left = min(14 + 1.1 * widest + (24 if plot.y_label or y_axis.note else 0), width / 2)
     shape = (width - left - 16, tall)
     x_axis, y_axis = plot_axes(plot, shape, counts)
     return Frame(left, top, *shape, _categories(plot, x_axis, shape[0]), y_axis)
@@ -137,7 +132,13 @@ def _x_axis(plot: Plot, frame: Frame) -> str:
     def across(tick: float) -> float:
         return frame.left + frame.width * float(frame.x.fraction(np.array([tick]))[0])
 
+    barred = any(series.mark == "bars" for series in plot.series)
     for x, label in _ticks(frame.x, across):
+        if not barred:
+            parts.append(
+                f'<path d="M{short(x)},{short(frame.top)}V{short(bottom)}" stroke="currentColor"'
+                ' stroke-opacity="0.08"/>'
+            )
         parts.append(
             f'<path d="M{short(x)},{short(bottom)}v4" stroke="currentColor" stroke-opacity="0.7"/>'
             f'<text x="{short(x)}" y="{short(bottom + 18)}" text-anchor="middle">'
@@ -170,15 +171,22 @@ def _series(plot: Plot, frame: Frame) -> str:
     foot = frame.top + frame.height
     if not plot.log_y:
         foot = float(frame.down(np.zeros(1))[0])
-    drawn = []
+    drawn: list[str] = []
     for i, series in enumerate(plot.series):
         shift = (grouped.index(i) - (len(grouped) - 1) / 2) * wide if i in grouped else 0.0
         placed = frame.place(series, shift)
-        drawn.append(_coloured(i, _mark(plot, i, placed, foot, wide * 0.92)))
+        if not drawable_at_all(series, plot.log_y):
+            continue
+        drawn.append(coloured(i, _mark(plot, i, placed, foot, wide * 0.92)))
         if i in grouped:  # in the colour of the text: a bar hides whiskers of its own colour
             whiskers = marks.error_bars(placed, min(4.0, wide / 3))
-            drawn.append(_shaped(whiskers))
-    return "".join(drawn)
+            drawn.append(shaped(whiskers))
+    return "".join(drawn) or _nothing(frame)
+
+
+def _nothing(frame: Frame) -> str:
+    x, y = frame.left + frame.width / 2, frame.top + frame.height / 2
+    return f'<text x="{short(x)}" y="{short(y)}" text-anchor="middle">no values to draw</text>'
 
 
 def _mark(plot: Plot, i: int, placed: marks.Placed, foot: float, wide: float) -> str:
@@ -187,25 +195,7 @@ def _mark(plot: Plot, i: int, placed: marks.Placed, foot: float, wide: float) ->
         return marks.error_bars(placed) + marks.scatter(placed, i)
     if series.mark == "bars":
         return marks.bars(placed, foot, wide)
-    return marks.band(placed) + marks.line(placed, _dash(plot, i), series.mark == "step")
-
-
-def _dash(plot: Plot, i: int) -> str:
-    """The dash pattern of a line: the first is solid, and so is one of many points."""
-    order = sum(s.mark in ("line", "band", "step") for s in plot.series[:i])
-    return marks.DASHES[order % len(marks.DASHES)] if len(plot.series[i].x) <= marks.DASHED else ""
-
-
-def _coloured(i: int, body: str) -> str:
-    n = i % len(PALETTE)
-    return f'<g style="color:var(--series-{n},{PALETTE[n]})">{_shaped(body)}</g>'
-
-
-def _shaped(body: str) -> str:
-    """Shape names replaced by their presentation attributes."""
-    for name, attributes in _SHAPES.items():
-        body = body.replace(f'class="{name}"', attributes)
-    return body
+    return marks.band(placed) + marks.line(placed, dash_of(plot, i), series.mark == "step")
 
 
 def _legend(plot: Plot, width: int) -> tuple[str, float]:
@@ -220,13 +210,13 @@ def _legend(plot: Plot, width: int) -> tuple[str, float]:
         if x + needed > width and x > 4:
             x, y = 4.0, y + LEGEND_ROW
         text = f'<text x="{short(x + swatch + 5)}" y="{short(y + 4.3)}">{escape(label)}</text>'
-        drawn.append(_coloured(i, _swatch(plot, i, x, y)) + text)
+        drawn.append(coloured(i, _swatch(plot, i, x, y)) + text)
         x += needed
     return f'<g class="legend">{"".join(drawn)}</g>', y + 6
 
 
 def _swatch(plot: Plot, i: int, x: float, y: float) -> str:
-    series, dash = plot.series[i], _dash(plot, i)
+    series, dash = plot.series[i], dash_of(plot, i)
     if series.mark == "points":
         return f'<path class="mark" d="{marks.MARKERS[i % len(marks.MARKERS)](x + 7, y)}"/>'
     if series.mark == "bars":

@@ -24,8 +24,6 @@ MARKERS: tuple[Callable[[float, float], str], ...] = (
     lambda x, y: f"M{short(x - 3)},{short(y - 1)}h2v-2h2v2h2v2h-2v2h-2v-2h-2z",  # plus
     lambda x, y: f"M{short(x)},{short(y + 3.7)}l3.6,-6.2h-7.2z",  # triangle down
 )
-DASHED = 200  # points of a line that may be dashed: a longer one is too ragged for it
-DASHES = ("", "7 3", "2 3", "8 3 2 3", "12 4", "4 2 1 2 1 2")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.cells import cell_len
 from rich.text import Text
 
-from imucalib.report.axes import Axis, drawable, named_places, plot_axes
+from imucalib.report.axes import Axis, drawable, drawable_at_all, named_places, plot_axes
 from imucalib.report.document import Array, Plot, Series
 from imucalib.report.terminal import clipped, clipped_all, one_line
 from imucalib.report.thinning import runs, thinned
@@ -72,7 +72,7 @@ class _Canvas:
 
 def plot_lines(plot: Plot, width: int) -> list[Text]:
     """The rows of a plot, none wider than `width` cells (at least 30)."""
-    if not any(np.isfinite(drawable(s.y, plot.log_y)).any() for s in plot.series):
+    if not any(drawable_at_all(series, plot.log_y) for series in plot.series):
         return [Text("(no values to draw)", "dim")]
     return _bar_rows(plot, width) or _axes_rows(plot, width)
 

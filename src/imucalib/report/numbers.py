@@ -1,0 +1,36 @@
+"""Numbers as a metrologist prints them: as many digits as the standard deviation has to say."""
+
+from __future__ import annotations
+
+import math
+
+
+def digits_for(sd: float) -> int:
+    """Decimals that show two significant digits of a standard deviation."""
+    if not math.isfinite(sd) or sd <= 0.0:
+        return 4
+    return max(0, 1 - math.floor(math.log10(sd)))
+
+
+def with_sd(value: float, sd: float) -> tuple[str, str]:
+    """Value and standard deviation as text with matching digits."""
+    places = digits_for(sd)
+    if places > 9:
+        return f"{value:.3g}", f"{sd:.2g}"
+    return f"{value:.{places}f}", f"{sd:.{places}f}"
+
+
+def plus_minus(value: float, sd: float, unit: str = "") -> str:
+    """ "1.96 ± 0.16 deg" """
+    shown, spread = with_sd(value, sd)
+    return f"{shown} ± {spread}" + (f" {unit}" if unit and unit != "1" else "")
+
+
+def probability(p: float, draws: int) -> str:
+    """A Monte Carlo p-value; one that no simulated data set reached is shown as a bound."""
+    return f"< {2.0 / (draws + 1):.2g}" if p <= 1.5 / (draws + 1) else f"{p:.2g}"
+
+
+def spread(values: tuple[float, float], places: int = 2) -> str:
+    """Largest and rms value: "0.84 / 0.36"."""
+    return f"{values[0]:.{places}f} / {values[1]:.{places}f}"
