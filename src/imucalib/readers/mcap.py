@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,6 +54,11 @@ class _Plan:
     def timelines(self) -> dict[str, Timeline]:
         labels = {part.topic: part.triad for part in reversed(self.parts)}
         return {t: Timeline(c, self.start_ns, labels[t]) for t, c in self.clocks.items()}
+
+
+class _Topics(NamedTuple):
+    fields: dict[str, TopicFields]
+    clocks: dict[str, Clock]
 
 
 class McapReader:
@@ -120,17 +126,26 @@ def _decide(path: Path, mapping: FieldMapping, stream: TopicStream, store: Store
         raise no_imu(str(path), stream.candidates())
     used = list(dict.fromkeys(t for triad in triads for t, _ in triad.parts.values()))
     clocks = _clocks({name: fields[name] for name in used}, mapping, store)
-    parts, notes = _parts(path, mapping, triads, fields, clocks, store)
+    parts, notes = _parts(path, mapping, triads, store, _Topics(fields, clocks))
     notes = [*_described(triads, fields, clocks, alive), *notes, *stream.losses()]
-    start = min(clock.first for clock in clocks.values())
+    start, dated = _origin([fields[name] for name in used], list(clocks.values()))
     states = {part.quantity: part.conversion.source_unit for part in reversed(parts)}
     found = resolved(mapping, triads, fields, [states.get("acc", ""), states.get("gyro", "")])
-    dated = all(clock.dated for clock in clocks.values())
     head = Recording(
         {}, str(path), "mcap", sha256_of(path), start if dated else None, (), tuple(notes),
         found.to_dict(),
     )  # fmt: skip
     return _Plan(head, tuple(parts), clocks, start)
+
+
+def _origin(topics: list[TopicFields], clocks: list[Clock]) -> tuple[int, bool]:
+    """ns of t = 0, and whether it is a date: as the file states it, else the first sample's."""
+    stated = {(fields.origin_ns, fields.dated) for fields in topics}
+    stamped = all(clock.source == "stamp" for clock in clocks)
+    origin, dated = next(iter(stated))
+    if len(stated) == 1 and stamped and origin is not None:
+        return origin, dated
+    return min(clock.first for clock in clocks), all(clock.dated for clock in clocks)
 
 
 def _clocks(
@@ -155,17 +170,18 @@ def _parts(
     path: Path,
     mapping: FieldMapping,
     triads: list[Triad],
-    topics: dict[str, TopicFields],
-    clocks: dict[str, Clock],
     store: Store,
+    topics: _Topics,
 ) -> tuple[list[_Part], list[str]]:
     parts, notes = [], []
     for triad in triads:
         for quantity, (topic, column) in triad.parts.items():
-            stated = topics[topic].fields[column].unit
+            stated = topics.fields[topic].fields[column].unit
             pieces = store.surveys[topic].rest_pieces(column)
-            where = f"{path}, topic {topic}"
-            convert = _conversion(quantity, mapping, stated, pieces, clocks[topic].period, where)
+            period = topics.clocks[topic].period
+            convert = _conversion(
+                quantity, mapping, stated, pieces, period=period, where=f"{path}, topic {topic}"
+            )
             if convert.note:
                 notes.append(f"{triad.name}: {convert.note}")
             name = f"{triad.name}/{_NAMES[quantity]}"
@@ -174,7 +190,13 @@ def _parts(
 
 
 def _conversion(
-    quantity: str, mapping: FieldMapping, stated: str, pieces: list[Array], period: float, where: str
+    quantity: str,
+    mapping: FieldMapping,
+    stated: str,
+    pieces: list[Array],
+    *,
+    period: float,
+    where: str,
 ) -> Conversion:
     if quantity == "acc":
         window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16

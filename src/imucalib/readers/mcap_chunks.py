@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 
-from imucalib.readers.mcap_records import ChunkHead, MalformedRecord
+from imucalib.readers.mcap_records import ChunkHead, MalformedRecordError
 
 COMPRESSIONS = ("", "zstd", "lz4")
 _LZ4_MOST = 256  # an LZ4 block cannot expand further than 255 times
@@ -12,19 +12,19 @@ _PIECE = 1 << 16
 
 
 def unpack_chunk(head: ChunkHead, body: bytes) -> bytes:
-    """The records of a whole chunk, size and CRC checked; raises MalformedRecord."""
+    """The records of a whole chunk, size and CRC checked; raises MalformedRecordError."""
     if head.compression not in COMPRESSIONS:
-        raise MalformedRecord(f"unknown chunk compression {head.compression!r}")
+        raise MalformedRecordError(f"unknown chunk compression {head.compression!r}")
     try:
         data = _decompress(head, body)
-    except MalformedRecord:
+    except MalformedRecordError:
         raise
     except (RuntimeError, ValueError, MemoryError, OSError, EOFError) as error:
-        raise MalformedRecord(f"the {head.compression} data is damaged") from error
+        raise MalformedRecordError(f"the {head.compression} data is damaged") from error
     if len(data) != head.uncompressed_size:
-        raise MalformedRecord("the chunk's size differs from its header")
+        raise MalformedRecordError("the chunk's size differs from its header")
     if head.uncompressed_crc and zlib.crc32(data) != head.uncompressed_crc:
-        raise MalformedRecord("the chunk's CRC differs from its header")
+        raise MalformedRecordError("the chunk's CRC differs from its header")
     return data
 
 
@@ -35,7 +35,7 @@ def _decompress(head: ChunkHead, body: bytes) -> bytes:
         import lz4.frame
 
         if head.uncompressed_size > _LZ4_MOST * len(body):
-            raise MalformedRecord("the chunk's size differs from its header")
+            raise MalformedRecordError("the chunk's size differs from its header")
         return bytes(lz4.frame.decompress(body))
     import zstandard
 
@@ -44,10 +44,10 @@ def _decompress(head: ChunkHead, body: bytes) -> bytes:
         if declared == head.uncompressed_size:
             return bytes(zstandard.ZstdDecompressor().decompress(body))
         if declared >= 0 and declared > head.uncompressed_size:
-            raise MalformedRecord("the chunk's size differs from its header")
+            raise MalformedRecordError("the chunk's size differs from its header")
         return _zstd_stream(body, head.uncompressed_size)
     except zstandard.ZstdError as error:
-        raise MalformedRecord("the zstd data is damaged") from error
+        raise MalformedRecordError("the zstd data is damaged") from error
 
 
 def _zstd_stream(body: bytes, most: int) -> bytes:
@@ -62,12 +62,12 @@ def _zstd_stream(body: bytes, most: int) -> bytes:
             pieces.append(piece)
             total += len(piece)
             if total > most:
-                raise MalformedRecord("the chunk's size differs from its header")
+                raise MalformedRecordError("the chunk's size differs from its header")
             if frame.eof:
                 rest = frame.unused_data + rest[at + _PIECE :]
                 break
         else:
-            raise MalformedRecord("the zstd data ends too early")
+            raise MalformedRecordError("the zstd data ends too early")
     return b"".join(pieces)
 
 

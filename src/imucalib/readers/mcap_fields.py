@@ -24,6 +24,11 @@ _GYRO = (
 _STAMPS = ("stamp", "timestamp", "timestampns", "timestampus", "timestampms", "timens", "timeus",
            "time", "t")  # fmt: skip
 _SECONDS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
+#: Channel metadata of the files that this package writes: what a ROS message cannot say.
+META_TRIAD, META_QUANTITIES = "imucal.triad", "imucal.quantities"
+META_ACC_UNIT, META_GYRO_UNIT = "imucal.acc_unit", "imucal.gyro_unit"
+META_ORIGIN, META_DATED = "imucal.origin_ns", "imucal.dated"
+
 _AXES = (("x", "y", "z"), ("0", "1", "2"))
 #: Names that state their unit themselves (PX4's SensorCombined).
 _UNITS = {"accelerometerms2": "m/s2", "gyrorad": "rad/s"}
@@ -48,11 +53,18 @@ class Field:
 
 @dataclass(frozen=True)
 class TopicFields:
-    """What is read from one topic; `time` is the address of its stamp, "" for none."""
+    """What is read from one topic.
+
+    time : address of its stamp, "" for none
+    triad, origin_ns, dated : as this package's own files state them, else "" and None
+    """
 
     fields: tuple[Field, ...]
     time: str = ""
     time_leaves: tuple[str, ...] = ()
+    triad: str = ""
+    origin_ns: int | None = None
+    dated: bool = True
 
     @property
     def groups(self) -> Groups:
@@ -68,8 +80,9 @@ class TopicFields:
 
 
 def is_imu(topic: Topic) -> bool:
-    """Whether the topic's type is sensor_msgs/Imu, in any of its spellings."""
-    return bool(re.fullmatch(r"sensor_msgs[/.](msg[/.])?Imu", topic.type_name))
+    """Whether the topic's type is sensor_msgs/Imu, in any of its spellings, or this package's."""
+    own = META_TRIAD in dict(topic.metadata)
+    return own or bool(re.fullmatch(r"sensor_msgs[/.](msg[/.])?Imu", topic.type_name))
 
 
 def vector(leaves: Leaves, address: str) -> tuple[str, ...]:
@@ -124,6 +137,9 @@ def find_time(leaves: Leaves) -> str:
 
 def stated_unit(topic: Topic, address: str, imu_unit: str) -> str:
     """The unit that the message type or the field's own name states, or ""."""
+    own = {"m/s2": META_ACC_UNIT, "rad/s": META_GYRO_UNIT}.get(imu_unit, "")
+    if own in dict(topic.metadata):
+        return dict(topic.metadata)[own]
     if is_imu(topic):
         return imu_unit
     return _UNITS.get(_plain(address.rpartition(".")[2]), "")

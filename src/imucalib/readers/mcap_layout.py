@@ -44,6 +44,10 @@ MSG: geometry_msgs/Vector3
 MSG: std_msgs/Header
 """
 IMU_ROS2 = _IMU + "builtin_interfaces/Time stamp\nstring frame_id\n"
+TEMPERATURE_ROS2 = (
+    "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n"
+    + IMU_ROS2[IMU_ROS2.rindex("===") :]
+)
 IMU_ROS1 = _IMU + "uint32 seq\ntime stamp\nstring frame_id\n"
 
 
@@ -80,7 +84,8 @@ def parse_definition(name: str, text: str, ros1: bool) -> Definition:
     stamp = (Member("sec", "int32"), Member("nanosec", "uint32"))
     if not ros1:
         types["builtin_interfaces/Time"] = types["builtin_interfaces/Duration"] = stamp
-    current, members = root, []
+    current = root
+    members: list[Member] = []
     for raw in text.splitlines():
         line = raw.split("#", 1)[0].strip()
         if line.startswith("==="):

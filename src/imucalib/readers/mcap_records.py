@@ -16,6 +16,7 @@ MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 MESSAGE_INDEX, STATISTICS, DATA_END = 0x07, 0x0B, 0x0F
 RECORD_HEADER = struct.Struct("<BQ")
+INDEX_HEAD = struct.Struct("<QHI")  # record length, channel, bytes of entries
 MESSAGE_HEADER_SIZE = 22
 
 _CHUNK_HEAD = struct.Struct("<QQQIL")
@@ -32,7 +33,7 @@ _MESSAGE_HEAD = np.dtype(
 _RUN_START = 8  # equal lengths in a row before a whole run is looked for
 
 
-class MalformedRecord(ValueError):
+class MalformedRecordError(ValueError):
     """The bytes of a record contradict its type; the scanner turns this into a `Damage`."""
 
 
@@ -104,7 +105,7 @@ class MessageBlock:
     def header(self, name: str) -> NDArray[np.uint64]:
         """(n,) one message header field: channel, sequence, log_time (ns), publish_time (ns)."""
         column = _rows(self.data)[name]
-        return column[self.starts - 31]  # type: ignore[no-any-return]
+        return column[self.starts - 31]
 
     def payloads(self) -> list[bytes]:
         """The payload of every message, for encodings that must be parsed one by one."""
@@ -152,17 +153,17 @@ def _text(content: bytes, at: int) -> tuple[str, int]:
 
 def _blob(content: bytes, at: int) -> tuple[bytes, int]:
     if at + 4 > len(content):
-        raise MalformedRecord("a field runs past the end of its record")
+        raise MalformedRecordError("a field runs past the end of its record")
     end = at + 4 + int(_U32.unpack_from(content, at)[0])
     if end > len(content):
-        raise MalformedRecord("a field runs past the end of its record")
+        raise MalformedRecordError("a field runs past the end of its record")
     return content[at + 4 : end], end
 
 
 def parse_schema(content: bytes) -> Schema:
-    """A Schema record; raises MalformedRecord."""
+    """A Schema record; raises MalformedRecordError."""
     if len(content) < 2:
-        raise MalformedRecord("a schema record is too short")
+        raise MalformedRecordError("a schema record is too short")
     name, at = _text(content, 2)
     encoding, at = _text(content, at)
     data, _ = _blob(content, at)
@@ -170,9 +171,9 @@ def parse_schema(content: bytes) -> Schema:
 
 
 def parse_channel(content: bytes, schemas: dict[int, Schema]) -> Topic:
-    """A Channel record, its schema looked up; raises MalformedRecord."""
+    """A Channel record, its schema looked up; raises MalformedRecordError."""
     if len(content) < 4:
-        raise MalformedRecord("a channel record is too short")
+        raise MalformedRecordError("a channel record is too short")
     name, at = _text(content, 4)
     encoding, at = _text(content, at)
     packed, _ = _blob(content, at)
@@ -186,9 +187,9 @@ def parse_channel(content: bytes, schemas: dict[int, Schema]) -> Topic:
 
 
 def index_count(content: bytes) -> int:
-    """How many messages a MessageIndex record lists; raises MalformedRecord."""
+    """How many messages a MessageIndex record lists; raises MalformedRecordError."""
     if len(content) < 6:
-        raise MalformedRecord("a message index is too short")
+        raise MalformedRecordError("a message index is too short")
     return int(_U32.unpack_from(content, 2)[0]) // 16
 
 

@@ -9,19 +9,20 @@ from __future__ import annotations
 import dataclasses
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import BinaryIO
-
-import numpy as np
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers import mcap_records as mr
 from imucalib.readers.mcap_chunks import unpack_chunk, unpack_cut_chunk
-from imucalib.readers.mcap_records import Damage, MalformedRecord, MessageBlock, Schema, Topic
+from imucalib.readers.mcap_records import Damage, MalformedRecordError, MessageBlock, Schema, Topic
 
+#: Yields messages, returns where the next record begins.
+_Steps = Generator[MessageBlock, None, int]
 _WINDOW = 1 << 22
 _PEEK = 64
+_INDEX_WINDOW = 1 << 17
 _KNOWN = range(0x01, 0x10)
 _CHUNK_PATTERN = re.compile(
     rb"(?=\x06.{5}\x00{3}.{21}\x00{3}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4).{5}\x00{3})",
@@ -66,7 +67,7 @@ class Scanner:
 
     # -- one record ---------------------------------------------------------------------------
 
-    def _step(self, at: int) -> Iterator[MessageBlock]:  # type: ignore[misc]
+    def _step(self, at: int) -> _Steps:
         """Read the record at `at`; the generator returns where the next one begins."""
         peek = self._read(at, 9 + _PEEK)
         if len(peek) < 9:
@@ -81,31 +82,39 @@ class Scanner:
             return (yield from self._recover(at, f"unknown record type 0x{opcode:02x}"))
         if end > self._size:
             return (yield from self._recover(at, "a record runs past the end of the file"))
+        return (yield from self._whole(opcode, at, end, chunk))
+
+    def _whole(self, opcode: int, at: int, end: int, chunk: mr.ChunkHead | None) -> _Steps:
+        """A record that lies within the file."""
         if opcode == mr.CHUNK:
             return (yield from self._chunk(at, end, chunk))
         if opcode == mr.MESSAGE:
             return (yield from self._loose(at))
+        if opcode == mr.MESSAGE_INDEX and self._hidden is None:
+            return max(end, self._after_indexes(at))
         try:
             self._other(opcode, at, end)
-        except MalformedRecord as error:
+        except MalformedRecordError as error:
             return (yield from self._recover(at, str(error)))
         return end
 
-    def _chunk(self, at: int, end: int, head: mr.ChunkHead | None) -> Iterator[MessageBlock]:  # type: ignore[misc]
+    def _chunk(self, at: int, end: int, head: mr.ChunkHead | None) -> _Steps:
         if head is None or not head.fits(end - at - 9, slack=end):
             return (yield from self._recover(at, "a chunk header contradicts itself"))
         self._chunks += 1
         self._hidden = None
         try:
             data = unpack_chunk(head, self._read(at + 9 + head.body, head.size))
-        except MalformedRecord as error:
+        except MalformedRecordError as error:
             self._hidden = len(self.damages)
             self._report(at, end - at, str(error), head)
             return end
         yield from self._records(data, at, end, head)
         return end
 
-    def _records(self, data: bytes, at: int, end: int, head: mr.ChunkHead) -> Iterator[MessageBlock]:
+    def _records(
+        self, data: bytes, at: int, end: int, head: mr.ChunkHead
+    ) -> Iterator[MessageBlock]:
         walk = mr.walk(data)
         self._define(data, walk, at)
         block = mr.message_block(data, walk.starts, at)
@@ -119,7 +128,7 @@ class Scanner:
             self.messages += walk.starts.size
             yield block
 
-    def _loose(self, at: int) -> Iterator[MessageBlock]:  # type: ignore[misc]
+    def _loose(self, at: int) -> _Steps:
         """Messages outside any chunk, a window at a time."""
         _, length = mr.RECORD_HEADER.unpack(self._read(at, 9))
         data = self._read(at, max(_WINDOW, 9 + length))
@@ -145,11 +154,22 @@ class Scanner:
             self._check_count(at)
         elif opcode == mr.FOOTER:
             if end - at < 29:
-                raise MalformedRecord("the footer is too short")
+                raise MalformedRecordError("the footer is too short")
             tail = self._read(end, len(mr.MAGIC) + 1)
             if tail != mr.MAGIC:
                 self._report(end, 0, "the bytes after the footer are not the closing magic")
             self._done = True
+
+    def _after_indexes(self, at: int) -> int:
+        """Where the message indexes end that stand in a row behind a chunk; they are not needed."""
+        data = self._read(at, _INDEX_WINDOW)
+        here, size = 0, len(data)
+        while here + 15 <= size and data[here] == mr.MESSAGE_INDEX:
+            length, _, entries = mr.INDEX_HEAD.unpack_from(data, here + 1)
+            if length != 6 + entries or here + 9 + length > size:
+                break
+            here += 9 + length
+        return at + here
 
     # -- definitions and checks ---------------------------------------------------------------
 
@@ -158,7 +178,7 @@ class Scanner:
             if opcode in (mr.SCHEMA, mr.CHANNEL):
                 try:
                     self._declare(opcode, data[start:stop], at)
-                except MalformedRecord as error:
+                except MalformedRecordError as error:
                     self._report(at, 0, str(error))
 
     def _declare(self, opcode: int, content: bytes, at: int) -> None:
@@ -174,7 +194,7 @@ class Scanner:
     def _check_data_end(self, at: int, end: int) -> None:
         content = self._read(at + 9, min(end - at - 9, 4))
         if len(content) < 4:
-            raise MalformedRecord("the end-of-data record is too short")
+            raise MalformedRecordError("the end-of-data record is too short")
         expected = int.from_bytes(content, "little")
         if expected and expected != self._data_crc(at):
             self._report(at, 0, "the CRC of the whole data section differs from the file's bytes")
@@ -205,7 +225,7 @@ class Scanner:
                 remedy="read it without the strict option to keep what is intact",
             )
 
-    def _recover(self, at: int, reason: str) -> Iterator[MessageBlock]:  # type: ignore[misc]
+    def _recover(self, at: int, reason: str) -> _Steps:
         """Find where the file makes sense again; read a cut last chunk as far as it goes."""
         found = self._search(at + 1)
         if found is not None:
@@ -233,11 +253,13 @@ class Scanner:
             found = self._scan(start, _MESSAGE_PATTERN, self._is_message_chain)
         return found
 
-    def _scan(self, start: int, pattern: re.Pattern[bytes], check: object) -> int | None:
+    def _scan(
+        self, start: int, pattern: re.Pattern[bytes], check: Callable[[int], bool]
+    ) -> int | None:
         for at in range(start, self._size, _WINDOW):
             window = self._read(at, _WINDOW + _PEEK)
             for match in pattern.finditer(window):
-                if match.start() < _WINDOW and check(at + match.start()):  # type: ignore[operator]
+                if match.start() < _WINDOW and check(at + match.start()):
                     return at + match.start()
         return None
 
@@ -256,7 +278,11 @@ class Scanner:
             if opcode == mr.DATA_END:
                 return bool(length == 4)
             channel = int.from_bytes(header[9:11], "little")
-            if opcode != mr.MESSAGE or length < mr.MESSAGE_HEADER_SIZE or channel not in self.topics:
+            if (
+                opcode != mr.MESSAGE
+                or length < mr.MESSAGE_HEADER_SIZE
+                or channel not in self.topics
+            ):
                 return False
             at += 9 + length
         return at <= self._size
@@ -308,6 +334,6 @@ def _channels(data: bytes) -> dict[int, Topic]:
                 topic = mr.parse_channel(content, schemas)
                 topics[topic.id] = topic
             at += 9 + length
-    except MalformedRecord:
+    except MalformedRecordError:
         return {}
     return topics

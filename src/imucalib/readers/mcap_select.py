@@ -35,6 +35,10 @@ def fields_of(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> TopicField
     stated = [f for q in QUANTITIES for f in _stated(topic, leaves, mapping, q)]
     if not stated and _any_stated(mapping):
         return None
+    own = dict(topic.metadata).get(mf.META_QUANTITIES, "").split()
+    if own and not stated:
+        mine = [replace(f, found=False) for q in own for f in _found(topic, leaves, q)]
+        return _timed(topic, leaves, mapping, tuple(mine)) if mine else None
     fields = stated
     for quantity in ("acc", "gyro"):
         alone = sum(f.quantity != quantity for f in stated) == len(stated) <= 1
@@ -80,7 +84,10 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
 
 
 def _found(topic: Topic, leaves: Leaves, quantity: str) -> list[Field]:
-    address = _FINDERS[quantity](leaves)
+    if quantity == "temperature":  # asked for only where a file of this package has it
+        found = mf.scalar(leaves, quantity)
+        return [Field(quantity, quantity, found, "degC")] if found else []
+    address = _FINDERS[quantity](leaves) if quantity in _FINDERS else ""
     if not address:
         return []
     unit = mf.stated_unit(topic, address, _UNITS[quantity])
@@ -90,20 +97,30 @@ def _found(topic: Topic, leaves: Leaves, quantity: str) -> list[Field]:
 def _timed(
     topic: Topic, leaves: Leaves, mapping: FieldMapping, fields: tuple[Field, ...]
 ) -> TopicFields:
+    own = dict(topic.metadata)
+    origin = own.get(mf.META_ORIGIN, "")
+    whole = TopicFields(
+        fields,
+        triad=own.get(mf.META_TRIAD, ""),
+        origin_ns=int(origin) if re.fullmatch(r"-?\d{1,19}", origin) else None,
+        dated=own.get(mf.META_DATED) != "no",
+    )
     if mapping.time in _CLOCKS:
-        return TopicFields(fields, mapping.time)
+        return replace(whole, time=mapping.time)
     if not mapping.time:
         address = mf.find_time(leaves)
-        return TopicFields(fields, address, mf.instant(leaves, address) if address else ())
+        stamps = mf.instant(leaves, address) if address else ()
+        return replace(whole, time=address, time_leaves=stamps)
     path = split_address(mapping.time, topic) or mapping.time
     stamps = mf.instant(leaves, path)
     if not stamps:
+        known = ", ".join(list(leaves)[:40])
         raise UsageError(
             f"topic {topic.name} has no time '{path}'",
             where="mapping: time",
-            remedy=f"use log_time, publish_time or one of its fields: {', '.join(list(leaves)[:40])}",
+            remedy=f"use log_time, publish_time or one of its fields: {known}",
         )
-    return TopicFields(fields, path, stamps)
+    return replace(whole, time=path, time_leaves=stamps)
 
 
 def natural(text: str) -> tuple[tuple[bool, int, str], ...]:
@@ -124,7 +141,11 @@ def triads_of(
         parts = _stated_parts(mapping, topics, alive)
     else:
         parts = _found_parts(topics, alive)
-    names = mapping.triads or tuple(f"imu{i}" for i in range(len(parts)))
+    owns = [{topics[topic].triad for topic, _ in part.values()} for part in parts]
+    own = tuple(name for names in owns if len(names) == 1 for name in names if name)
+    if len(set(own)) != len(parts):
+        own = tuple(f"imu{i}" for i in range(len(parts)))
+    names = mapping.triads or own
     if len(names) != len(parts) or len(set(names)) != len(names):
         raise UsageError(
             f"{len(names)} triad names for {len(parts)} triads, or names that repeat",
@@ -186,17 +207,18 @@ def _found_parts(
     halves: dict[str, list[dict[str, tuple[str, int]]]] = {}
     for name in sorted(topics, key=natural):
         fields = topics[name].fields
-        part = {f.quantity: (name, i) for i, f in enumerate(fields) if alive[name][i]}
+        usable = [alive[name][i] or not f.found for i, f in enumerate(fields)]
+        part = {f.quantity: (name, i) for i, f in enumerate(fields) if usable[i]}
         if not part:
             continue
-        stem = _SENSOR_WORDS.sub("*", name)
+        stem = topics[name].triad or _SENSOR_WORDS.sub("*", name)
         for other in halves.get(stem, []):
             if not set(other) & set(part):
                 other.update(part)
                 break
         else:
             parts.append(part)
-            if len(part) == 1:
+            if len(part) == 1 or topics[name].triad:
                 halves.setdefault(stem, []).append(part)
     return parts
 
@@ -214,7 +236,9 @@ def resolved(
         addresses[quantity] = tuple(texts) if any(texts) else ()
     return replace(
         mapping,
-        **addresses,
+        acc=addresses["acc"],
+        gyro=addresses["gyro"],
+        temperature=addresses["temperature"],
         triads=tuple(triad.name for triad in triads),
         acc_unit=mapping.acc_unit or units[0],
         gyro_unit=mapping.gyro_unit or units[1],

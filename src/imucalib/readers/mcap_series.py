@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.mapping import TIME_UNITS
+from imucalib.readers.timebase import stepping
 from imucalib.recording import Array, Gap
 
 _PIECE = 4096  # rows of one stretch that is kept to judge the norm at rest
+_LARGEST_SLAB = 1 << 20  # rows
 _HEAD = 1 << 16  # rows that the sampling period is taken from
-_GAP_PERIODS = 5.0  # a step this long is a gap; shorter ones are counted as missing samples
+_TWO_PERIODS = 1.75  # a longer step lacks a sample, even where jitter makes it no gap
 _MOST_LATE = 1_000_000_000  # ns: a stamp further back is a clock that jumped
 _YEAR_2000 = 946_684_800 * 10**9
 
@@ -25,27 +27,41 @@ Stamps = NDArray[Any]  # int64 or float64, as the file has it
 
 
 class Growing:
-    """Rows appended to one array; the operating system moves it, so nothing is held twice."""
+    """Rows appended in slabs, which become one array at the end: nothing is copied meanwhile."""
 
     def __init__(self, width: int | None, dtype: type) -> None:
-        self._array = np.empty((0,) if width is None else (0, width), dtype=dtype)
+        self._shape = () if width is None else (width,)
+        self._dtype = dtype
+        self._slabs: list[NDArray[Any]] = []
+        self._used = 0  # rows in the last slab
         self.size = 0
 
     def append(self, rows: NDArray[Any]) -> None:
         """Copy rows (n,) or (n, width) to the end."""
-        end = self.size + rows.shape[0]
-        if end > self._array.shape[0]:
-            self._resize(max(end, 2 * self._array.shape[0]))
-        self._array[self.size : end] = rows
-        self.size = end
+        while rows.shape[0]:
+            if not self._slabs or self._used == self._slabs[-1].shape[0]:
+                self._start(rows.shape[0])
+            count = min(rows.shape[0], self._slabs[-1].shape[0] - self._used)
+            self._slabs[-1][self._used : self._used + count] = rows[:count]
+            self._used += count
+            self.size += count
+            rows = rows[count:]
 
     def taken(self) -> NDArray[Any]:
-        """The array itself, cut to its rows; appending ends here."""
-        self._resize(self.size)
-        return self._array
+        """All rows as one array, and the slabs given up; appending starts anew."""
+        if self._slabs:
+            self._slabs[-1] = self._slabs[-1][: self._used]
+        else:
+            self._start(0)
+        whole = self._slabs[0] if len(self._slabs) == 1 else np.concatenate(self._slabs)
+        self._slabs, self._used, self.size = [], 0, 0
+        return whole
 
-    def _resize(self, rows: int) -> None:
-        self._array.resize((rows, *self._array.shape[1:]), refcheck=False)
+    def _start(self, rows: int) -> None:
+        # Memory that is not written yet costs nothing, so a slab may be generous.
+        rows = max(rows, min(self.size, _LARGEST_SLAB), _PIECE if rows else 0)
+        self._slabs.append(np.empty((rows, *self._shape), dtype=self._dtype))
+        self._used = 0
 
 
 @dataclass
@@ -158,7 +174,8 @@ class Clock:
         """int64 ns of consecutive samples, the first of which has the number `row`."""
         if self.source == "rate":
             steps = (row + np.arange(log.size)) * self.period
-            return self.first + np.rint(steps).astype(np.int64)
+            times: NDArray[np.int64] = self.first + np.rint(steps).astype(np.int64)
+            return times
         if self.source == "log_time" or stamps is None:
             return log
         return to_ns(stamps, self.factor)
@@ -168,7 +185,8 @@ def to_ns(stamps: Stamps, factor: int) -> NDArray[np.int64]:
     """Stamps in units of `factor` ns as int64 ns."""
     if stamps.dtype.kind == "f":
         return np.rint(stamps * float(factor)).astype(np.int64)
-    return stamps if factor == 1 else stamps * np.int64(factor)
+    whole: NDArray[np.int64] = stamps.astype(np.int64, copy=False)
+    return whole if factor == 1 else whole * np.int64(factor)
 
 
 def choose_clock(survey: Survey, *, scalar: bool, time_unit: str, rate: float | None) -> Clock:
@@ -197,7 +215,9 @@ def choose_clock(survey: Survey, *, scalar: bool, time_unit: str, rate: float | 
         notes.append(f"time from log_time: {why}")
     else:
         chosen, head, facts = "stamp", survey.head_stamp, stamp
-    times = np.sort(to_ns(np.concatenate(head), factor))
+    times = to_ns(np.concatenate(head), factor)
+    if facts.backs:
+        times = np.sort(times)
     period, longest = _period(times)
     if rate:
         return Clock("rate", 1, 0, 1e9 / rate, np.inf, int(log.first), tuple(notes))
@@ -221,10 +241,11 @@ def _unit(stamp: ClockFacts, log: ClockFacts, time_unit: str) -> tuple[int, str]
 def _period(times: NDArray[np.int64]) -> tuple[float, float]:
     if times.size < 2:
         return 0.0, np.inf
-    steps = np.diff(times).astype(np.float64)
-    period = float(np.median(steps)) or float(steps.mean())
-    jitter = float(np.quantile(np.abs(steps - period), 0.99))
-    return period, max(_GAP_PERIODS * period, period + _GAP_PERIODS * jitter)
+    found = stepping([(times - times[0]) * 1e-9])
+    if found is None:
+        return 0.0, np.inf
+    steps = np.diff(times)
+    return float(np.median(steps[steps > 0])), found.threshold * 1e9
 
 
 def _counted(
@@ -310,7 +331,7 @@ class Timeline:
     def _gaps(self, ns: NDArray[np.int64], marks: list[int]) -> list[Gap]:
         steps = np.diff(ns, prepend=ns[0] if self._last is None else self._last)
         period = self.clock.period
-        far = steps > 1.5 * period if period else np.zeros(ns.size, dtype=np.bool_)
+        far = steps > _TWO_PERIODS * period if period else np.zeros(ns.size, dtype=np.bool_)
         broken = np.zeros(ns.size, dtype=np.bool_)
         inside = [m - self._sent for m in marks if self._sent <= m < self._sent + ns.size]
         broken[inside] = True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,17 +33,17 @@ class Store:
             self._survey(samples.topic)
 
     def close(self) -> None:
-        """Finish the surveys."""
-        for topic in self._kept:
+        """Finish the surveys; with `keep`, the arrays become whole one after the other."""
+        for topic, kept in self._kept.items():
+            kept.whole()
             self._survey(topic)
 
     def taken(
         self, topic: str, *, needs_stamps: bool
     ) -> tuple[Stamps | None, NDArray[np.int64], list[Array]]:
         """The kept stamps, log times and columns of a topic, handed over."""
-        kept = self._kept.pop(topic)
-        stamps = kept.stamps.taken() if kept.stamps is not None and needs_stamps else None
-        return stamps, kept.log.taken(), [column.taken() for column in kept.columns]
+        stamps, log, columns = self._kept.pop(topic).arrays()
+        return stamps if needs_stamps else None, log, columns
 
     def without_stamps(self, topic: str) -> Survey:
         """The survey of a topic as if its messages had no stamp."""
@@ -54,22 +53,19 @@ class Store:
         return copy
 
     def _survey(self, topic: str) -> None:
-        kept = self._kept[topic]
-        stamps = kept.stamps.taken() if kept.stamps is not None else None
-        columns: list[Any] = [column.taken() for column in kept.columns]
-        if kept.log.size:
-            self.surveys[topic].update(stamps, kept.log.taken(), columns)
-        if not self._keep:
-            kept.clear()
+        stamps, log, columns = self._kept[topic].arrays()
+        if log.size:
+            self.surveys[topic].update(stamps, log, columns)
 
 
 class _Kept:
-    """The growing arrays of one topic."""
+    """The arrays of one topic, growing until they are whole."""
 
     def __init__(self, first: Samples) -> None:
         self.stamps = Growing(None, first.stamps.dtype.type) if first.stamps is not None else None
         self.log = Growing(None, np.int64)
         self.columns = [Growing(column.shape[1], np.float64) for column in first.columns]
+        self._arrays: tuple[Stamps | None, NDArray[np.int64], list[Array]] | None = None
 
     def append(self, samples: Samples) -> None:
         if self.stamps is not None and samples.stamps is not None:
@@ -78,7 +74,13 @@ class _Kept:
         for growing, column in zip(self.columns, samples.columns, strict=True):
             growing.append(column)
 
-    def clear(self) -> None:
-        for growing in (self.stamps, self.log, *self.columns):
-            if growing is not None:
-                growing.size = 0
+    def whole(self) -> None:
+        """End the growth; `arrays` then gives the same arrays every time."""
+        self._arrays = self.arrays()
+
+    def arrays(self) -> tuple[Stamps | None, NDArray[np.int64], list[Array]]:
+        """What has grown, taken out."""
+        if self._arrays is not None:
+            return self._arrays
+        stamps = self.stamps.taken() if self.stamps is not None else None
+        return stamps, self.log.taken(), [column.taken() for column in self.columns]

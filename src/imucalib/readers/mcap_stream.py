@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.mapping import FieldMapping
-from imucalib.readers.mcap_decode import Decoded, Decoder, decoder_for
+from imucalib.readers.mcap_decode import Decoder, decoder_for
 from imucalib.readers.mcap_fields import TopicFields, is_imu
 from imucalib.readers.mcap_layout import Groups, LayoutError
 from imucalib.readers.mcap_records import MessageBlock, Topic
@@ -20,6 +20,7 @@ from imucalib.readers.mcap_scan import Scanner, known_topics
 from imucalib.readers.mcap_select import fields_of, natural, split_address
 
 _UNDECIDED, _SKIPPED = -1, -2
+_GATHER = 1 << 16  # rows that are decoded before they are divided among their topics
 
 
 class Samples(NamedTuple):
@@ -47,12 +48,25 @@ class Source:
     marks: list[int] = field(default_factory=list)
 
 
-class _Lane(NamedTuple):
-    """Topics that decode together: one decoder, the same groups."""
+class _Decoded(NamedTuple):
+    """Decoded messages of several topics, in file order."""
+
+    channels: NDArray[np.int64]
+    log: NDArray[np.int64]
+    stamps: NDArray[Any] | None
+    columns: list[NDArray[Any]]
+
+
+@dataclass
+class _Lane:
+    """Topics that decode together: one decoder, the same groups; and what waits for division."""
 
     decoder: Decoder
     groups: Groups
     widths: tuple[int, ...]
+    timed: bool
+    waiting: list[_Decoded] = field(default_factory=list)
+    rows: int = 0
 
 
 class TopicStream:
@@ -71,24 +85,29 @@ class TopicStream:
         self._decoders: dict[tuple[object, ...], Decoder] = {}
         self._source_of: dict[int, Source] = {}
         self._reasons: dict[int, str] = {}
+        self._unread: dict[str, int] = {}
 
     def samples(self) -> Iterator[Samples]:
-        """All wanted samples, a chunk at a time."""
+        """All wanted samples, divided by topic, some chunks at a time."""
         damages = 0
         for block in self.scanner.blocks():
             if len(self.scanner.damages) != damages:
                 damages = len(self.scanner.damages)
+                yield from self._divide_all()
                 for source in self.sources.values():
                     source.marks.append(source.rows)
             channels = block.header("channel").astype(np.int64)
             self._count(block, channels)
             lanes = self._lane_of[channels]
-            for number in range(len(self._lanes)):
-                rows = np.flatnonzero(lanes == number)
-                if rows.size:
-                    order = np.argsort(channels[rows], kind="stable")
-                    rows = rows[order]
-                    yield from self._decode(self._lanes[number], block.take(rows), channels[rows])
+            for number, lane in enumerate(self._lanes):
+                wanted = lanes == number
+                if wanted.all():
+                    self._decode(lane, block, channels)
+                elif wanted.any():
+                    self._decode(lane, block.take(wanted), channels[wanted])
+                if lane.rows >= _GATHER:
+                    yield from self._divide(lane)
+        yield from self._divide_all()
 
     def topic(self, number: int) -> Topic | None:
         """The topic of a channel number, from the data or else from the file's summary."""
@@ -113,6 +132,8 @@ class TopicStream:
                     f"{source.name}: {source.bad} messages cannot be decoded and are left out"
                     f" ({source.problem})"
                 )
+        for name, count in self._unread.items():
+            notes.append(f"{name}: {count} messages cannot be decoded and are left out")
         if self.orphans:
             notes.append(f"{self.orphans} messages belong to channels that the file never defines")
         return notes
@@ -138,27 +159,33 @@ class TopicStream:
         imu = is_imu(topic)
         self._imu_known = self._imu_known or imu
         stated = self._is_stated(topic)
-        if stated is False or (stated is None and self._imu_known and not imu):
-            return _SKIPPED
-        try:
-            decoder = self._decoder(topic)
-            fields = fields_of(topic, decoder.leaves(payload), self.mapping)
-        except LayoutError as error:
-            return self._refuse(number, topic, str(error), bool(stated or imu), count)
-        except UsageError as error:
-            if stated:
-                raise
-            return self._refuse(number, topic, str(error), False, count)
-        if fields is None:
-            return _SKIPPED
-        source = self.sources.setdefault(topic.name, Source(topic.name, fields, imu))
+        fields: TopicFields | None = None
+        if stated or (stated is None and (imu or not self._imu_known)):
+            try:
+                decoder = self._decoder(topic)
+                fields = fields_of(topic, decoder.leaves(payload), self.mapping)
+            except LayoutError as error:
+                return self._refuse(number, topic, str(error), bool(stated or imu), count)
+            except UsageError as error:
+                if stated:
+                    raise
+                return self._refuse(number, topic, str(error), False, count)
+        return self._assign(number, topic, decoder, fields, count) if fields else _SKIPPED
+
+    def _assign(
+        self, number: int, topic: Topic, decoder: Decoder, fields: TopicFields, count: int
+    ) -> int:
+        """The lane of a channel that is read."""
+        source = self.sources.setdefault(topic.name, Source(topic.name, fields, is_imu(topic)))
         if source.fields.groups != fields.groups:
             return self._refuse(number, topic, "its fields differ within the file", True, count)
         self._source_of[number] = source
-        lane = _Lane(decoder, fields.groups, fields.widths)
-        if lane not in self._lanes:
-            self._lanes.append(lane)
-        return self._lanes.index(lane)
+        for i, lane in enumerate(self._lanes):
+            if lane.decoder is decoder and lane.groups == fields.groups:
+                return i
+        timed = bool(fields.time_leaves)
+        self._lanes.append(_Lane(decoder, fields.groups, fields.widths, timed))
+        return len(self._lanes) - 1
 
     def _is_stated(self, topic: Topic) -> bool | None:
         """Whether the mapping names the topic; None when it names no topic at all."""
@@ -178,9 +205,7 @@ class TopicStream:
         self._reasons[number] = why
         if wanted:
             self._fail(f"topic {topic.name} cannot be decoded: {why}")
-            if topic.name in self.sources:
-                self.sources[topic.name].bad += count
-                self.sources[topic.name].problem = why
+            self._unread[topic.name] = self._unread.get(topic.name, 0) + count
         # Its first message may be the damaged one: the next block gets another chance.
         return _UNDECIDED if wanted else _SKIPPED
 
@@ -190,39 +215,53 @@ class TopicStream:
 
     # -- decoding -----------------------------------------------------------------------------
 
-    def _decode(
-        self, lane: _Lane, block: MessageBlock, channels: NDArray[np.int64]
-    ) -> Iterator[Samples]:
+    def _decode(self, lane: _Lane, block: MessageBlock, channels: NDArray[np.int64]) -> None:
         decoded = lane.decoder.decode(block, lane.groups, lane.widths)
         clock = "publish_time" if self.mapping.time == "publish_time" else "log_time"
         log = block.header(clock).astype(np.int64)
-        edges = [0, *(np.flatnonzero(np.diff(channels)) + 1).tolist(), channels.size]
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
-            source = self._source_of[int(channels[a])]
-            samples = self._samples(source, decoded, log, slice(a, b))
-            source.rows += samples.log.size
-            if samples.log.size:
-                yield samples
-
-    def _samples(
-        self, source: Source, decoded: Decoded, log: NDArray[np.int64], part: slice
-    ) -> Samples:
-        good, columns = decoded.good[part], [c[part] for c in decoded.columns]
-        log = log[part]
-        stamps = None
-        if source.fields.time_leaves:
-            stamps, columns = columns[-1], columns[:-1]
-            if stamps.dtype.kind == "f":
-                good = good & np.isfinite(stamps).all(axis=1)
+        good, columns, stamps = decoded.good, list(decoded.columns), None
+        if lane.timed:
+            pair = columns.pop()
+            if pair.dtype.kind == "f":
+                good = good & np.isfinite(pair).all(axis=1)
+            stamps = _joined(np.where(good[:, None], pair, 0) if not good.all() else pair)
         if not good.all():
-            source.bad += int(good.size - good.sum())
-            source.problem = decoded.problem or "a time stamp is not a number"
-            self._fail(f"topic {source.name}: {source.problem}")
-            log, columns = log[good], [c[good] for c in columns]
+            self._drop(channels[~good], decoded.problem or "a time stamp is not a number")
+            channels, log, columns = channels[good], log[good], [c[good] for c in columns]
             stamps = stamps[good] if stamps is not None else None
-        return Samples(
-            source.name, _joined(stamps) if stamps is not None else None, log, columns
-        )
+        # Copies, so that the block's bytes are free.
+        columns = [c.astype(np.float64) for c in columns]
+        lane.waiting.append(_Decoded(channels, log, stamps, columns))
+        lane.rows += channels.size
+
+    def _drop(self, channels: NDArray[np.int64], problem: str) -> None:
+        for number, count in zip(*np.unique(channels, return_counts=True), strict=True):
+            source = self._source_of[int(number)]
+            source.bad += int(count)
+            source.problem = problem
+            self._fail(f"topic {source.name}: {problem}")
+
+    def _divide_all(self) -> Iterator[Samples]:
+        for lane in self._lanes:
+            yield from self._divide(lane)
+
+    def _divide(self, lane: _Lane) -> Iterator[Samples]:
+        waiting, lane.waiting, lane.rows = lane.waiting, [], 0
+        if not waiting:
+            return
+        channels = np.concatenate([w.channels for w in waiting])
+        log = np.concatenate([w.log for w in waiting])
+        stamps = np.concatenate([w.stamps for w in waiting]) if lane.timed else None
+        columns = [
+            np.concatenate(parts) for parts in zip(*(w.columns for w in waiting), strict=True)
+        ]
+        for number in np.flatnonzero(np.bincount(channels)).tolist():
+            rows = np.flatnonzero(channels == number)
+            part: Any = slice(None) if rows.size == channels.size else rows
+            source = self._source_of[number]
+            source.rows += rows.size
+            own = stamps[part] if stamps is not None else None
+            yield Samples(source.name, own, log[part], [c[part] for c in columns])
 
 
 def _joined(stamps: NDArray[Any]) -> NDArray[Any]:

@@ -114,7 +114,7 @@ def _spread(values: NDArray[Any], good: NDArray[np.bool_]) -> NDArray[Any]:
 def json_decoder() -> TreeDecoder:
     """JSON objects; msgspec parses them when it is installed, the standard library otherwise."""
     try:
-        import msgspec
+        import msgspec  # type: ignore[import-not-found, unused-ignore]
     except ImportError:
         return TreeDecoder(_bulk(json.loads), _flatten_json, _json_step)
     return TreeDecoder(_bulk(msgspec.json.Decoder().decode), _flatten_json, _json_step)
@@ -175,7 +175,12 @@ def _descend(tree: Any, path: str, found: dict[str, int], depth: int = 0) -> Non
 def protobuf_decoder(schema: Schema | None) -> TreeDecoder:
     """Messages of a FileDescriptorSet schema. Raises UsageError without the protobuf package."""
     try:
-        from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
+        from google.protobuf import (  # type: ignore[import-untyped, unused-ignore]
+            descriptor_pb2,
+            descriptor_pool,
+            message,
+            message_factory,
+        )
     except ImportError as error:
         raise UsageError(
             "protobuf messages need the protobuf package",
