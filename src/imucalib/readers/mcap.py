@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imucalib.errors import UnreadableInput
 from imucalib.mapping import FieldMapping
 from imucalib.readers import conversion
 from imucalib.readers.conversion import Conversion
@@ -240,7 +239,7 @@ def _emit(
     path: Path, mapping: FieldMapping, plan: _Plan, block_samples: int
 ) -> Iterator[Recording]:
     # The first pass has raised already if the file must be whole.
-    stream = TopicStream(path, mapping, strict=False)
+    stream = TopicStream(path, mapping, strict=False, gather=block_samples)
     timelines = plan.timelines()
     outputs: dict[str, list[tuple[Array, list[Array]]]] = {name: [] for name in timelines}
     gaps: list[Gap] = []
@@ -278,10 +277,10 @@ def _recording(
     channels: dict[str, Channel] = {}
     for part in plan.parts:
         pieces = outputs[part.topic]
+        if not any(t.size for t, _ in pieces):
+            continue
         if part.topic not in times:
             times[part.topic] = _whole([t for t, _ in pieces])
-        if not times[part.topic].size:
-            continue
         values = part.conversion.apply(_whole([columns[part.column] for _, columns in pieces]))
         period = plan.clocks[part.topic].period
         channels[part.name] = Channel(
@@ -296,8 +295,6 @@ def _recording(
 
 
 def _whole(pieces: list[Array]) -> Array:
-    if not pieces:
-        raise UnreadableInput("a topic has no samples")
     return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 

@@ -94,7 +94,8 @@ def vector(leaves: Leaves, address: str) -> tuple[str, ...]:
         return (address,)
     for axes in _AXES:
         paths = tuple(f"{address}.{axis}" for axis in axes)
-        if all(leaves.get(p) == 1 for p in paths):
+        more = f"{address}.w", f"{address}.3"  # a quaternion, or a longer list
+        if all(leaves.get(p) == 1 for p in paths) and not any(p in leaves for p in more):
             return paths
     return ()
 

@@ -72,7 +72,10 @@ class _Lane:
 class TopicStream:
     """Reads the topics that the mapping wants; `sources`, `counts` and notes fill meanwhile."""
 
-    def __init__(self, path: Path, mapping: FieldMapping, *, strict: bool) -> None:
+    def __init__(
+        self, path: Path, mapping: FieldMapping, *, strict: bool, gather: int = _GATHER
+    ) -> None:
+        self._gather = min(gather, _GATHER)
         self.path, self.mapping, self.strict = path, mapping, strict
         self.scanner = Scanner(path, strict=strict)
         self.sources: dict[str, Source] = {}
@@ -105,7 +108,7 @@ class TopicStream:
                     self._decode(lane, block, channels)
                 elif wanted.any():
                     self._decode(lane, block.take(wanted), channels[wanted])
-                if lane.rows >= _GATHER:
+                if lane.rows >= self._gather:
                     yield from self._divide(lane)
         yield from self._divide_all()
 
@@ -167,7 +170,7 @@ class TopicStream:
             except LayoutError as error:
                 return self._refuse(number, topic, str(error), bool(stated or imu), count)
             except UsageError as error:
-                if stated:
+                if stated or imu:
                     raise
                 return self._refuse(number, topic, str(error), False, count)
         return self._assign(number, topic, decoder, fields, count) if fields else _SKIPPED
