@@ -62,6 +62,7 @@ class Unexplained:
     kind: str
     p: float
     evidence: float
+    share: float
 
 
 @dataclass(frozen=True)
@@ -277,5 +278,6 @@ def _eliminate(
 def _unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexplained, ...]:
     left = [s for s in scores if s.p <= rules.alpha and s.candidate.kind != "effect"]
     return tuple(
-        Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence) for s in left[:3]
+        Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
+        for s in left[:3]
     )

@@ -51,6 +51,7 @@ class Score:
     left : share of the candidate's columns that the fitted parameters do not absorb (0..1)
     strength : λ, the length of its projected columns at typical size, in noise units: 4.7 gives
         an 80 % chance of detection
+    share : of the weighted residual power that it explains, adjusted for its freedom (0..1)
     """
 
     candidate: Candidate
@@ -58,6 +59,7 @@ class Score:
     p: float
     left: float
     strength: float
+    share: float
 
     @property
     def name(self) -> str:
@@ -88,8 +90,8 @@ def score(
         return ()
     at, noise = fit.at, fit.noise
     fitted = tuple(sd / noise.factor for sd in noise.sd)
-    left, strength = _survival(fit, candidates, fitted)
-    live = [k for k, share in enumerate(left) if share >= _ABSORBED]
+    alone = [_alone(fit, c, fitted) for c in candidates]
+    live = [k for k, (left, _, _) in enumerate(alone) if left >= _ABSORBED]
     evidence = np.zeros(len(candidates))
     p = np.ones(len(candidates))
     if live:
@@ -103,25 +105,33 @@ def score(
         evidence[live] = found[:, 0]
         p[live] = (1 + (best[None] >= found[:, :1]).sum(axis=1)) / (draws + 1)
     scores = [
-        Score(c, float(e), float(q), float(s), float(z))
-        for c, e, q, s, z in zip(candidates, evidence, p, left, strength, strict=True)
+        Score(c, float(e), float(q), *numbers)
+        for c, e, q, numbers in zip(candidates, evidence, p, alone, strict=True)
     ]
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 
-def _survival(
-    fit: Fit, candidates: tuple[Candidate, ...], ratio: tuple[float, ...]
-) -> tuple[list[float], list[float]]:
+def _alone(
+    fit: Fit, candidate: Candidate, ratio: tuple[float, ...]
+) -> tuple[float, float, float]:
+    """What the fitted parameters leave of a candidate, its λ, and the share that it explains."""
     white = whitener(fit.at.settings, ratio)
     basis = np.linalg.qr(white(fit.at.jacobian))[0]
-    left, strength = [], []
-    for candidate in candidates:
-        columns = white(candidate.columns)
-        rest = columns - basis @ (basis.T @ columns)
-        whole = float(np.sum(columns**2))
-        left.append(float(np.sum(rest**2)) / whole if whole > 0.0 else 0.0)
-        strength.append(float(np.linalg.norm(rest)) / fit.noise.factor)
-    return left, strength
+    columns = white(candidate.columns)
+    rest = columns - basis @ (basis.T @ columns)
+    whole, kept = float(np.sum(columns**2)), float(np.sum(rest**2))
+    left = kept / whole if whole > 0.0 else 0.0
+    if left < _ABSORBED:
+        return left, 0.0, 0.0
+    residual = white(fit.at.residual)
+    residual = residual - basis @ (basis.T @ residual)
+    u, s, _ = np.linalg.svd(rest, full_matrices=False)
+    u = u[:, s > 1e-9 * s[0]]
+    freedom = residual.size - basis.shape[1]
+    power = max(float(residual @ residual), 1e-300)
+    unexplained = 1.0 - float(np.sum((u.T @ residual) ** 2)) / power
+    share = 1.0 - unexplained * freedom / max(freedom - u.shape[1], 1)
+    return left, float(np.sqrt(kept)) / fit.noise.factor, max(share, 0.0)
 
 
 def _null_data(fit: Fit, rng: np.random.Generator, draws: int) -> Array:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from imucalib.attitude import AttitudeErrors, attitude_errors
 from imucalib.balance import Noise
 from imucalib.closed_loop import Loop, LoopSettings, close_loop
+from imucalib.conventions import Conventions
 from imucalib.effect import Effect
 from imucalib.effects import catalogue, named
-from imucalib.errors import Undetermined, UsageError
+from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.fit import Fit
@@ -61,6 +62,7 @@ class LabSettings:
     sigma: float | None = None
     rules: LoopSettings = field(default_factory=LoopSettings)
     extra_effects: Mapping[str, Effect] = field(default_factory=dict)
+    conventions: Conventions = field(default_factory=Conventions)
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def calibrate(
     gravity = gravity_of(data)
     known = isinstance(data.reference, KnownVector)
     angles = attitude_errors(fitted(final), gravity) if known else None
-    error = error_summary(base, final, data, splits[0])
+    error = error_summary(base, final, data, splits)
     return LabResult(observations, used, loop, base, final, error, splits, angles, settings)
 
 
@@ -178,9 +180,10 @@ def gravity_of(data: Observations) -> float:
 def _splits(
     base: Fit, final: Fit, whole: Observations, used: Index, settings: LabSettings
 ) -> tuple[Split, ...]:
+    found: list[Split] = []
     if settings.objective in OBJECTIVES:
         left = refitted(final, settings.objective)
-        found = [Split("leave one out", used, left, left)]
+        found += [Split("leave one out", used, left, left)] if left else []
     else:
         found = [Split("leave one out", used, held_out(base), held_out(final))]
     rest = np.setdiff1d(np.arange(whole.n), used)
@@ -191,13 +194,19 @@ def _splits(
     return tuple(found)
 
 
-def refitted(fit: Fit, objective: str) -> Held:
-    """Leave one out by complete refits, for objectives that are not a likelihood."""
+def refitted(fit: Fit, objective: str) -> Held | None:
+    """Leave one out by complete refits, for objectives that are not a likelihood.
+
+    None when a position is indispensable: without it the objective has no minimum.
+    """
     data = fit.observations
     parts = []
     for row in range(data.n):
         rest = data.without(np.array([row]))
-        theta = fit_corrected(fit.model, rest, objective, fit.theta).theta
+        try:
+            theta = fit_corrected(fit.model, rest, objective, fit.theta).theta
+        except NotConverged:
+            return None
         parts.append(errors(fit, theta, data.take(np.array([row]))))
     return Held(
         np.concatenate([part.corrected for part in parts]),
@@ -206,8 +215,17 @@ def refitted(fit: Fit, objective: str) -> Held:
     )
 
 
-def error_summary(base: Fit, final: Fit, data: Observations, split: Split) -> ErrorSummary:
-    """The one metric of the loop: length of the vector error, or error of the norm, rms in mg."""
+def error_summary(
+    base: Fit, final: Fit, data: Observations, splits: tuple[Split, ...]
+) -> ErrorSummary:
+    """The one metric of the loop: length of the vector error, or error of the norm, rms in mg.
+
+    Held out are the rows of the test set when there is one, else each row in turn; NaN where
+    neither exists.
+    """
+    base_out, final_out = (
+        (splits[-1].base.rms() / MG, splits[-1].final.rms() / MG) if splits else (np.nan, np.nan)
+    )
     nothing = Model(())
     bare = replace(base, model=nothing, theta=np.zeros(0))
     raw = errors(bare, bare.theta, data).rms() / MG
@@ -219,7 +237,7 @@ def error_summary(base: Fit, final: Fit, data: Observations, split: Split) -> Er
         fitted(base).rms() / MG,
         fitted(final).rms() / MG,
         noise_floor(final) / MG,
-        HeldOutError(raw, split.base.rms() / MG, split.final.rms() / MG),
+        HeldOutError(raw, base_out, final_out),
     )
 
 

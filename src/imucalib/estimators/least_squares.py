@@ -104,8 +104,14 @@ def _with_eta(model: Model, observations: Observations, state: State, noise: Noi
     if noise.component:
         at = balance(model, state.theta, state.eta, observations)
         return State(state.theta, setting_errors(at, noise, at.residual))
+    if not _has_flat(observations, state.eta):
+        return state
     step = _flat_step(model, observations, state)
     return State(state.theta, observations.reference.move(state.eta, step))
+
+
+def _has_flat(observations: Observations, eta: Array) -> bool:
+    return None in observations.reference.directions(eta).component
 
 
 def _flat_step(model: Model, observations: Observations, state: State) -> Array:

@@ -1,0 +1,118 @@
+"""The closed loop as report sections: the same for every calibrator."""
+
+from __future__ import annotations
+
+from imucalib.closed_loop import Loop
+from imucalib.outcome import ErrorSummary, Outcome
+from imucalib.report.document import Block, Section, Table, Text
+from imucalib.report.numbers import plus_minus, probability
+
+
+def error_table(error: ErrorSummary) -> Table:
+    """Error before and after, fitted and on data that was not fitted, with the floor."""
+
+    def number(value: float) -> str:
+        return "-" if value != value else f"{value:.2f}"  # NaN: there was no held-out part
+
+    rows = (
+        ("raw reading", number(error.raw), number(error.held_out.raw)),
+        ("base model", number(error.base), number(error.held_out.base)),
+        ("final model", number(error.final), number(error.held_out.final)),
+        ("noise floor", number(error.floor), ""),
+    )
+    return Table(
+        f"Error before and after ({error.metric}, {error.unit})",
+        ("", "fitted", "held out"),
+        rows,
+        "lrr",
+        "Held out: each position predicted by a fit without it, or the test rows.",
+    )
+
+
+def loop_section(outcome: Outcome, draws: int) -> Section:
+    """What was found, step by step, and what stays."""
+    loop = outcome.loop
+    blocks: list[Block] = []
+    if loop is None:
+        return Section("Closed loop", (Text("The search was not run."), error_table(outcome.error)))
+    if loop.records:
+        rows = tuple(
+            (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), probability(r.p, draws), r.likely)
+            for r in loop.records
+        )
+        header = ("record", "channel", "off by", "p", "likely")
+        tones = dict.fromkeys(range(len(rows)), "bad")
+        blocks.append(Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones))  # type: ignore[arg-type]
+    blocks.append(Text(*_verdict(loop)))
+    if loop.steps:
+        unit = 1.0 if outcome.error.unit != "mg" else 9.80665e-3
+        rows = tuple(
+            (
+                s.effect,
+                probability(s.p, draws),
+                f"{s.held_out_before / unit:.2f}",
+                f"{s.held_out_after / unit:.2f}",
+                ", ".join(s.aliases) or "-",
+            )
+            for s in loop.steps
+        )
+        header = ("effect added", "p", "before", "after", "cannot be told from")
+        note = f"Held-out error in {outcome.error.unit}; p is the chance in the whole search."
+        blocks.append(Table("Steps of the loop", header, rows, "lrrrl", note))
+    blocks.append(error_table(outcome.error))
+    return Section("Closed loop", tuple(blocks))
+
+
+def _verdict(loop: Loop) -> tuple[str, str]:
+    names = ", ".join(
+        " or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.steps
+    )
+    records = ", ".join(r.where for r in loop.records)
+    cause = " and ".join(
+        part for part in (f"a wrong record ({records})" if records else "", names) if part
+    )
+    unknown = ", ".join(f"{u.name} (driven by {u.driver})" for u in loop.unexplained)
+    return {
+        "nothing missing": ("Nothing is missing: no candidate passes the search.", "ok"),
+        "explained": (f"The residual is explained by {cause}.", "ok"),
+        "explained in part": (
+            f"The residual is explained in part by {cause}; left: {unknown}.",
+            "warning",
+        ),
+        "unexplained": (f"Unexplained structure: {unknown}. No effect of the catalogue fits.", "bad"),
+    }[loop.verdict]
+
+
+def candidate_section(loop: Loop, draws: int) -> Section:
+    """Every candidate of the last search with its numbers, and why not."""
+    rejected = dict(loop.rejected)
+    rows = [
+        (
+            s.name,
+            s.candidate.kind,
+            "absorbed" if s.absorbed else f"{s.evidence:.2f}",
+            "-" if s.absorbed else probability(s.p, draws),
+            f"{100.0 * s.left:.1f}",
+            f"{s.strength:.1f}",
+        )
+        for s in loop.scores
+    ]
+    rows += [(name, "effect", "rejected", "-", "-", "-") for name in rejected]
+    rows += [(name, "effect", "not tested", "-", "-", "-") for name in loop.missing]
+    header = ("candidate", "kind", "evidence (nats)", "p", "left (%)", "λ at typical size")
+    note = (
+        "Last search, after everything above was added. Left: share of the effect that the fitted "
+        "parameters do not absorb; absorbed effects cannot be tested on these data. λ of about 4.7 "
+        "gives an 80 % chance to find the effect at its typical size."
+    )
+    why = "; ".join(f"{name}: {reason}" for name, reason in (*rejected.items(), *loop.missing.items()))
+    blocks: tuple[Block, ...] = (Table("All candidates", header, tuple(rows), "llrrrr", note),)
+    if why:
+        blocks = (*blocks, Text(f"Rejected or not tested: {why}."))
+    return Section("Candidates tried", blocks, brief=False)
+
+
+def advice_section(outcome: Outcome) -> Section:
+    """What to do next."""
+    lines = tuple(Text(sentence) for sentence in outcome.advice)
+    return Section("Advice", lines or (Text("Nothing to do."),))
