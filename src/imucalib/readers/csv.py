@@ -108,14 +108,23 @@ def _blocks(
         before = replace(empty, channels=rest[0], gaps=rest[1])
     if before is None:
         raise UnreadableInput("no row of the table could be read", where=str(path))
-    yield replace(before, notes=(*before.notes, *lost, *_losses(position)))
+    lost += _short_of(plan, position)
+    if strict and lost:
+        raise UnreadableInput(lost[0], where=str(path), remedy="copy the file again")
+    yield replace(before, notes=(*before.notes, *lost, *_left_out(position)))
 
 
 def _bytes_per_row(plan: Plan) -> int:
     return max(16, 10 * plan.layout.width)
 
 
-def _losses(position: _Position) -> list[str]:
+def _short_of(plan: Plan, position: _Position) -> list[str]:
+    if plan.rows is None or position.row == plan.rows:
+        return []
+    return [f"the header states {plan.rows} rows, {position.row} were found"]
+
+
+def _left_out(position: _Position) -> list[str]:
     notes = []
     if position.idle_rows:
         notes.append(f"{position.idle_rows} rows of zeros (idle sleep) left out")

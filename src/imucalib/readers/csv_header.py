@@ -19,17 +19,22 @@ _EPOCH = re.compile(r"epoch period[^0-9]*(\d+):(\d+):(\d+)", re.IGNORECASE)
 _START_TIME = re.compile(r"start time[\s,;:]*(\d{1,2}):(\d{2}):(\d{2})", re.IGNORECASE)
 _START_DATE = re.compile(r"start date[\s,;:]*(\d+)[/.\-](\d+)[/.\-](\d+)", re.IGNORECASE)
 _DATE_FORMAT = re.compile(r"date format\s+(\S+)", re.IGNORECASE)
+_OWN_ROWS = re.compile(r"# imucal recording, rows: (\d+)")
 _OWN_START = re.compile(r"start_ns\s*[:=]\s*(-?\d+)")
 
 
 @dataclass(frozen=True)
 class HeaderFacts:
-    """device : "actigraph", "geneactiv", "xsens" or ""; rate in Hz; start_ns as in Recording."""
+    """device : "actigraph", "geneactiv", "xsens" or ""; rate in Hz; start_ns as in Recording.
+
+    rows : how many rows the file says that it has, or None
+    """
 
     device: str = ""
     rate: float | None = None
     start_ns: int | None = None
     notes: tuple[str, ...] = ()
+    rows: int | None = None
 
 
 def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
@@ -48,7 +53,9 @@ def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
     device = "geneactiv" if "geneactiv" in lower else ""
     if not device and ("mt manager" in lower or "xsens" in lower or "xda version" in lower):
         device = "xsens"
-    return HeaderFacts(device, rate or None, start, notes)
+    stated = _OWN_ROWS.search(text)
+    rows = int(stated.group(1)) if stated else None
+    return HeaderFacts(device, rate or None, start, notes, rows)
 
 
 def _refuse_epochs(text: str, where: str) -> None:

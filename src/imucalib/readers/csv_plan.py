@@ -42,7 +42,10 @@ class Signal:
 
 @dataclass(frozen=True)
 class Plan:
-    """How to read one file; `idle` says that rows of zeros mean "not recorded"."""
+    """How to read one file.
+
+    idle : rows of zeros mean "not recorded"; rows : as many as the file says that it has
+    """
 
     dialect: Dialect
     layout: Layout
@@ -51,6 +54,7 @@ class Plan:
     idle: bool
     notes: tuple[str, ...]
     resolved: FieldMapping
+    rows: int | None = None
 
 
 def make_plan(path: Path, mapping: FieldMapping) -> Plan:
@@ -83,7 +87,7 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=facts.device)
     idle = facts.device == "actigraph"
     unique = tuple(dict.fromkeys(notes))
-    return Plan(dialect, layout, clock, signals, idle, unique, resolved)
+    return Plan(dialect, layout, clock, signals, idle, unique, resolved, facts.rows)
 
 
 def _layout(

@@ -142,18 +142,24 @@ def _chunks(
     stream: BinaryIO, path: Path, size: int, *, strict: bool
 ) -> Iterator[tuple[bytes, str]]:
     """Pieces of the stream and, with the last one, what broke it off."""
+    read = getattr(stream, "read1", stream.read)  # what is unpacked before an error is kept
+    held: list[bytes] = []
     while True:
         try:
-            piece = stream.read(size)
+            piece = read(size)
         except (EOFError, zlib.error, OSError) as error:
             what = f"the compressed data breaks off: {error}"
             if strict:
                 raise UnreadableInput(what, where=str(path), remedy="copy it again") from error
-            yield b"", what
+            yield b"".join(held), what
             return
+        held.append(piece)
+        if not piece or sum(map(len, held)) >= size:
+            whole, held = b"".join(held), []
+            if whole:
+                yield whole, ""
         if not piece:
             return
-        yield piece, ""
 
 
 def line_blocks(path: Path, size: int, *, strict: bool) -> Iterator[Lines]:

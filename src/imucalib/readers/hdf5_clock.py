@@ -10,7 +10,7 @@ from imucalib.mapping import FieldMapping
 from imucalib.readers.csv_columns import understand
 from imucalib.readers.hdf5_attributes import RATE_NAMES, number_of, text_of, unit_of
 
-_TIME = ("time", "timestamp", "timestamps", "t", "times", "stamp", "time_ns", "timestamp_ns",
+TIME_NAMES = ("time", "timestamp", "timestamps", "t", "times", "stamp", "time_ns", "timestamp_ns",
          "time_us", "timestamp_us", "time_ms", "timestamp_ms")  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMap
         for path, stamps in nodes.items():
             head, _, name = path.rpartition("/")
             fits = stamps.size == field.rows and stamps.dtype.kind in "iuf"
-            if head == folder and name.lower() in _TIME and fits:
+            if head == folder and name.lower() in TIME_NAMES and fits:
                 unit = mapping.time_unit or unit_of(stamps) or field.time_unit
                 suffix = name.lower().rpartition("_")[2]
                 unit = unit or (suffix if suffix in ("ns", "us", "ms") else "")

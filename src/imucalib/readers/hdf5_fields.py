@@ -13,7 +13,15 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.mapping import FieldMapping
 from imucalib.readers.csv_columns import understand
 from imucalib.readers.hdf5_attributes import number_of, unit_of
-from imucalib.readers.hdf5_clock import Found, Place, node_at, with_clock, with_device, words_of
+from imucalib.readers.hdf5_clock import (
+    TIME_NAMES,
+    Found,
+    Place,
+    node_at,
+    with_clock,
+    with_device,
+    words_of,
+)
 
 _QUANTITY = {
     "accelerometer": "acceleration", "acceleration": "acceleration", "accel": "acceleration",
@@ -94,7 +102,7 @@ def _vectors(node: Any) -> Iterator[Found]:
     if node.dtype.kind not in "iuf":
         return
     quantity, at = _quantity_of(node.name)
-    if not quantity:
+    if not quantity or words_of(node.name)[-1].lower() in TIME_NAMES:
         return
     above, shape = words_of(node.name)[:at], node.shape
     scale = number_of(node, "scale", "scale_factor", "Scale") or 1.0

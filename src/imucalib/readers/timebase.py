@@ -63,7 +63,8 @@ def is_absolute(seconds: float) -> bool:
 def guess_unit(first: float, step: float, where: str) -> tuple[str, str]:
     """The unit of numeric time stamps from their size and step, with the sentence that says why.
 
-    Raises UnreadableInput when more than one unit, or none, gives a rate of 5 to 8000 Hz.
+    Raises UnreadableInput when more than one unit, or none, gives a rate of 5 to 8000 Hz, or when
+    the numbers may be a counter.
     """
     for unit in ("s", "ms", "us", "ns"):
         size = TIME_UNITS[unit]
@@ -72,7 +73,7 @@ def guess_unit(first: float, step: float, where: str) -> tuple[str, str]:
     if step < 1.0:
         return "s", f"time: a median step of {step:.6g} -> unit s"
     fitting = [u for u in ("s", "ms", "us", "ns") if 5.0 <= 1.0 / (step * TIME_UNITS[u]) <= 8000.0]
-    if len(fitting) == 1:
+    if len(fitting) == 1 and step != 1.0:  # steps of one may be a counter
         rate = 1.0 / (step * TIME_UNITS[fitting[0]])
         sentence = f"time: a median step of {step:.6g} -> unit {fitting[0]} ({rate:.6g} Hz)"
         return fitting[0], sentence

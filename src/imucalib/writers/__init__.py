@@ -90,7 +90,12 @@ def _fill_permissions(path: Path) -> None:
 
 
 def write(recording: Recording, path: str | os.PathLike[str]) -> None:
-    """Write a recording in the format of the suffix; the old file stays whole until the end."""
+    """Write a recording in the format of the suffix; the old file stays whole until the end.
+
+    Raises UsageError for an unknown suffix, an unwritable place or a recording without channels.
+    """
     writer = writer_for(path)
+    if not recording.channels:
+        raise UsageError("the recording has no channels to write", where=recording.path)
     with replaced_atomically(path) as temporary:
         writer.write(recording, temporary)

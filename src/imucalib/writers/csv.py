@@ -26,14 +26,12 @@ class CsvWriter:
 
     def write(self, recording: Recording, path: Path) -> None:
         """Write all channels. Raises UsageError when channels differ in times that step back."""
-        if not recording.channels:
-            raise UsageError("the recording has no channels", where=recording.path)
         channels = dict(recording.channels)
         t, rows = _union_of_times(channels, recording.path)
         width = 1 + sum(c.values.shape[1] for c in channels.values())
         with path.open("w", encoding="utf-8", newline="\n") as out:
             start = "none" if recording.start_ns is None else str(recording.start_ns)
-            out.write(f"# imucal recording, start_ns: {start}\n")
+            out.write(f"# imucal recording, rows: {t.size}, start_ns: {start}\n")
             out.write(",".join(_names(channels)) + "\n")
             for first in range(0, t.size, _ROWS):
                 block = np.full((min(_ROWS, t.size - first), width), "", dtype="U32")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from imucalib.errors import UsageError
 from imucalib.recording import Recording
 
 FORMAT, VERSION = "imucal recording", 1
@@ -26,8 +25,6 @@ class Hdf5Writer:
         """Write all channels; a flipped bit in them is found when they are read."""
         import h5py
 
-        if not recording.channels:
-            raise UsageError("the recording has no channels", where=recording.path)
         with h5py.File(path, "w") as file:
             file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
             if recording.start_ns is not None:
