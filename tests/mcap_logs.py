@@ -75,9 +75,7 @@ def body(reading: Reading, order: str) -> bytes:
 def cdr(reading: Reading, order: str = "<", version: int = 1) -> bytes:
     """sensor_msgs/msg/Imu in CDR version 1 or 2 (doubles align to 8 or to 4 bytes)."""
     frame = reading.frame.encode() + b"\0"
-    head = struct.pack(
-        f"{order}iII", reading.ns // 10**9, reading.ns % 10**9, len(frame)
-    )
+    head = struct.pack(f"{order}iII", reading.ns // 10**9, reading.ns % 10**9, len(frame))
     head += frame
     head += b"\0" * (-len(head) % (8 if version == 1 else 4))
     number = {(1, ">"): 0, (1, "<"): 1, (2, ">"): 6, (2, "<"): 7}[version, order]

@@ -12,6 +12,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
+from mcap_ros2.decoder import DecoderFactory
+
+from imucalib import units
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.mapping import FieldMapping, from_dict
+from imucalib.readers import blocks, read, reader_for
+from imucalib.readers.joining import join
+from imucalib.recording import Recording
 from mcap_logs import (
     HEADER_ROS2,
     IMU_ROS1,
@@ -29,14 +37,6 @@ from mcap_logs import (
     values,
     write_log,
 )
-from mcap_ros2.decoder import DecoderFactory
-
-from imucalib import units
-from imucalib.errors import UnreadableInput, UsageError
-from imucalib.mapping import FieldMapping, from_dict
-from imucalib.readers import blocks, read, reader_for
-from imucalib.readers.joining import join
-from imucalib.recording import Recording
 
 COMPRESSIONS = [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD]
 ROS1 = ("sensor_msgs/Imu", "ros1msg", IMU_ROS1.encode())
@@ -49,7 +49,11 @@ def official(path: Path, topic: str) -> tuple[np.ndarray, np.ndarray, np.ndarray
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         found = reader.iter_decoded_messages(topics=[topic], log_time_order=False)
         for _, _, _, message in found:
-            stamp, a, w = message.header.stamp, message.linear_acceleration, message.angular_velocity
+            stamp, a, w = (
+                message.header.stamp,
+                message.linear_acceleration,
+                message.angular_velocity,
+            )
             stamps.append(stamp.sec * 10**9 + stamp.nanosec)
             acc.append((a.x, a.y, a.z))
             gyro.append((w.x, w.y, w.z))
@@ -113,11 +117,12 @@ def test_cdr_that_is_not_plain_is_named(tmp_path: Path) -> None:
 
 
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(frames=st.lists(st.text(max_size=12).filter(lambda s: "\0" not in s), min_size=2, max_size=60))
+@given(
+    frames=st.lists(st.text(max_size=12).filter(lambda s: "\0" not in s), min_size=2, max_size=60)
+)
 def test_frame_names_of_any_length(tmp_path: Path, frames: list[str]) -> None:
     rows = [
-        Reading(r.ns, r.acc, r.gyro, f)
-        for r, f in zip(readings(len(frames)), frames, strict=True)
+        Reading(r.ns, r.acc, r.gyro, f) for r, f in zip(readings(len(frames)), frames, strict=True)
     ]
     path = write_log(tmp_path / "a.mcap", {"/imu": packed(rows, official_cdr)})
     assert_equals_official(read(path, strict=True), path, ["/imu"])
@@ -258,7 +263,10 @@ def test_json_by_names_and_unit_by_norm(tmp_path: Path) -> None:
     trees = [
         {
             "timestamp": (r.ns - START) / 1e6,
-            "data": {"accel": [v / g for v in r.acc], "gyro": dict(zip("xyz", r.gyro, strict=True))},
+            "data": {
+                "accel": [v / g for v in r.acc],
+                "gyro": dict(zip("xyz", r.gyro, strict=True)),
+            },
         }
         for r in rows
     ]
@@ -297,7 +305,9 @@ def test_many_triads_in_one_message_and_mapping_reads_again(tmp_path: Path) -> N
     ]
     path = json_log(tmp_path / "a.mcap", trees)
     mapping = FieldMapping(
-        acc=("/imu:s0.force", "/imu:s1.force", "/imu:s2.force"), acc_unit="m/s2", triads=("a", "b", "c")
+        acc=("/imu:s0.force", "/imu:s1.force", "/imu:s2.force"),
+        acc_unit="m/s2",
+        triads=("a", "b", "c"),
     )
     recording = read(path, mapping)
     assert list(recording.channels) == ["a/acceleration", "b/acceleration", "c/acceleration"]
@@ -356,7 +366,9 @@ def test_wrong_length_messages_are_counted(tmp_path: Path) -> None:
 
 
 def test_px4_names_state_their_units(tmp_path: Path) -> None:
-    text = "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 dt\nfloat32[3] accelerometer_m_s2\nuint8 n\n"
+    text = (
+        "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 dt\nfloat32[3] accelerometer_m_s2\nuint8 n\n"
+    )
     dtype = np.dtype(
         [("e", "V4"), ("t", "<u8"), ("g", "<f4", 3), ("d", "<u4"), ("a", "<f4", 3), ("n", "u1")]
     )

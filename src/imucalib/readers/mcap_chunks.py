@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import zlib
 
-from imucalib.readers.mcap_records import ChunkHead, MalformedRecordError
+from imucalib.readers.mcap_records import COMPRESSIONS, ChunkHead, MalformedRecordError
 
-COMPRESSIONS = ("", "zstd", "lz4")
 _LZ4_MOST = 256  # an LZ4 block cannot expand further than 255 times
 _PIECE = 1 << 16
 

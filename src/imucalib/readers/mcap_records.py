@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 MESSAGE_INDEX, STATISTICS, DATA_END = 0x07, 0x0B, 0x0F
+COMPRESSIONS = ("", "zstd", "lz4")
 RECORD_HEADER = struct.Struct("<BQ")
 INDEX_HEAD = struct.Struct("<QHI")  # record length, channel, bytes of entries
 MESSAGE_HEADER_SIZE = 22
@@ -128,9 +129,10 @@ class ChunkHead(NamedTuple):
     body: int  # where the compressed records begin, from the start of the content
     size: int  # how many bytes they have
 
-    def fits(self, length: int, slack: int = 0) -> bool:
-        """Whether the inner length agrees with the record's own, which has 64 bits to be wrong."""
-        return 0 <= length - self.body - self.size <= slack
+    def plausible(self, length: int, slack: int = 0) -> bool:
+        """Whether this heads a chunk record of a length: 64 bits that noise does not match."""
+        fits = 0 <= length - self.body - self.size <= slack
+        return fits and self.first_ns <= self.last_ns and self.compression in COMPRESSIONS
 
 
 def parse_chunk_head(content: bytes) -> ChunkHead | None:

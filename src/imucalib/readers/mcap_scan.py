@@ -7,28 +7,20 @@ the scan goes on at the next chunk whose two lengths agree, and reports what was
 from __future__ import annotations
 
 import dataclasses
-import re
 import zlib
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import BinaryIO
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers import mcap_records as mr
 from imucalib.readers.mcap_chunks import unpack_chunk, unpack_cut_chunk
 from imucalib.readers.mcap_records import Damage, MalformedRecordError, MessageBlock, Schema, Topic
+from imucalib.readers.mcap_recovery import PEEK, FileBytes
 
 #: Yields messages, returns where the next record begins.
 _Steps = Generator[MessageBlock, None, int]
 _WINDOW = 1 << 22
-_PEEK = 64
-_INDEX_WINDOW = 1 << 17
 _KNOWN = range(0x01, 0x10)
-_CHUNK_PATTERN = re.compile(
-    rb"(?=\x06.{5}\x00{3}.{21}\x00{3}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4).{5}\x00{3})",
-    re.DOTALL,
-)
-_MESSAGE_PATTERN = re.compile(rb"(?=\x05.{3}\x00{5})", re.DOTALL)
 
 
 class Scanner:
@@ -51,8 +43,7 @@ class Scanner:
     def blocks(self) -> Iterator[MessageBlock]:
         """The messages in file order, a chunk at a time."""
         with open(self.path, "rb") as file:
-            self._file: BinaryIO = file
-            self._size = file.seek(0, 2)
+            self._bytes = FileBytes(file)
             if self._read(0, len(mr.MAGIC)) != mr.MAGIC:
                 raise UnreadableInput(
                     "this is not an MCAP file: its first 8 bytes are not the MCAP magic",
@@ -60,7 +51,7 @@ class Scanner:
                     remedy="check that the download or copy is complete",
                 )
             at = len(mr.MAGIC)
-            while not self._done and at < self._size:
+            while not self._done and at < self._bytes.size:
                 at = yield from self._step(at)
             if not self._done:
                 self._report(at, 0, "the file ends without its footer; it was not closed properly")
@@ -69,38 +60,46 @@ class Scanner:
 
     def _step(self, at: int) -> _Steps:
         """Read the record at `at`; the generator returns where the next one begins."""
-        peek = self._read(at, 9 + _PEEK)
+        peek = self._read(at, 9 + PEEK)
         if len(peek) < 9:
             return (yield from self._recover(at, "a record header is incomplete"))
         opcode, length = mr.RECORD_HEADER.unpack_from(peek)
         end = at + 9 + length
         chunk = mr.parse_chunk_head(peek[9:])
-        if opcode != mr.CHUNK and chunk and chunk.fits(length) and _plausible(chunk, length):
+        if opcode != mr.CHUNK and chunk and chunk.plausible(length):
             self._report(at, 0, f"a chunk is marked as record type 0x{opcode:02x}")
             opcode = mr.CHUNK
         if opcode not in _KNOWN and opcode < 0x80:
             return (yield from self._recover(at, f"unknown record type 0x{opcode:02x}"))
-        if end > self._size:
-            return (yield from self._recover(at, "a record runs past the end of the file"))
-        return (yield from self._whole(opcode, at, end, chunk))
-
-    def _whole(self, opcode: int, at: int, end: int, chunk: mr.ChunkHead | None) -> _Steps:
-        """A record that lies within the file."""
         if opcode == mr.CHUNK:
-            return (yield from self._chunk(at, end, chunk))
+            return (yield from self._chunk(at, chunk))
+        if end > self._bytes.size:
+            return (yield from self._recover(at, "a record runs past the end of the file"))
+        return (yield from self._whole(opcode, at, end))
+
+    def _whole(self, opcode: int, at: int, end: int) -> _Steps:
+        """A record other than a chunk that lies within the file."""
         if opcode == mr.MESSAGE:
             return (yield from self._loose(at))
         if opcode == mr.MESSAGE_INDEX and self._hidden is None:
-            return max(end, self._after_indexes(at))
+            after = self._bytes.after_indexes(at)
+            if after > at:
+                return after
         try:
+            if opcode != mr.FOOTER and not self._bytes.leads_on(end):
+                raise MalformedRecordError("nothing readable follows a record")
             self._other(opcode, at, end)
         except MalformedRecordError as error:
             return (yield from self._recover(at, str(error)))
         return end
 
-    def _chunk(self, at: int, end: int, head: mr.ChunkHead | None) -> _Steps:
-        if head is None or not head.fits(end - at - 9, slack=end):
-            return (yield from self._recover(at, "a chunk header contradicts itself"))
+    def _chunk(self, at: int, head: mr.ChunkHead | None) -> _Steps:
+        found = self._bytes.chunk_end(at, head)
+        if head is None or found is None:
+            return (yield from self._recover(at, "a chunk is cut, or its header damaged"))
+        end, agreed = found
+        if not agreed:
+            self._report(at, 0, "the length of a chunk's record is wrong")
         self._chunks += 1
         self._hidden = None
         try:
@@ -109,12 +108,10 @@ class Scanner:
             self._hidden = len(self.damages)
             self._report(at, end - at, str(error), head)
             return end
-        yield from self._records(data, at, end, head)
+        yield from self._records(data, at, head)
         return end
 
-    def _records(
-        self, data: bytes, at: int, end: int, head: mr.ChunkHead
-    ) -> Iterator[MessageBlock]:
+    def _records(self, data: bytes, at: int, head: mr.ChunkHead) -> Iterator[MessageBlock]:
         walk = mr.walk(data)
         self._define(data, walk, at)
         block = mr.message_block(data, walk.starts, at)
@@ -159,17 +156,6 @@ class Scanner:
             if tail != mr.MAGIC:
                 self._report(end, 0, "the bytes after the footer are not the closing magic")
             self._done = True
-
-    def _after_indexes(self, at: int) -> int:
-        """Where the message indexes end that stand in a row behind a chunk; they are not needed."""
-        data = self._read(at, _INDEX_WINDOW)
-        here, size = 0, len(data)
-        while here + 15 <= size and data[here] == mr.MESSAGE_INDEX:
-            length, _, entries = mr.INDEX_HEAD.unpack_from(data, here + 1)
-            if length != 6 + entries or here + 9 + length > size:
-                break
-            here += 9 + length
-        return at + here
 
     # -- definitions and checks ---------------------------------------------------------------
 
@@ -231,70 +217,30 @@ class Scanner:
         if found is not None:
             self._report(at, found - at, reason)
             return found
-        peek = self._read(at, 9 + _PEEK)
+        peek = self._read(at, 9 + PEEK)
         head = mr.parse_chunk_head(peek[9:])
         data = b""
         if peek[:1] == bytes([mr.CHUNK]) and head is not None:
             begin = at + 9 + head.body
-            data = unpack_cut_chunk(head, self._read(begin, self._size - begin))
+            data = unpack_cut_chunk(head, self._read(begin, self._bytes.size - begin))
         walk = mr.walk(data)
         self._define(data, walk, at)
         self.messages += walk.starts.size
         kept = f"; {walk.starts.size} messages of the cut chunk are kept" if data else ""
-        self._report(at, self._size - at, reason + kept, head if data else None)
+        self._report(at, self._bytes.size - at, reason + kept, head if data else None)
         if walk.starts.size:
             yield mr.message_block(data, walk.starts, at)
-        return self._size
+        return self._bytes.size
 
     def _search(self, start: int) -> int | None:
-        """The next chunk whose lengths agree; in a file without chunks, the next messages."""
-        found = self._scan(start, _CHUNK_PATTERN, self._is_chunk)
+        """The next intact chunk; in a file without chunks, the next messages."""
+        found = self._bytes.next_chunk(start)
         if found is None and not self._chunks:
-            found = self._scan(start, _MESSAGE_PATTERN, self._is_message_chain)
+            found = self._bytes.next_messages(start, self.topics)
         return found
 
-    def _scan(
-        self, start: int, pattern: re.Pattern[bytes], check: Callable[[int], bool]
-    ) -> int | None:
-        for at in range(start, self._size, _WINDOW):
-            window = self._read(at, _WINDOW + _PEEK)
-            for match in pattern.finditer(window):
-                if match.start() < _WINDOW and check(at + match.start()):
-                    return at + match.start()
-        return None
-
-    def _is_chunk(self, at: int) -> bool:
-        content = self._read(at + 9, _PEEK)
-        length = int.from_bytes(self._read(at + 1, 8), "little")
-        head = mr.parse_chunk_head(content)
-        return head is not None and head.fits(length, slack=_PEEK) and _plausible(head, length)
-
-    def _is_message_chain(self, at: int) -> bool:
-        for _ in range(3):
-            header = self._read(at, 11)
-            if len(header) < 11:
-                return len(header) == 0
-            opcode, length = mr.RECORD_HEADER.unpack_from(header)
-            if opcode == mr.DATA_END:
-                return bool(length == 4)
-            channel = int.from_bytes(header[9:11], "little")
-            if (
-                opcode != mr.MESSAGE
-                or length < mr.MESSAGE_HEADER_SIZE
-                or channel not in self.topics
-            ):
-                return False
-            at += 9 + length
-        return at <= self._size
-
     def _read(self, at: int, size: int) -> bytes:
-        self._file.seek(at)
-        return self._file.read(size)
-
-
-def _plausible(head: mr.ChunkHead, length: int) -> bool:
-    ordered = head.first_ns <= head.last_ns
-    return ordered and head.compression in ("", "zstd", "lz4") and length >= 40
+        return self._bytes.read(at, size)
 
 
 def known_topics(path: Path) -> dict[int, Topic]:
