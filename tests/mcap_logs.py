@@ -108,7 +108,7 @@ def ros1(reading: Reading) -> bytes:
 def readings(count: int, seed: int = 0, rate: float = 1000.0, frame: str = "imu") -> list[Reading]:
     """Readings of a sensor at rest, quantised."""
     rng = np.random.default_rng(seed)
-    acc = np.round((rng.normal(0, 0.02, (count, 3)) + [0, 0, 9.81]) / 0.0012) * 0.0012
+    acc = np.round(rng.normal((0.0, 0.0, 9.81), 0.02, (count, 3)) / 0.0012) * 0.0012
     gyro = np.round(rng.normal(0, 0.01, (count, 3)) / 0.0005) * 0.0005
     step = round(1e9 / rate)
     return [

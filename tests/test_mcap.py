@@ -1,4 +1,4 @@
-"""MCAP messages to channels: equal to the official decoder, in every encoding; clocks and choices."""
+"""MCAP messages to channels: equal to the official decoder in every encoding; clocks, choices."""
 
 from __future__ import annotations
 

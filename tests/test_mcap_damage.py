@@ -270,20 +270,19 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     max_examples=1500, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
-    which=st.integers(0, 5),
+    kind=st.tuples(st.integers(0, 5), st.booleans()),
     edits=st.lists(st.tuples(st.floats(0, 1), st.binary(min_size=1, max_size=9)), max_size=6),
     cut=st.floats(0.02, 1) | st.just(1.0),
-    streamed=st.booleans(),
 )
 def test_damaged_bytes_give_a_recording_or_a_named_error(
     tmp_path: Path,
     logs: list[bytes],
-    which: int,
+    kind: tuple[int, bool],
     edits: list[tuple[float, bytes]],
     cut: float,
-    streamed: bool,
 ) -> None:
-    data = bytearray(logs[which % len(logs)])
+    which, streamed = kind
+    data = bytearray(logs[which])
     for place, content in edits:
         at = int(place * (len(data) - 1))
         data[at : at + len(content)] = content
