@@ -6,8 +6,6 @@ their order. `matrices` are derived from the effects for those who only need a =
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from io import StringIO
@@ -24,6 +22,7 @@ from imucalib.fit import Fit
 from imucalib.matrices import Matrices, matrices
 from imucalib.model import Model
 from imucalib.uncertainty import correcting
+from imucalib.writers import replaced_atomically
 
 Array = NDArray[np.float64]
 
@@ -181,15 +180,8 @@ def write(calibration: Calibration, path: Path) -> None:
 def write_whole(path: Path, text: str) -> None:
     """Write a text file by a temporary neighbour and a rename."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with replaced_atomically(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def read(path: Path) -> Calibration:
@@ -244,3 +236,24 @@ def from_dict(content: Any, where: str) -> Calibration:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise UnreadableInput(f"the calibration is incomplete: {error!r}", where=where) from None
+
+
+def check(calibration: Calibration, where: str) -> None:
+    """Raise UnreadableInput unless the content makes sense: a covariance, an invertible model."""
+    covariance = calibration.covariance
+    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
+        raise UnreadableInput("the covariance is not finite and symmetric", where=where)
+    sd = np.array([p.sd for p in calibration.parameters])
+    if not np.allclose(np.sqrt(np.maximum(np.diag(covariance), 0.0)), sd, rtol=1e-6, atol=1e-12):
+        raise UnreadableInput("the standard deviations contradict the covariance", where=where)
+    spread = np.linalg.eigvalsh(covariance / np.outer(np.maximum(sd, 1e-300), np.maximum(sd, 1e-300)))
+    if spread.size and spread[0] < -1e-6:
+        raise UnreadableInput("the covariance is not positive", where=where)
+    model, theta = calibration.model()
+    sensitivity = model.predict(theta, np.zeros((1, 1, 3)), Context(1, _zeros(model))).d_truth[0, 0]
+    if abs(np.linalg.det(sensitivity)) < 1e-3:
+        raise UnreadableInput("the calibration cannot be inverted", where=where)
+
+
+def _zeros(model: Model) -> dict[str, Array]:
+    return {name: np.zeros(1) for effect in model.effects for name in effect.needs}

@@ -26,6 +26,9 @@ from imucalib.record_errors import RecordError, diagnose
 
 Array = NDArray[np.float64]
 
+#: An effect must gain at least this on held-out data, in log density.
+_HELD_OUT_NATS = 1.0
+
 
 @dataclass(frozen=True)
 class LoopSettings:
@@ -36,7 +39,7 @@ class LoopSettings:
     alpha: float = 0.04
     record_alpha: float = 0.01
     margin: float = 3.0
-    draws: int = 500
+    draws: int = 1000
     most_effects: int = 4
     most_records: int = 4
 
@@ -47,6 +50,7 @@ class Step:
 
     effect: str
     p: float
+    draws: int
     evidence: float
     held_out_before: float
     held_out_after: float
@@ -180,8 +184,11 @@ def _why_not(before: Fit, after: Fit) -> str:
     ]
     if implausible:
         return f"implausible size ({', '.join(implausible)})"
-    if log_predictive(after) <= log_predictive(before):
-        return "it does not help on held-out data"
+    if len(after.theta) * 1.5 > after.at.residual.size:
+        return "too few numbers for its parameters"
+    gain = log_predictive(after) - log_predictive(before)
+    if gain < _HELD_OUT_NATS or held_out(after).rms() >= held_out(before).rms():
+        return f"it does not hold out: {gain:+.1f} nats on data that it was not fitted to"
     return ""
 
 
@@ -195,6 +202,7 @@ def _step(before: Fit, after: Fit, chosen: Score, scores: tuple[Score, ...]) -> 
     return Step(
         chosen.name,
         chosen.p,
+        chosen.draws,
         chosen.evidence,
         held_out(before).rms(),
         held_out(after).rms(),

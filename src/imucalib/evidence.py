@@ -25,6 +25,8 @@ from imucalib.fit import Fit
 Array = NDArray[np.float64]
 Kind = Literal["effect", "probe", "noise", "record"]
 
+#: Simulated data sets of the first look; its floor, 1/300, is below every alpha in use.
+_FIRST_DRAWS = 299
 _TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 #: Variance components are re-estimated on this grid of factors of the fitted ratio. The fitted
 #: ratio itself is left out: the data would sit on a grid point and simulated data beside one.
@@ -47,7 +49,8 @@ class Candidate:
 class Score:
     """What the data say of one candidate.
 
-    evidence : nats in favour; p : family-wise, for the best of all candidates
+    evidence : nats in favour; p : family-wise, for the best of all candidates, from `draws`
+        simulated data sets (no smaller than 1 / (draws + 1))
     left : share of the candidate's columns that the fitted parameters do not absorb (0..1)
     strength : λ, the length of its projected columns at typical size, in noise units: 4.7 gives
         an 80 % chance of detection
@@ -57,6 +60,7 @@ class Score:
     candidate: Candidate
     evidence: float
     p: float
+    draws: int
     left: float
     strength: float
     share: float
@@ -85,7 +89,21 @@ class _Point:
 def score(
     fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, *, draws: int = 500
 ) -> tuple[Score, ...]:
-    """Score candidates against a fit, best first; p by `draws` simulated data sets."""
+    """Score candidates against a fit, best first; p by up to `draws` simulated data sets.
+
+    A first part of the draws settles what is clear; only a p that is neither clearly large nor at
+    the first part's floor is worth the rest.
+    """
+    few = min(draws, _FIRST_DRAWS)
+    scores = _score(fit, candidates, rng, few)
+    if scores and few < draws and 1.5 / (few + 1) < min(s.p for s in scores) < 0.2:
+        return _score(fit, candidates, rng, draws)
+    return scores
+
+
+def _score(
+    fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, draws: int
+) -> tuple[Score, ...]:
     if not candidates:
         return ()
     at, noise = fit.at, fit.noise
@@ -105,7 +123,7 @@ def score(
         evidence[live] = found[:, 0]
         p[live] = (1 + (best[None] >= found[:, :1]).sum(axis=1)) / (draws + 1)
     scores = [
-        Score(c, float(e), float(q), *numbers)
+        Score(c, float(e), float(q), draws, *numbers)
         for c, e, q, numbers in zip(candidates, evidence, p, alone, strict=True)
     ]
     return tuple(sorted(scores, key=lambda s: -s.evidence))

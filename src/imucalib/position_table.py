@@ -66,7 +66,11 @@ class PositionTable:
 
 
 def read_position_table(
-    path: Path, chosen: Mapping[str, str] | None = None, *, need_raw: bool = True
+    path: Path,
+    chosen: Mapping[str, str] | None = None,
+    *,
+    need_raw: bool = True,
+    need_angles: bool = True,
 ) -> PositionTable:
     """Read a CSV or HDF5 table.
 
@@ -82,7 +86,7 @@ def read_position_table(
     hdf5 = data[:8] == b"\x89HDF\r\n\x1a\n"
     cells = _hdf5_cells(path) if hdf5 else _csv_cells(data, str(path))
     names = _roles(list(cells), chosen or {}, str(path))
-    required = ("inclination", "tool_face") + (("x", "y", "z") if need_raw else ())
+    required = ("inclination", "tool_face") * need_angles + ("x", "y", "z") * need_raw
     absent = [role for role in required if role not in names]
     if absent:
         raise UnreadableInput(

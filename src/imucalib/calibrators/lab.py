@@ -117,8 +117,8 @@ def calibrate(
     else:
         loop, base = None, fit_model(model, data, start=start)
         final = base
-    if final.null_directions:
-        raise undetermined(final)
+    if base.null_directions and settings.objective not in OBJECTIVES:
+        raise undetermined(base)
     splits = _splits(base, final, observations, used, settings)
     gravity = gravity_of(data)
     known = isinstance(data.reference, KnownVector)

@@ -13,6 +13,7 @@ from imucalib.calibrators.lab import LabResult, gravity_of, setting_noise
 from imucalib.calibrators.lab_design import judge
 from imucalib.effects import catalogue
 from imucalib.errors import UsageError
+from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.fit import Fit
 from imucalib.model import Model
 from imucalib.outcome import Limit
@@ -40,6 +41,11 @@ def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
         found.append(f"record errors: {', '.join(r.where for r in loop.records)}")
     if loop and loop.unexplained:
         found.append(f"unexplained structure: {loop.unexplained[0].name}")
+    if result.settings.objective in OBJECTIVES and result.final.null_directions:
+        found.append(
+            f"objective '{result.settings.objective}' leaves open on these rows: "
+            + "; ".join(result.final.null_directions)
+        )
     if result.settings.sigma is not None and noise_conflict(result.final) < 0.01:
         found.append(
             f"noise not as declared: {result.final.noise.factor:.2f} times --sigma"

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from imucalib.balance import balance
 from imucalib.bench import held_settings
 from imucalib.context import Context
+from imucalib.conventions import Conventions
+from imucalib.effects import named
 from imucalib.identifiability import null_directions
 from imucalib.model import Model
 from imucalib.observations import Observations
@@ -188,3 +190,35 @@ def recommend(count: int, axes: int = 2) -> tuple[Array, Array]:
 def settings_of(inclination: Array, tool_face: Array) -> tuple[int, int]:
     """How often each axis is set anew in this order: setting errors average over these."""
     return int(held_settings(inclination)[-1]) + 1, int(held_settings(tool_face)[-1]) + 1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A set of positions in the user's convention (deg) with its quality under both references."""
+
+    inclination: Array
+    tool_face: Array
+    vector: Design
+    norm: Design
+    conventions: Conventions
+    settings: tuple[int, int]
+
+
+def design_of(inclination: Array, tool_face: Array, conventions: Conventions) -> Plan:
+    """Judge positions given in degrees in the user's convention."""
+    inside = conventions.inside(inclination, tool_face)
+    full = Model(tuple(named(n) for n in ("mounting", "bias", "scale", "non_orthogonality")))
+    nine = Model(tuple(named(n) for n in ("bias", "scale", "non_orthogonality")))
+    return Plan(
+        inclination,
+        tool_face,
+        judge(full, *inside),
+        judge(nine, *inside, norm=True),
+        conventions,
+        settings_of(inclination, tool_face),
+    )
+
+
+def recommended(count: int, axes: int, conventions: Conventions) -> Plan:
+    """A good set of positions, in the user's convention."""
+    return design_of(*conventions.outside(*recommend(count, axes)), conventions)

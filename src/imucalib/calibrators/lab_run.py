@@ -121,6 +121,16 @@ def run_lab(
     return LabRun(outcome, result, table, raw, request, excluded)
 
 
+def as_published(request: LabRequest) -> LabRequest:
+    """Paper 004's own method, as found from its printed Table 2: objective (5) on rows 1-20, the
+    12-parameter model, g = 9.80610 m/s², no search. No x-aligned row is among the first 20."""
+    settings = replace(request.settings, model="linear12", objective="paper", loop=False)
+    return replace(
+        request, settings=settings, train=tuple(range(1, 21)), gravity=9.80610,
+        gravity_source="as the paper used it",
+    )  # fmt: skip
+
+
 def _observations(table: PositionTable, raw: RawUnit, request: LabRequest) -> Observations:
     reading = table.raw() * raw.si
     sigma = request.settings.sigma or MG

@@ -8,6 +8,7 @@ published results; `least_squares` is the estimator whose uncertainty can be tru
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from imucalib.errors import NotConverged, UsageError
 from imucalib.estimators.least_squares import evaluate
 from imucalib.estimators.levenberg_marquardt import minimise
 from imucalib.fit import Fit
+from imucalib.identifiability import null_directions
 from imucalib.model import Model
 from imucalib.observations import Observations
 from imucalib.references import KnownVector, angles_of, unit_vector
@@ -98,4 +100,7 @@ def fit_corrected(model: Model, observations: Observations, objective: str, star
     variance = float(solution.residual @ solution.residual) / dof
     covariance = variance * np.linalg.pinv(solution.jacobian.T @ solution.jacobian, rcond=1e-14)
     noise = Noise(1.0, KnownVector.COMPONENTS, (0.005, 0.005)) if reference.setting_errors else None
-    return evaluate(model, observations, solution.state, covariance, noise)
+    parameters = model.parameters(context)
+    open_directions = null_directions(solution.jacobian, parameters, float(np.sqrt(variance)))
+    found = evaluate(model, observations, solution.state, covariance, noise)
+    return replace(found, null_directions=open_directions)

@@ -1,7 +1,9 @@
 """Levenberg-Marquardt on any state that can be linearised and moved.
 
-Column-scaled (Moré 1978), solved by QR so that the normal equations' squared condition never
-appears, and finished by plain Gauss-Newton steps down to rounding.
+Column-scaled (Moré 1978), damped by the gain ratio (Nielsen 1999), solved by QR and singular values
+so that the normal equations' squared condition never appears, and finished by plain Gauss-Newton
+steps down to rounding. Whether it has converged is asked of the undamped step, never of a damped one,
+which is short wherever it is taken.
 """
 
 from __future__ import annotations
@@ -16,6 +18,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 State = TypeVar("State")
 
+#: Singular values below this share of the largest are directions that the data leave open.
+_OPEN = 1e-13
+#: A parameter whose column has shrunk to this share ran away to where it does nothing.
+_RUNAWAY = 1e-10
+_MOST_DAMPING = 1e16
+
 
 @dataclass(frozen=True)
 class Solution(Generic[State]):
@@ -28,81 +36,101 @@ class Solution(Generic[State]):
     iterations: int
 
 
+@dataclass(frozen=True)
+class _Point(Generic[State]):
+    """A linearised state. singular, along : singular values of the scaled Jacobian, and the
+    residual along their directions; back : (p, p) from those to a step; gain : what the undamped
+    step would take off the cost, by the linear model."""
+
+    state: State
+    residual: Array
+    jacobian: Array
+    cost: float
+    norms: Array
+    singular: Array
+    along: Array
+    back: Array
+
+    @property
+    def gain(self) -> float:
+        return float(np.sum(self.along**2))
+
+    def step(self, damping: float) -> Array:
+        return np.asarray(self.back @ (self.along * self.singular / (self.singular**2 + damping)))
+
+    def predicted(self, damping: float) -> float:
+        left = damping / (self.singular**2 + damping)
+        return float(np.sum(self.along**2 * (1.0 - left**2)))
+
+
 def minimise(
     linearise: Callable[[State], tuple[Array, Array]],
     move: Callable[[State, Array], State],
     start: State,
     *,
     tolerance: float = 1e-10,
+    floor: float = 1e-9,
     iterations: int = 200,
 ) -> Solution[State]:
     """Least squares of residual(state), where d residual = -jacobian · step.
 
     linearise : state -> (residual (N,), jacobian (N, p) of the *prediction*)
     move : (state, step (p,)) -> state
-    tolerance : on the predicted relative change of the cost and on the scaled step
+    tolerance : on the share of the cost that an undamped step would still take off
+    floor : rms of the residual below which only rounding is left (residuals are in noise units)
     """
-    state = start
-    residual, jacobian = linearise(state)
-    cost = float(residual @ residual)
-    damping, growth = 1e-3, 2.0
-    scale = _column_scale(jacobian)
-    for iteration in range(1, iterations + 1):
-        scale = np.maximum(scale, _column_scale(jacobian))
-        step = _damped_step(residual, jacobian, scale, damping)
-        predicted = cost - float(np.sum((residual - jacobian @ step) ** 2))
-        trial = move(state, step)
-        new_residual, new_jacobian = linearise(trial)
-        new_cost = float(new_residual @ new_residual)
-        usable = np.isfinite(new_cost) and np.isfinite(new_jacobian).all()
-        small = predicted <= tolerance * cost or cost == 0.0
-        if usable and new_cost <= cost * (1.0 + (1e-14 if small else 0.0)):
-            gain = (cost - new_cost) / predicted if predicted > 0.0 else 1.0
-            state, residual, jacobian, cost = trial, new_residual, new_jacobian, new_cost
-            if small and damping <= 1e-6:
-                return _polish(linearise, move, state, residual, jacobian, iteration)
-            damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3) if not small else 0.01
-            damping, growth = max(damping, 1e-15), 2.0
-        elif small:
-            return _polish(linearise, move, state, residual, jacobian, iteration)
-        else:
+    point = _linearised(linearise, start, np.zeros(0))
+    assert point is not None, "the start cannot be evaluated"
+    damping, growth, widest, used = 1e-3, 2.0, point.norms, 0
+    while used < iterations and point.gain > tolerance * point.cost and damping < _MOST_DAMPING:
+        used += 1
+        trial = _linearised(linearise, move(point.state, point.step(damping)), widest)
+        if trial is None or trial.cost >= point.cost:
             damping, growth = damping * growth, growth * 2.0
-            if damping > 1e30:
-                break
-    return Solution(state, residual, jacobian, False, iterations)
+            continue
+        ratio = (point.cost - trial.cost) / point.predicted(damping)
+        damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-15)
+        point, growth, widest = trial, 2.0, np.maximum(widest, trial.norms)
+    point = _polished(linearise, move, point, widest)
+    settled = point.gain <= tolerance * point.cost or point.cost <= floor**2 * point.residual.size
+    kept = bool(np.all(point.norms >= _RUNAWAY * widest))
+    return Solution(point.state, point.residual, point.jacobian, settled and kept, used)
 
 
-def _column_scale(jacobian: Array) -> Array:
-    norms = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-    return np.where(norms > 0.0, norms, 1.0)
+def _linearised(
+    linearise: Callable[[State], tuple[Array, Array]], state: State, widest: Array
+) -> _Point[State] | None:
+    """The state with its singular directions; None where it cannot be evaluated."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        residual, jacobian = linearise(state)
+        cost = float(residual @ residual)
+        norms = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
+    if not (np.isfinite(cost) and np.isfinite(norms).all()):
+        return None
+    scale = np.maximum(widest, norms) if widest.size else norms
+    scale = np.where(scale > 0.0, scale, 1.0)
+    q, r = np.linalg.qr(jacobian / scale)
+    u, singular, rows = np.linalg.svd(r, full_matrices=False)
+    use = singular > _OPEN * singular.max(initial=0.0)
+    along = (u.T @ (q.T @ residual))[use]
+    back = rows[use].T / scale[:, None]
+    return _Point(state, residual, jacobian, cost, norms, singular[use], along, back)
 
 
-def _damped_step(residual: Array, jacobian: Array, scale: Array, damping: float) -> Array:
-    stacked = np.vstack([jacobian / scale, np.sqrt(damping) * np.eye(scale.size)])
-    q, r = np.linalg.qr(stacked)
-    return np.asarray(np.linalg.solve(r, q[: residual.size].T @ residual) / scale)
-
-
-def _polish(
+def _polished(
     linearise: Callable[[State], tuple[Array, Array]],
     move: Callable[[State, Array], State],
-    state: State,
-    residual: Array,
-    jacobian: Array,
-    iterations: int,
-) -> Solution[State]:
-    """Gauss-Newton steps for as long as they shrink: takes the last digits that damping costs."""
-    last = np.inf
+    point: _Point[State],
+    widest: Array,
+) -> _Point[State]:
+    """Gauss-Newton steps for as long as they shrink: takes the last digits that damping costs.
+
+    Also where the cost has a slightly different minimum than the estimating equation, because
+    the weights move with the state.
+    """
     for _ in range(20):
-        scale = _column_scale(jacobian)
-        step = np.linalg.lstsq(jacobian / scale, residual, rcond=1e-13)[0] / scale
-        size = float(np.linalg.norm(step * scale))
-        if not size < 0.9 * last:
+        trial = _linearised(linearise, move(point.state, point.step(0.0)), widest)
+        if trial is None or trial.gain > 0.8 * point.gain or trial.cost > 1.001 * point.cost:
             break
-        trial = move(state, step)
-        new_residual, new_jacobian = linearise(trial)
-        before, after = float(residual @ residual), float(new_residual @ new_residual)
-        if not after <= before * (1.0 + 1e-9) + 1e-300:
-            break
-        state, residual, jacobian, last = trial, new_residual, new_jacobian, size
-    return Solution(state, residual, jacobian, True, iterations)
+        point = trial
+    return point

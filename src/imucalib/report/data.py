@@ -91,7 +91,7 @@ def _found(loop: Loop) -> dict[str, Any]:
             for r in loop.records
         ],
         "steps": [
-            {"effect": s.effect, "p_value": s.p, "evidence_nats": s.evidence,
+            {"effect": s.effect, "p_value": s.p, "draws": s.draws, "evidence_nats": s.evidence,
              "held_out_before": s.held_out_before, "held_out_after": s.held_out_after,
              "held_out_unit": "m/s2", "aliases": list(s.aliases),
              "parameters": [

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from imucalib.attitude import AttitudeErrors, attitude_errors, rms, worst
 from imucalib.calibration import Calibration
+from imucalib.calibrators.lab_calibration import lab_calibration
 from imucalib.calibrators.lab import gravity_of, setting_noise
 from imucalib.calibrators.lab_advice import curve_words, fixture_curve
 from imucalib.calibrators.lab_run import LabRun
@@ -22,21 +23,23 @@ from imucalib.units import DEG, MG
 Array = NDArray[np.float64]
 
 
-def lab_document(run: LabRun, calibration: Calibration) -> Document:
+def lab_document(run: LabRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
-    outcome, draws = run.outcome, run.request.settings.rules.draws
+    calibration = lab_calibration(run)
+    outcome = run.outcome
     sections = [
-        loop_section(outcome, draws),
+        loop_section(outcome),
         _angle_section(run),
         _parameter_section(run),
         _bench_section(run),
+        _fixture_section(run),
         advice_section(outcome),
         _sensor_section(run, calibration),
         _uncertainty_section(run),
         Section("Positions", (position_table(run), *_residual_plots(run)), brief=False),
     ]
     if outcome.loop:
-        sections.append(candidate_section(outcome.loop, draws))
+        sections.append(candidate_section(outcome.loop))
     if run.request.settings.objective == "paper":
         sections.append(Section("As published", (published_table(run),), brief=False))
     return Document(
@@ -51,10 +54,13 @@ def _verdict(run: LabRun) -> Text:
     outcome = run.outcome
     error = outcome.error
     tone: Tone = {"ok": "ok", "marginal": "warning", "failed": "bad"}[outcome.status]  # type: ignore[assignment]
-    gain = f"Held-out error {error.held_out.base:.2f} -> {error.held_out.final:.2f} {error.unit} rms"
-    head = f"{outcome.status}: {gain} (floor {error.floor:.2f})."
+    head = (
+        f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
+        f"{error.held_out.final:.2f} {error.unit} rms final (noise floor {error.floor:.2f})."
+    )
     broken = [f"{x.name}: {x.value:.3g} {x.unit} exceeds {x.limit:g}" for x in outcome.limits if x.broken]
-    text = " ".join([head, *(f"{b}." for b in broken), *(f"{u}." for u in outcome.undecided)])
+    why = [f"{r[0].upper()}{r[1:]}" for r in outcome.reasons if not r.startswith("record errors")]
+    text = " ".join([head, *(f"{t}." for t in (*broken, *outcome.undecided, *why))])
     return Text(text, tone)
 
 
@@ -84,18 +90,19 @@ def _angle_section(run: LabRun) -> Section:
     rows: list[tuple[str, ...]] = []
 
     def row(name: str, errors: AttitudeErrors) -> None:
-        tf = spread((worst(errors.tool_face), rms(errors.tool_face))) if known else "-"
-        inc = spread((worst(errors.inclination), rms(errors.inclination))) if known else "-"
-        rows.append((name, tf, inc, spread((worst(errors.norm), rms(errors.norm)))))
+        rows.append((name, *_spreads(errors, known)))
 
     row("fitted, base", attitude_errors(fitted(result.base), gravity))
     row("fitted, final", attitude_errors(fitted(result.final), gravity))
     for split in result.splits:
         row(f"{split.name}, base", attitude_errors(split.base, gravity))
         row(f"{split.name}, final", attitude_errors(split.final, gravity))
-    header = ("", "tool-face, deg", "inclination, deg", "|a|, mg")
-    note = "Largest / rms. Inclination is compared after undoing the fixture error that was found."
-    blocks: list[Block] = [Table("Errors on the positions", header, tuple(rows), "lrrr", note)]
+    header = ("", "tool-face, deg", "inclination, deg", "|a|, mg") if known else ("", "|a|, mg")
+    align = "l" + "r" * (len(header) - 1)
+    note = "Largest / rms."
+    if curve_words(result.final):
+        note += " Inclination is compared after undoing the fixture error that was found."
+    blocks: list[Block] = [Table("Errors on the positions", header, tuple(rows), align, note)]
     loop = result.loop
     if loop and loop.records:
         aside = attitude_errors(fitted(loop.final), gravity)
@@ -105,16 +112,19 @@ def _angle_section(run: LabRun) -> Section:
             Table(
                 "With the suspect records set aside",
                 header,
-                (("fitted, final",
-                  spread((worst(rest.tool_face), rms(rest.tool_face))),
-                  spread((worst(rest.inclination), rms(rest.inclination))),
-                  spread((worst(rest.norm), rms(rest.norm)))),),
-                "lrrr",
+                (("fitted, final", *_spreads(rest, known)),),
+                align,
                 "The same model fitted without them, on the other rows.",
             )
-        )  # fmt: skip
+        )
     blocks += training_note(run)
-    return Section("Angles and |a|", tuple(blocks))
+    return Section("Angles and |a|" if known else "|a|", tuple(blocks))
+
+
+def _spreads(errors: AttitudeErrors, known: bool) -> tuple[str, ...]:
+    """Largest / rms of what the reference lets one compare."""
+    values = (errors.tool_face, errors.inclination, errors.norm) if known else (errors.norm,)
+    return tuple(spread((worst(v), rms(v))) for v in values)
 
 
 def _bench_section(run: LabRun) -> Section:
@@ -124,21 +134,25 @@ def _bench_section(run: LabRun) -> Section:
     rows = [("noise of a reading", plus_minus(sigma, sigma * float(fit.noise_sd[0]), "mg"))]
     for k, (name, sd) in enumerate(noise.items(), start=1):
         spread_sd = sd / DEG * float(fit.noise_sd[k])
-        rows.append((f"scatter of the {name}s", plus_minus(sd / DEG, spread_sd, "deg")))
+        rows.append((name, f"{plus_minus(sd / DEG, spread_sd, 'deg')} scatter"))
     rows += [("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})")]
     rows += [("raw unit", run.raw.sentence)]
     rows += [("left out", text) for text in run.excluded]
-    blocks: list[Block] = [Facts(tuple(rows))]
-    if words := curve_words(fit):
-        blocks.append(Text(words))
-        at = np.linspace(0.0, np.pi / 2.0, 61)
-        shift, _, half = fixture_curve(fit, at)
-        series = Series("dial error with 95 % band", at / DEG, shift, "band", shift - half, shift + half)
-        line = Series("fixture's inclination error", at / DEG, shift, "line")
-        title = "True inclination minus dial"
-        caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."
-        blocks.append(Plot(title, "inclination (deg)", "deg", (series, line), caption))
-    return Section("The bench", tuple(blocks))
+    words = curve_words(fit)
+    return Section("The bench", (Facts(tuple(rows)), *((Text(words),) if words else ())))
+
+
+def _fixture_section(run: LabRun) -> Section:
+    fit = run.result.final
+    if not curve_words(fit):
+        return Section("The bench's inclination dial", ())
+    at = np.linspace(0.0, np.pi / 2.0, 61)
+    shift, _, half = fixture_curve(fit, at)
+    band = Series("95 % band", at / DEG, shift, "band", shift - half, shift + half)
+    line = Series("true inclination minus dial", at / DEG, shift, "line")
+    caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."
+    plot = Plot("True inclination minus dial", "inclination (deg)", "deg", (band, line), caption)
+    return Section("The bench's inclination dial", (plot,), brief=False)
 
 
 def _sensor_section(run: LabRun, calibration: Calibration) -> Section:

@@ -29,7 +29,7 @@ def error_table(error: ErrorSummary) -> Table:
     )
 
 
-def loop_section(outcome: Outcome, draws: int) -> Section:
+def loop_section(outcome: Outcome) -> Section:
     """What was found, step by step, and what stays."""
     loop = outcome.loop
     blocks: list[Block] = []
@@ -37,7 +37,7 @@ def loop_section(outcome: Outcome, draws: int) -> Section:
         return Section("Closed loop", (Text("The search was not run."), error_table(outcome.error)))
     if loop.records:
         rows = tuple(
-            (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), probability(r.p, draws), r.likely)
+            (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), probability(r.p, 299), r.likely)
             for r in loop.records
         )
         header = ("record", "channel", "off by", "p", "likely")
@@ -49,7 +49,7 @@ def loop_section(outcome: Outcome, draws: int) -> Section:
         rows = tuple(
             (
                 s.effect,
-                probability(s.p, draws),
+                probability(s.p, s.draws),
                 f"{s.held_out_before / unit:.2f}",
                 f"{s.held_out_after / unit:.2f}",
                 ", ".join(s.aliases) or "-",
@@ -83,7 +83,7 @@ def _verdict(loop: Loop) -> tuple[str, str]:
     }[loop.verdict]
 
 
-def candidate_section(loop: Loop, draws: int) -> Section:
+def candidate_section(loop: Loop) -> Section:
     """Every candidate of the last search with its numbers, and why not."""
     rejected = dict(loop.rejected)
     rows = [
@@ -91,7 +91,7 @@ def candidate_section(loop: Loop, draws: int) -> Section:
             s.name,
             s.candidate.kind,
             "absorbed" if s.absorbed else f"{s.evidence:.2f}",
-            "-" if s.absorbed else probability(s.p, draws),
+            "-" if s.absorbed else probability(s.p, s.draws),
             f"{100.0 * s.left:.1f}",
             f"{s.strength:.1f}",
         )

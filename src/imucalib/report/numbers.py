@@ -28,7 +28,7 @@ def plus_minus(value: float, sd: float, unit: str = "") -> str:
 
 def probability(p: float, draws: int) -> str:
     """A Monte Carlo p-value; one that no simulated data set reached is shown as a bound."""
-    return f"< {2.0 / (draws + 1):.2g}" if p <= 1.5 / (draws + 1) else f"{p:.2g}"
+    return f"< {1.0 / draws:.1g}" if p <= 1.5 / (draws + 1) else f"{p:.2g}"
 
 
 def spread(values: tuple[float, float], places: int = 2) -> str:

@@ -1,0 +1,48 @@
+"""imucal design"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from imucalib.cli.output import color, emit_json, json_option, pairs, quiet_option, width
+
+
+@click.command("design", short_help="Judge a set of positions.")
+@click.argument("table", type=click.Path(path_type=Path), required=False)
+@click.option("--recommend", "count", type=click.IntRange(min=4), help="Instead of TABLE: a good set of N positions.")
+@click.option("--axes", type=click.Choice(["1", "2"]), default="2", show_default=True, help="Axes of the table, with --recommend.")
+@click.option("--columns", multiple=True, metavar="ROLE=NAME,...", help="Columns by heading: inclination, tool_face.")
+@click.option("--convention", default="paper", show_default=True, help="Angles: paper, drilling-gravity or drilling-force.")
+@json_option
+@quiet_option
+def command(
+    table: Path | None, count: int | None, axes: str, columns: tuple[str, ...], convention: str, as_json: bool, quiet: bool
+) -> int:
+    """How good is a set of positions, and which one or two more would help most.
+
+    \b
+    Examples:
+      imucal design positions.csv
+      imucal design --recommend 24 > plan.txt
+    """
+    from imucalib.calibrators.lab_design import design_of, recommended
+    from imucalib.conventions import preset
+    from imucalib.position_table import read_position_table
+    from imucalib.report.design import design_dict, design_document
+    from imucalib.report.text import render_text
+
+    if (table is None) == (count is None):
+        raise click.UsageError("give either TABLE or --recommend N")
+    angles = preset(convention)
+    if table is not None:
+        positions = read_position_table(table, pairs(columns, "--columns"), need_raw=False)
+        plan = design_of(positions.columns["inclination"], positions.columns["tool_face"], angles)
+    else:
+        plan = recommended(count or 0, int(axes), angles)
+    if as_json:
+        emit_json(design_dict(plan))
+    elif not quiet:
+        click.echo(render_text(design_document(plan), width(), color=color()), nl=False)
+    return 4 if plan.vector.open_directions else 0

@@ -1,0 +1,65 @@
+"""Options and output that all commands share: results to stdout, everything else to stderr."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+seed_option = click.option(
+    "--seed", default=0, show_default=True, help="Seed of all randomness: same seed, same result."
+)
+
+
+def numbers(text: str, what: str) -> tuple[int, ...]:
+    """ "1-20,25" as row numbers; raises click's usage error."""
+    rows: list[int] = []
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        first, dash, last = part.partition("-")
+        try:
+            low = int(first)
+            rows += range(low, int(last) + 1) if dash else [low]
+        except ValueError:
+            raise click.BadParameter(f"'{part}' is not a row or a range such as 1-20", param_hint=what) from None
+    return tuple(rows)
+
+
+def pairs(texts: tuple[str, ...], what: str) -> dict[str, str]:
+    """ "a=b,c=d" options as a dictionary; raises click's usage error."""
+    found: dict[str, str] = {}
+    for part in (p for text in texts for p in text.split(",") if p.strip()):
+        name, sign, value = part.partition("=")
+        if not sign:
+            raise click.BadParameter(f"'{part}' is not of the form name=value", param_hint=what)
+        found[name.strip()] = value.strip()
+    return found
+
+
+def width() -> int:
+    """Columns of the terminal; 80 where there is none."""
+    return shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 80
+
+
+def color() -> bool:
+    """Colour only on a terminal, and never when NO_COLOR is set."""
+    return sys.stdout.isatty() and "NO_COLOR" not in os.environ
+
+
+def emit_json(content: Any) -> None:
+    """The result as one JSON document on stdout."""
+    click.echo(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def note(text: str, quiet: bool) -> None:
+    """A line about the work, to stderr."""
+    if not quiet:
+        click.echo(text, err=True)

@@ -1,0 +1,103 @@
+"""The catalogue of effects as a document, as JSON and as the page of the documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from imucalib.context import Context
+from imucalib.effect import Effect
+from imucalib.report.document import Document, Facts, Section, Table, Text
+
+
+def _context() -> Context:
+    return Context(2, sweeps=2)
+
+
+def effect_dict(effect: Effect) -> dict[str, Any]:
+    """One effect as plain types."""
+    return {
+        "name": effect.name,
+        "stage": effect.stage,
+        "sentence": effect.sentence,
+        "equation": effect.equation,
+        "source": effect.source,
+        "needs": list(effect.needs),
+        "identify": effect.identify,
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "typical": p.typical, "plausible": p.plausible}
+            for p in effect.parameters(_context())
+        ],
+    }
+
+
+def catalogue_document(effects: Sequence[Effect]) -> Document:
+    """A table of many effects, or everything about one."""
+    if len(effects) == 1:
+        return Document(effects[0].name, Text(effects[0].sentence), (_one(effects[0]),))
+    rows = tuple(
+        (e.name, e.stage, ", ".join(e.needs).replace("_", " ") or "-", _sizes(e)) for e in effects
+    )
+    table = Table(
+        "Catalogue",
+        ("effect", "acts on", "needs", "typical size"),
+        rows,
+        "llll",
+        "`imucal effects NAME` shows the equation, the source and how to record data for it.",
+    )
+    verdict = Text(f"{len(effects)} effects. Fixture effects belong to the bench and are never applied.")
+    return Document("Effects", verdict, (Section("Catalogue", (table,)),))
+
+
+def _sizes(effect: Effect) -> str:
+    return ", ".join(dict.fromkeys(f"{p.typical:g} {p.unit}" for p in effect.parameters(_context())))
+
+
+def _one(effect: Effect) -> Section:
+    rows = tuple(
+        (p.name, f"{p.typical:g}", f"{p.plausible:g}", p.unit) for p in effect.parameters(_context())
+    )
+    header = ("parameter", "typical", "plausible", "unit")
+    return Section(
+        "Effect",
+        (
+            Facts(
+                (
+                    ("equation", effect.equation),
+                    ("acts on", effect.stage),
+                    ("needs", ", ".join(effect.needs) or "nothing beside the readings"),
+                    ("source", effect.source),
+                    ("to identify it", effect.identify),
+                )
+            ),
+            Table("Parameters", header, rows, "lrrl"),
+        ),
+    )
+
+
+def catalogue_markdown(effects: Sequence[Effect]) -> str:
+    """docs/effects.md: generated, so that it cannot go stale."""
+    lines = [
+        "# The catalogue of effects",
+        "",
+        "Generated from the code by `make docs`. Effects act on the truth: reading = x + Σ sensor",
+        "effects(x), x = mounting(fixture(truth)). Fixture effects belong to the bench, not the tool.",
+        "",
+    ]
+    for effect in effects:
+        sizes = "; ".join(
+            f"`{p.name}` typical {p.typical:g} {p.unit}" for p in effect.parameters(_context())
+        )
+        lines += [
+            f"## {effect.name}",
+            "",
+            f"{effect.sentence} Acts on: {effect.stage}.",
+            "",
+            f"- Equation: `{effect.equation}`",
+            f"- Parameters: {sizes}",
+            f"- Needs: {', '.join(effect.needs) or 'nothing beside the readings'}",
+            f"- Source: {effect.source}",
+            f"- To identify it: {effect.identify}",
+            "",
+        ]
+    return "\n".join(lines)
