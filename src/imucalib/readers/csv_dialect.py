@@ -48,6 +48,7 @@ class _Shape:
     decimal: str
     width: int
     numeric: tuple[bool, ...] = ()
+    blank_tail: bool = False  # rows end in a delimiter
 
     def is_row(self, line: str) -> bool:
         row = cells_of(line, self.delimiter)
@@ -106,8 +107,10 @@ def sniff(looks: Sequence[bytes], mapping: FieldMapping, where: str) -> Dialect:
             where=where,
             remedy="give --skip, --delimiter and --decimal if the file holds one",
         )
-    numeric = _numeric_columns([cells_of(line, best.delimiter) for line in body], best)
-    return _with_header(replace(best, numeric=numeric), pieces[0], mapping, where)
+    rows = [r for r in (cells_of(line, best.delimiter) for line in body) if len(r) == best.width]
+    numeric, tail = _numeric_columns(rows, best), all(not r[-1] for r in rows)
+    shape = replace(best, numeric=numeric, blank_tail=tail)
+    return _with_header(shape, pieces[0], mapping, where)
 
 
 def _body(pieces: list[list[str]], skip: int) -> list[str]:
@@ -130,12 +133,11 @@ def _score(rows: list[list[str]], mark: str) -> tuple[int, int]:
 
 
 def _numeric_columns(rows: list[list[str]], shape: _Shape) -> tuple[bool, ...]:
-    whole = [r for r in rows if len(r) == shape.width]
     numeric = []
     for c in range(shape.width):
-        numbers = sum(is_number(r[c], shape.decimal) for r in whole)
-        blanks = sum(is_blank(r[c]) for r in whole)
-        numeric.append(numbers > 0 and numbers + blanks > 0.5 * len(whole))
+        numbers = sum(is_number(r[c], shape.decimal) for r in rows)
+        blanks = sum(is_blank(r[c]) for r in rows)
+        numeric.append(numbers > 0 and numbers + blanks > 0.5 * len(rows))
     return tuple(numeric)
 
 
@@ -193,7 +195,7 @@ def _split_names(line: str, shape: _Shape) -> tuple[str, ...]:
         names = cells_of(bare, candidate)
         if len(names) == width + 1 and not names[-1]:
             names = names[:-1]
-        if len(names) == width - 1:
+        if len(names) == width - 1 and shape.blank_tail:
             names = [*names, ""]
         if len(names) == width and sum(any(ch.isalpha() for ch in n) for n in names) * 2 >= width:
             return tuple(names)
