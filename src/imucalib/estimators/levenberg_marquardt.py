@@ -2,8 +2,8 @@
 
 Column-scaled (Moré 1978), damped by the gain ratio (Nielsen 1999), solved by QR and singular values
 so that the normal equations' squared condition never appears, and finished by plain Gauss-Newton
-steps down to rounding. Whether it has converged is asked of the undamped step, never of a damped one,
-which is short wherever it is taken.
+steps down to rounding. Whether it has converged is asked of the undamped step: a damped one is
+short wherever it is taken.
 """
 
 from __future__ import annotations
