@@ -30,7 +30,10 @@ def recording(
     for i, triad in enumerate(triads):
         t = (np.arange(count) * 5_000_000 + i * 1000) * 1e-9
         acc = rng.normal((0, 0, 9.8), 0.05, (count, 3))
-        for name, values, own in (("acceleration", acc, "m/s2"), ("angular_rate", acc * 0, "rad/s")):
+        for name, values, own in (
+            ("acceleration", acc, "m/s2"),
+            ("angular_rate", acc * 0, "rad/s"),
+        ):
             kind = unit or own
             channels[f"{triad}/{name}"] = Channel(t, values, kind, name, triad, 200.0)
     return Recording(channels, "made", "made", "", start_ns)

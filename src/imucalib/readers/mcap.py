@@ -7,57 +7,17 @@ an acceleration do. Split accelerometer and gyroscope topics are joined into one
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from imucalib.mapping import FieldMapping
-from imucalib.readers import conversion
-from imucalib.readers.conversion import Conversion
-from imucalib.readers.mcap_fields import TopicFields
+from imucalib.readers.mcap_plan import CHANNEL_NAMES, Plan, decide
 from imucalib.readers.mcap_records import MAGIC
-from imucalib.readers.mcap_select import Triad, no_imu, resolved, triads_of
-from imucalib.readers.mcap_series import Clock, Timeline, choose_clock
 from imucalib.readers.mcap_store import Store
 from imucalib.readers.mcap_stream import TopicStream, checked
-from imucalib.readers.source import sha256_of
+from imucalib.readers.mcap_timeline import Timeline
 from imucalib.recording import Array, Channel, Gap, Recording
-
-_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
-_HOUR = 3_600_000_000_000
-
-
-@dataclass(frozen=True)
-class _Part:
-    """One channel to be: its name and triad, where its values come from, how they become SI."""
-
-    name: str
-    triad: str
-    quantity: str
-    topic: str
-    column: int
-    conversion: Conversion
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """What the first pass decided for the whole file."""
-
-    head: Recording  # without channels; its notes and mapping are those of the file
-    parts: tuple[_Part, ...]
-    clocks: dict[str, Clock]
-    start_ns: int
-
-    def timelines(self) -> dict[str, Timeline]:
-        labels = {part.topic: part.triad for part in reversed(self.parts)}
-        return {t: Timeline(c, self.start_ns, labels[t]) for t, c in self.clocks.items()}
-
-
-class _Topics(NamedTuple):
-    fields: dict[str, TopicFields]
-    clocks: dict[str, Clock]
 
 
 class McapReader:
@@ -74,7 +34,7 @@ class McapReader:
         """Read all samples in one pass; peak memory is the result and one spare channel."""
         try:
             stream, store = _collect(path, mapping, strict, keep=True)
-            plan = _decide(path, mapping, stream, store)
+            plan = decide(path, mapping, stream, store)
         except OSError as error:
             raise checked(error, path) from error
         outputs = {}
@@ -96,7 +56,7 @@ class McapReader:
         """Read the file twice: what holds for all of it first, then the samples in blocks."""
         try:
             stream, store = _collect(path, mapping, strict, keep=False)
-            plan = _decide(path, mapping, stream, store)
+            plan = decide(path, mapping, stream, store)
             yield from _emit(path, mapping, plan, block_samples)
         except OSError as error:
             raise checked(error, path) from error
@@ -113,120 +73,6 @@ def _collect(
     return stream, store
 
 
-def _decide(path: Path, mapping: FieldMapping, stream: TopicStream, store: Store) -> _Plan:
-    """Triads, clocks, units and notes, from everything that the first pass saw."""
-    sources = {n: s for n, s in stream.sources.items() if s.rows}
-    if any(source.imu for source in sources.values()) and not any((*mapping.acc, *mapping.gyro)):
-        sources = {n: s for n, s in sources.items() if s.imu}
-    fields = {name: source.fields for name, source in sources.items()}
-    alive = {name: store.surveys[name].alive for name in sources}
-    triads = triads_of(mapping, fields, alive)
-    if not any(triad.parts for triad in triads):
-        raise no_imu(str(path), stream.candidates())
-    used = list(dict.fromkeys(t for triad in triads for t, _ in triad.parts.values()))
-    clocks = _clocks({name: fields[name] for name in used}, mapping, store)
-    parts, notes = _parts(path, mapping, triads, store, _Topics(fields, clocks))
-    notes = [*_described(triads, fields, clocks, alive), *notes, *stream.losses()]
-    start, dated = _origin([fields[name] for name in used], list(clocks.values()))
-    states = {part.quantity: part.conversion.source_unit for part in reversed(parts)}
-    found = resolved(mapping, triads, fields, [states.get("acc", ""), states.get("gyro", "")])
-    head = Recording(
-        {}, str(path), "mcap", sha256_of(path), start if dated else None, (), tuple(notes),
-        found.to_dict(),
-    )  # fmt: skip
-    return _Plan(head, tuple(parts), clocks, start)
-
-
-def _origin(topics: list[TopicFields], clocks: list[Clock]) -> tuple[int, bool]:
-    """ns of t = 0, and whether it is a date: as the file states it, else the first sample's."""
-    stated = {(fields.origin_ns, fields.dated) for fields in topics}
-    stamped = all(clock.source == "stamp" for clock in clocks)
-    origin, dated = next(iter(stated))
-    if len(stated) == 1 and stamped and origin is not None:
-        return origin, dated
-    return min(clock.first for clock in clocks), all(clock.dated for clock in clocks)
-
-
-def _clocks(
-    topics: dict[str, TopicFields], mapping: FieldMapping, store: Store
-) -> dict[str, Clock]:
-    """A clock for each topic; one clock for all where their stamps tell of different epochs."""
-    clocks = {name: _clock(store, name, fields, mapping) for name, fields in topics.items()}
-    starts = [clock.first for clock in clocks.values()]
-    logs = [store.surveys[name].log.low for name in clocks]
-    if max(starts) - min(starts) <= max(logs) - min(logs) + _HOUR:
-        return clocks
-    return {name: _clock(store, name, TopicFields(()), mapping) for name in topics}
-
-
-def _clock(store: Store, name: str, fields: TopicFields, mapping: FieldMapping) -> Clock:
-    survey = store.surveys[name] if fields.time_leaves else store.without_stamps(name)
-    scalar = len(fields.time_leaves) == 1
-    return choose_clock(survey, scalar=scalar, time_unit=mapping.time_unit, rate=mapping.rate)
-
-
-def _parts(
-    path: Path,
-    mapping: FieldMapping,
-    triads: list[Triad],
-    store: Store,
-    topics: _Topics,
-) -> tuple[list[_Part], list[str]]:
-    parts, notes = [], []
-    for triad in triads:
-        for quantity, (topic, column) in triad.parts.items():
-            stated = topics.fields[topic].fields[column].unit
-            pieces = store.surveys[topic].rest_pieces(column)
-            period = topics.clocks[topic].period
-            convert = _conversion(
-                quantity, mapping, stated, pieces, period=period, where=f"{path}, topic {topic}"
-            )
-            if convert.note:
-                notes.append(f"{triad.name}: {convert.note}")
-            name = f"{triad.name}/{_NAMES[quantity]}"
-            parts.append(_Part(name, triad.name, quantity, topic, column, convert))
-    return parts, notes
-
-
-def _conversion(
-    quantity: str,
-    mapping: FieldMapping,
-    stated: str,
-    pieces: list[Array],
-    *,
-    period: float,
-    where: str,
-) -> Conversion:
-    if quantity == "acc":
-        window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
-        return conversion.acceleration(
-            mapping, stated, conversion.norms_at_rest(pieces, window), where
-        )
-    if quantity == "gyro":
-        return conversion.angular_rate(mapping, stated, where)
-    return conversion.temperature(mapping, stated, np.concatenate(pieces), where)
-
-
-def _described(
-    triads: list[Triad],
-    topics: dict[str, TopicFields],
-    clocks: dict[str, Clock],
-    alive: dict[str, list[bool]],
-) -> list[str]:
-    notes = []
-    for triad in triads:
-        for topic in dict.fromkeys(name for name, _ in triad.parts.values()):
-            clock = clocks[topic]
-            source = topics[topic].time if clock.source == "stamp" else clock.source
-            lines = "; ".join(clock.notes)
-            notes.append(f"{triad.name}: topic {topic}, time from {source}: {lines}")
-    for topic, flags in alive.items():
-        for f, living in zip(topics[topic].fields, flags, strict=True):
-            if not living:
-                notes.append(f"topic {topic}: {f.address} is always zero")
-    return notes
-
-
 def _missing(timelines: dict[str, Timeline]) -> list[str]:
     return [
         f"{line.label}: {line.missing} samples are missing in short steps, below a gap's length"
@@ -235,9 +81,7 @@ def _missing(timelines: dict[str, Timeline]) -> list[str]:
     ]
 
 
-def _emit(
-    path: Path, mapping: FieldMapping, plan: _Plan, block_samples: int
-) -> Iterator[Recording]:
+def _emit(path: Path, mapping: FieldMapping, plan: Plan, block_samples: int) -> Iterator[Recording]:
     # The first pass has raised already if the file must be whole.
     stream = TopicStream(path, mapping, strict=False, gather=block_samples)
     timelines = plan.timelines()
@@ -268,7 +112,7 @@ def _emit(
 
 
 def _recording(
-    plan: _Plan,
+    plan: Plan,
     outputs: dict[str, list[tuple[Array, list[Array]]]],
     gaps: list[Gap],
     notes: tuple[str, ...],
@@ -284,9 +128,13 @@ def _recording(
         values = part.conversion.apply(_whole([columns[part.column] for _, columns in pieces]))
         period = plan.clocks[part.topic].period
         channels[part.name] = Channel(
-            times[part.topic], values, part.conversion.unit, _NAMES[part.quantity], part.triad,
-            1e9 / period if period else 0.0,
-        )  # fmt: skip
+            t=times[part.topic],
+            values=values,
+            unit=part.conversion.unit,
+            quantity=CHANNEL_NAMES[part.quantity],
+            triad=part.triad,
+            rate=1e9 / period if period else 0.0,
+        )
     head, ordered = plan.head, sorted(gaps, key=lambda gap: (gap.start, gap.stop, gap.reason))
     return Recording(
         channels, head.path, head.format, head.sha256, head.start_ns, tuple(ordered), notes,

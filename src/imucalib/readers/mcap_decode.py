@@ -12,14 +12,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.readers.mcap_layout import (
-    Definition,
-    Groups,
-    Layout,
-    LayoutError,
-    compile_layout,
-    definition_of,
-)
+from imucalib.readers.mcap_definition import Definition, LayoutError, definition_of
+from imucalib.readers.mcap_layout import Groups, Layout, compile_layout
 from imucalib.readers.mcap_records import MessageBlock, Topic
 
 Widths = tuple[int, ...]  # numbers in each group

@@ -16,6 +16,8 @@ from imucalib.readers import mcap_records as mr
 from imucalib.readers.mcap_chunks import unpack_chunk, unpack_cut_chunk
 from imucalib.readers.mcap_records import Damage, MalformedRecordError, MessageBlock, Schema, Topic
 from imucalib.readers.mcap_recovery import PEEK, FileBytes
+from imucalib.readers.mcap_walk import Walk
+from imucalib.readers.mcap_walk import walk as walk_records
 
 #: Yields messages, returns where the next record begins.
 _Steps = Generator[MessageBlock, None, int]
@@ -112,7 +114,7 @@ class Scanner:
         return end
 
     def _records(self, data: bytes, at: int, head: mr.ChunkHead) -> Iterator[MessageBlock]:
-        walk = mr.walk(data)
+        walk = walk_records(data)
         self._define(data, walk, at)
         block = mr.message_block(data, walk.starts, at)
         if walk.stopped:
@@ -129,7 +131,7 @@ class Scanner:
         """Messages outside any chunk, a window at a time."""
         _, length = mr.RECORD_HEADER.unpack(self._read(at, 9))
         data = self._read(at, max(_WINDOW, 9 + length))
-        walk = mr.walk(data)
+        walk = walk_records(data)
         if walk.end == 0:
             return (yield from self._recover(at, walk.stopped))
         self._define(data, walk, at)
@@ -159,7 +161,7 @@ class Scanner:
 
     # -- definitions and checks ---------------------------------------------------------------
 
-    def _define(self, data: bytes, walk: mr.Walk, at: int) -> None:
+    def _define(self, data: bytes, walk: Walk, at: int) -> None:
         for opcode, start, stop in walk.others:
             if opcode in (mr.SCHEMA, mr.CHANNEL):
                 try:
@@ -223,7 +225,7 @@ class Scanner:
         if peek[:1] == bytes([mr.CHUNK]) and head is not None:
             begin = at + 9 + head.body
             data = unpack_cut_chunk(head, self._read(begin, self._bytes.size - begin))
-        walk = mr.walk(data)
+        walk = walk_records(data)
         self._define(data, walk, at)
         self.messages += walk.starts.size
         kept = f"; {walk.starts.size} messages of the cut chunk are kept" if data else ""
@@ -241,45 +243,3 @@ class Scanner:
 
     def _read(self, at: int, size: int) -> bytes:
         return self._bytes.read(at, size)
-
-
-def known_topics(path: Path) -> dict[int, Topic]:
-    """Channels from the summary at the file's end, empty when it is absent or damaged.
-
-    A fallback for a file whose only channel definitions were in a chunk that is lost.
-    """
-    with open(path, "rb") as file:
-        size = file.seek(0, 2)
-        file.seek(max(size - 37, 0))
-        tail = file.read()
-        if len(tail) < 37 or tail[0] != mr.FOOTER or tail[-8:] != mr.MAGIC:
-            return {}
-        summary = int.from_bytes(tail[9:17], "little")
-        if not len(mr.MAGIC) <= summary < size:
-            return {}
-        file.seek(summary)
-        data = file.read(size - 37 - summary)
-    expected = int.from_bytes(tail[25:29], "little")
-    if expected and zlib.crc32(data + tail[:25]) != expected:
-        return {}
-    return _channels(data)
-
-
-def _channels(data: bytes) -> dict[int, Topic]:
-    schemas: dict[int, Schema] = {}
-    topics: dict[int, Topic] = {}
-    at = 0
-    try:
-        while at + 9 <= len(data):
-            opcode, length = mr.RECORD_HEADER.unpack_from(data, at)
-            content = data[at + 9 : at + 9 + length]
-            if opcode == mr.SCHEMA:
-                schema = mr.parse_schema(content)
-                schemas[schema.id] = schema
-            elif opcode == mr.CHANNEL:
-                topic = mr.parse_channel(content, schemas)
-                topics[topic.id] = topic
-            at += 9 + length
-    except MalformedRecordError:
-        return {}
-    return topics

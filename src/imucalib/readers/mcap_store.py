@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.readers.mcap_series import ClockFacts, Growing, Stamps, Survey
 from imucalib.readers.mcap_stream import Samples
+from imucalib.readers.mcap_survey import ClockFacts, Growing, Stamps, Survey
 from imucalib.recording import Array
 
 _BATCH = 4096  # rows that are surveyed at once when samples are not kept

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.mapping import FieldMapping
 from imucalib.readers.mcap_decode import Decoder, decoder_for
+from imucalib.readers.mcap_definition import LayoutError
 from imucalib.readers.mcap_fields import TopicFields, is_imu
-from imucalib.readers.mcap_layout import Groups, LayoutError
+from imucalib.readers.mcap_layout import Groups
 from imucalib.readers.mcap_records import MessageBlock, Topic
-from imucalib.readers.mcap_scan import Scanner, known_topics
+from imucalib.readers.mcap_scan import Scanner
 from imucalib.readers.mcap_select import fields_of, natural, split_address
+from imucalib.readers.mcap_summary import known_topics
 
 _UNDECIDED, _SKIPPED = -1, -2
 _GATHER = 1 << 16  # rows that are decoded before they are divided among their topics

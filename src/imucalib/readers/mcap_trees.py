@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from imucalib.errors import UsageError
 from imucalib.readers.mcap_decode import Decoded, Widths
-from imucalib.readers.mcap_layout import Groups, LayoutError
+from imucalib.readers.mcap_definition import LayoutError
+from imucalib.readers.mcap_layout import Groups
 from imucalib.readers.mcap_records import MessageBlock, Schema
 
 _UNREADABLE = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)

@@ -6,69 +6,16 @@ when raw, the time origin), so that the reader gives back the same recording.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 import imucalib
 from imucalib.errors import UsageError
-from imucalib.readers.mcap_fields import (
-    META_ACC_UNIT,
-    META_DATED,
-    META_GYRO_UNIT,
-    META_ORIGIN,
-    META_QUANTITIES,
-    META_TRIAD,
-)
-from imucalib.readers.mcap_layout import IMU_ROS2, TEMPERATURE_ROS2
-from imucalib.readers.mcap_records import MESSAGE, MessageBlock, Topic
-from imucalib.readers.mcap_scan import Scanner, known_topics
-from imucalib.recording import Array, Channel, Recording
+from imucalib.readers.mcap_records import Topic
+from imucalib.recording import Recording
 from imucalib.writers import replaced_atomically
+from imucalib.writers.mcap_copy import copied, log_origin, topics_of
 from imucalib.writers.mcap_file import McapFile
-
-_CHUNK_BYTES = 1 << 20
-_NAMES = {"acceleration": "acc", "angular_rate": "gyro", "temperature": "temperature"}
-_WIDTHS = {"acceleration": 3, "angular_rate": 3, "temperature": 1}
-_UNITS = {"acceleration": "m/s2", "angular_rate": "rad/s", "temperature": "degC"}
-_SCHEMAS = {
-    1: ("sensor_msgs/msg/Imu", IMU_ROS2),
-    2: ("imucal_msgs/msg/RawImu", IMU_ROS2),  # counts are no m/s2: another type says so
-    3: ("sensor_msgs/msg/Temperature", TEMPERATURE_ROS2),
-}
-
-
-@dataclass(frozen=True)
-class _Output:
-    """One topic to be written: its message records but for the values."""
-
-    number: int
-    schema: int
-    topic: str
-    metadata: dict[str, str]
-    ns: NDArray[np.int64]
-    log: NDArray[np.uint64]
-    values: tuple[tuple[str, Array], ...]
-    dtype: np.dtype[np.void]
-    frame: bytes
-
-    def records(self, rows: slice) -> NDArray[np.void]:
-        """The message records of some samples."""
-        ns, log = self.ns[rows], self.log[rows]
-        out = np.zeros(ns.size, dtype=self.dtype)
-        out["opcode"], out["length"] = MESSAGE, self.dtype.itemsize - 9
-        out["channel"], out["log"], out["publish"] = self.number, log, log
-        out["sequence"] = np.arange(rows.start, rows.start + ns.size, dtype=np.uint32)
-        out["cdr"], out["sec"], out["nanosec"] = 0x0100, ns // 10**9, ns % 10**9
-        out["frame_length"], out["frame"] = len(self.frame), np.void(self.frame)
-        for name, values in self.values:
-            out[name] = values[rows]
-        if self.schema != 3:
-            out["no_orientation"] = -1.0  # what the message defines for "not estimated"
-        return out
+from imucalib.writers.mcap_messages import SCHEMAS, SHORT_NAMES, Output, chunks_of, outputs_of
 
 
 class McapWriter:
@@ -93,37 +40,37 @@ def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None
 
 
 def _write(recording: Recording, path: Path, source: Path | None) -> None:
-    topics = _topics_of(source) if source else {}
+    topics = topics_of(source) if source else {}
     taken = _topic_names(recording, source is not None)
     kept = {n: t for n, t in topics.items() if t.name not in _replaced(recording)}
     clashes = {t.name for t in kept.values()} & set(taken.values())
     if clashes:
         raise UsageError(f"the source has topics of the same name: {', '.join(sorted(clashes))}")
     first = max([0, *topics]) + 1
-    origin = _log_origin(recording, source)
-    outputs = _outputs(recording, taken, first, origin)
+    origin = log_origin(recording, source)
+    outputs = outputs_of(recording, taken, first, origin)
     base = max([0, *(t.schema.id for t in topics.values() if t.schema)])
-    if first + len(outputs) > 65535 or base + len(_SCHEMAS) > 65535:
+    if first + len(outputs) > 65535 or base + len(SCHEMAS) > 65535:
         raise UsageError("the source has no free channel numbers left", where=str(source))
     file = McapFile(path, "ros2", f"imucal {imucalib.__version__}")
     try:
         _define(file, outputs, kept, base)
-        for chunk in _chunks(outputs):
+        for chunk in chunks_of(outputs):
             file.chunk(*chunk)
         if source is not None:
-            for block in _copied(source, kept):
+            for block in copied(source, kept):
                 file.chunk(*block)
         file.close()
     finally:
         file.abandon()
 
 
-def _define(file: McapFile, outputs: list[_Output], kept: dict[int, Topic], base: int) -> None:
+def _define(file: McapFile, outputs: list[Output], kept: dict[int, Topic], base: int) -> None:
     for topic in kept.values():
         if topic.schema:
             file.schema(*topic.schema)
     for number in sorted({output.schema for output in outputs}):
-        name, text = _SCHEMAS[number]
+        name, text = SCHEMAS[number]
         file.schema(base + number, name, "ros2msg", text.encode())
     for number, topic in kept.items():
         schema = topic.schema.id if topic.schema else 0
@@ -150,7 +97,7 @@ def _topic_names(recording: Recording, replace: bool) -> dict[str, str]:
     if not replace:
         return names
     triads = recording.mapping.get("triads", ())
-    for quantity, short in _NAMES.items():
+    for quantity, short in SHORT_NAMES.items():
         stated = recording.mapping.get(short, ())
         if not isinstance(stated, list | tuple) or not isinstance(triads, list | tuple):
             continue
@@ -159,176 +106,6 @@ def _topic_names(recording: Recording, replace: bool) -> dict[str, str]:
             if topic and name in names and short != "temperature":
                 names[name] = topic
     return names
-
-
-def _outputs(recording: Recording, names: dict[str, str], first: int, origin: int) -> list[_Output]:
-    groups: dict[tuple[str, str], list[tuple[str, Channel]]] = {}
-    for name, channel in recording.channels.items():
-        if _WIDTHS.get(channel.quantity) != channel.values.shape[1]:
-            raise UsageError(
-                f"channel {name} ({channel.quantity}, {channel.values.shape[1]} columns) has no"
-                " ROS message",
-                where=recording.path,
-                remedy="write HDF5 (.h5) instead",
-            )
-        groups.setdefault((names[name], channel.triad), []).append((names[name], channel))
-    split = [part for group in groups.values() for part in _by_times(group)]
-    used = [topic for topic, _ in split]
-    if len(set(used)) != len(used):
-        raise UsageError(
-            "two triads would share a topic", where=recording.path, remedy="rename the triads"
-        )
-    return [
-        _output(recording, topic, channels, first + i, origin)
-        for i, (topic, channels) in enumerate(split)
-    ]
-
-
-def _by_times(group: list[tuple[str, Channel]]) -> list[tuple[str, list[Channel]]]:
-    """Channels of one topic; those with other times or units go to a topic beside it."""
-    (topic, first), *others = group
-    together = [first]
-    apart: list[Channel] = []
-    for _, channel in others:
-        same = np.array_equal(first.t, channel.t) and _raw(first) == _raw(channel)
-        (together if same else apart).append(channel)
-    if not apart:
-        return [(topic, together)]
-    words = {"acceleration": "accel", "angular_rate": "gyro", "temperature": "temperature"}
-    return [(f"{topic}/{words[c.quantity]}", [c]) for c in (*together, *apart)]
-
-
-def _raw(channel: Channel) -> bool:
-    return channel.unit != _UNITS[channel.quantity]
-
-
-def _output(
-    recording: Recording, topic: str, channels: list[Channel], number: int, origin: int
-) -> _Output:
-    units = {_NAMES[c.quantity]: c.unit for c in channels}
-    start = recording.start_ns or 0
-    metadata = {
-        META_TRIAD: channels[0].triad,
-        META_QUANTITIES: " ".join(units),
-        META_ORIGIN: str(start),
-        META_DATED: "yes" if recording.start_ns is not None else "no",
-        META_ACC_UNIT: units.get("acc", ""),
-        META_GYRO_UNIT: units.get("gyro", ""),
-    }
-    temperature = channels[0].quantity == "temperature"
-    schema = 3 if temperature else 2 if any(_raw(c) for c in channels) else 1
-    if temperature and _raw(channels[0]):
-        raise UsageError("a temperature in counts has no ROS message", where=recording.path)
-    steps = np.rint(channels[0].t * 1e9).astype(np.int64)
-    ns, log = start + steps, (start + origin + steps).astype(np.uint64)
-    values = tuple((c.quantity, c.values[:, 0] if temperature else c.values) for c in channels)
-    frame = channels[0].triad.encode() + b"\0"
-    dtype = _record_type(len(frame), temperature)
-    return _Output(number, schema, topic, metadata, ns, log, values, dtype, frame)
-
-
-def _record_type(frame: int, temperature: bool) -> np.dtype[np.void]:
-    """A whole message record: 31 bytes of MCAP, 4 of encapsulation, then the CDR message."""
-    begin = 35 + 12 + frame
-    begin += -(begin - 35) % 8
-    fields: list[tuple[str, object, int]] = [
-        ("opcode", "u1", 0), ("length", "<u8", 1), ("channel", "<u2", 9), ("sequence", "<u4", 11),
-        ("log", "<u8", 15), ("publish", "<u8", 23), ("cdr", "<u2", 31), ("sec", "<i4", 35),
-        ("nanosec", "<u4", 39), ("frame_length", "<u4", 43), ("frame", f"V{frame}", 47),
-    ]  # fmt: skip
-    if temperature:
-        fields.append(("temperature", "<f8", begin))
-        size = begin + 16
-    else:
-        fields += [
-            ("no_orientation", "<f8", begin + 32),
-            ("angular_rate", ("<f8", (3,)), begin + 104),
-            ("acceleration", ("<f8", (3,)), begin + 200),
-        ]
-        size = begin + 296
-    columns = {
-        "names": [f[0] for f in fields],
-        "formats": [f[1] for f in fields],
-        "offsets": [f[2] for f in fields],
-        "itemsize": size,
-    }
-    return np.dtype(columns)  # type: ignore[call-overload, no-any-return]
-
-
-_ChunkData = tuple[bytes, NDArray[np.int64], NDArray[np.int64], NDArray[np.uint64]]
-
-
-def _chunks(outputs: list[_Output]) -> Iterator[_ChunkData]:
-    """Chunks of about 1 MiB, the topics interleaved in time order."""
-    outputs = [output for output in outputs if output.ns.size]
-    if not outputs:
-        return
-    total = sum(output.ns.size * output.dtype.itemsize for output in outputs)
-    first = min(int(output.log.min()) for output in outputs)
-    last = max(int(output.log.max()) for output in outputs)
-    step = max(1, (last - first) * _CHUNK_BYTES // total)
-    done = [0] * len(outputs)
-    edge = first
-    peaks = [np.maximum.accumulate(output.log) for output in outputs]
-    while any(d < o.ns.size for d, o in zip(done, outputs, strict=True)):
-        waiting = [int(p[d]) for p, d in zip(peaks, done, strict=True) if d < p.size]
-        edge = max(edge + step, min(waiting) + 1)
-        stops = [int(np.searchsorted(peak, np.uint64(edge))) for peak in peaks]
-        yield _interleaved(outputs, [slice(a, b) for a, b in zip(done, stops, strict=True)])
-        done = stops
-
-
-def _interleaved(outputs: list[_Output], parts: list[slice]) -> _ChunkData:
-    records = [output.records(part) for output, part in zip(outputs, parts, strict=True)]
-    log = np.concatenate([output.log[part] for output, part in zip(outputs, parts, strict=True)])
-    sizes = np.concatenate([np.full(r.size, r.dtype.itemsize) for r in records])
-    channels = np.concatenate([r["channel"].astype(np.int64) for r in records])
-    order = np.argsort(log, kind="stable")
-    starts = np.empty(log.size, dtype=np.int64)
-    starts[order] = np.cumsum(sizes[order]) - sizes[order]
-    data, at = np.zeros(int(sizes.sum()), dtype=np.uint8), 0
-    for part in records:
-        if part.size:
-            whole = np.dtype(f"V{part.dtype.itemsize}")
-            view = np.ndarray((data.size - whole.itemsize + 1,), whole, data, 0, (1,))
-            view[starts[at : at + part.size]] = part.view(whole)
-        at += part.size
-    return data.tobytes(), starts[order], channels[order], log[order]
-
-
-def _topics_of(source: Path) -> dict[int, Topic]:
-    scanner = Scanner(source)
-    for _ in scanner.blocks():
-        pass
-    return {**known_topics(source), **scanner.topics}
-
-
-def _log_origin(recording: Recording, source: Path | None) -> int:
-    """ns that brings a recording without a date to the log times of the file it joins."""
-    if recording.start_ns is not None or source is None:
-        return 0
-    for block in Scanner(source).blocks():
-        return int(block.header("log_time").min())
-    return 0
-
-
-def _copied(source: Path, kept: dict[int, Topic]) -> Iterator[_ChunkData]:
-    numbers = np.zeros(1 << 16, dtype=np.bool_)
-    numbers[list(kept)] = True
-    for block in Scanner(source).blocks():
-        channels = block.header("channel").astype(np.int64)
-        wanted = numbers[channels]
-        if wanted.any():
-            part = block.take(wanted)
-            yield _records_of(part, channels[wanted])
-
-
-def _records_of(block: MessageBlock, channels: NDArray[np.int64]) -> _ChunkData:
-    sizes = block.lengths + 31
-    starts = np.cumsum(sizes) - sizes
-    edges = zip((block.starts - 31).tolist(), (block.starts + block.lengths).tolist(), strict=True)
-    data = b"".join([block.data[a:b] for a, b in edges])
-    return data, starts, channels, block.header("log_time")
 
 
 WRITER = McapWriter()
