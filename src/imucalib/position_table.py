@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.writers import replaced_atomically
 
 Array = NDArray[np.float64]
 
@@ -221,3 +222,15 @@ def _numbers(cells: list[str], name: str, where: str) -> Array:
                 remedy="correct the cell, or leave the row out of the table",
             )  # fmt: skip
     return values
+
+
+def write_position_table(table: PositionTable, path: Path, *, angles_only: bool = False) -> None:
+    """Write a table as CSV, whole or not at all; `angles_only` leaves the readings out."""
+    roles = [r for r in table.columns if not (angles_only and r in ("x", "y", "z"))]
+    heading = ",".join(table.names.get(role, role) for role in roles)
+    lines = [heading]
+    for k in range(table.n):
+        lines.append(",".join(f"{table.columns[role][k]:.10g}" for role in roles))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replaced_atomically(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

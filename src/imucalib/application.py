@@ -1,0 +1,78 @@
+"""Apply a calibration to a recording: the acceleration corrected, all else as it was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibration import Calibration
+from imucalib.context import Context
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.recording import Channel, Recording
+from imucalib.writers import write
+
+Array = NDArray[np.float64]
+
+
+def apply_to_recording(
+    calibration: Calibration, recording: Recording, triad: str | None = None
+) -> Recording:
+    """A recording whose acceleration of one triad is corrected specific force in m/s².
+
+    triad : which sensor, when there are several. Raises UsageError when it is not clear which, and
+    UnreadableInput when a covariate is missing or leaves the range that was calibrated.
+    """
+    names = [n for n, c in recording.channels.items() if c.quantity == "acceleration"]
+    chosen = [n for n in names if triad is None or recording.channels[n].triad == triad]
+    if len(chosen) != 1:
+        known = ", ".join(recording.channels[n].triad for n in names)
+        raise UsageError(
+            f"{len(chosen)} accelerometers to choose from",
+            where=recording.path,
+            remedy=f"name one with --triad: {known}",
+        )
+    channel = recording.channels[chosen[0]]
+    if channel.unit != "m/s2":
+        raise UnreadableInput(
+            f"the acceleration has no scale (unit {channel.unit})",
+            where=recording.path,
+            remedy="give --acc-unit, or --acc-unit counts with --lsb",
+        )
+    corrected = calibration.apply(channel.values, _context(calibration, recording, channel))
+    channels = {**recording.channels, chosen[0]: replace(channel, values=corrected)}
+    note = f"{chosen[0]} corrected with a {calibration.calibrator} calibration"
+    return replace(recording, channels=channels, notes=(*recording.notes, note))
+
+
+def _context(calibration: Calibration, recording: Recording, channel: Channel) -> Context:
+    needed = {name for effect in calibration.model()[0].effects for name in effect.needs}
+    covariates: dict[str, Array] = {}
+    if "temperature" in needed:
+        warm = [c for c in recording.channels.values()
+                if c.quantity == "temperature" and c.triad in (channel.triad, "")]  # fmt: skip
+        if warm:
+            values = np.interp(channel.t, warm[0].t, warm[0].values[:, 0])
+            low, high = calibration.valid.get("temperature", (-np.inf, np.inf))
+            margin = 0.1 * (high - low)
+            if values.min() < low - margin or values.max() > high + margin:
+                raise UnreadableInput(
+                    f"temperature {values.min():.1f} to {values.max():.1f} °C leaves the calibrated "
+                    f"range {low:.1f} to {high:.1f} °C",
+                    where=recording.path,
+                    remedy="calibrate over the range of use, or without temperature effects",
+                )
+            covariates["temperature"] = values
+    return Context(len(channel.t), covariates)
+
+
+def write_corrected(recording: Recording, source: Path, path: Path) -> None:
+    """Write by suffix; from MCAP to MCAP every other topic is copied untouched."""
+    if recording.format == "mcap" and path.suffix.lower() == ".mcap":
+        from imucalib.writers.mcap import write_with_topics_of
+
+        write_with_topics_of(recording, source, path)
+    else:
+        write(recording, path)

@@ -1,0 +1,44 @@
+"""imucal apply"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from imucalib.cli.output import emit_json, json_option, note, quiet_option
+from imucalib.cli.recording_options import mapping_of, recording_options
+
+
+@click.command("apply", short_help="Correct a recording with a calibration.")
+@click.argument("calibration", type=click.Path(path_type=Path))
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="File to write: .mcap, .h5 or .csv.")
+@click.option("--triad", help="Which sensor, when the recording has several.")
+@recording_options
+@json_option
+@quiet_option
+def command(calibration: Path, recording: Path, output: Path, triad: str | None, **options: Any) -> int:
+    """Correct the acceleration of a recording; everything else stays as it was.
+
+    \b
+    Example: imucal apply out/calibration.yaml run.mcap -o corrected.mcap
+    """
+    from imucalib.application import apply_to_recording, write_corrected
+    from imucalib.calibration import read
+    from imucalib.readers import read as read_recording
+
+    loaded = read(calibration)
+    if loaded.status != "ok":
+        note(f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}", options["quiet"])
+    source = read_recording(recording, mapping_of(options))
+    corrected = apply_to_recording(loaded, source, triad)
+    write_corrected(corrected, recording, output)
+    for text in corrected.notes:
+        note(text, options["quiet"])
+    if options["as_json"]:
+        emit_json({"output": str(output), "notes": list(corrected.notes)})
+    elif not options["quiet"]:
+        click.echo(f"wrote {output}")
+    return 0

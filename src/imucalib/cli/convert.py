@@ -1,0 +1,38 @@
+"""imucal convert"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from imucalib.cli.output import emit_json, json_option, note, quiet_option
+from imucalib.cli.recording_options import mapping_of, recording_options
+
+
+@click.command("convert", short_help="Rewrite a recording in another format.")
+@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("target", type=click.Path(path_type=Path))
+@click.option("--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left.")
+@recording_options
+@json_option
+@quiet_option
+def command(source: Path, target: Path, strict: bool, **options: Any) -> int:
+    """Rewrite a recording as MCAP, HDF5 or CSV, chosen by TARGET's suffix; units become SI.
+
+    \b
+    Example: imucal convert log.csv log.mcap --rate 100 --acc x,y,z
+    """
+    from imucalib.readers import read
+    from imucalib.writers import write
+
+    recording = read(source, mapping_of(options), strict=strict)
+    write(recording, target)
+    for text in recording.notes:
+        note(text, options["quiet"])
+    if options["as_json"]:
+        emit_json({"output": str(target), "channels": list(recording.channels), "notes": list(recording.notes)})
+    elif not options["quiet"]:
+        click.echo(f"wrote {target}: {', '.join(recording.channels)}")
+    return 0

@@ -1,0 +1,41 @@
+"""imucal inspect"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from imucalib.cli.output import color, emit_json, json_option, note, quiet_option, width
+from imucalib.cli.recording_options import mapping_of, recording_options
+
+
+@click.command("inspect", short_help="Say what a recording holds.")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--save-mapping", type=click.Path(path_type=Path), help="Write how the file was read, for --mapping.")
+@click.option("--strict", is_flag=True, help="Refuse a damaged recording instead of reading what is left.")
+@recording_options
+@json_option
+@quiet_option
+def command(file: Path, save_mapping: Path | None, strict: bool, **options: Any) -> int:
+    """Say what a recording holds: channels, units, rates, gaps, norm at rest, what would be used.
+
+    \b
+    Example: imucal inspect log.mcap --save-mapping mapping.yaml
+    """
+    from imucalib.inspection import inspect_recording
+    from imucalib.mapping import from_dict, save_mapping as save
+    from imucalib.readers import blocks
+    from imucalib.report.inspection import inspection_dict, inspection_document
+    from imucalib.report.text import render_text
+
+    found = inspect_recording(blocks(file, mapping_of(options), strict=strict))
+    if save_mapping is not None:
+        save(from_dict(found.mapping), save_mapping)
+        note(f"wrote {save_mapping}", options["quiet"])
+    if options["as_json"]:
+        emit_json(inspection_dict(found))
+    elif not options["quiet"]:
+        click.echo(render_text(inspection_document(found), width(), color=color()), nl=False)
+    return 0

@@ -1,0 +1,77 @@
+"""imucal simulate"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from imucalib.cli.output import emit_json, json_option, quiet_option, seed_option
+
+
+def _two(text: str, option: str) -> tuple[float, float]:
+    try:
+        a, b = (float(v) for v in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"'{text}' is not two numbers", param_hint=option) from None
+    return a, b
+
+
+def _plant(text: str) -> tuple[str, tuple[float, ...]]:
+    name, _, values = text.partition("=")
+    try:
+        return name, tuple(float(v) for v in values.split(","))
+    except ValueError:
+        raise click.BadParameter(f"'{text}' is not EFFECT=VALUE,...", param_hint="--plant") from None
+
+
+@click.command("simulate", short_help="Make a bench with planted effects.")
+@click.argument("table", type=click.Path(path_type=Path))
+@click.option("--recording", type=click.Path(path_type=Path), help="Also a recording that rests in every position: .mcap, .h5 or .csv; TABLE then holds angles only.")
+@click.option("--layout", type=click.Choice(["sweeps", "rings"]), default="sweeps", show_default=True, help="How the bench is worked.")
+@click.option("--positions", default=32, show_default=True, help="Number of positions.")
+@click.option("--plant", multiple=True, metavar="EFFECT=VALUE,...", help="Effect to plant, in its own units.")
+@click.option("--slip", multiple=True, metavar="ROW:AXIS", help="Lose the sign of one cell.")
+@click.option("--noise", default=1.0, show_default=True, help="Noise of a reading, mg.")
+@click.option("--setting-sd", default="0.1,0.2", show_default=True, help="Scatter of the settings, deg: inclination,tool-face.")
+@click.option("--temperature", help="FROM,TO in °C: warms up over the table.")
+@click.option("--gravity", default=9.80665, show_default=True, help="Local gravity, m/s².")
+@seed_option
+@json_option
+@quiet_option
+def command(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
+    """Write a bench table (CSV), and on request a recording, with known planted effects.
+
+    \b
+    Example: imucal simulate bench.csv --plant inclination_zero=0.8 --slip 10:y
+    """
+    import numpy as np
+
+    from imucalib.calibrators.lab_simulation import BenchPlan, simulated_recording, simulated_table
+    from imucalib.position_table import write_position_table
+    from imucalib.writers import write
+
+    slips = tuple((int(r), a) for r, _, a in (s.partition(":") for s in options["slip"]))
+    plan = BenchPlan(
+        layout=options["layout"],
+        positions=options["positions"],
+        plant=dict(_plant(text) for text in options["plant"]),
+        noise=options["noise"],
+        setting=_two(options["setting_sd"], "--setting-sd"),
+        slips=slips,
+        gravity=options["gravity"],
+        temperature=_two(options["temperature"], "--temperature") if options["temperature"] else None,
+    )
+    rng = np.random.default_rng(seed)
+    made = simulated_table(plan, rng)
+    written = [table]
+    if recording is not None:
+        write(simulated_recording(made, rng), recording)
+        written.append(recording)
+    write_position_table(made, table, angles_only=recording is not None)
+    if options["as_json"]:
+        emit_json({"written": [str(p) for p in written], "planted": {k: list(v) for k, v in plan.plant.items()}})
+    elif not options["quiet"]:
+        click.echo("\n".join(f"wrote {path}" for path in written))
+    return 0
