@@ -1,0 +1,45 @@
+# `make demo` and `make test` need nothing but Python 3.11 or newer; uv is used when it is there.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+UV := $(shell command -v uv 2>/dev/null)
+
+ifdef UV
+CREATE = uv venv --quiet --python $(PYTHON) $(VENV)
+INSTALL = uv pip install --quiet --python $(BIN)/python
+else
+CREATE = $(PYTHON) -m venv $(VENV)
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+endif
+
+.PHONY: demo test check docs benchmark clean
+
+$(BIN)/imucal: pyproject.toml
+	test -x $(BIN)/python || $(CREATE)
+	$(INSTALL) -e .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml $(BIN)/imucal
+	$(INSTALL) -e '.[dev]'
+	@touch $@
+
+demo: $(BIN)/imucal ## calibrate the sample logs; says where the reports are
+	@$(PYTHON) sample_logs/demo.py $(BIN)/imucal demo
+
+test: $(VENV)/.dev ## run all tests
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+
+check: $(VENV)/.dev ## style, types and generated pages, as CI runs them
+	$(BIN)/ruff check src tests benchmarks sample_logs docs
+	$(BIN)/ruff format --check src tests benchmarks sample_logs docs
+	$(BIN)/mypy
+	$(BIN)/python docs/generate.py --check
+
+docs: $(VENV)/.dev ## write the pages that are generated from the code
+	$(BIN)/python docs/generate.py
+
+benchmark: $(VENV)/.dev ## measure the marks of docs/lab.md on simulated benches and on real data
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/lab_benches.py
+
+clean:
+	rm -rf $(VENV) demo dist .pytest_cache .mypy_cache .ruff_cache
