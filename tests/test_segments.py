@@ -162,6 +162,28 @@ def test_a_recording_without_acceleration_is_refused() -> None:
         still_segments(Recording({"imu0/angular_rate": gyro}, "", "", ""))
 
 
+def test_time_that_steps_back_is_left_out_and_said() -> None:
+    recording, spans = tumble(9, 6)
+    old = recording.channels["imu0/acceleration"]
+    t = old.t.copy()
+    t[spans[3][0] :] -= 8.0
+    channel = Channel(t, old.values, "m/s2", "acceleration", "imu0", RATE)
+    found = still_segments(Recording({"imu0/acceleration": channel}, "", "", ""))
+    assert np.all(np.diff(found.start) > 0)
+    assert any("stepped back" in n for n in found.notes)
+    for k in range(found.n):
+        first, last = found.first[k, 0], found.last[k, 0]
+        np.testing.assert_allclose(found.mean[k, 0], old.values[first:last].mean(axis=0))
+
+
+def test_no_rest_gives_no_segment() -> None:
+    recording, _ = tumble(10, 2)
+    found = still_segments(recording, StillSettings(shortest=1000.0))
+    assert found.n == 0
+    assert found.mean.shape == (0, 1, 3)
+    assert np.all(found.noise > 0)
+
+
 def attitudes(found: Segments) -> int:
     """Segments that differ from the one before by more than 5 degrees, plus one."""
     unit = found.mean[:, 0] / np.linalg.norm(found.mean[:, 0], axis=1)[:, None]

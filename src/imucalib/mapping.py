@@ -34,7 +34,7 @@ class FieldMapping:
     acc_unit, gyro_unit, temperature_unit : units of the file; "counts" for raw integers
     lsb_per_g, lsb_per_dps : counts per g and per deg/s, one value or one an axis
     acc_offset, gyro_offset : counts at zero, subtracted before scaling, one value or one an axis
-    rate : samples a second, when the file has no time stamps (or wrong ones)
+    rate : samples a second; when stated, time stamps are ignored unless `time` is named too
     time_unit : a key of TIME_UNITS or "text"
     time_format : strptime format of text stamps that are not ISO 8601
     axis_map : sensor axes of the output in terms of the file's, for example "x,-y,z"
@@ -208,13 +208,11 @@ def load_mapping(path: str | os.PathLike[str]) -> FieldMapping:
 
 def save_mapping(mapping: FieldMapping, path: str | os.PathLike[str]) -> None:
     """Write the stated fields as YAML, atomically: a temporary file beside it, then a rename."""
-    from ruamel.yaml import YAML
-
     target = Path(path)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    text = "".join(f"{key}: {_yaml(value)}\n" for key, value in mapping.to_dict().items())
     try:
-        with temporary.open("w", encoding="utf-8") as out:
-            YAML(typ="safe", pure=True).dump(mapping.to_dict(), out)
+        temporary.write_text(text or "{}\n", encoding="utf-8")
         os.replace(temporary, target)
     except OSError as error:
         raise UsageError(
@@ -222,6 +220,16 @@ def save_mapping(mapping: FieldMapping, path: str | os.PathLike[str]) -> None:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _yaml(value: object) -> str:
+    """A value in YAML 1.2 flow style; text is quoted and in ASCII, so that any name survives."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_yaml, value))}]"
+    if isinstance(value, str):
+        plain = (c if " " <= c <= "~" and c not in '"\\' else f"\\U{ord(c):08x}" for c in value)
+        return f'"{"".join(plain)}"'
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 #: What well-known sources mean, for files whose own header does not say it.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from imucalib.errors import Undetermined, UsageError
 from imucalib.recording import Array, Recording
 from imucalib.stillness import Sensor, StillSettings, judge
-from imucalib.windows import Index, WindowBuilder, Windows
+from imucalib.windows import Index, WindowBuilder, Windows, in_order
 
 __all__ = ["Segments", "StillSettings", "find_segments", "still_segments"]
 
@@ -76,10 +76,9 @@ def find_segments(blocks: Iterable[Recording], settings: StillSettings | None = 
     the recording is shorter than one window.
     """
     chosen = settings or StillSettings()
-    sensors, temperatures, path = _collect(blocks, chosen)
+    sensors, temperatures, path, notes = _collect(blocks, chosen)
     triads = tuple(dict.fromkeys(s.triad for s in sensors))
     spans: list[tuple[float, float]] | None = None
-    notes: list[str] = []
     moving = []
     for sensor in sensors:
         found, still, remarks = judge(sensor, chosen)
@@ -94,7 +93,7 @@ def find_segments(blocks: Iterable[Recording], settings: StillSettings | None = 
 
 def _collect(
     blocks: Iterable[Recording], settings: StillSettings
-) -> tuple[list[Sensor], dict[str, Windows], str]:
+) -> tuple[list[Sensor], dict[str, Windows], str, list[str]]:
     builders: dict[tuple[str, str], WindowBuilder] = {}
     rates: dict[tuple[str, str], float] = {}
     path = ""
@@ -109,22 +108,34 @@ def _collect(
                 samples = 1 if channel.quantity == "temperature" and channel.rate < 2 else samples
                 builders[key], rates[key] = WindowBuilder(samples), channel.rate
             builders[key].add(channel, block.gaps)
-    sensors, temperatures = [], {}
-    with_acceleration = {triad for quantity, triad in builders if quantity == "acceleration"}
+    temperatures = {
+        t: w for (q, t), b in builders.items() if q == "temperature" if (w := b.windows())
+    }
+    sensors, notes = [], list[str]()
     for (quantity, triad), builder in builders.items():
-        windows = builder.windows()
-        if quantity == "temperature":
-            if windows is not None:
-                temperatures[triad] = windows
-        elif windows is None:
-            raise Undetermined(
-                f"{triad}/{quantity} has no {settings.window:g} s without a gap",
-                where=path,
-                remedy="record longer, or choose a shorter window",
-            )
-        elif triad in with_acceleration:
-            sensors.append(Sensor(triad, quantity, rates[quantity, triad], windows))
-    return sensors, temperatures, path
+        if quantity == "temperature" or ("acceleration", triad) not in builders:
+            continue
+        sensor, lost = _sensor(builder, triad, quantity, rates[quantity, triad], path=path)
+        sensors.append(sensor)
+        notes += [lost] if lost else []
+    return sensors, temperatures, path, notes
+
+
+def _sensor(
+    builder: WindowBuilder, triad: str, quantity: str, rate: float, *, path: str
+) -> tuple[Sensor, str]:
+    """The sensor's windows in order of time, and what that left out."""
+    windows = builder.windows()
+    if windows is None:
+        raise Undetermined(
+            f"{triad}/{quantity} has no {builder.samples} samples in a row without a gap",
+            where=path,
+            remedy="record longer, or choose a shorter window",
+        )
+    ordered, lost = in_order(windows)
+    seconds = lost * windows.samples / rate
+    note = f"{triad}/{quantity}: {seconds:.4g} s left out: time had stepped back" if lost else ""
+    return Sensor(triad, quantity, rate, ordered), note
 
 
 def _intersect(

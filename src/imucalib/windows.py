@@ -8,7 +8,7 @@ Only these statistics are kept, so memory is the recording's size over the windo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from imucalib.recording import Array, Channel, Gap
 
 Index = NDArray[np.intp]
+_CACHE = 1 << 14  # numbers that are worked on at a time
+_EVERY = 8  # one in so many pieces is looked at for the resolution
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Windows:
     first : (m,) index of the first sample in the channel; samples : samples in each window
     run : (m,) number of the gap-free run; start, stop : (m,) times of the first and last sample, s
     mean, variance, low, high : (m, k) in the channel's unit and its square; variance with n - 1
-    finest : (k,) smallest positive step between neighbouring samples, the resolution
+    finest : (k,) smallest positive step between neighbouring samples seen, the resolution
     """
 
     samples: int
@@ -45,7 +47,7 @@ class WindowBuilder:
     """Collects the windows of one channel from consecutive blocks."""
 
     def __init__(self, samples: int) -> None:
-        self._samples = samples
+        self.samples = samples
         self._parts: list[Windows] = []
         self._t: Array = np.empty(0)
         self._values: Array | None = None
@@ -62,7 +64,7 @@ class WindowBuilder:
         for k, (a, b) in enumerate(pairwise(bounds)):
             self._run += k > 0
             last = k == len(bounds) - 2
-            whole = (b - a) // self._samples * self._samples
+            whole = (b - a) // self.samples * self.samples
             if whole:
                 part = slice(a, a + whole)
                 self._parts.append(self._of(t[part], values[part], self._offset + a))
@@ -71,25 +73,38 @@ class WindowBuilder:
                 self._offset += a + whole
 
     def _of(self, t: Array, values: Array, first: int) -> Windows:
-        w = self._samples
+        w = self.samples
         m, k = t.size // w, values.shape[1]
-        # Planar, one contiguous row an axis: reducing the last axis is far faster than strided.
-        planar = np.ascontiguousarray(values.T).reshape(k, m, w)
-        mean = planar.mean(axis=2)
-        variance = np.square(planar - mean[:, :, None]).sum(axis=2) / max(w - 1, 1)
-        steps = np.abs(np.diff(planar, axis=2))
-        finest = np.where(steps > 0, steps, np.inf).min(axis=(1, 2), initial=np.inf)
+        mean, variance = np.empty((m, k)), np.empty((m, k))
+        low, high = np.empty((m, k)), np.empty((m, k))
+        finest = np.full(k, np.inf)
+        cube = values.reshape(m, w, k)
+        size = max(1, _CACHE // (w * k))
+        for a in range(0, m, size):
+            part = slice(a, min(a + size, m))
+            # Samples first: each reduction then runs along contiguous windows, within the cache.
+            plane = np.ascontiguousarray(cube[part].transpose(1, 0, 2))
+            np.min(plane, axis=0, out=low[part])
+            np.max(plane, axis=0, out=high[part])
+            if a % (_EVERY * size) == 0:
+                steps = np.abs(np.diff(plane, axis=0))
+                smallest = np.where(steps > 0, steps, np.inf).min(axis=(0, 1), initial=np.inf)
+                finest = np.minimum(finest, smallest)
+            np.mean(plane, axis=0, out=mean[part])
+            plane -= mean[part]
+            np.square(plane, out=plane)
+            np.divide(plane.sum(axis=0), max(w - 1, 1), out=variance[part])
         return Windows(
-            w,
-            first + w * np.arange(m),
-            np.full(m, self._run),
-            t[::w].copy(),
-            t[w - 1 :: w].copy(),
-            mean.T.copy(),
-            variance.T.copy(),
-            planar.min(axis=2).T.copy(),
-            planar.max(axis=2).T.copy(),
-            finest,
+            samples=w,
+            first=first + w * np.arange(m),
+            run=np.full(m, self._run),
+            start=t[::w].copy(),
+            stop=t[w - 1 :: w].copy(),
+            mean=mean,
+            variance=variance,
+            low=low,
+            high=high,
+            finest=finest,
         )
 
     def windows(self) -> Windows | None:
@@ -102,7 +117,7 @@ class WindowBuilder:
 
         finest = np.min([p.finest for p in self._parts], axis=0)
         return Windows(
-            samples=self._samples,
+            samples=self.samples,
             first=joined("first").astype(np.intp),
             run=joined("run").astype(np.intp),
             start=joined("start"),
@@ -113,6 +128,20 @@ class WindowBuilder:
             high=joined("high"),
             finest=finest,
         )
+
+
+def in_order(windows: Windows) -> tuple[Windows, int]:
+    """The windows whose time lies after all before them, and how many were left out.
+
+    Time that steps back gives two stretches the same times; only the first can be kept.
+    """
+    latest = np.maximum.accumulate(windows.stop)
+    before = np.concatenate([[-np.inf], latest[:-1]])
+    keep = windows.start > before
+    if keep.all():
+        return windows, 0
+    names = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
+    return replace(windows, **{n: getattr(windows, n)[keep] for n in names}), int((~keep).sum())
 
 
 def _array(builder: WindowBuilder) -> Array:
