@@ -14,7 +14,13 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.observations import Observations
 from imucalib.position_table import PositionTable
 from imucalib.references import KnownNorm, KnownVector
-from imucalib.units import ACCELERATION_UNITS, MG, STANDARD_GRAVITY, detect_acceleration_unit, factor
+from imucalib.units import (
+    ACCELERATION_UNITS,
+    MG,
+    STANDARD_GRAVITY,
+    detect_acceleration_unit,
+    factor,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -46,7 +52,9 @@ def raw_unit(table: PositionTable, unit: str | None, lsb_per_g: float | None) ->
         si = factor(unit, ACCELERATION_UNITS, "--unit")
         return _plausible(table, RawUnit(unit, si, f"unit {unit}, as given"))
     if len(stated) == 1 and (name := stated.pop()) in ACCELERATION_UNITS:
-        return _plausible(table, RawUnit(name, ACCELERATION_UNITS[name], f"unit {name}, by the heading"))
+        return _plausible(
+            table, RawUnit(name, ACCELERATION_UNITS[name], f"unit {name}, by the heading")
+        )
     found = detect_acceleration_unit(np.linalg.norm(table.raw(), axis=1), table.path)
     return RawUnit(found.unit, ACCELERATION_UNITS[found.unit], found.sentence)
 
@@ -62,7 +70,9 @@ def _plausible(table: PositionTable, unit: RawUnit) -> RawUnit:
     return unit
 
 
-def corrected_cells(table: PositionTable, fixes: tuple[tuple[int, str, float], ...]) -> PositionTable:
+def corrected_cells(
+    table: PositionTable, fixes: tuple[tuple[int, str, float], ...]
+) -> PositionTable:
     """The table with single cells replaced, as the user asked; rows count from 1."""
     columns = {role: values.copy() for role, values in table.columns.items()}
     for row, role, value in fixes:

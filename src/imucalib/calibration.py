@@ -124,10 +124,14 @@ def from_fit(
         part = fit.model.slices(context)[effect.name]
         if effect.name.startswith("record_error"):
             continue
-        for k, parameter in zip(range(part.start, part.stop), effect.parameters(context), strict=True):
+        for k, parameter in zip(
+            range(part.start, part.stop), effect.parameters(context), strict=True
+        ):
             value, sd = float(fit.theta[k]), float(fit.sd[k])
             stored.append(
-                StoredParameter(parameter.name, effect.name, effect.stage, value, sd, parameter.unit)
+                StoredParameter(
+                    parameter.name, effect.name, effect.stage, value, sd, parameter.unit
+                )
             )
             keep.append(k)
     needed = {name for effect in correcting(fit.model).effects for name in effect.needs}
@@ -201,11 +205,15 @@ def from_dict(content: Any, where: str) -> Calibration:
     """Build from the YAML's content; see `read`."""
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise UnreadableInput(
-            "not a calibration of imucal", where=where, remedy=f"its first key must be schema: {SCHEMA}"
+            "not a calibration of imucal",
+            where=where,
+            remedy=f"its first key must be schema: {SCHEMA}",
         )
     if content.get("version") != VERSION:
         raise UnreadableInput(
-            f"schema version {content.get('version')} is not known", where=where, remedy="update imucal"
+            f"schema version {content.get('version')} is not known",
+            where=where,
+            remedy="update imucal",
         )
     try:
         parameters = tuple(
@@ -246,7 +254,9 @@ def check(calibration: Calibration, where: str) -> None:
     sd = np.array([p.sd for p in calibration.parameters])
     if not np.allclose(np.sqrt(np.maximum(np.diag(covariance), 0.0)), sd, rtol=1e-6, atol=1e-12):
         raise UnreadableInput("the standard deviations contradict the covariance", where=where)
-    spread = np.linalg.eigvalsh(covariance / np.outer(np.maximum(sd, 1e-300), np.maximum(sd, 1e-300)))
+    spread = np.linalg.eigvalsh(
+        covariance / np.outer(np.maximum(sd, 1e-300), np.maximum(sd, 1e-300))
+    )
     if spread.size and spread[0] < -1e-6:
         raise UnreadableInput("the covariance is not positive", where=where)
     model, theta = calibration.model()

@@ -217,7 +217,9 @@ def _set_records_aside(
     records = known
     while len(records) < rules.most_records:
         taken = {r.row for r in records}
-        candidates = [c for c in record_candidates(current) if int(c.name.split(":")[0]) not in taken]
+        candidates = [
+            c for c in record_candidates(current) if int(c.name.split(":")[0]) not in taken
+        ]
         best = score(current, tuple(candidates), rng, draws=rules.draws)[:1]
         if not best or best[0].p > rules.record_alpha:
             break

@@ -129,9 +129,7 @@ def _score(
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 
-def _alone(
-    fit: Fit, candidate: Candidate, ratio: tuple[float, ...]
-) -> tuple[float, float, float]:
+def _alone(fit: Fit, candidate: Candidate, ratio: tuple[float, ...]) -> tuple[float, float, float]:
     """What the fitted parameters leave of a candidate, its λ, and the share that it explains."""
     white = whitener(fit.at.settings, ratio)
     basis = np.linalg.qr(white(fit.at.jacobian))[0]

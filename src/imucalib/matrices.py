@@ -59,7 +59,9 @@ def matrices(model: Model, theta: Array, covariance: Array) -> Matrices:
     context = Context(1)
     slices, own = model.slices(context), linear.slices(context)
     # Only effects whose derivative is free of covariates make up the matrices.
-    pick = np.concatenate([np.arange(slices[n].start, slices[n].stop) for n in own] or [np.zeros(0, int)])
+    pick = np.concatenate(
+        [np.arange(slices[n].start, slices[n].stop) for n in own] or [np.zeros(0, int)]
+    )
     pick = pick.astype(int)
 
     def pieces(values: Array) -> Array:

@@ -36,7 +36,9 @@ ROLES: dict[str, tuple[str, ...]] = {
     "tool_face_setting": ("tool_face_setting", "toolface_setting"),
     "samples": ("samples", "n"),
 }
-_UNIT_SUFFIX = re.compile(r"[_\s]*[\[(]?(deg|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|lsb|counts|s)[\])]?$")
+_UNIT_SUFFIX = re.compile(
+    r"[_\s]*[\[(]?(deg|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|lsb|counts|s)[\])]?$"
+)
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,9 @@ def _csv_cells(data: bytes, where: str) -> dict[str, list[str]]:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise UnreadableInput(
-            "not a text file", where=f"{where}, byte {error.start}", remedy="give a CSV or HDF5 table"
+            "not a text file",
+            where=f"{where}, byte {error.start}",
+            remedy="give a CSV or HDF5 table",
         ) from None
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if not lines:
@@ -125,7 +129,8 @@ def _csv_cells(data: bytes, where: str) -> dict[str, list[str]]:
     for number, row in enumerate(body, start=1):
         if len(row) != len(heading):
             raise UnreadableInput(
-                f"{len(row)} cells where the heading has {len(heading)}", where=f"{where}, row {number}"
+                f"{len(row)} cells where the heading has {len(heading)}",
+                where=f"{where}, row {number}",
             )
     if not body:
         raise UnreadableInput("a heading but no rows", where=where)
@@ -156,7 +161,7 @@ def _hdf5_cells(path: Path) -> dict[str, list[str]]:
             for field in item.dtype.names:
                 found[field] = [repr(float(v)) for v in item[field]]
         elif item.ndim == 1 and item.dtype.kind in "iuf":
-            found[name.split("/")[-1]] = [repr(float(v)) for v in item[...]]
+            found[name.rsplit("/", maxsplit=1)[-1]] = [repr(float(v)) for v in item[...]]
         elif item.ndim == 2 and item.shape[1] == 3 and item.dtype.kind in "iuf":
             for axis, letter in enumerate("xyz"):
                 found[letter] = [repr(float(v)) for v in item[:, axis]]
@@ -189,7 +194,9 @@ def _roles(headings: list[str], chosen: Mapping[str, str], where: str) -> dict[s
             raise UsageError(f"unknown column role '{role}'", remedy=f"use: {', '.join(ROLES)}")
         if heading not in headings:
             raise UsageError(
-                f"no column is called '{heading}'", where=where, remedy=f"there are: {', '.join(headings)}"
+                f"no column is called '{heading}'",
+                where=where,
+                remedy=f"there are: {', '.join(headings)}",
             )
         names[role] = heading
     for role, known in ROLES.items():

@@ -67,7 +67,9 @@ def predict_record(fit: Fit, row: int) -> Prediction:
     spread = np.array([fit.noise.sd[fit.noise.component.index(c)] for c in directions.component])
     noise = np.diag((fit.noise.factor * one.sigma[0, 0]) ** 2)
     slope = predicted.d_theta[0, 0]
-    known = [k for n, s in slices.items() if not n.startswith("record") for k in range(s.start, s.stop)]
+    known = [
+        k for n, s in slices.items() if not n.startswith("record") for k in range(s.start, s.stop)
+    ]
     covariance = slope[:, known] @ fit.covariance[np.ix_(known, known)] @ slope[:, known].T
     return Prediction(predicted.reading[0, 0], noise + covariance + (free * spread**2) @ free.T)
 
@@ -105,7 +107,9 @@ def _angle_away(fit: Fit, row: int, component: str) -> float:
     reference = fit.observations.reference
     assert isinstance(reference, KnownVector)
     theta = theta_without(fit, rows)
-    corrected = fit.model.correct(theta, fit.observations.reading[rows], fit.observations.context.take(rows))
+    corrected = fit.model.correct(
+        theta, fit.observations.reading[rows], fit.observations.context.take(rows)
+    )
     inclination, tool_face = angles_of(corrected[0, 0])
     if component.startswith("inclination"):
         return float(inclination - reference.inclination[row])
@@ -150,7 +154,9 @@ def _wrong_angle(fit: Fit, row: int) -> tuple[str, tuple[tuple[str, float], ...]
     assert isinstance(reference, KnownVector)
     rows = np.array([row])
     corrected = fit.model.correct(
-        theta_without(fit, rows), fit.observations.reading[rows], fit.observations.context.take(rows)
+        theta_without(fit, rows),
+        fit.observations.reading[rows],
+        fit.observations.context.take(rows),
     )[0, 0]
     off = abs(float(np.linalg.norm(corrected)) - reference.gravity)
     if off > 5.0 * fit.noise.factor * float(fit.observations.sigma[row].max()):

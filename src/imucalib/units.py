@@ -51,9 +51,7 @@ def factor(unit: str, family: dict[str, float], where: str = "") -> float:
     known = canonical(unit)
     if known not in family:
         choices = ", ".join(family)
-        raise UsageError(
-            f"unknown unit '{unit}'", where=where, remedy=f"use one of: {choices}"
-        )
+        raise UsageError(f"unknown unit '{unit}'", where=where, remedy=f"use one of: {choices}")
     return family[known]
 
 

@@ -47,9 +47,7 @@ def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
             + "; ".join(result.final.null_directions)
         )
     if result.settings.sigma is not None and noise_conflict(result.final) < 0.01:
-        found.append(
-            f"noise not as declared: {result.final.noise.factor:.2f} times --sigma"
-        )
+        found.append(f"noise not as declared: {result.final.noise.factor:.2f} times --sigma")
     return tuple(found)
 
 

@@ -90,7 +90,12 @@ def _best(model: Model, *, norm: bool) -> float:
 
 
 def judge(
-    model: Model, inclination: Array, tool_face: Array, *, norm: bool = False, step_deg: float = 15.0
+    model: Model,
+    inclination: Array,
+    tool_face: Array,
+    *,
+    norm: bool = False,
+    step_deg: float = 15.0,
 ) -> Design:
     """Judge positions (rad). `model` must not need known angles when `norm` is set."""
     p = len(model.parameters(Context(1)))
@@ -176,7 +181,9 @@ def recommend(count: int, axes: int = 2) -> tuple[Array, Array]:
         return np.zeros(count), 2.0 * np.pi * np.arange(count) / count
     poles = 2 if count >= 14 else 0
     ring = [len(part) for part in np.array_split(np.arange(count - poles), 3)]
-    inclination = np.concatenate([np.full(n, a) for n, a in zip(ring, (0.0, 45.0, -45.0), strict=True)])
+    inclination = np.concatenate(
+        [np.full(n, a) for n, a in zip(ring, (0.0, 45.0, -45.0), strict=True)]
+    )
     # Each ring is turned against the last, so that few positions do not share meridians.
     tool_face = np.concatenate(
         [360.0 * (np.arange(n) + k / 3.0) / max(n, 1) for k, n in enumerate(ring)]

@@ -85,14 +85,21 @@ def _rests(segments: Segments, recording: Recording) -> PositionTable:
     unit = dict.fromkeys("xyz", "m/s2")
     # Every rest weighs the same: between rests a sensor scatters more than averaging suggests.
     return PositionTable(
-        columns, {k: k for k in columns}, unit, np.arange(1, segments.n + 1), recording.path, recording.sha256
+        columns,
+        {k: k for k in columns},
+        unit,
+        np.arange(1, segments.n + 1),
+        recording.path,
+        recording.sha256,
     )
 
 
 def _in_order(positions: PositionTable, segments: Segments, recording: Recording) -> PositionTable:
     """The positions' angles with the rests' readings, matched by their order."""
     if positions.n != segments.n:
-        ends = ", ".join(f"{a:.1f}-{b:.1f}" for a, b in zip(segments.start, segments.stop, strict=True))
+        ends = ", ".join(
+            f"{a:.1f}-{b:.1f}" for a, b in zip(segments.start, segments.stop, strict=True)
+        )
         raise UsageError(
             f"the table has {positions.n} positions, the recording {segments.n} rests (at s: {ends})",
             where=recording.path,

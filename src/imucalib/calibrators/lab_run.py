@@ -22,7 +22,6 @@ from imucalib.bench import (
 )
 from imucalib.calibrators.lab import LabResult, LabSettings, calibrate
 from imucalib.calibrators.lab_advice import advice, fix_option, limits_of, reasons
-from imucalib.conventions import Conventions
 from imucalib.errors import UsageError
 from imucalib.observations import Observations
 from imucalib.outcome import Outcome, Provenance
@@ -139,7 +138,12 @@ def _observations(table: PositionTable, raw: RawUnit, request: LabRequest) -> Ob
     table = _in_degrees(table)
     exact = request.settings.objective == "vector"
     return position_observations(
-        table, reading, request.settings.conventions, request.gravity, sigma=sigma, setting_errors=not exact
+        table,
+        reading,
+        request.settings.conventions,
+        request.gravity,
+        sigma=sigma,
+        setting_errors=not exact,
     )
 
 
@@ -173,7 +177,11 @@ def refuse_swapped(
     option = "without it" if request.swap_angles else "--swap-angles"
     for other, what, remedy in (
         (swapped_angles(table), "exchanged", f"run again {option}, or name them with --columns"),
-        (turned, "read as radians", "convert them, or name the columns with the unit (inclination_rad)"),
+        (
+            turned,
+            "read as radians",
+            "convert them, or name the columns with the unit (inclination_rad)",
+        ),
     ):
         if np.abs(other.columns["inclination"]).max() > 720.0:
             continue
@@ -204,7 +212,11 @@ def _with_train(request: LabRequest, rows: NDArray[np.intp]) -> LabSettings:
 
 
 def _provenance(
-    table: PositionTable, raw: RawUnit, request: LabRequest, mapping: Mapping[str, object], gaps: int
+    table: PositionTable,
+    raw: RawUnit,
+    request: LabRequest,
+    mapping: Mapping[str, object],
+    gaps: int,
 ) -> Provenance:
     import scipy
 

@@ -76,7 +76,10 @@ def _layout(plan: BenchPlan) -> tuple[Array, Array]:
         i, t = recommend(plan.positions)
         return np.round(i / DEG, 6), np.round(t / DEG, 6)
     if plan.layout != "sweeps" or plan.positions < 12:
-        raise UsageError(f"layout '{plan.layout}' with {plan.positions} positions", remedy="sweeps (12 or more) or rings")
+        raise UsageError(
+            f"layout '{plan.layout}' with {plan.positions} positions",
+            remedy="sweeps (12 or more) or rings",
+        )
     ring = (plan.positions - 10) // 2
     last = plan.positions - 10 - ring
     inclination = np.concatenate([np.arange(0.0, 91.0, 10.0), np.full(ring, 50.0), np.zeros(last)])
@@ -92,7 +95,9 @@ def _blank(plan: BenchPlan, inclination: Array, tool_face: Array) -> PositionTab
 
 
 def _planted(plan: BenchPlan, data: Observations) -> tuple[Model, Array]:
-    model = Model(tuple(named(n) for n in (*MODELS["linear12"], *(p for p in plan.plant if p not in _SENSOR))))
+    model = Model(
+        tuple(named(n) for n in (*MODELS["linear12"], *(p for p in plan.plant if p not in _SENSOR)))
+    )
     theta, slices = model.start(data.context), model.slices(data.context)
     for name, values in {**_SENSOR, **plan.plant}.items():
         part = slices[name]

@@ -14,12 +14,20 @@ from imucalib.cli.recording_options import mapping_of, recording_options
 @click.command("apply", short_help="Correct a recording with a calibration.")
 @click.argument("calibration", type=click.Path(path_type=Path))
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="File to write: .mcap, .h5 or .csv.")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="File to write: .mcap, .h5 or .csv.",
+)
 @click.option("--triad", help="Which sensor, when the recording has several.")
 @recording_options
 @json_option
 @quiet_option
-def command(calibration: Path, recording: Path, output: Path, triad: str | None, **options: Any) -> int:
+def command(
+    calibration: Path, recording: Path, output: Path, triad: str | None, **options: Any
+) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 
     \b
@@ -31,7 +39,10 @@ def command(calibration: Path, recording: Path, output: Path, triad: str | None,
 
     loaded = read(calibration)
     if loaded.status != "ok":
-        note(f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}", options["quiet"])
+        note(
+            f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
+            options["quiet"],
+        )
     source = read_recording(recording, mapping_of(options))
     corrected = apply_to_recording(loaded, source, triad)
     write_corrected(corrected, recording, output)

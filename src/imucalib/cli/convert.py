@@ -14,7 +14,9 @@ from imucalib.cli.recording_options import mapping_of, recording_options
 @click.command("convert", short_help="Rewrite a recording in another format.")
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("target", type=click.Path(path_type=Path))
-@click.option("--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left.")
+@click.option(
+    "--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left."
+)
 @recording_options
 @json_option
 @quiet_option
@@ -32,7 +34,13 @@ def command(source: Path, target: Path, strict: bool, **options: Any) -> int:
     for text in recording.notes:
         note(text, options["quiet"])
     if options["as_json"]:
-        emit_json({"output": str(target), "channels": list(recording.channels), "notes": list(recording.notes)})
+        emit_json(
+            {
+                "output": str(target),
+                "channels": list(recording.channels),
+                "notes": list(recording.notes),
+            }
+        )
     elif not options["quiet"]:
         click.echo(f"wrote {target}: {', '.join(recording.channels)}")
     return 0

@@ -11,14 +11,41 @@ from imucalib.cli.output import color, emit_json, json_option, pairs, quiet_opti
 
 @click.command("design", short_help="Judge a set of positions.")
 @click.argument("table", type=click.Path(path_type=Path), required=False)
-@click.option("--recommend", "count", type=click.IntRange(min=4), help="Instead of TABLE: a good set of N positions.")
-@click.option("--axes", type=click.Choice(["1", "2"]), default="2", show_default=True, help="Axes of the table, with --recommend.")
-@click.option("--columns", multiple=True, metavar="ROLE=NAME,...", help="Columns by heading: inclination, tool_face.")
-@click.option("--convention", default="paper", show_default=True, help="Angles: paper, drilling-gravity or drilling-force.")
+@click.option(
+    "--recommend",
+    "count",
+    type=click.IntRange(min=4),
+    help="Instead of TABLE: a good set of N positions.",
+)
+@click.option(
+    "--axes",
+    type=click.Choice(["1", "2"]),
+    default="2",
+    show_default=True,
+    help="Axes of the table, with --recommend.",
+)
+@click.option(
+    "--columns",
+    multiple=True,
+    metavar="ROLE=NAME,...",
+    help="Columns by heading: inclination, tool_face.",
+)
+@click.option(
+    "--convention",
+    default="paper",
+    show_default=True,
+    help="Angles: paper, drilling-gravity or drilling-force.",
+)
 @json_option
 @quiet_option
 def command(
-    table: Path | None, count: int | None, axes: str, columns: tuple[str, ...], convention: str, as_json: bool, quiet: bool
+    table: Path | None,
+    count: int | None,
+    axes: str,
+    columns: tuple[str, ...],
+    convention: str,
+    as_json: bool,
+    quiet: bool,
 ) -> int:
     """How good is a set of positions, and which one or two more would help most.
 

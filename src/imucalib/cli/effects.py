@@ -11,7 +11,12 @@ from imucalib.cli.output import emit_json, json_option, width
 
 @click.command("effects", short_help="List the catalogue of effects.")
 @click.argument("name", required=False)
-@click.option("--effects", "effects_file", type=click.Path(path_type=Path), help="Python file with effects of your own.")
+@click.option(
+    "--effects",
+    "effects_file",
+    type=click.Path(path_type=Path),
+    help="Python file with effects of your own.",
+)
 @json_option
 def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     """List the effects that a calibration can hold and the search can find, or show one.

@@ -13,8 +13,14 @@ from imucalib.cli.recording_options import mapping_of, recording_options
 
 @click.command("inspect", short_help="Say what a recording holds.")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--save-mapping", type=click.Path(path_type=Path), help="Write how the file was read, for --mapping.")
-@click.option("--strict", is_flag=True, help="Refuse a damaged recording instead of reading what is left.")
+@click.option(
+    "--save-mapping",
+    type=click.Path(path_type=Path),
+    help="Write how the file was read, for --mapping.",
+)
+@click.option(
+    "--strict", is_flag=True, help="Refuse a damaged recording instead of reading what is left."
+)
 @recording_options
 @json_option
 @quiet_option
@@ -25,7 +31,8 @@ def command(file: Path, save_mapping: Path | None, strict: bool, **options: Any)
     Example: imucal inspect log.mcap --save-mapping mapping.yaml
     """
     from imucalib.inspection import inspect_recording
-    from imucalib.mapping import from_dict, save_mapping as save
+    from imucalib.mapping import from_dict
+    from imucalib.mapping import save_mapping as save
     from imucalib.readers import blocks
     from imucalib.report.inspection import inspection_dict, inspection_document
     from imucalib.report.text import render_text

@@ -29,7 +29,9 @@ def numbers(text: str, what: str) -> tuple[int, ...]:
             low = int(first)
             rows += range(low, int(last) + 1) if dash else [low]
         except ValueError:
-            raise click.BadParameter(f"'{part}' is not a row or a range such as 1-20", param_hint=what) from None
+            raise click.BadParameter(
+                f"'{part}' is not a row or a range such as 1-20", param_hint=what
+            ) from None
     return tuple(rows)
 
 

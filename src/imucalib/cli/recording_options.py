@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 _OPTIONS = (
-    click.option("--mapping", type=click.Path(path_type=Path), help="Recording: mapping file, as `inspect --save-mapping` writes it."),
+    click.option(
+        "--mapping",
+        type=click.Path(path_type=Path),
+        help="Recording: mapping file, as `inspect --save-mapping` writes it.",
+    ),
     click.option("--acc", help="Recording: accelerometer fields or columns, x,y,z."),
     click.option("--gyro", help="Recording: gyroscope fields or columns."),
     click.option("--temperature", help="Recording: temperature field or column."),

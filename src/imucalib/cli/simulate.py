@@ -23,18 +23,37 @@ def _plant(text: str) -> tuple[str, tuple[float, ...]]:
     try:
         return name, tuple(float(v) for v in values.split(","))
     except ValueError:
-        raise click.BadParameter(f"'{text}' is not EFFECT=VALUE,...", param_hint="--plant") from None
+        raise click.BadParameter(
+            f"'{text}' is not EFFECT=VALUE,...", param_hint="--plant"
+        ) from None
 
 
 @click.command("simulate", short_help="Make a bench with planted effects.")
 @click.argument("table", type=click.Path(path_type=Path))
-@click.option("--recording", type=click.Path(path_type=Path), help="Also a recording that rests in every position: .mcap, .h5 or .csv; TABLE then holds angles only.")
-@click.option("--layout", type=click.Choice(["sweeps", "rings"]), default="sweeps", show_default=True, help="How the bench is worked.")
+@click.option(
+    "--recording",
+    type=click.Path(path_type=Path),
+    help="Also a recording that rests in every position: .mcap, .h5 or .csv; TABLE then holds angles only.",
+)
+@click.option(
+    "--layout",
+    type=click.Choice(["sweeps", "rings"]),
+    default="sweeps",
+    show_default=True,
+    help="How the bench is worked.",
+)
 @click.option("--positions", default=32, show_default=True, help="Number of positions.")
-@click.option("--plant", multiple=True, metavar="EFFECT=VALUE,...", help="Effect to plant, in its own units.")
+@click.option(
+    "--plant", multiple=True, metavar="EFFECT=VALUE,...", help="Effect to plant, in its own units."
+)
 @click.option("--slip", multiple=True, metavar="ROW:AXIS", help="Lose the sign of one cell.")
 @click.option("--noise", default=1.0, show_default=True, help="Noise of a reading, mg.")
-@click.option("--setting-sd", default="0.1,0.2", show_default=True, help="Scatter of the settings, deg: inclination,tool-face.")
+@click.option(
+    "--setting-sd",
+    default="0.1,0.2",
+    show_default=True,
+    help="Scatter of the settings, deg: inclination,tool-face.",
+)
 @click.option("--temperature", help="FROM,TO in °C: warms up over the table.")
 @click.option("--gravity", default=9.80665, show_default=True, help="Local gravity, m/s².")
 @seed_option
@@ -61,7 +80,9 @@ def command(table: Path, recording: Path | None, seed: int, **options: Any) -> i
         setting=_two(options["setting_sd"], "--setting-sd"),
         slips=slips,
         gravity=options["gravity"],
-        temperature=_two(options["temperature"], "--temperature") if options["temperature"] else None,
+        temperature=_two(options["temperature"], "--temperature")
+        if options["temperature"]
+        else None,
     )
     rng = np.random.default_rng(seed)
     made = simulated_table(plan, rng)
@@ -71,7 +92,12 @@ def command(table: Path, recording: Path | None, seed: int, **options: Any) -> i
         written.append(recording)
     write_position_table(made, table, angles_only=recording is not None)
     if options["as_json"]:
-        emit_json({"written": [str(p) for p in written], "planted": {k: list(v) for k, v in plan.plant.items()}})
+        emit_json(
+            {
+                "written": [str(p) for p in written],
+                "planted": {k: list(v) for k, v in plan.plant.items()},
+            }
+        )
     elif not options["quiet"]:
         click.echo("\n".join(f"wrote {path}" for path in written))
     return 0

@@ -31,9 +31,7 @@ EFFECTS = (
         "y_y = x_y + k_yx x_x;  y_z = x_z + k_zx x_x + k_zy x_y",
         "paper 002 eq. (1), K lower triangular; paper 004 eq. (4) by angles",
         "Hold the sensor in directions between its axes, in all octants.",
-        each=tuple(
-            Parameter(f"cross_{'xyz'[r]}{'xyz'[s]}", "1", 0.02, 0.3) for r, s in _PAIRS
-        ),
+        each=tuple(Parameter(f"cross_{'xyz'[r]}{'xyz'[s]}", "1", 0.02, 0.3) for r, s in _PAIRS),
         basis=_basis,
         basis_dx=_basis_dx,
     ),

@@ -13,7 +13,9 @@ _SOURCE = "IEEE Std 1293 model equation; 0.1-0.5 % of full scale in MEMS data sh
 _G = STANDARD_GRAVITY
 
 
-def _own_axis(curve: Callable[[Array], Array], slope: Callable[[Array], Array]) -> tuple[Basis, Basis]:
+def _own_axis(
+    curve: Callable[[Array], Array], slope: Callable[[Array], Array]
+) -> tuple[Basis, Basis]:
     """Basis and derivative of a curve of each axis' own input in g, in mg."""
 
     def basis(x: Array, context: Context) -> Array:

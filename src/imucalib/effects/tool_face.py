@@ -71,11 +71,11 @@ EFFECTS = (
         named=_sweep_parameters,
         turns=(_about(_later_sweeps),),
     ),
+    _eccentricity(1, "tool_face_eccentricity", "The tool-face dial is centred beside its axis."),
     _eccentricity(
-        1, "tool_face_eccentricity", "The tool-face dial is centred beside its axis."
-    ),
-    _eccentricity(
-        2, "tool_face_ellipticity", "The tool-face error repeats twice a turn (oval disc, coupling)."
+        2,
+        "tool_face_ellipticity",
+        "The tool-face error repeats twice a turn (oval disc, coupling).",
     ),
     Rotation(
         "tool_face_backlash",

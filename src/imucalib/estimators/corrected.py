@@ -60,7 +60,9 @@ def angles(corrected: Array, reference: KnownVector) -> tuple[Array, Array]:
     turn = np.mod(t - reference.tool_face + np.pi, 2.0 * np.pi) - np.pi
     weight = np.cos(reference.inclination)
     size = np.linalg.norm(corrected, axis=1)
-    residual = np.concatenate([i - reference.inclination, weight * turn, size / reference.gravity - 1.0])
+    residual = np.concatenate(
+        [i - reference.inclination, weight * turn, size / reference.gravity - 1.0]
+    )
     x, y, z = corrected.T
     h = np.maximum(np.hypot(x, y), 1e-9)
     by_i = np.stack([-z * x / h, -z * y / h, h], axis=-1) / (size**2)[:, None]

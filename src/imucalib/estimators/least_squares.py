@@ -82,9 +82,7 @@ def evaluate(
     return replace(found, covariance=covariance, noise_covariance=spread, null_directions=())
 
 
-def _solve(
-    model: Model, observations: Observations, start: State, noise: Noise
-) -> Solution[State]:
+def _solve(model: Model, observations: Observations, start: State, noise: Noise) -> Solution[State]:
     ratio = tuple(sd / noise.factor for sd in noise.sd)
 
     def linearise(state: State) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ fitted parameters, which matters when 12 parameters face 12 settings (Patterson 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,9 @@ from imucalib.balance import Balanced, Noise, whitener
 Array = NDArray[np.float64]
 
 #: Search range of a setting's standard deviation, as its largest effect on a reading in units of
-#: the readings' noise. At the lower end the component counts as zero.
+#: the readings' noise. Below `_VANISHED` the component counts as zero.
 _RATIO = (1e-3, 1e5)
+_VANISHED = 1e-2
 
 
 @dataclass(frozen=True)
@@ -107,11 +109,18 @@ def _search(at: Balanced, start: Noise) -> Noise:
         return 0.5 * (log_v + log_j + dof * np.log(power)), np.array(slope)
 
     first = np.clip(np.log(np.maximum(start.sd, 1e-12)) - np.log(start.factor), low, high)
-    found = minimize(
-        objective, first, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)),
-        options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 200},
-    )  # fmt: skip
-    ratio = np.where(found.x > low + 1e-6, np.exp(found.x), 0.0)
+    def descend(first: Array) -> Any:
+        return minimize(
+            objective, first, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)),
+            options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 200},
+        )  # fmt: skip
+
+    found = descend(first)
+    zero = np.log(_VANISHED / reach)
+    if np.any(found.x < zero):
+        # The likelihood is flat near zero: a long first step can be stranded there.
+        found = min(found, descend(-np.log(reach)), key=lambda result: float(result.fun))
+    ratio = np.where(found.x > zero, np.exp(found.x), 0.0)
     projector = _projector(at, np.array([1.0, *ratio]))[0]
     factor = float(np.sqrt(max(float(at.residual @ projector @ at.residual) / dof, 1e-30)))
     return Noise(factor, at.component, tuple(float(r) * factor for r in ratio))

@@ -45,17 +45,22 @@ def catalogue_document(effects: Sequence[Effect]) -> Document:
         "llll",
         "`imucal effects NAME` shows the equation, the source and how to record data for it.",
     )
-    verdict = Text(f"{len(effects)} effects. Fixture effects belong to the bench and are never applied.")
+    verdict = Text(
+        f"{len(effects)} effects. Fixture effects belong to the bench and are never applied."
+    )
     return Document("Effects", verdict, (Section("Catalogue", (table,)),))
 
 
 def _sizes(effect: Effect) -> str:
-    return ", ".join(dict.fromkeys(f"{p.typical:g} {p.unit}" for p in effect.parameters(_context())))
+    return ", ".join(
+        dict.fromkeys(f"{p.typical:g} {p.unit}" for p in effect.parameters(_context()))
+    )
 
 
 def _one(effect: Effect) -> Section:
     rows = tuple(
-        (p.name, f"{p.typical:g}", f"{p.plausible:g}", p.unit) for p in effect.parameters(_context())
+        (p.name, f"{p.typical:g}", f"{p.plausible:g}", p.unit)
+        for p in effect.parameters(_context())
     )
     header = ("parameter", "typical", "plausible", "unit")
     return Section(

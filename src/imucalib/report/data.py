@@ -110,7 +110,11 @@ def _found(loop: Loop) -> dict[str, Any]:
 
 
 def _candidates(loop: Loop) -> dict[str, Any]:
-    reasons = {s.name: _why(s.evidence, s.p, s.absorbed) for s in loop.scores if s.candidate.kind == "effect"}
+    reasons = {
+        s.name: _why(s.evidence, s.p, s.absorbed)
+        for s in loop.scores
+        if s.candidate.kind == "effect"
+    }
     reasons |= dict(loop.rejected)
     reasons |= {name: f"not tested: {why}" for name, why in loop.missing.items()}
     return {

@@ -23,7 +23,9 @@ def design_document(plan: Plan) -> Document:
     )
     blocks: list[Block] = []
     for name, design in (("known angles", plan.vector), ("|a| alone", plan.norm)):
-        blocks += [Text(f"With {name} these stay open: {o}.", "bad") for o in design.open_directions]
+        blocks += [
+            Text(f"With {name} these stay open: {o}.", "bad") for o in design.open_directions
+        ]
     blocks += [_additions(plan), _parameters(plan)]
     setting = Text(
         f"In this order inclination is set {plan.settings[0]} times and tool-face {plan.settings[1]} "
@@ -56,7 +58,14 @@ def _additions(plan: Plan) -> Table:
             i, t = _shown(plan, addition)
             gain = f"{addition.gain:.2f} x" if np.isfinite(addition.gain) else "decisive"
             rows.append(
-                (name, str(k), f"{i:.0f}", f"{t:.0f}", f"{addition.efficiency:.2f}", f"{gain} {addition.parameter}")
+                (
+                    name,
+                    str(k),
+                    f"{i:.0f}",
+                    f"{t:.0f}",
+                    f"{addition.efficiency:.2f}",
+                    f"{gain} {addition.parameter}",
+                )
             )
     header = ("reference", "add", "inclination", "tool-face", "efficiency", "best gain in sd")
     return Table("Positions to add, best first", header, tuple(rows), "lrrrrl")

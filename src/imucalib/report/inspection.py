@@ -20,7 +20,9 @@ def inspection_document(found: Inspection) -> Document:
     if usable and still:
         verdict = Text(f"{still} still segments; {found.candidates[0][0]} would be used.", "ok")
     else:
-        why = found.why_not_still or (found.candidates[0][1] if found.candidates else "no acceleration")
+        why = found.why_not_still or (
+            found.candidates[0][1] if found.candidates else "no acceleration"
+        )
         verdict = Text(f"Not ready for calibration: {why}.", "warning")
     sections = [Section("File", (_file(found),)), Section("Channels", _channels(found))]
     if found.candidates:

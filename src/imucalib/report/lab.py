@@ -7,13 +7,23 @@ from numpy.typing import NDArray
 
 from imucalib.attitude import AttitudeErrors, attitude_errors, rms, worst
 from imucalib.calibration import Calibration
-from imucalib.calibrators.lab_calibration import lab_calibration
 from imucalib.calibrators.lab import gravity_of, setting_noise
 from imucalib.calibrators.lab_advice import curve_words, fixture_curve
+from imucalib.calibrators.lab_calibration import lab_calibration
 from imucalib.calibrators.lab_run import LabRun
 from imucalib.held_out import fitted
 from imucalib.references import KnownVector
-from imucalib.report.document import Block, Document, Facts, Plot, Section, Series, Table, Text, Tone
+from imucalib.report.document import (
+    Block,
+    Document,
+    Facts,
+    Plot,
+    Section,
+    Series,
+    Table,
+    Text,
+    Tone,
+)
 from imucalib.report.lab_tables import iscwsa_table, position_table, published_table, training_note
 from imucalib.report.loop import advice_section, candidate_section, loop_section
 from imucalib.report.numbers import plus_minus, spread, with_sd
@@ -58,7 +68,9 @@ def _verdict(run: LabRun) -> Text:
         f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
         f"{error.held_out.final:.2f} {error.unit} rms final (noise floor {error.floor:.2f})."
     )
-    broken = [f"{x.name}: {x.value:.3g} {x.unit} exceeds {x.limit:g}" for x in outcome.limits if x.broken]
+    broken = [
+        f"{x.name}: {x.value:.3g} {x.unit} exceeds {x.limit:g}" for x in outcome.limits if x.broken
+    ]
     why = [f"{r[0].upper()}{r[1:]}" for r in outcome.reasons if not r.startswith("record errors")]
     text = " ".join([head, *(f"{t}." for t in (*broken, *outcome.undecided, *why))])
     return Text(text, tone)
@@ -160,7 +172,14 @@ def _sensor_section(run: LabRun, calibration: Calibration) -> Section:
     rows = []
     for k, letter in enumerate("xyz"):
         m = "  ".join(f"{v:+.6f}" for v in linear.M[k])
-        rows.append((letter, m, f"{linear.b[k] / MG:+.3f}", *with_sd(float(linear.scale[k]), float(linear.scale_sd[k]))))
+        rows.append(
+            (
+                letter,
+                m,
+                f"{linear.b[k] / MG:+.3f}",
+                *with_sd(float(linear.scale[k]), float(linear.scale_sd[k])),
+            )
+        )
     table = Table(
         "corrected = M raw + b",
         ("axis", "M", "b, mg", "scale", "sd"),
@@ -183,14 +202,31 @@ def _uncertainty_section(run: LabRun) -> Section:
         return Section("Uncertainty of the angles", ())
     at = np.radians(np.linspace(-85.0, 85.0, 69))
     sigma = fit.noise.factor * float(np.median(fit.at.sigma))
-    curves = [angle_uncertainty(fit, at, np.full(69, t), run.request.gravity, sigma) for t in np.radians([0, 90, 180, 270])]
+    curves = [
+        angle_uncertainty(fit, at, np.full(69, t), run.request.gravity, sigma)
+        for t in np.radians([0, 90, 180, 270])
+    ]
     inclination = np.max([c.inclination_95 for c in curves], axis=0)
     tool_face = np.max([c.tool_face_95 for c in curves], axis=0)
     x = at / DEG
-    caption = "Half width of 95 % intervals, worst of four tool-faces; one reading's noise comes on top."
+    caption = (
+        "Half width of 95 % intervals, worst of four tool-faces; one reading's noise comes on top."
+    )
     plots = (
-        Plot("Inclination, calibration only", "inclination (deg)", "deg", (Series("95 %", x, inclination, "line"),), caption),
-        Plot("Tool-face, calibration only", "inclination (deg)", "deg", (Series("95 %", x, tool_face, "line"),), caption),
+        Plot(
+            "Inclination, calibration only",
+            "inclination (deg)",
+            "deg",
+            (Series("95 %", x, inclination, "line"),),
+            caption,
+        ),
+        Plot(
+            "Tool-face, calibration only",
+            "inclination (deg)",
+            "deg",
+            (Series("95 %", x, tool_face, "line"),),
+            caption,
+        ),
     )
     chosen = [int(np.argmin(np.abs(x - v))) for v in (0.0, 30.0, 50.0, 80.0)]
     rows = tuple(
@@ -225,7 +261,15 @@ def _residual_plots(run: LabRun) -> tuple[Plot, ...]:
             Series("base model", x, old, "points", names=names),
             Series("final model", x, new, "points", names=names),
         )
-        plots.append(Plot(f"{title} by position", "row", unit, series, "Before and after the loop, fitted rows."))
+        plots.append(
+            Plot(
+                f"{title} by position",
+                "row",
+                unit,
+                series,
+                "Before and after the loop, fitted rows.",
+            )
+        )
     return tuple(plots)
 
 

@@ -55,5 +55,3 @@ def _positions(run: LabRun, known: bool) -> list[dict[str, Any]]:
             }
         rows.append(row)
     return rows
-
-

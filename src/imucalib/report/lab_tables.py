@@ -23,7 +23,9 @@ def position_table(run: LabRun) -> Table:
     residual = fit.residual()[:, 0] / MG
     angle = attitude_errors(fitted(fit), gravity)
     split = run.result.splits[0] if run.result.splits else None
-    left = attitude_errors(split.final, gravity) if split and split.name == "leave one out" else angle
+    left = (
+        attitude_errors(split.final, gravity) if split and split.name == "leave one out" else angle
+    )
 
     def number(value: float, places: int) -> str:
         return "-" if not np.isfinite(value) else f"{value:.{places}f}"
@@ -65,7 +67,8 @@ def iscwsa_table(calibration: Calibration, linear: Matrices) -> Table:
     if tilt:
         rows.append(("XYM", "deg", rss([p.value for p in tilt]), rss([p.sd for p in tilt]), 0.1))
     text = tuple(
-        (code, unit, f"{value:.5f}", f"{sd:.5f}", f"{model:g}") for code, unit, value, sd, model in rows
+        (code, unit, f"{value:.5f}", f"{sd:.5f}", f"{model:g}")
+        for code, unit, value, sd, model in rows
     )
     return Table(
         "ISCWSA-coded equivalents",
@@ -100,4 +103,8 @@ def training_note(run: LabRun) -> list[Block]:
     used, n = run.result.used, run.result.observations.n
     if len(used) == n:
         return []
-    return [Text(f"Model chosen and fitted on {len(used)} rows; the other {n - len(used)} are the test set.")]
+    return [
+        Text(
+            f"Model chosen and fitted on {len(used)} rows; the other {n - len(used)} are the test set."
+        )
+    ]

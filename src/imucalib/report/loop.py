@@ -42,7 +42,9 @@ def loop_section(outcome: Outcome) -> Section:
         )
         header = ("record", "channel", "off by", "p", "likely")
         tones = dict.fromkeys(range(len(rows)), "bad")
-        blocks.append(Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones))  # type: ignore[arg-type]
+        blocks.append(
+            Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones)
+        )  # type: ignore[arg-type]
     blocks.append(Text(*_verdict(loop)))
     if loop.steps:
         unit = 1.0 if outcome.error.unit != "mg" else 9.80665e-3
@@ -64,9 +66,7 @@ def loop_section(outcome: Outcome) -> Section:
 
 
 def _verdict(loop: Loop) -> tuple[str, str]:
-    names = ", ".join(
-        " or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.steps
-    )
+    names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.steps)
     records = ", ".join(r.where for r in loop.records)
     cause = " and ".join(
         part for part in (f"a wrong record ({records})" if records else "", names) if part
@@ -79,7 +79,10 @@ def _verdict(loop: Loop) -> tuple[str, str]:
             f"The residual is explained in part by {cause}; left: {unknown}.",
             "warning",
         ),
-        "unexplained": (f"Unexplained structure: {unknown}. No effect of the catalogue fits.", "bad"),
+        "unexplained": (
+            f"Unexplained structure: {unknown}. No effect of the catalogue fits.",
+            "bad",
+        ),
     }[loop.verdict]
 
 
@@ -105,7 +108,9 @@ def candidate_section(loop: Loop) -> Section:
         "parameters do not absorb; absorbed effects cannot be tested on these data. λ of about 4.7 "
         "gives an 80 % chance to find the effect at its typical size."
     )
-    why = "; ".join(f"{name}: {reason}" for name, reason in (*rejected.items(), *loop.missing.items()))
+    why = "; ".join(
+        f"{name}: {reason}" for name, reason in (*rejected.items(), *loop.missing.items())
+    )
     blocks: tuple[Block, ...] = (Table("All candidates", header, tuple(rows), "llrrrr", note),)
     if why:
         blocks = (*blocks, Text(f"Rejected or not tested: {why}."))
