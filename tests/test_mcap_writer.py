@@ -10,7 +10,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap_logs import START, cdr, imu_log, packed, readings, same_bits, write_log
 from mcap_ros2.decoder import DecoderFactory
 
 from imucalib.errors import UsageError
@@ -19,6 +18,7 @@ from imucalib.readers.mcap_scan import Scanner
 from imucalib.recording import Channel, Recording
 from imucalib.writers import write
 from imucalib.writers.mcap import write_with_topics_of
+from mcap_logs import START, cdr, imu_log, packed, readings, same_bits, write_log
 
 
 def recording(
