@@ -213,3 +213,16 @@ def test_rests_of_the_tumble_logs(name: str) -> None:
     )
     found = still_segments(read(DATA / "mpu9150_tumble" / name, mapping))
     assert 21 <= found.n <= 24
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="real data folder absent")
+def test_idle_sleep_that_repeats_the_last_value_is_no_rest() -> None:
+    path = DATA / "actigraph" / "read_gt3x_TAS1H30182785_2019-09-17.csv.gz"
+    recording = read(path)
+    found = still_segments(recording)
+    values = recording.channels["imu0/acceleration"].values
+    for first, last in zip(found.first[:, 0], found.last[:, 0], strict=True):
+        assert np.all(np.ptp(values[first:last], axis=0) > 0)
+    assert any("frozen" in n for n in found.notes)
+    # The sensor's resolution is 1/256 g, and its noise a little below that.
+    assert np.all((found.noise > 0.02) & (found.noise < 0.04))

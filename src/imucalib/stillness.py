@@ -15,6 +15,7 @@ from imucalib.windows import Windows
 Flags = NDArray[np.bool_]
 _QUIETEST = 0.05  # share of the windows that is surely still in a recording worth calibrating
 _FROZEN_SECONDS = 60.0
+_FINE = 0.3  # noise over resolution; above it three axes do not repeat themselves for a window
 
 
 @dataclass(frozen=True)
@@ -67,26 +68,34 @@ class Sensor:
         three times its variance, which are chosen by a rule that does not favour low ones, give
         the second and last. Quantisation, step²/12, is the floor.
         """
-        w = self.windows
-        # A constant axis is clipped, unless the resolution is so coarse that most rests have one.
-        live, whole = np.any(w.high > w.low, axis=1), np.all(w.high > w.low, axis=1)
+        # A constant axis is dead or clipped, unless the resolution hides the noise.
+        moving = np.all(self.windows.high > self.windows.low, axis=1)
+        chosen = moving if self.fine.any() and moving.any() else np.ones_like(moving)
+        return self._level(chosen)
+
+    @cached_property
+    def fine(self) -> Flags:
+        """(3,) axes whose noise, where they move, shows in spite of the resolution."""
+        live = np.any(self.windows.high > self.windows.low, axis=1)
+        whole = np.all(self.windows.high > self.windows.low, axis=1)
         live = whole if 2 * whole.sum() > live.sum() else live
-        variance = w.variance[live] if live.any() else w.variance
-        floor = np.where(np.isfinite(w.finest), w.finest, 0.0) ** 2 / 12.0
+        noise = self._level(live if live.any() else np.ones_like(live))
+        return np.asarray(noise > _FINE * self._step)
+
+    @property
+    def _step(self) -> Array:
+        return np.where(np.isfinite(self.windows.finest), self.windows.finest, 0.0)
+
+    def _level(self, chosen: Flags) -> Array:
+        """Standard deviation at rest, from the quietest of the chosen windows."""
+        variance, floor = self.windows.variance[chosen], self._step**2 / 12.0
         total = variance.sum(axis=1)
-        quiet = np.quantile(total, _QUIETEST)
-        level = np.median(variance[total <= quiet], axis=0)
+        level = np.median(variance[total <= np.quantile(total, _QUIETEST)], axis=0)
         for _ in range(3):
             level = np.maximum(level, floor)
             inside = np.all(variance <= 3.0 * level, axis=1)
             level = np.median(variance[inside], axis=0) if inside.any() else level
         return np.asarray(np.sqrt(np.maximum(level, floor)))
-
-    @cached_property
-    def fine(self) -> Flags:
-        """(3,) axes whose noise is above the resolution, so that they cannot stand still."""
-        finest = self.windows.finest
-        return np.asarray(self.noise > 0.5 * np.where(np.isfinite(finest), finest, 0.0))
 
 
 def judge(
