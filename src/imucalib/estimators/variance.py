@@ -129,7 +129,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
 def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
     values = np.array([noise.factor, *noise.sd])
     projector, weighted, derivative, log_v, log_j = _projector(at, values)
-    covariance = np.linalg.pinv(weighted @ at.jacobian, rcond=1e-14)
+    covariance = np.asarray(np.linalg.pinv(weighted @ at.jacobian, rcond=1e-14), np.float64)
     gain = covariance @ weighted
     slope = np.array([gain @ d @ gain.T for d in derivative])
     py = projector @ at.residual
