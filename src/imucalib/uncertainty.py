@@ -111,3 +111,13 @@ def _typical_covariates(fit: Fit, n: int) -> dict[str, Array]:
     """Covariates at their median over the calibration, for attitudes that were never recorded."""
     covariates = fit.observations.context.covariates
     return {name: np.full(n, float(np.median(values))) for name, values in covariates.items()}
+
+
+def corrected_by(fit: Fit, reading: Array) -> Array:
+    """New readings (n, 3) m/s² corrected to specific force (n, 3) by a fit, K = 1."""
+    model = correcting(fit.model)
+    context = Context(len(reading), _typical_covariates(fit, len(reading)))
+    slices = fit.model.slices(fit.observations.context)
+    parts = [fit.theta[slices[name]] for name in model.names]
+    theta = np.concatenate(parts) if parts else np.zeros(0)
+    return model.correct(theta, reading[:, None], context)[:, 0]

@@ -11,6 +11,7 @@ from imucalib.balance import Noise
 from imucalib.bench import position_observations
 from imucalib.calibrators.lab import MODELS
 from imucalib.calibrators.lab_design import recommend
+from imucalib.context import Context
 from imucalib.conventions import Conventions
 from imucalib.effects import named
 from imucalib.errors import UsageError
@@ -19,6 +20,7 @@ from imucalib.observations import Observations
 from imucalib.position_table import PositionTable
 from imucalib.recording import Channel, Recording
 from imucalib.simulate import simulate
+from imucalib.uncertainty import correcting
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -133,3 +135,13 @@ def simulated_recording(
     t = np.arange(len(values)) / rate
     channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate)
     return Recording({"imu0/acceleration": channel}, "simulated", "simulated", "")
+
+
+def planted_truth(plan: BenchPlan, data: Observations, force: Array) -> Array:
+    """Noise-free readings (n, 3) m/s² of the planted sensor at specific forces (n, 3) m/s²."""
+    model, theta = _planted(plan, data)
+    slices = model.slices(data.context)
+    sensor = correcting(model)
+    own = np.concatenate([theta[slices[name]] for name in sensor.names])
+    covariates = {k: np.full(len(force), np.median(v)) for k, v in data.context.covariates.items()}
+    return sensor.predict(own, force[:, None], Context(len(force), covariates)).reading[:, 0]
