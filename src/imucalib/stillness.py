@@ -15,7 +15,6 @@ from imucalib.windows import Windows
 Flags = NDArray[np.bool_]
 _QUIETEST = 0.05  # share of the windows that is surely still in a recording worth calibrating
 _FROZEN_SECONDS = 60.0
-_FINE = 0.3  # noise over resolution; above it three axes do not repeat themselves for a window
 
 
 @dataclass(frozen=True)
@@ -70,17 +69,26 @@ class Sensor:
         """
         # A constant axis is dead or clipped, unless the resolution hides the noise.
         moving = np.all(self.windows.high > self.windows.low, axis=1)
-        chosen = moving if self.fine.any() and moving.any() else np.ones_like(moving)
+        chosen = moving if self.fine and moving.any() else np.ones_like(moving)
         return self._level(chosen)
 
     @cached_property
-    def fine(self) -> Flags:
-        """(3,) axes whose noise, where they move, shows in spite of the resolution."""
-        live = np.any(self.windows.high > self.windows.low, axis=1)
-        whole = np.all(self.windows.high > self.windows.low, axis=1)
-        live = whole if 2 * whole.sum() > live.sum() else live
+    def fine(self) -> bool:
+        """Whether the resolution shows the noise, so that no axis stands still by chance.
+
+        Noise of more than two steps always shows. Below that, a sensor whose quiet windows move
+        on all axes is fine, one of which single axes stand still now and then is not.
+        """
+        w = self.windows
+        moving = w.high > w.low
+        some, whole = np.any(moving, axis=1), np.all(moving, axis=1)
+        live = whole if 2 * whole.sum() > some.sum() else some
         noise = self._level(live if live.any() else np.ones_like(live))
-        return np.asarray(noise > _FINE * self._step)
+        if np.all(noise > 2.0 * self._step):
+            return True
+        quiet = np.all(w.variance <= (3.0 * self._step) ** 2, axis=1)
+        extreme = np.any(~moving & _at_extreme(w), axis=1)
+        return bool((quiet & whole).sum() > (quiet & some & ~whole & ~extreme).sum())
 
     @property
     def _step(self) -> Array:
@@ -126,7 +134,7 @@ def _frozen(sensor: Sensor) -> Flags:
     """
     w = sensor.windows
     constant = np.all(w.high == w.low, axis=1)
-    if sensor.fine.any():
+    if sensor.fine:
         return np.asarray(constant)
     same = constant & np.append(False, np.all(w.mean[1:] == w.mean[:-1], axis=1))
     starts = np.flatnonzero(~same)
@@ -140,9 +148,13 @@ def _frozen(sensor: Sensor) -> Flags:
 def _clipped(sensor: Sensor) -> Flags:
     """Windows in which one axis stands at its extreme of the whole recording while others move."""
     w = sensor.windows
-    constant = (w.high == w.low) & sensor.fine
-    extreme = (w.high == w.high.max(axis=0)) | (w.low == w.low.min(axis=0))
-    return np.asarray(np.any(constant & extreme, axis=1) & ~np.all(w.high == w.low, axis=1))
+    constant = w.high == w.low
+    clipped = np.any(constant & _at_extreme(w), axis=1) & ~np.all(constant, axis=1)
+    return np.asarray(clipped & sensor.fine)
+
+
+def _at_extreme(w: Windows) -> Flags:
+    return np.asarray((w.high == w.high.max(axis=0)) | (w.low == w.low.min(axis=0)))
 
 
 def _spans(
