@@ -1,4 +1,4 @@
-"""A generic bench for tests: positions all over the sphere, every covariate that the catalogue knows."""
+"""A generic bench for tests: positions all over the sphere, every covariate there is."""
 
 from __future__ import annotations
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_world import GRAVITY, base_model, bench, draw, ordinary_theta
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from bench_world import GRAVITY, base_model, bench, draw, ordinary_theta
 from imucalib.candidates import effect_candidates
 from imucalib.context import Context
 from imucalib.effect import Action, Effect
