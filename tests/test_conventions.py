@@ -1,4 +1,4 @@
-"""Angle conventions: nothing is lost on the way in and out, and the presets say what is published."""
+"""Angle conventions: nothing is lost in and out, and the presets say what is published."""
 
 from __future__ import annotations
 
