@@ -73,7 +73,7 @@ def test_restricted_likelihood_without_settings() -> None:
     differences = [
         estimate_noise(at, Noise(factor), fixed=True).log_likelihood
         - _restricted(at, Noise(factor))
-        for factor in (0.5, 1.0, 3.0)
+        for f in (0.5, 1.0, 3.0)
     ]
     assert np.ptp(differences) < 1e-8
 
