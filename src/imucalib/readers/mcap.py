@@ -37,6 +37,7 @@ class McapReader:
             plan = decide(path, mapping, stream, store)
         except OSError as error:
             raise checked(error, path) from error
+        store.surveys.clear()  # they hold on to raw samples
         outputs = {}
         gaps: list[Gap] = []
         timelines = plan.timelines()
@@ -66,7 +67,7 @@ def _collect(
     path: Path, mapping: FieldMapping, strict: bool, *, keep: bool
 ) -> tuple[TopicStream, Store]:
     stream = TopicStream(path, mapping, strict=strict)
-    store = Store(keep)
+    store = Store(keep, stream.expected)
     for samples in stream.samples():
         store.add(samples)
     store.close()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.readers.mcap_stream import Samples
+from imucalib.readers.mcap_lanes import Samples
 from imucalib.readers.mcap_survey import ClockFacts, Growing, Stamps, Survey
 from imucalib.recording import Array
 
@@ -15,9 +16,13 @@ _BATCH = 4096  # rows that are surveyed at once when samples are not kept
 
 
 class Store:
-    """Samples by topic. With `keep`, whole arrays; without, only what the surveys need."""
+    """Samples by topic. With `keep`, whole arrays; without, only what the surveys need.
 
-    def __init__(self, keep: bool) -> None:
+    expected : topic -> how many samples to make room for, 0 when unknown
+    """
+
+    def __init__(self, keep: bool, expected: Callable[[str], int]) -> None:
+        self._expected = expected
         self.surveys: dict[str, Survey] = {}
         self._keep = keep
         self._kept: dict[str, _Kept] = {}
@@ -26,7 +31,9 @@ class Store:
         """Add consecutive samples of one topic."""
         kept = self._kept.get(samples.topic)
         if kept is None:
-            kept = self._kept[samples.topic] = _Kept(samples)
+            kept = self._kept[samples.topic] = _Kept(
+                samples, self._expected(samples.topic) if self._keep else 0
+            )
             self.surveys[samples.topic] = Survey(len(samples.columns))
         kept.append(samples)
         if not self._keep and kept.log.size >= _BATCH:
@@ -61,10 +68,13 @@ class Store:
 class _Kept:
     """The arrays of one topic, growing until they are whole."""
 
-    def __init__(self, first: Samples) -> None:
-        self.stamps = Growing(None, first.stamps.dtype.type) if first.stamps is not None else None
-        self.log = Growing(None, np.int64)
-        self.columns = [Growing(column.shape[1], np.float64) for column in first.columns]
+    def __init__(self, first: Samples, expected: int) -> None:
+        self.stamps = None
+        if first.stamps is not None:
+            self.stamps = Growing(None, first.stamps.dtype.type, expected)
+        self.log = Growing(None, np.int64, expected)
+        widths = [column.shape[1] for column in first.columns]
+        self.columns = [Growing(width, np.float64, expected) for width in widths]
         self._arrays: tuple[Stamps | None, NDArray[np.int64], list[Array]] | None = None
 
     def append(self, samples: Samples) -> None:

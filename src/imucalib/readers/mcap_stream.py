@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,60 +14,14 @@ from imucalib.mapping import FieldMapping
 from imucalib.readers.mcap_decode import Decoder, decoder_for
 from imucalib.readers.mcap_definition import LayoutError
 from imucalib.readers.mcap_fields import TopicFields, is_imu
-from imucalib.readers.mcap_layout import Groups
+from imucalib.readers.mcap_lanes import DecodedRows, Lane, Samples, Source, joined_stamps
 from imucalib.readers.mcap_records import MessageBlock, Topic
 from imucalib.readers.mcap_scan import Scanner
 from imucalib.readers.mcap_select import fields_of, natural, split_address
-from imucalib.readers.mcap_summary import known_topics
+from imucalib.readers.mcap_summary import read_summary
 
 _UNDECIDED, _SKIPPED = -1, -2
 _GATHER = 1 << 16  # rows that are decoded before they are divided among their topics
-
-
-class Samples(NamedTuple):
-    """Consecutive samples of one topic, in file order.
-
-    stamps : (n,) in the message's own unit, or None; log : (n,) int64 ns; columns : (n, k) each
-    """
-
-    topic: str
-    stamps: NDArray[Any] | None
-    log: NDArray[np.int64]
-    columns: list[NDArray[Any]]
-
-
-@dataclass
-class Source:
-    """A topic that is read; `rows` samples so far, `marks` the rows before which damage lies."""
-
-    name: str
-    fields: TopicFields
-    imu: bool
-    rows: int = 0
-    bad: int = 0
-    problem: str = ""
-    marks: list[int] = field(default_factory=list)
-
-
-class _Decoded(NamedTuple):
-    """Decoded messages of several topics, in file order."""
-
-    channels: NDArray[np.int64]
-    log: NDArray[np.int64]
-    stamps: NDArray[Any] | None
-    columns: list[NDArray[Any]]
-
-
-@dataclass
-class _Lane:
-    """Topics that decode together: one decoder, the same groups; and what waits for division."""
-
-    decoder: Decoder
-    groups: Groups
-    widths: tuple[int, ...]
-    timed: bool
-    waiting: list[_Decoded] = field(default_factory=list)
-    rows: int = 0
 
 
 class TopicStream:
@@ -83,10 +36,10 @@ class TopicStream:
         self.sources: dict[str, Source] = {}
         self.counts: dict[int, int] = {}
         self.orphans = 0
-        self._hints = known_topics(path)
+        self._hints, self._counted = read_summary(path)
         self._imu_known = any(is_imu(topic) for topic in self._hints.values())
         self._lane_of = np.full(1 << 16, _UNDECIDED, dtype=np.int64)
-        self._lanes: list[_Lane] = []
+        self._lanes: list[Lane] = []
         self._decoders: dict[tuple[object, ...], Decoder] = {}
         self._source_of: dict[int, Source] = {}
         self._reasons: dict[int, str] = {}
@@ -117,6 +70,12 @@ class TopicStream:
     def topic(self, number: int) -> Topic | None:
         """The topic of a channel number, from the data or else from the file's summary."""
         return self.scanner.topics.get(number) or self._hints.get(number)
+
+    def expected(self, topic: str) -> int:
+        """How many messages of a topic the summary counts, at most what the file can hold."""
+        numbers = [n for n, known in self._hints.items() if known.name == topic]
+        total = sum(self._counted.get(n, 0) for n in numbers)
+        return min(total, 100 * self.path.stat().st_size)
 
     def candidates(self) -> list[str]:
         """Every topic with its type, count and, where it could not be read, the reason."""
@@ -189,7 +148,7 @@ class TopicStream:
             if lane.decoder is decoder and lane.groups == fields.groups:
                 return i
         timed = bool(fields.time_leaves)
-        self._lanes.append(_Lane(decoder, fields.groups, fields.widths, timed))
+        self._lanes.append(Lane(decoder, fields.groups, fields.widths, timed))
         return len(self._lanes) - 1
 
     def _is_stated(self, topic: Topic) -> bool | None:
@@ -220,7 +179,7 @@ class TopicStream:
 
     # -- decoding -----------------------------------------------------------------------------
 
-    def _decode(self, lane: _Lane, block: MessageBlock, channels: NDArray[np.int64]) -> None:
+    def _decode(self, lane: Lane, block: MessageBlock, channels: NDArray[np.int64]) -> None:
         decoded = lane.decoder.decode(block, lane.groups, lane.widths)
         clock = "publish_time" if self.mapping.time == "publish_time" else "log_time"
         log = block.header(clock).astype(np.int64)
@@ -229,14 +188,14 @@ class TopicStream:
             pair = columns.pop()
             if pair.dtype.kind == "f":
                 good = good & np.isfinite(pair).all(axis=1)
-            stamps = _joined(np.where(good[:, None], pair, 0) if not good.all() else pair)
+            stamps = joined_stamps(np.where(good[:, None], pair, 0) if not good.all() else pair)
         if not good.all():
             self._drop(channels[~good], decoded.problem or "a time stamp is not a number")
             channels, log, columns = channels[good], log[good], [c[good] for c in columns]
             stamps = stamps[good] if stamps is not None else None
         # Copies, so that the block's bytes are free.
         columns = [c.astype(np.float64) for c in columns]
-        lane.waiting.append(_Decoded(channels, log, stamps, columns))
+        lane.waiting.append(DecodedRows(channels, log, stamps, columns))
         lane.rows += channels.size
 
     def _drop(self, channels: NDArray[np.int64], problem: str) -> None:
@@ -250,7 +209,7 @@ class TopicStream:
         for lane in self._lanes:
             yield from self._divide(lane)
 
-    def _divide(self, lane: _Lane) -> Iterator[Samples]:
+    def _divide(self, lane: Lane) -> Iterator[Samples]:
         waiting, lane.waiting, lane.rows = lane.waiting, [], 0
         if not waiting:
             return
@@ -267,16 +226,6 @@ class TopicStream:
             source.rows += rows.size
             own = stamps[part] if stamps is not None else None
             yield Samples(source.name, own, log[part], [c[part] for c in columns])
-
-
-def _joined(stamps: NDArray[Any]) -> NDArray[Any]:
-    """(n,) stamps: seconds and nanoseconds as int64 ns, a single number as it is."""
-    if stamps.shape[1] == 2:
-        pair = stamps.astype(np.int64)
-        total: NDArray[np.int64] = pair[:, 0] * 1_000_000_000 + pair[:, 1]
-        return total
-    only = stamps[:, 0]
-    return only.astype(np.float64 if only.dtype.kind == "f" else np.int64)
 
 
 def checked(error: Exception, path: Path) -> ImucalError:

@@ -1,39 +1,50 @@
-"""The summary at the end of an MCAP file: a second source of channel definitions."""
+"""The summary at the end of an MCAP file: nothing depends on it, two things profit from it.
+
+It defines the channels once more, for a file whose first definitions are lost, and it counts the
+messages, so that arrays need not grow.
+"""
 
 from __future__ import annotations
 
+import struct
 import zlib
 from pathlib import Path
+from typing import NamedTuple
 
 from imucalib.readers import mcap_records as mr
 from imucalib.readers.mcap_records import MalformedRecordError, Schema, Topic
 
 
-def known_topics(path: Path) -> dict[int, Topic]:
-    """Channels from the summary at the file's end, empty when it is absent or damaged.
+class Summary(NamedTuple):
+    """Channels by number, and message counts by channel number."""
 
-    A fallback for a file whose only channel definitions were in a chunk that is lost.
-    """
+    topics: dict[int, Topic]
+    counts: dict[int, int]
+
+
+def read_summary(path: Path) -> Summary:
+    """The summary; empty when it is absent, cut or damaged."""
     with open(path, "rb") as file:
         size = file.seek(0, 2)
         file.seek(max(size - 37, 0))
         tail = file.read()
         if len(tail) < 37 or tail[0] != mr.FOOTER or tail[-8:] != mr.MAGIC:
-            return {}
+            return Summary({}, {})
         summary = int.from_bytes(tail[9:17], "little")
         if not len(mr.MAGIC) <= summary < size:
-            return {}
+            return Summary({}, {})
         file.seek(summary)
         data = file.read(size - 37 - summary)
     expected = int.from_bytes(tail[25:29], "little")
     if expected and zlib.crc32(data + tail[:25]) != expected:
-        return {}
-    return _channels(data)
+        return Summary({}, {})
+    return _parsed(data)
 
 
-def _channels(data: bytes) -> dict[int, Topic]:
+def _parsed(data: bytes) -> Summary:
     schemas: dict[int, Schema] = {}
     topics: dict[int, Topic] = {}
+    counts: dict[int, int] = {}
     at = 0
     try:
         while at + 9 <= len(data):
@@ -45,7 +56,10 @@ def _channels(data: bytes) -> dict[int, Topic]:
             elif opcode == mr.CHANNEL:
                 topic = mr.parse_channel(content, schemas)
                 topics[topic.id] = topic
+            elif opcode == mr.STATISTICS:
+                pairs = content[46 : 46 + len(content[46:]) // 10 * 10]
+                counts = dict(struct.iter_unpack("<HQ", pairs))
             at += 9 + length
     except MalformedRecordError:
-        return {}
-    return topics
+        return Summary({}, {})
+    return Summary(topics, counts)

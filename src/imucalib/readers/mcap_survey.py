@@ -12,7 +12,7 @@ from imucalib.recording import Array
 
 _PIECE = 4096  # rows of one stretch that is kept to judge the norm at rest
 _LARGEST_SLAB = 1 << 20  # rows
-_HEAD = 1 << 16  # rows that the sampling period is taken from
+_HEAD = 1 << 15  # rows that the sampling period is taken from
 
 
 Stamps = NDArray[Any]  # int64 or float64, as the file has it
@@ -21,7 +21,8 @@ Stamps = NDArray[Any]  # int64 or float64, as the file has it
 class Growing:
     """Rows appended in slabs, which become one array at the end: nothing is copied meanwhile."""
 
-    def __init__(self, width: int | None, dtype: type) -> None:
+    def __init__(self, width: int | None, dtype: type, expected: int = 0) -> None:
+        self._expected = expected
         self._shape = () if width is None else (width,)
         self._dtype = dtype
         self._slabs: list[NDArray[Any]] = []
@@ -51,7 +52,8 @@ class Growing:
 
     def _start(self, rows: int) -> None:
         # Memory that is not written yet costs nothing, so a slab may be generous.
-        rows = max(rows, min(self.size, _LARGEST_SLAB), _PIECE if rows else 0)
+        first = self._expected if not self._slabs else 0
+        rows = max(rows, first, min(self.size, _LARGEST_SLAB), _PIECE if rows else 0)
         self._slabs.append(np.empty((rows, *self._shape), dtype=self._dtype))
         self._used = 0
 
@@ -124,7 +126,7 @@ class Survey:
         for number in _stretches(start // _PIECE, (stop - 1) // _PIECE):
             a, b = max(number * _PIECE, start), min((number + 1) * _PIECE, stop)
             for kept, column in zip(self.pieces, columns, strict=True):
-                kept.setdefault(number, []).append(column[a - start : b - start].copy())
+                kept.setdefault(number, []).append(column[a - start : b - start])
         self.rows = stop
 
     def rest_pieces(self, column: int) -> list[Array]:

@@ -32,6 +32,8 @@ class McapWriter:
 def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None:
     """Write a recording, and every topic of `source` that the recording was not read from.
 
+    The recording's own topics are written anew: stamps and vectors, without the orientation,
+    covariances and frame name of the original messages.
     Copied messages keep their bytes, times and channel; damaged parts of the source are left
     out. The topics that `recording.mapping` names are replaced. Written atomically.
     """

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.readers.mcap_records import MessageBlock, Topic
 from imucalib.readers.mcap_scan import Scanner
-from imucalib.readers.mcap_summary import known_topics
+from imucalib.readers.mcap_summary import read_summary
 from imucalib.recording import Recording
 from imucalib.writers.mcap_messages import ChunkData
 
@@ -20,7 +20,7 @@ def topics_of(source: Path) -> dict[int, Topic]:
     scanner = Scanner(source)
     for _ in scanner.blocks():
         pass
-    return {**known_topics(source), **scanner.topics}
+    return {**read_summary(source).topics, **scanner.topics}
 
 
 def log_origin(recording: Recording, source: Path | None) -> int:
