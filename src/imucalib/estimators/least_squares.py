@@ -94,14 +94,24 @@ def _solve(model: Model, observations: Observations, start: State, noise: Noise)
     def move(state: State, step: Array) -> State:
         return _with_eta(model, observations, State(state.theta + step, state.eta), noise)
 
-    return minimise(linearise, move, start)
+    return minimise(linearise, move, _with_eta(model, observations, start, noise))
 
 
 def _with_eta(model: Model, observations: Observations, state: State, noise: Noise) -> State:
-    """η moved to its best for this θ, to first order: it converges along with θ."""
+    """η at its best for this θ; a flat direction moves to first order and converges along with θ.
+
+    Large setting errors bend the linearisation: unless η is settled, the cost depends on the path
+    and a step cannot be judged by it.
+    """
     if noise.component:
-        at = balance(model, state.theta, state.eta, observations)
-        return State(state.theta, setting_errors(at, noise, at.residual))
+        for _ in range(6):
+            at = balance(model, state.theta, state.eta, observations)
+            eta = setting_errors(at, noise, at.residual)
+            moved = float(np.abs(eta - state.eta).max(initial=0.0))
+            state = State(state.theta, eta)
+            if moved < 1e-9:
+                break
+        return state
     if not _has_flat(observations, state.eta):
         return state
     step = _flat_step(model, observations, state)
