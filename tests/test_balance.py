@@ -164,7 +164,7 @@ def test_setting_errors_find_what_was_planted() -> None:
 
 
 def tangent_leak(fit: Fit) -> float:
-    """Change of the balanced residual when every unknown direction moves, as a share of the move."""
+    """Change of the balanced residual when all directions move, as a share of the move."""
     data, reference = fit.observations, fit.observations.reference
     step = 1e-5 * np.random.default_rng(5).standard_normal(reference.eta_size)
     away = reference.move(fit.eta, step)
