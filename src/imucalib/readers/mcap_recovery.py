@@ -32,9 +32,11 @@ class FileBytes:
         self.size = file.seek(0, 2)
 
     def read(self, at: int, size: int) -> bytes:
-        """Up to `size` bytes from `at` on."""
+        """Up to `size` bytes from `at` on; none past the end, where damaged lengths point."""
+        if at >= self.size:
+            return b""
         self._file.seek(at)
-        return self._file.read(size)
+        return self._file.read(min(size, self.size - at))
 
     def leads_on(self, at: int) -> bool:
         """Whether two plausible records, or the file's end, begin at a byte."""
