@@ -104,6 +104,7 @@ def calibrate(
     add, and UsageError for unknown models or effects.
     """
     model = base_model(settings, observations)
+    searched = searched_effects(settings)
     used = np.arange(observations.n) if settings.train is None else settings.train
     data = observations.take(used)
     demand_enough(model, data)
@@ -112,13 +113,17 @@ def calibrate(
         base = fit_corrected(model, data, settings.objective, start)
         loop, final = None, base
     elif settings.loop:
-        loop = close_loop(model, data, _searched(settings), rng, settings.rules, start)
+        loop = close_loop(model, data, searched, rng, settings.rules, start)
         base, final = loop.plain, loop.as_recorded
     else:
         loop, base = None, fit_model(model, data, start=start)
         final = base
-    if base.null_directions and settings.objective not in OBJECTIVES:
-        raise undetermined(base)
+    # A wrong record inflates the noise until everything looks open: judge without it.
+    judged = loop.base if loop else base
+    if judged.null_directions and settings.objective not in OBJECTIVES:
+        raise undetermined(judged)
+    if not final.converged:
+        raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
     splits = _splits(base, final, observations, used, settings)
     gravity = gravity_of(data)
     known = isinstance(data.reference, KnownVector)
@@ -142,7 +147,8 @@ def base_model(settings: LabSettings, observations: Observations) -> Model:
     return Model((*(named(name) for name in names), *declared))
 
 
-def _searched(settings: LabSettings) -> dict[str, Effect]:
+def searched_effects(settings: LabSettings) -> dict[str, Effect]:
+    """The catalogue as `only` and `without` leave it; UsageError for a name that is not there."""
     every = {**catalogue(), **settings.extra_effects}
     for name in (*settings.only, *settings.without):
         if name not in every:
