@@ -51,16 +51,19 @@ def _context(calibration: Calibration, recording: Recording, channel: Channel) -
     needed = {name for effect in calibration.model()[0].effects for name in effect.needs}
     covariates: dict[str, Array] = {}
     if "temperature" in needed:
-        warm = [c for c in recording.channels.values()
-                if c.quantity == "temperature" and c.triad in (channel.triad, "")]  # fmt: skip
+        warm = [
+            c
+            for c in recording.channels.values()
+            if c.quantity == "temperature" and c.triad in (channel.triad, "")
+        ]
         if warm:
             values = np.interp(channel.t, warm[0].t, warm[0].values[:, 0])
             low, high = calibration.valid.get("temperature", (-np.inf, np.inf))
             margin = 0.1 * (high - low)
             if values.min() < low - margin or values.max() > high + margin:
                 raise UnreadableInput(
-                    f"temperature {values.min():.1f} to {values.max():.1f} °C leaves the calibrated "
-                    f"range {low:.1f} to {high:.1f} °C",
+                    f"temperature {values.min():.1f} to {values.max():.1f} °C leaves the "
+                    f"calibrated range {low:.1f} to {high:.1f} °C",
                     where=recording.path,
                     remedy="calibrate over the range of use, or without temperature effects",
                 )

@@ -13,7 +13,7 @@ from imucalib.units import DEG, MG
 
 Array = NDArray[np.float64]
 
-#: Below this cosine of the inclination (within about 3 degrees of vertical) tool-face has no meaning.
+#: Below this cosine of the inclination (about 3 degrees from vertical) tool-face has no meaning.
 _LEAST_COSINE = 0.05
 
 

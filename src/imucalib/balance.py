@@ -126,7 +126,7 @@ def whitener(settings: tuple[Array, ...], ratio: tuple[float, ...]) -> Whitener:
     covariance = np.eye(settings[0].shape[0])
     for matrix, rho in zip(settings, ratio, strict=True):
         covariance += (rho * matrix) @ (rho * matrix).T
-    lower = np.linalg.cholesky(covariance)
+    lower = np.asarray(np.linalg.cholesky(covariance), np.float64)
     return Whitener(lower, 2.0 * float(np.log(np.diag(lower)).sum()))
 
 

@@ -13,21 +13,31 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.candidates import correlated_noise, effect_candidates, probes, record_candidates
+from imucalib.candidates import correlated_noise, effect_candidates, probes
 from imucalib.effect import Effect
-from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.evidence import Score, score
 from imucalib.fit import Fit
 from imucalib.held_out import held_out, log_predictive
+from imucalib.loop_records import (
+    extended,
+    named_records,
+    record_names,
+    record_scores,
+    reduced,
+    row_of,
+    set_aside,
+)
 from imucalib.model import Model
 from imucalib.observations import Observations
-from imucalib.record_errors import RecordError, diagnose
+from imucalib.record_errors import RecordError
 
 Array = NDArray[np.float64]
 
 #: An effect must gain at least this on held-out data, in log density.
 _HELD_OUT_NATS = 1.0
+#: Suspect records that are set aside on trial when nothing stands out by itself.
+_SUSPECTS = 3
 
 
 @dataclass(frozen=True)
@@ -111,41 +121,102 @@ def close_loop(
     """
     rules = settings or LoopSettings()
     plain = fit_model(model, observations, start=start)
-    current, records = _set_records_aside(plain, (), rng, rules)
-    base, steps = current, list[Step]()
+    state = _State(plain, (), (), rng, rules)
+    state = state.without_wrong_records()
     rejected: dict[str, str] = {}
     first: tuple[Score, ...] = ()
     while True:
-        scores, missing = search(current, effects, rng, rules, rejected)
+        scores, missing = search(state.fit, effects, rng, rules, rejected)
         first = first or scores
-        chosen = _choose(scores, rules) if len(steps) < rules.most_effects else None
+        chosen = _choose(scores, rules) if len(state.steps) < rules.most_effects else None
         if chosen is None:
-            break
-        trial = _extended(current, effects[chosen.name])
-        reason = _why_not(current, trial)
+            freed = state.behind_a_record(effects, rejected)
+            if freed is None:
+                break
+            state = freed
+            continue
+        trial = extended(state.fit, effects[chosen.name])
+        reason = _why_not(state.fit, trial)
         if reason:
             rejected[chosen.name] = reason
             continue
-        steps.append(_step(current, trial, chosen, scores))
-        current, records = _set_records_aside(trial, records, rng, rules)
-    if records:
-        base = plain
-        for record in records:
-            base = _extended(base, _record_effect(observations, record.row, record.channel))
-    final, steps = _eliminate(current, steps, effects, rng, rules)
+        state = state.accept(trial, _step(state.fit, trial, chosen, scores))
+    final, steps = _eliminate(state, effects)
+    base = plain
+    for _, row in state.records:
+        base = set_aside(base, row)
     return Loop(
-        base,
-        final,
-        plain,
-        _reduced(final, _record_names(final)) if records else final,
-        records,
-        tuple(steps),
-        tuple(rejected.items()),
-        _unexplained(scores, rules),
-        scores,
-        first,
-        missing,
+        base=base,
+        final=final,
+        plain=plain,
+        as_recorded=reduced(final, record_names(final)) if state.records else final,
+        records=named_records(final, state.records),
+        steps=steps,
+        rejected=tuple(rejected.items()),
+        unexplained=_unexplained(scores, rules),
+        scores=scores,
+        first_scores=first,
+        missing=missing,
     )
+
+
+@dataclass(frozen=True)
+class _State:
+    """Where the search stands: the fit, the records that are set aside, the accepted effects."""
+
+    fit: Fit
+    records: tuple[tuple[Score, int], ...]
+    steps: tuple[Step, ...]
+    rng: np.random.Generator
+    rules: LoopSettings
+
+    def without_wrong_records(self) -> _State:
+        """Set aside every record that cannot belong to the rest, one at a time, worst first."""
+        state = self
+        while len(state.records) < state.rules.most_records:
+            best = state.scored_records()[:1]
+            if not best or best[0].p > state.rules.record_alpha:
+                break
+            row = row_of(best[0].name)
+            trial = set_aside(state.fit, row)
+            if not trial.converged:
+                break
+            state = replace(state, fit=trial, records=(*state.records, (best[0], row)))
+        return state
+
+    def scored_records(self) -> tuple[Score, ...]:
+        taken = {row for _, row in self.records}
+        return record_scores(self.fit, taken, self.rng, self.rules.draws)
+
+    def accept(self, fit: Fit, step: Step) -> _State:
+        """Take an effect in, and look at the records again: it may have hidden one."""
+        return replace(self, fit=fit, steps=(*self.steps, step)).without_wrong_records()
+
+    def behind_a_record(
+        self, effects: Mapping[str, Effect], rejected: Mapping[str, str]
+    ) -> _State | None:
+        """Where neither a record nor an effect stands out, each may hide the other.
+
+        The most suspect records are set aside on trial. Only a pair counts: the effect must pass
+        without the record, at alpha shared over the trials, and then the record beside the effect.
+        """
+        if len(self.records) >= self.rules.most_records or self.steps:
+            return None
+        strict = replace(self.rules, alpha=self.rules.alpha / _SUSPECTS)
+        for suspect in self.scored_records()[:_SUSPECTS]:
+            if suspect.evidence < 1.0:
+                break
+            row = row_of(suspect.name)
+            aside = set_aside(self.fit, row)
+            scores, _ = search(aside, effects, self.rng, strict, rejected)
+            chosen = _choose(scores, strict)
+            if chosen is None:
+                continue
+            beside = extended(self.fit, effects[chosen.name])
+            again = record_scores(beside, set(), self.rng, self.rules.draws)[:1]
+            if again and row_of(again[0].name) == row and again[0].p <= self.rules.record_alpha:
+                return replace(self, fit=aside, records=(*self.records, (again[0], row)))
+        return None
 
 
 def search(
@@ -210,78 +281,14 @@ def _step(before: Fit, after: Fit, chosen: Score, scores: tuple[Score, ...]) -> 
     )
 
 
-def _set_records_aside(
-    current: Fit, known: tuple[RecordError, ...], rng: np.random.Generator, rules: LoopSettings
-) -> tuple[Fit, tuple[RecordError, ...]]:
-    """Free every record that cannot belong to the rest, one at a time, worst first."""
-    records = known
-    while len(records) < rules.most_records:
-        taken = {r.row for r in records}
-        candidates = [
-            c for c in record_candidates(current) if int(c.name.split(":")[0]) not in taken
-        ]
-        best = score(current, tuple(candidates), rng, draws=rules.draws)[:1]
-        if not best or best[0].p > rules.record_alpha:
-            break
-        row, channel = best[0].name.split(":")
-        effect = _record_effect(current.observations, int(row), channel)
-        trial = _extended(current, effect)
-        if not trial.converged:
-            break
-        found = diagnose(trial, int(row), channel, best[0].p, best[0].evidence)
-        current, records = trial, (*records, found)
-    # A later effect sharpens what is known of a record that was set aside before it.
-    refreshed = tuple(
-        replace(diagnose(current, r.row, _channel_of(r), r.p, r.evidence), p=r.p) for r in records
-    )
-    return current, refreshed
-
-
-def _channel_of(record: RecordError) -> str:
-    return f"{record.channel} setting" if record.unit == "deg" else record.channel
-
-
-def _record_effect(observations: Observations, row: int, channel: str) -> Effect:
-    axes = channel if channel in ("x", "y", "z") else "xyz"
-    return record_error(row, observations.label[row], axes)
-
-
-def _record_names(fit: Fit) -> tuple[str, ...]:
-    return tuple(name for name in fit.model.names if name.startswith("record_error"))
-
-
-def _extended(fit: Fit, effect: Effect) -> Fit:
-    """Refit with one more effect, from where the fit is."""
-    return _refit(fit, fit.model.plus(effect))
-
-
-def _reduced(fit: Fit, names: tuple[str, ...]) -> Fit:
-    """Refit without some effects, from where the fit is."""
-    return _refit(fit, Model(tuple(e for e in fit.model.effects if e.name not in names)))
-
-
-def _refit(fit: Fit, model: Model) -> Fit:
-    context = fit.observations.context
-    start, own = model.start(context), model.slices(context)
-    for name, part in fit.model.slices(context).items():
-        if name in own:
-            start[own[name]] = fit.theta[part]
-    return fit_model(model, fit.observations, start=start)
-
-
-def _eliminate(
-    current: Fit,
-    steps: list[Step],
-    effects: Mapping[str, Effect],
-    rng: np.random.Generator,
-    rules: LoopSettings,
-) -> tuple[Fit, list[Step]]:
+def _eliminate(state: _State, effects: Mapping[str, Effect]) -> tuple[Fit, tuple[Step, ...]]:
     """Drop an earlier effect that a later one has made unnecessary (less than 1 nat)."""
+    current, steps = state.fit, state.steps
     for step in steps[:-1]:
-        without = _reduced(current, (step.effect,))
+        without = reduced(current, (step.effect,))
         candidates, _ = effect_candidates(without, [effects[step.effect]])
-        if score(without, candidates, rng, draws=1)[0].evidence < 1.0:
-            current, steps = without, [s for s in steps if s.effect != step.effect]
+        if score(without, candidates, state.rng, draws=1)[0].evidence < 1.0:
+            current, steps = without, tuple(s for s in steps if s.effect != step.effect)
     return current, steps
 
 

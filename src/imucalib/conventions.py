@@ -1,6 +1,6 @@
 """Angle conventions: what a bench calls inclination and tool-face, and what the readings do then.
 
-Inside, a still reading is g·(cos i sin t, cos i cos t, sin i): paper 004, formulae (1) and (2), p. 2.
+Inside, a still reading is g·(cos i sin t, cos i cos t, sin i): paper 004, formulae (1), (2), p. 2.
 Other conventions are one affine map of each angle away from it; none is guessed.
 """
 

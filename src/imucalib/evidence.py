@@ -164,8 +164,8 @@ def _evidence(
 ) -> Array:
     """(candidates, data sets) evidence, the maximum over the noise grid and τ."""
     grids = [tuple(shrink * ratio for shrink in _SHRINK) for ratio in fitted]
-    nothing = np.full(data.shape[1], -np.inf)
-    best = np.full((len(starts), data.shape[1]), -np.inf)
+    nothing: Array = np.full(data.shape[1], -np.inf)
+    best: Array = np.full((len(starts), data.shape[1]), -np.inf)
     for ratio in product(*grids):
         point = _at_point(fit, ratio, columns, starts)
         whitened = whitener(fit.at.settings, ratio)(data)

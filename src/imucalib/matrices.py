@@ -38,16 +38,27 @@ class Matrices:
     bias_mg_sd: Array
 
     def as_dict(self) -> dict[str, Any]:
+        pairs = ("xy", "xz", "yz")
         return {
-            "corrected_from_raw": {"formula": "a = M raw + b, m/s2", "M": self.M.tolist(),
-                                   "b": self.b.tolist(), "M_sd": self.M_sd.tolist(),
-                                   "b_sd": self.b_sd.tolist()},
-            "raw_from_corrected": {"formula": "raw = S a + c, m/s2", "S": self.S.tolist(),
-                                   "c": self.c.tolist()},
-            "intrinsic": {"scale": self.scale.tolist(), "scale_sd": self.scale_sd.tolist(),
-                          "axis_angle_deg": dict(zip(("xy", "xz", "yz"), self.angle.tolist(), strict=True)),
-                          "axis_angle_sd_deg": dict(zip(("xy", "xz", "yz"), self.angle_sd.tolist(), strict=True))},
-        }  # fmt: skip
+            "corrected_from_raw": {
+                "formula": "a = M raw + b, m/s2",
+                "M": self.M.tolist(),
+                "b": self.b.tolist(),
+                "M_sd": self.M_sd.tolist(),
+                "b_sd": self.b_sd.tolist(),
+            },
+            "raw_from_corrected": {
+                "formula": "raw = S a + c, m/s2",
+                "S": self.S.tolist(),
+                "c": self.c.tolist(),
+            },
+            "intrinsic": {
+                "scale": self.scale.tolist(),
+                "scale_sd": self.scale_sd.tolist(),
+                "axis_angle_deg": dict(zip(pairs, self.angle.tolist(), strict=True)),
+                "axis_angle_sd_deg": dict(zip(pairs, self.angle_sd.tolist(), strict=True)),
+            },
+        }
 
 
 def matrices(model: Model, theta: Array, covariance: Array) -> Matrices:

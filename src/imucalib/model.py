@@ -120,5 +120,5 @@ class Model:
         for effect in reversed(self.effects):
             if effect.stage == "mounting":
                 turn = np.eye(3) + effect.act(theta[slices[effect.name]], x, context).d_x
-                x = np.linalg.solve(turn, x[..., None])[..., 0]
+                x = np.asarray(np.linalg.solve(turn, x[..., None])[..., 0], np.float64)
         return x

@@ -35,7 +35,7 @@ class Observations:
 
     @property
     def n(self) -> int:
-        return self.reading.shape[0]
+        return len(self.reading)
 
     def take(self, rows: Index) -> Observations:
         """A subset; settings that no remaining row used disappear with their rows."""

@@ -1,7 +1,7 @@
 """Position tables: one row a position, with the angles that were set and, mostly, raw x, y, z.
 
-Columns are found by name or given; every cell that is used must be a number. Rows are counted from 1
-without the heading, as a person counts them.
+Columns are found by name or given; every cell that is used must be a number. Rows are counted from
+1 without the heading, as a person counts them.
 """
 
 from __future__ import annotations

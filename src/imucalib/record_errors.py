@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.fit import Fit
 from imucalib.held_out import theta_without
-from imucalib.references import KnownVector, angles_of
+from imucalib.references import KnownNorm, KnownVector, angles_of
 from imucalib.units import DEG, MG
 
 Array = NDArray[np.float64]
@@ -78,11 +78,10 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
     """Name the error of a record from the fit in which it was set aside."""
     label = fit.observations.label[row]
     reading = fit.observations.reading[row, 0]
-    if not isinstance(fit.observations.reference, KnownVector):
-        size = float(np.linalg.norm(fit.model.correct(
-            theta_without(fit, np.array([row])), fit.observations.reading[[row]],
-            fit.observations.context.take(np.array([row])),
-        )[0, 0])) - fit.observations.reference.gravity  # type: ignore[attr-defined]  # fmt: skip
+    reference = fit.observations.reference
+    if not isinstance(reference, KnownVector):
+        assert isinstance(reference, KnownNorm)
+        size = float(np.linalg.norm(_corrected_without(fit, row))) - reference.gravity
         sd = fit.noise.factor * float(fit.observations.sigma[row, 0, 0]) / MG
         return RecordError(
             row, label, "norm", size / MG, sd, "mg", "movement, contact or a wrong record", (), p,
@@ -90,6 +89,8 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
         )  # fmt: skip
     expected = predict_record(fit, row)
     likely, fix = _slip(fit, row, reading, expected)
+    # A slip of one number is that number's error, even where an angle would imitate it.
+    channel = fix[0][0] if len(fix) == 1 else channel
     if channel in ("x", "y", "z"):
         axis = "xyz".index(channel)
         size = float(reading[axis] - expected.mean[axis]) / MG
@@ -101,16 +102,20 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
     return RecordError(row, label, name, away / DEG, sd, "deg", likely, fix, p, evidence)
 
 
+def _corrected_without(fit: Fit, row: int) -> Array:
+    """A record (3,) in m/s², corrected by a fit of the others."""
+    rows = np.array([row])
+    data = fit.observations
+    theta = theta_without(fit, rows)
+    corrected = fit.model.correct(theta, data.reading[rows], data.context.take(rows))
+    return np.asarray(corrected[0, 0])
+
+
 def _angle_away(fit: Fit, row: int, component: str) -> float:
     """Angle (rad) of the corrected record minus the angle that was set."""
-    rows = np.array([row])
     reference = fit.observations.reference
     assert isinstance(reference, KnownVector)
-    theta = theta_without(fit, rows)
-    corrected = fit.model.correct(
-        theta, fit.observations.reading[rows], fit.observations.context.take(rows)
-    )
-    inclination, tool_face = angles_of(corrected[0, 0])
+    inclination, tool_face = angles_of(_corrected_without(fit, row))
     if component.startswith("inclination"):
         return float(inclination - reference.inclination[row])
     away = float(tool_face - reference.tool_face[row])
@@ -126,8 +131,11 @@ def _slip(
     """The one-step slip that brings the record nearest to its prediction, if near enough."""
     tries: list[tuple[float, str, tuple[tuple[str, float], ...]]] = []
     for axis, name in enumerate("xyz"):
-        for factor, words in ((-1.0, f"lost sign of {name}"), (10.0, f"{name} is ten times too small"),
-                              (0.1, f"{name} is ten times too large")):  # fmt: skip
+        for factor, words in (
+            (-1.0, f"lost sign of {name}"),
+            (10.0, f"{name} is ten times too small"),
+            (0.1, f"{name} is ten times too large"),
+        ):
             changed = reading.copy()
             changed[axis] *= factor
             tries.append((expected.distance(changed), words, ((name, float(changed[axis])),)))
@@ -152,12 +160,7 @@ def _wrong_angle(fit: Fit, row: int) -> tuple[str, tuple[tuple[str, float], ...]
     """A reading of the right size in another direction was taken at another setting."""
     reference = fit.observations.reference
     assert isinstance(reference, KnownVector)
-    rows = np.array([row])
-    corrected = fit.model.correct(
-        theta_without(fit, rows),
-        fit.observations.reading[rows],
-        fit.observations.context.take(rows),
-    )[0, 0]
+    corrected = _corrected_without(fit, row)
     off = abs(float(np.linalg.norm(corrected)) - reference.gravity)
     if off > 5.0 * fit.noise.factor * float(fit.observations.sigma[row].max()):
         return "no single slip explains it", ()

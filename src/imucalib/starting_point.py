@@ -1,7 +1,8 @@
 """A starting point from anywhere: the full linear map in closed form, split into physics.
 
-reading = S x + c by linear least squares on the nominal truth; then S = K R with K lower triangular
-(scale, non-orthogonality) and R a rotation (mounting). Works for any mounting of the sensor.
+reading = S x + c by linear least squares on the nominal truth; then S = K R with K lower
+triangular (scale, non-orthogonality) and R a rotation (mounting). Works for any mounting of the
+sensor.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ def full_matrix_start(model: Model, observations: Observations) -> Array:
         return theta
     if np.linalg.det(sensitivity) <= 0.0:
         raise UnreadableInput(
-            "the readings are a mirror image of the angles: an axis or the tool-face has the other sign",
+            "the readings are a mirror image of the angles: "
+            "an axis or the tool-face has the other sign",
             remedy="try --toolface-sense counter-clockwise, or check the signs of x, y and z",
         )
     lower, rotation = _lower_times_rotation(sensitivity)
@@ -49,12 +51,13 @@ def linear_map(observations: Observations) -> tuple[Array, Array, int]:
     reference = observations.reference
     truth = reference.truth(np.zeros(reference.eta_size))[:, 0]
     design = np.column_stack([truth, np.ones(len(truth))])
-    solution, _, rank, _ = np.linalg.lstsq(design, observations.reading[:, 0], rcond=1e-6)
+    found, _, rank, _ = np.linalg.lstsq(design, observations.reading[:, 0], rcond=1e-6)
+    solution = np.asarray(found, np.float64)
     return solution[:3].T, solution[3], int(rank)
 
 
 def misfit(observations: Observations) -> float:
-    """rms length (m/s²) that the best linear map leaves: large when the angles mean another thing."""
+    """rms length (m/s²) that the best linear map leaves: large when angles mean another thing."""
     reference = observations.reference
     truth = reference.truth(np.zeros(reference.eta_size))[:, 0]
     design = np.column_stack([truth, np.ones(len(truth))])

@@ -1,7 +1,7 @@
 """Uncertainty carried from the parameters to what a user reads: inclination, tool-face, |a|.
 
-Corrected specific force a = correct(reading) moves with the parameters as δa = -D⁻¹ J δθ, where J and
-D are the derivatives of the predicted reading by the parameters and by the force in the tool's
+Corrected specific force a = correct(reading) moves with the parameters as δa = -D⁻¹ J δθ, where J
+and D are the derivatives of the predicted reading by the parameters and by the force in the tool's
 frame. Then (paper 004, formulae (1) and (2), p. 2, differentiated):
 
     δ tool-face = (a_y δa_x - a_x δa_y) / (a_x² + a_y²)
@@ -60,10 +60,12 @@ def angle_uncertainty(
     rows_t = np.einsum("nj,njp->np", along_t, slope)
 
     def sd(rows: Array) -> Array:
-        return np.sqrt(np.maximum(np.einsum("np,pq,nq->n", rows, fit.covariance, rows), 0.0))
+        variance = np.einsum("np,pq,nq->n", rows, fit.covariance, rows)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), np.float64)
 
     def reading(along: Array) -> Array:
-        return reading_sigma * np.linalg.norm(np.einsum("nj,njk->nk", along, inverse), axis=-1)
+        moved = np.linalg.norm(np.einsum("nj,njk->nk", along, inverse), axis=-1)
+        return np.asarray(reading_sigma * moved, np.float64)
 
     return AngleUncertainty(
         inclination / DEG,
@@ -89,7 +91,7 @@ def force_slope(fit: Fit, force: Array) -> tuple[Array, Array]:
     for name, part in own.items():
         theta[part] = fit.theta[slices[name]]
     prediction = model.predict(theta, force, context)
-    inverse = np.linalg.inv(prediction.d_truth[:, 0])
+    inverse = np.asarray(np.linalg.inv(prediction.d_truth[:, 0]), np.float64)
     slope = np.zeros((force.shape[0], 3, fit.theta.size))
     for name, part in own.items():
         slope[..., slices[name]] = -inverse @ prediction.d_theta[:, 0][..., part]

@@ -11,6 +11,7 @@ from imucalib.attitude import attitude_errors, rms, worst
 from imucalib.bench import RawUnit
 from imucalib.calibrators.lab import LabResult, gravity_of, setting_noise
 from imucalib.calibrators.lab_design import judge
+from imucalib.context import Context
 from imucalib.effects import catalogue
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
@@ -18,7 +19,7 @@ from imucalib.fit import Fit
 from imucalib.model import Model
 from imucalib.outcome import Limit
 from imucalib.record_errors import RecordError
-from imucalib.references import KnownVector, unit_vector
+from imucalib.references import KnownVector, angles_of, unit_vector
 from imucalib.report.numbers import plus_minus
 from imucalib.uncertainty import correcting
 from imucalib.units import DEG, MG
@@ -98,9 +99,9 @@ def _settings(fit: Fit) -> list[str]:
     floor = noise.get("tool-face setting", 0.0) / DEG
     if floor > 2.0 * share:
         return [
-            f"Tool-face scatters by {floor:.2f} deg because the table is set by hand, not because of "
-            f"the sensor ({share:.2f} deg / cos(inclination)): no calibration on this table can show "
-            f"less, and a smaller residual would be overfitting."
+            f"Tool-face scatters by {floor:.2f} deg because the table is set by hand, not because "
+            f"of the sensor ({share:.2f} deg / cos(inclination)): no calibration on this table can "
+            f"show less, and a smaller residual would be overfitting."
         ]
     return []
 
@@ -116,8 +117,10 @@ def _positions(result: LabResult) -> list[str]:
         tuple(e for e in correcting(fit.model).effects if not e.needs and e.stage == "sensor")
     )
     reference = fit.observations.reference
-    known = isinstance(reference, KnownVector)
-    angles = (reference.inclination, reference.tool_face) if known else _attitudes(fit)
+    if isinstance(reference, KnownVector):
+        angles = (reference.inclination, reference.tool_face)
+    else:
+        angles = angles_of(reference.truth(fit.eta)[:, 0])
     first = judge(core, *angles, norm=True).additions[0]
     if first.gain < 1.5:
         return []
@@ -127,13 +130,6 @@ def _positions(result: LabResult) -> list[str]:
     )
     where = f"inclination {shown[0][0]:.0f}, tool-face {shown[1][0]:.0f}"
     return [f"One more position at {where} would determine {first.parameter} {gain} better."]
-
-
-def _attitudes(fit: Fit) -> tuple[Array, Array]:
-    from imucalib.references import angles_of
-
-    truth = fit.observations.reference.truth(fit.eta)
-    return angles_of(truth[:, 0])
 
 
 def fixture_curve(fit: Fit, inclination: Array) -> tuple[Array, Array, Array]:
@@ -146,8 +142,6 @@ def fixture_curve(fit: Fit, inclination: Array) -> tuple[Array, Array, Array]:
     m = len(inclination)
     covariates = {name: np.full(m, float(np.median(v))) for name, v in context.covariates.items()}
     covariates |= {"inclination": inclination, "tool_face": np.zeros(m)}
-    from imucalib.context import Context
-
     at = Context(m, covariates, context.triads, context.sweeps)
     fixture = Model(tuple(e for e in fit.model.effects if e.stage == "fixture"))
     own = fixture.slices(at)
@@ -157,9 +151,8 @@ def fixture_curve(fit: Fit, inclination: Array) -> tuple[Array, Array, Array]:
     truth = unit_vector(inclination, np.zeros(m))[:, None]
     moved = fixture.predict(theta, truth, at)
     along = unit_vector(inclination + np.pi / 2.0, np.zeros(m))
-    shift = np.arctan2(
-        np.einsum("nj,nj->n", along, moved.reading[:, 0]), np.einsum("nj,nj->n", truth[:, 0], moved.reading[:, 0])
-    ) / DEG  # fmt: skip
+    across = np.einsum("nj,nj->n", along, moved.reading[:, 0])
+    shift = np.arctan2(across, np.einsum("nj,nj->n", truth[:, 0], moved.reading[:, 0])) / DEG
     rows = np.zeros((m, fit.theta.size))
     for name, part in own.items():
         rows[:, slices[name]] = np.einsum("nj,njp->np", along, moved.d_theta[:, 0][..., part]) / DEG
@@ -192,7 +185,8 @@ def curve_words(fit: Fit) -> str:
     at = np.radians([0.0, 50.0, 90.0])
     shift, sd, half = fixture_curve(fit, at)
     parts = [
-        f"{plus_minus(float(s), float(d))} at {round(float(a / DEG))} (95 %: {s - h:.2f} to {s + h:.2f})"
+        f"{plus_minus(float(s), float(d))} at {round(float(a / DEG))} "
+        f"(95 %: {s - h:.2f} to {s + h:.2f})"
         for a, s, d, h in zip(at, shift, sd, half, strict=True)
     ]
     return "Inclination on this bench is the dial plus " + ", ".join(parts) + " deg."

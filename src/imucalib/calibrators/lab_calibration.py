@@ -100,8 +100,13 @@ def fixture_block(run: LabRun) -> dict[str, Any]:
     at = np.radians([0.0, 30.0, 50.0, 60.0, 90.0])
     shift, sd, half = fixture_curve(fit, at)
     curve = [
-        {"inclination_deg": round(float(a / DEG), 6), "true_minus_dial_deg": float(s), "sd_deg": float(d),
-         "low_95_deg": float(s - h), "high_95_deg": float(s + h)}
+        {
+            "inclination_deg": round(float(a / DEG), 6),
+            "true_minus_dial_deg": float(s),
+            "sd_deg": float(d),
+            "low_95_deg": float(s - h),
+            "high_95_deg": float(s + h),
+        }
         for a, s, d, h in zip(at, shift, sd, half, strict=True)
-    ]  # fmt: skip
+    ]
     return {"effects": effects, "inclination": curve if effects else []}

@@ -68,9 +68,10 @@ def _still(
         say(f"  {text}")
     if segments.n == 0:
         raise UnreadableInput(
-            "no still segment in it", where=str(path),
+            "no still segment in it",
+            where=str(path),
             remedy="hold each position for two seconds or more; `imucal inspect` shows the noise",
-        )  # fmt: skip
+        )
     return recording, segments
 
 
@@ -101,7 +102,8 @@ def _in_order(positions: PositionTable, segments: Segments, recording: Recording
             f"{a:.1f}-{b:.1f}" for a, b in zip(segments.start, segments.stop, strict=True)
         )
         raise UsageError(
-            f"the table has {positions.n} positions, the recording {segments.n} rests (at s: {ends})",
+            f"the table has {positions.n} positions, the recording {segments.n} rests "
+            f"(at s: {ends})",
             where=recording.path,
             remedy="add or remove rows so that they match one to one, in order",
         )

@@ -19,6 +19,7 @@ from imucalib.model import Model
 from imucalib.observations import Observations
 from imucalib.position_table import PositionTable
 from imucalib.recording import Channel, Recording
+from imucalib.references import unit_vector
 from imucalib.simulate import simulate
 from imucalib.uncertainty import correcting
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
@@ -57,8 +58,9 @@ def simulated_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
     """A position table in degrees and mg. Raises UsageError for impossible plans."""
     inclination, tool_face = _layout(plan)
     nominal = _blank(plan, inclination, tool_face)
+    meant = plan.gravity * unit_vector(*Conventions().inside(inclination, tool_face))
     data = position_observations(
-        nominal, np.ones((plan.positions, 3)), Conventions(), plan.gravity, sigma=plan.noise * MG
+        nominal, meant, Conventions(), plan.gravity, sigma=plan.noise * MG
     )
     model, theta = _planted(plan, data)
     components = ("inclination setting", "tool-face setting")

@@ -33,7 +33,8 @@ def _plant(text: str) -> tuple[str, tuple[float, ...]]:
 @click.option(
     "--recording",
     type=click.Path(path_type=Path),
-    help="Also a recording that rests in every position: .mcap, .h5 or .csv; TABLE then holds angles only.",
+    help="Also a recording that rests in every position: .mcap, .h5 or .csv; "
+    "TABLE then holds angles only.",
 )
 @click.option(
     "--layout",

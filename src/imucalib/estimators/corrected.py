@@ -1,8 +1,8 @@
 """Objectives on the corrected reading: the paper's (5), and the angles that it suggests.
 
-Both compare a = correct(reading) with the reference, so their residuals' derivative by the parameters
-is -D⁻¹ J of the prediction. They take the reference angles as exact. Kept for comparison with
-published results; `least_squares` is the estimator whose uncertainty can be trusted.
+Both compare a = correct(reading) with the reference, so their residuals' derivative by the
+parameters is -D⁻¹ J of the prediction. They take the reference angles as exact. Kept for comparison
+with published results; `least_squares` is the estimator whose uncertainty can be trusted.
 """
 
 from __future__ import annotations
@@ -100,7 +100,8 @@ def fit_corrected(model: Model, observations: Observations, objective: str, star
         raise NotConverged(f"objective '{objective}' did not converge")
     dof = max(solution.residual.size - start.size, 1)
     variance = float(solution.residual @ solution.residual) / dof
-    covariance = variance * np.linalg.pinv(solution.jacobian.T @ solution.jacobian, rcond=1e-14)
+    inverse = np.linalg.pinv(solution.jacobian.T @ solution.jacobian, rcond=1e-14)
+    covariance = np.asarray(variance * inverse, np.float64)
     noise = Noise(1.0, KnownVector.COMPONENTS, (0.005, 0.005)) if reference.setting_errors else None
     parameters = model.parameters(context)
     open_directions = null_directions(solution.jacobian, parameters, float(np.sqrt(variance)))

@@ -109,6 +109,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
         return 0.5 * (log_v + log_j + dof * np.log(power)), np.array(slope)
 
     first = np.clip(np.log(np.maximum(start.sd, 1e-12)) - np.log(start.factor), low, high)
+
     def descend(first: Array) -> Any:
         return minimize(
             objective, first, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)),

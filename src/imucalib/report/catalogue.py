@@ -86,7 +86,8 @@ def catalogue_markdown(effects: Sequence[Effect]) -> str:
         "# The catalogue of effects",
         "",
         "Generated from the code by `make docs`. Effects act on the truth: reading = x + Σ sensor",
-        "effects(x), x = mounting(fixture(truth)). Fixture effects belong to the bench, not the tool.",
+        "effects(x), x = mounting(fixture(truth)). Fixture effects belong to the bench, not the "
+        "tool.",
         "",
     ]
     for effect in effects:

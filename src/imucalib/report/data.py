@@ -19,7 +19,7 @@ def report_dict(outcome: Outcome, details: dict[str, Any]) -> dict[str, Any]:
     fit = outcome.fit
     slices = fit.model.slices(fit.observations.context)
     effect_of = {k: n for n, part in slices.items() for k in range(part.start, part.stop)}
-    return _plain({
+    content: dict[str, Any] = _plain({
         "schema": SCHEMA,
         "calibrator": outcome.calibrator,
         "status": outcome.status,
@@ -56,6 +56,7 @@ def report_dict(outcome: Outcome, details: dict[str, Any]) -> dict[str, Any]:
         },
         **details,
     })  # fmt: skip
+    return content
 
 
 def _error(error: ErrorSummary) -> dict[str, Any]:

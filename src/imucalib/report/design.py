@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibrators.lab_design import Addition, Design, Plan
-from imucalib.report.document import Block, Document, Section, Table, Text
+from imucalib.report.document import Block, Document, Section, Table, Text, Tone
 from imucalib.units import DEG
 
 
@@ -15,11 +15,11 @@ def design_document(plan: Plan) -> Document:
     """Efficiency, what stays open, the next positions, and the positions themselves."""
     poor = plan.vector.open_directions or plan.norm.open_directions
     best = min(plan.vector.efficiency, plan.norm.efficiency)
-    tone = "bad" if poor else "ok" if best > 0.7 else "warning"
+    tone: Tone = "bad" if poor else "ok" if best > 0.7 else "warning"
     verdict = Text(
         f"{plan.vector.positions} positions: efficiency {plan.vector.efficiency:.2f} with known "
         f"angles, {plan.norm.efficiency:.2f} by |a| alone (1 is a uniform sphere).",
-        tone,  # type: ignore[arg-type]
+        tone,
     )
     blocks: list[Block] = []
     for name, design in (("known angles", plan.vector), ("|a| alone", plan.norm)):
@@ -28,9 +28,9 @@ def design_document(plan: Plan) -> Document:
         ]
     blocks += [_additions(plan), _parameters(plan)]
     setting = Text(
-        f"In this order inclination is set {plan.settings[0]} times and tool-face {plan.settings[1]} "
-        "times; setting errors average over these, noise over all positions. Setting one position "
-        "several times anew separates the two."
+        f"In this order inclination is set {plan.settings[0]} times and tool-face "
+        f"{plan.settings[1]} times; setting errors average over these, noise over all positions. "
+        "Setting one position several times anew separates the two."
     )
     rows = tuple(
         (str(k + 1), f"{i:.1f}", f"{t:.1f}")

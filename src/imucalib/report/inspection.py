@@ -26,20 +26,18 @@ def inspection_document(found: Inspection) -> Document:
         verdict = Text(f"Not ready for calibration: {why}.", "warning")
     sections = [Section("File", (_file(found),)), Section("Channels", _channels(found))]
     if found.candidates:
-        rows = tuple(found.candidates)
-        sections.append(
-            Section("Accelerometers", (Table("Norm at rest", ("channel", "finding"), rows, "ll"),))
-        )
+        norms = Table("Norm at rest", ("channel", "finding"), tuple(found.candidates), "ll")
+        sections.append(Section("Accelerometers", (norms,)))
     notes: list[Block] = [Text(note) for note in found.notes]
     if found.gap_count:
-        rows = tuple((f"{g.start:.3f}", f"{g.stop - g.start:.3f}", g.reason) for g in found.gaps)
+        gaps = tuple((f"{g.start:.3f}", f"{g.stop - g.start:.3f}", g.reason) for g in found.gaps)
         title = f"Longest of {found.gap_count} gaps, {found.gap_seconds:.3g} s in all"
-        notes.append(Table(title, ("at, s", "length, s", "reason"), rows, "rrl"))
+        notes.append(Table(title, ("at, s", "length, s", "reason"), gaps, "rrl"))
     if notes:
         sections.append(Section("Notes", tuple(notes)))
     if found.mapping:
-        rows = tuple((k, _text(v)) for k, v in found.mapping.items())
-        sections.append(Section("How it was read", (Facts(rows),)))
+        read = tuple((k, _text(v)) for k, v in found.mapping.items())
+        sections.append(Section("How it was read", (Facts(read),)))
     return Document(found.path, verdict, tuple(sections))
 
 
@@ -78,7 +76,7 @@ def _shown(values: Any, unit: str) -> str:
 
 
 def _channels(found: Inspection) -> tuple[Block, ...]:
-    rows = tuple(
+    channels = tuple(
         (
             f.name,
             f.unit,
@@ -89,8 +87,13 @@ def _channels(found: Inspection) -> tuple[Block, ...]:
         )
         for f in found.channels
     )
-    header = ("channel", "unit", "samples", "Hz", "noise", "norm at rest")
-    table = Table("Channels", header, rows, "llrrrr", "Noise of one sample at rest, worst axis.")
+    table = Table(
+        "Channels",
+        ("channel", "unit", "samples", "Hz", "noise", "norm at rest"),
+        channels,
+        "llrrrr",
+        "Noise of one sample at rest, worst axis.",
+    )
     clocks = tuple(
         (
             f.name,
@@ -128,10 +131,17 @@ def inspection_dict(found: Inspection) -> dict[str, Any]:
         "span_s": found.span,
         "channels": [
             {
-                "name": f.name, "quantity": f.quantity, "triad": f.triad, "unit": f.unit,
-                "samples": f.samples, "rate_hz": number(f.clock.rate), "jitter_s": number(f.clock.jitter),
-                "duplicates": f.clock.duplicates, "back_steps": f.clock.back_steps,
-                "longest_step_s": number(f.clock.longest_step), "noise": [float(v) for v in f.noise],
+                "name": f.name,
+                "quantity": f.quantity,
+                "triad": f.triad,
+                "unit": f.unit,
+                "samples": f.samples,
+                "rate_hz": number(f.clock.rate),
+                "jitter_s": number(f.clock.jitter),
+                "duplicates": f.clock.duplicates,
+                "back_steps": f.clock.back_steps,
+                "longest_step_s": number(f.clock.longest_step),
+                "noise": [float(v) for v in f.noise],
                 "norm_at_rest": number(f.norm_at_rest),
             }
             for f in found.channels
@@ -142,4 +152,4 @@ def inspection_dict(found: Inspection) -> dict[str, Any]:
         "candidates": [{"channel": c, "finding": w} for c, w in found.candidates],
         "mapping": dict(found.mapping),
         "notes": list(found.notes),
-    }  # fmt: skip
+    }

@@ -41,9 +41,16 @@ def position_table(run: LabRun) -> Table:
             cells += [number(float(left.tool_face[k]), 2), number(float(left.inclination[k]), 2)]
         cells += [number(float(left.norm[k]), 2)]
         rows.append(tuple(cells))
-    header = ("position", "x, mg", "y, mg", "z, mg")
-    header += ("tf, deg", "inc, deg", "|a|, mg", "tf, left out", "inc, left out", "|a|, left out") if known else ("|a|, mg", "|a|, left out")  # fmt: skip
-    note = "x, y, z: reading minus prediction at the estimated settings. Left out: predicted without the row."
+    header: tuple[str, ...] = ("position", "x, mg", "y, mg", "z, mg")
+    if known:
+        header += ("tf, deg", "inc, deg", "|a|, mg")
+        header += ("tf, left out", "inc, left out", "|a|, left out")
+    else:
+        header += ("|a|, mg", "|a|, left out")
+    note = (
+        "x, y, z: reading minus prediction at the estimated settings. "
+        "Left out: predicted without the row."
+    )
     return Table("Residuals by position", header, tuple(rows), "l" + "r" * (len(header) - 1), note)
 
 
@@ -100,11 +107,7 @@ def published_table(run: LabRun) -> Table:
 
 def training_note(run: LabRun) -> list[Block]:
     """Which rows chose and fitted, when a test set was kept apart."""
-    used, n = run.result.used, run.result.observations.n
-    if len(used) == n:
+    used, n = len(run.result.used), run.result.observations.n
+    if used == n:
         return []
-    return [
-        Text(
-            f"Model chosen and fitted on {len(used)} rows; the other {n - len(used)} are the test set."
-        )
-    ]
+    return [Text(f"Model chosen and fitted on {used} rows; the other {n - used} are the test set.")]

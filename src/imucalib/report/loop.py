@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 from imucalib.closed_loop import Loop
 from imucalib.outcome import ErrorSummary, Outcome
-from imucalib.report.document import Block, Section, Table, Text
+from imucalib.report.document import Block, Section, Table, Text, Tone
 from imucalib.report.numbers import plus_minus, probability
 
 
@@ -12,7 +14,7 @@ def error_table(error: ErrorSummary) -> Table:
     """Error before and after, fitted and on data that was not fitted, with the floor."""
 
     def number(value: float) -> str:
-        return "-" if value != value else f"{value:.2f}"  # NaN: there was no held-out part
+        return "-" if math.isnan(value) else f"{value:.2f}"  # there was no held-out part
 
     rows = (
         ("raw reading", number(error.raw), number(error.held_out.raw)),
@@ -41,11 +43,11 @@ def loop_section(outcome: Outcome) -> Section:
             for r in loop.records
         )
         header = ("record", "channel", "off by", "p", "likely")
-        tones = dict.fromkeys(range(len(rows)), "bad")
+        tones: dict[int, Tone] = dict.fromkeys(range(len(rows)), "bad")
         blocks.append(
             Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones)
-        )  # type: ignore[arg-type]
-    blocks.append(Text(*_verdict(loop)))
+        )
+    blocks.append(_verdict(loop))
     if loop.steps:
         unit = 1.0 if outcome.error.unit != "mg" else 9.80665e-3
         rows = tuple(
@@ -65,7 +67,7 @@ def loop_section(outcome: Outcome) -> Section:
     return Section("Closed loop", tuple(blocks))
 
 
-def _verdict(loop: Loop) -> tuple[str, str]:
+def _verdict(loop: Loop) -> Text:
     names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.steps)
     records = ", ".join(r.where for r in loop.records)
     cause = " and ".join(
@@ -73,15 +75,13 @@ def _verdict(loop: Loop) -> tuple[str, str]:
     )
     unknown = ", ".join(f"{u.name} (driven by {u.driver})" for u in loop.unexplained)
     return {
-        "nothing missing": ("Nothing is missing: no candidate passes the search.", "ok"),
-        "explained": (f"The residual is explained by {cause}.", "ok"),
-        "explained in part": (
-            f"The residual is explained in part by {cause}; left: {unknown}.",
-            "warning",
+        "nothing missing": Text("Nothing is missing: no candidate passes the search.", "ok"),
+        "explained": Text(f"The residual is explained by {cause}.", "ok"),
+        "explained in part": Text(
+            f"The residual is explained in part by {cause}; left: {unknown}.", "warning"
         ),
-        "unexplained": (
-            f"Unexplained structure: {unknown}. No effect of the catalogue fits.",
-            "bad",
+        "unexplained": Text(
+            f"Unexplained structure: {unknown}. No effect of the catalogue fits.", "bad"
         ),
     }[loop.verdict]
 
