@@ -37,7 +37,7 @@ ROLES: dict[str, tuple[str, ...]] = {
     "samples": ("samples", "n"),
 }
 _UNIT_SUFFIX = re.compile(
-    r"[_\s]*[\[(]?(deg|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|lsb|counts|s)[\])]?$"
+    r"(?:[_\s]*[\[(]|[_\s]+|(?=°))(deg|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|lsb|counts|s)[\])]?$"
 )
 
 
