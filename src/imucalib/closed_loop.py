@@ -18,9 +18,10 @@ from imucalib.effect import Effect
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.evidence import Score, score
 from imucalib.fit import Fit
-from imucalib.held_out import held_out, log_predictive
+from imucalib.held_out import log_predictive
 from imucalib.loop_records import (
     extended,
+    held_out_rms,
     named_records,
     record_names,
     record_scores,
@@ -258,7 +259,7 @@ def _why_not(before: Fit, after: Fit) -> str:
     if len(after.theta) * 1.5 > after.at.residual.size:
         return "too few numbers for its parameters"
     gain = log_predictive(after) - log_predictive(before)
-    if gain < _HELD_OUT_NATS or held_out(after).rms() >= held_out(before).rms():
+    if gain < _HELD_OUT_NATS or held_out_rms(after) >= held_out_rms(before):
         return f"it does not hold out: {gain:+.1f} nats on data that it was not fitted to"
     return ""
 
@@ -275,8 +276,8 @@ def _step(before: Fit, after: Fit, chosen: Score, scores: tuple[Score, ...]) -> 
         chosen.p,
         chosen.draws,
         chosen.evidence,
-        held_out(before).rms(),
-        held_out(after).rms(),
+        held_out_rms(before),
+        held_out_rms(after),
         tuple(rivals),
     )
 

@@ -39,7 +39,8 @@ _SENSOR = {
 class BenchPlan:
     """What to simulate.
 
-    layout : "sweeps" (a meridian and two rings, as benches are worked) or "rings" (spread well)
+    layout : "sweeps" (a meridian and two rings, as benches are worked), "rings" (spread well) or
+        "random" (the rings' positions in random order, which separates what else is confounded)
     plant : effect -> its parameters; noise : mg of one reading; setting : deg, scatter of the
         inclination and the tool-face settings; slips : (row from 1, axis) whose sign is lost
     """
@@ -56,7 +57,7 @@ class BenchPlan:
 
 def simulated_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
     """A position table in degrees and mg. Raises UsageError for impossible plans."""
-    inclination, tool_face = _layout(plan)
+    inclination, tool_face = _layout(plan, rng)
     nominal = _blank(plan, inclination, tool_face)
     meant = plan.gravity * unit_vector(*Conventions().inside(inclination, tool_face))
     data = position_observations(
@@ -75,10 +76,12 @@ def simulated_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
     return PositionTable(columns, names, dict.fromkeys("xyz", "mg"), nominal.row, "simulated", "")
 
 
-def _layout(plan: BenchPlan) -> tuple[Array, Array]:
-    if plan.layout == "rings":
+def _layout(plan: BenchPlan, rng: np.random.Generator) -> tuple[Array, Array]:
+    if plan.layout in ("rings", "random"):
         i, t = recommend(plan.positions)
-        return np.round(i / DEG, 6), np.round(t / DEG, 6)
+        n = plan.positions
+        order = rng.permutation(n) if plan.layout == "random" else np.arange(n)
+        return np.round(i / DEG, 6)[order], np.round(t / DEG, 6)[order]
     if plan.layout != "sweeps" or plan.positions < 12:
         raise UsageError(
             f"layout '{plan.layout}' with {plan.positions} positions",

@@ -38,7 +38,7 @@ def _plant(text: str) -> tuple[str, tuple[float, ...]]:
 )
 @click.option(
     "--layout",
-    type=click.Choice(["sweeps", "rings"]),
+    type=click.Choice(["sweeps", "rings", "random"]),
     default="sweeps",
     show_default=True,
     help="How the bench is worked.",
