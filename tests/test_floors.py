@@ -19,7 +19,7 @@ FLOORS: dict[str, int] = {
     "": 0,  # the package itself: its version
     "errors": 0,
     "units": 0,
-    "report.numbers": 0,  # digits of a number, for sentences on every floor; imports nothing
+    "significant_digits": 0,  # digits of a number, for sentences on every floor; imports nothing
     "recording": 1,
     "parameter": 1,
     "context": 1,
@@ -53,6 +53,8 @@ FLOORS: dict[str, int] = {
     "matrices": 8,
     "closed_loop": 9,
     "calibration": 10,
+    "calibration_file": 10,
+    "application": 10,
     "yaml_text": 10,
     "outcome": 10,
     "calibrators": 11,

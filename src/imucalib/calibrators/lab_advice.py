@@ -20,7 +20,7 @@ from imucalib.model import Model
 from imucalib.outcome import Limit
 from imucalib.record_errors import RecordError
 from imucalib.references import KnownVector, angles_of, unit_vector
-from imucalib.report.numbers import plus_minus
+from imucalib.significant_digits import plus_minus
 from imucalib.uncertainty import correcting
 from imucalib.units import DEG, MG
 

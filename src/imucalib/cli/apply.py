@@ -34,7 +34,7 @@ def command(
     Example: imucal apply out/calibration.yaml run.mcap -o corrected.mcap
     """
     from imucalib.application import apply_to_recording, write_corrected
-    from imucalib.calibration import read
+    from imucalib.calibration_file import read
     from imucalib.readers import read as read_recording
 
     loaded = read(calibration)

@@ -26,7 +26,7 @@ from imucalib.report.document import (
 )
 from imucalib.report.lab_tables import iscwsa_table, position_table, published_table, training_note
 from imucalib.report.loop import advice_section, candidate_section, loop_section
-from imucalib.report.numbers import plus_minus, spread, with_sd
+from imucalib.significant_digits import plus_minus, spread, with_sd
 from imucalib.uncertainty import angle_uncertainty
 from imucalib.units import DEG, MG
 

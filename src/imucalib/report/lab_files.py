@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from imucalib.calibration import write, write_whole
+from imucalib.calibration_file import write, write_whole
 from imucalib.calibrators.lab_calibration import lab_calibration
 from imucalib.calibrators.lab_run import LabRun
 from imucalib.report.html import render_html

@@ -7,7 +7,7 @@ import math
 from imucalib.closed_loop import Loop
 from imucalib.outcome import ErrorSummary, Outcome
 from imucalib.report.document import Block, Section, Table, Text, Tone
-from imucalib.report.numbers import plus_minus, probability
+from imucalib.significant_digits import plus_minus, probability
 
 
 def error_table(error: ErrorSummary) -> Table:
