@@ -475,3 +475,19 @@ def test_imu_schema_text_is_not_needed_for_the_official_layout() -> None:
     own = mcap_definition.parse_definition("sensor_msgs/msg/Imu", mcap_definition.IMU_ROS2, False)
     theirs = mcap_definition.parse_definition("sensor_msgs/msg/Imu", IMU_ROS2, False)
     assert own.types == theirs.types
+
+
+def test_topics_of_one_type_with_different_fields(tmp_path: Path) -> None:
+    text = f"Sample[] samples\n{SEPARATOR}\nMSG: my/Sample\nfloat64[3] acc\n"
+    rows = readings(40)
+    logs = {}
+    for topic, count in (("/one", 1), ("/two", 2)):
+        head = b"\0\1\0\0" + count.to_bytes(4, "little") + bytes(4)
+        pairs = [(r.ns, head + np.array([r.acc] * count).tobytes()) for r in rows]
+        logs[topic] = pairs
+    schema = ("my/msg/Bundle", "ros2msg", text.encode())
+    path = write_log(tmp_path / "a.mcap", logs, schema=schema)
+    mapping = FieldMapping(acc=("/two:samples.1.acc", "/one:samples.0.acc"))
+    recording = read(path, mapping, strict=True)
+    for name in ("imu0", "imu1"):
+        assert same_bits(recording.channels[f"{name}/acceleration"].values, values(rows, "acc"))

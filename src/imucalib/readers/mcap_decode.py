@@ -67,7 +67,7 @@ class RosDecoder:
 
     def __init__(self, definition: Definition) -> None:
         self._definition = definition
-        self._layouts: list[Layout] = []
+        self._families: dict[Groups, list[_Family]] = {}
 
     def leaves(self, payload: bytes) -> dict[str, int]:
         if payload[:4] == ZSTD_MAGIC:
@@ -78,8 +78,9 @@ class RosDecoder:
     def decode(self, block: MessageBlock, groups: Groups, widths: Widths) -> Decoded:
         filler = _Filler(block.starts.size, widths)
         todo = np.arange(block.starts.size)
-        for layout in tuple(self._layouts):
-            todo = self._apply(layout, block, groups, todo, filler)
+        families = self._families.setdefault(groups, [])
+        for family in tuple(families):
+            todo = _apply(family, block, todo, filler)
             if todo.size == 0:
                 return filler.decoded()
         while todo.size:
@@ -97,40 +98,58 @@ class RosDecoder:
                 filler.problem = str(error)
                 todo = todo[1:]
                 continue
-            self._layouts = [layout, *self._layouts[: _MOST_LAYOUTS - 1]]
-            todo = self._apply(layout, block, groups, todo, filler)
+            todo = _apply(_admit(families, layout, groups), block, todo, filler)
         return filler.decoded()
 
-    def _apply(
-        self,
-        layout: Layout,
-        block: MessageBlock,
-        groups: Groups,
-        todo: NDArray[np.int64],
-        filler: _Filler,
-    ) -> NDArray[np.int64]:
-        """Decode what the layout fits among `todo`; returns the rest."""
-        whole = todo.size == block.starts.size
-        lengths = block.lengths if whole else block.lengths[todo]
-        fits = (lengths >= layout.end) & (lengths <= layout.end + layout.slack)
-        rest = todo[:0]
-        if not fits.all():
-            todo, rest = todo[fits], todo[~fits]
-            if todo.size == 0:
-                return rest
-            whole = False
-        dtype, names = layout.pick(groups)
-        rows = _Rows(block.data, block.starts if whole else block.starts[todo], dtype)
-        agrees = _agrees(layout, rows)
-        if not agrees.all():
-            rest = np.sort(np.concatenate([rest, todo[~agrees]]))
-            todo = todo[agrees]
-            rows = _Rows(block.data, block.starts[todo], dtype)
-        for i, parts in enumerate(names):
-            columns = [rows.vectors(name) for name in parts]
-            filler.put_column(todo, i, columns[0] if len(columns) == 1 else np.hstack(columns))
-        filler.good[todo] = True
-        return rest
+
+@dataclass
+class _Family:
+    """Layouts that differ in the lengths they expect, but have the wanted fields in one place."""
+
+    layout: Layout
+    dtype: np.dtype[np.void]
+    names: list[list[str]]
+    guards: list[tuple[tuple[int, int], ...]]
+
+
+def _admit(families: list[_Family], layout: Layout, groups: Groups) -> _Family:
+    """The family of a new layout, at the front of the list."""
+    dtype, names = layout.pick(groups)
+    for family in families:
+        same = (family.layout.head, family.layout.slack) == (layout.head, layout.slack)
+        if same and family.dtype == dtype and len(family.guards) < _MOST_LAYOUTS:
+            family.guards.append(layout.guards)
+            return family
+    families.insert(0, _Family(layout, dtype, names, [layout.guards]))
+    del families[_MOST_LAYOUTS:]
+    return families[0]
+
+
+def _apply(
+    family: _Family, block: MessageBlock, todo: NDArray[np.int64], filler: _Filler
+) -> NDArray[np.int64]:
+    """Decode what the family fits among `todo`; returns the rest."""
+    whole = todo.size == block.starts.size
+    lengths = block.lengths if whole else block.lengths[todo]
+    end = family.layout.end
+    fits = (lengths >= end) & (lengths <= end + family.layout.slack)
+    rest = todo[:0]
+    if not fits.all():
+        todo, rest = todo[fits], todo[~fits]
+        if todo.size == 0:
+            return rest
+        whole = False
+    rows = _Rows(block.data, block.starts if whole else block.starts[todo], family.dtype)
+    agrees = _agrees(family, rows)
+    if not agrees.all():
+        rest = np.sort(np.concatenate([rest, todo[~agrees]]))
+        todo = todo[agrees]
+        rows = _Rows(block.data, block.starts[todo], family.dtype)
+    for i, parts in enumerate(family.names):
+        columns = [rows.vectors(name) for name in parts]
+        filler.put_column(todo, i, columns[0] if len(columns) == 1 else np.hstack(columns))
+    filler.good[todo] = True
+    return rest
 
 
 def _check_widths(layout: Layout, groups: Groups, widths: Widths) -> None:
@@ -146,6 +165,7 @@ class _Rows:
 
     def __init__(self, data: bytes, starts: NDArray[np.int64], dtype: np.dtype[np.void]) -> None:
         self._starts: NDArray[np.int64] | None = starts
+        self.count = starts.size
         steps = np.diff(starts)
         if starts.size > 1 and (steps == steps[0]).all() and steps[0] > 0:
             step = int(steps[0])
@@ -164,13 +184,17 @@ class _Rows:
         return part[:, None] if part.ndim == 1 else part
 
 
-def _agrees(layout: Layout, rows: _Rows) -> NDArray[np.bool_]:
-    agrees: NDArray[np.bool_] | np.bool_ = np.True_
-    for at, value in layout.guards:
-        agrees = agrees & (rows.column(f"guard{at}") == value)
-    if layout.head:
-        agrees = agrees & (rows.column("head") == np.void(layout.head))
-    return np.atleast_1d(agrees)
+def _agrees(family: _Family, rows: _Rows) -> NDArray[np.bool_]:
+    found = {at: rows.column(f"guard{at}") for at, _ in family.layout.guards}
+    agrees: NDArray[np.bool_] | np.bool_ = np.False_
+    for guards in family.guards:
+        one: NDArray[np.bool_] | np.bool_ = np.True_
+        for at, value in guards:
+            one = one & (found[at] == value)
+        agrees = agrees | one
+    if family.layout.head:
+        agrees = agrees & (rows.column("head") == np.void(family.layout.head))
+    return np.broadcast_to(agrees, (rows.count,))
 
 
 class _Filler:

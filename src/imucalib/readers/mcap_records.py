@@ -104,8 +104,13 @@ class MessageBlock:
 
     def header(self, name: str) -> NDArray[np.uint64]:
         """(n,) one message header field: channel, sequence, log_time (ns), publish_time (ns)."""
-        column = _rows(self.data)[name]
-        return column[self.starts - 31]
+        first = int(self.starts[0]) - 31 if self.starts.size else 0
+        steps = np.diff(self.starts)
+        if steps.size and steps[0] > 0 and (steps == steps[0]).all():
+            strides = (int(steps[0]),)
+            even = np.ndarray((self.starts.size,), _MESSAGE_HEAD, self.data, first, strides)
+            return even[name].copy()
+        return _rows(self.data)[name][self.starts - 31]
 
     def payloads(self) -> list[bytes]:
         """The payload of every message, for encodings that must be parsed one by one."""
