@@ -6,14 +6,14 @@ Also its second reference: the same sensor at rest in unknown attitudes, by the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.attitude import AttitudeErrors, attitude_errors
-from imucalib.balance import Noise
+from imucalib.calibrators.lab_errors import Split, error_summary, held_out_splits
 from imucalib.closed_loop import Loop, LoopSettings, close_loop
 from imucalib.conventions import Conventions
 from imucalib.effect import Effect
@@ -22,13 +22,12 @@ from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.fit import Fit
-from imucalib.held_out import Held, errors, fitted, held_out
+from imucalib.held_out import fitted
 from imucalib.model import Model
 from imucalib.observations import Observations
-from imucalib.outcome import ErrorSummary, HeldOutError
+from imucalib.outcome import ErrorSummary
 from imucalib.references import KnownNorm, KnownVector
 from imucalib.starting_point import full_matrix_start
-from imucalib.units import MG
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -63,16 +62,6 @@ class LabSettings:
     rules: LoopSettings = field(default_factory=LoopSettings)
     extra_effects: Mapping[str, Effect] = field(default_factory=dict)
     conventions: Conventions = field(default_factory=Conventions)
-
-
-@dataclass(frozen=True)
-class Split:
-    """A held-out part: its name, its rows of the whole table, and the errors there."""
-
-    name: str
-    rows: Index
-    base: Held
-    final: Held
 
 
 @dataclass(frozen=True)
@@ -124,7 +113,7 @@ def calibrate(
         raise undetermined(judged)
     if not final.converged:
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
-    splits = _splits(base, final, observations, used, settings)
+    splits = held_out_splits(base, final, observations, used, settings.objective)
     gravity = gravity_of(data)
     known = isinstance(data.reference, KnownVector)
     angles = attitude_errors(fitted(final), gravity) if known else None
@@ -181,82 +170,3 @@ def gravity_of(data: Observations) -> float:
     reference = data.reference
     assert isinstance(reference, KnownVector | KnownNorm)
     return reference.gravity
-
-
-def _splits(
-    base: Fit, final: Fit, whole: Observations, used: Index, settings: LabSettings
-) -> tuple[Split, ...]:
-    found: list[Split] = []
-    if settings.objective in OBJECTIVES:
-        left = refitted(final, settings.objective)
-        found += [Split("leave one out", used, left, left)] if left else []
-    else:
-        found = [Split("leave one out", used, held_out(base), held_out(final))]
-    rest = np.setdiff1d(np.arange(whole.n), used)
-    if rest.size:
-        test = whole.take(rest)
-        tested = [errors(f, f.theta, test) for f in (base, final)]
-        found.append(Split("test set", rest, *tested))
-    return tuple(found)
-
-
-def refitted(fit: Fit, objective: str) -> Held | None:
-    """Leave one out by complete refits, for objectives that are not a likelihood.
-
-    None when a position is indispensable: without it the objective has no minimum.
-    """
-    data = fit.observations
-    parts = []
-    for row in range(data.n):
-        rest = data.without(np.array([row]))
-        try:
-            theta = fit_corrected(fit.model, rest, objective, fit.theta).theta
-        except NotConverged:
-            return None
-        parts.append(errors(fit, theta, data.take(np.array([row]))))
-    return Held(
-        np.concatenate([part.corrected for part in parts]),
-        np.concatenate([part.expected for part in parts]),
-        np.concatenate([part.error for part in parts]),
-    )
-
-
-def error_summary(
-    base: Fit, final: Fit, data: Observations, splits: tuple[Split, ...]
-) -> ErrorSummary:
-    """The one metric of the loop: length of the vector error, or error of the norm, rms in mg.
-
-    Held out are the rows of the test set when there is one, else each row in turn; NaN where
-    neither exists.
-    """
-    base_out, final_out = (
-        (splits[-1].base.rms() / MG, splits[-1].final.rms() / MG) if splits else (np.nan, np.nan)
-    )
-    nothing = Model(())
-    bare = replace(base, model=nothing, theta=np.zeros(0))
-    raw = errors(bare, bare.theta, data).rms() / MG
-    known = isinstance(data.reference, KnownVector)
-    return ErrorSummary(
-        "vector error, rms" if known else "error of |a|, rms",
-        "mg",
-        raw,
-        fitted(base).rms() / MG,
-        fitted(final).rms() / MG,
-        noise_floor(final) / MG,
-        HeldOutError(raw, base_out, final_out),
-    )
-
-
-def noise_floor(fit: Fit) -> float:
-    """rms of the metric that noise and setting errors alone would leave, m/s²."""
-    at, noise = fit.at, fit.noise
-    scale = at.sigma.reshape(-1) if at.keep.shape[2] == at.sigma.shape[1] else at.sigma[:, 0]
-    power = (noise.factor * scale) ** 2
-    for matrix, sd in zip(at.settings, noise.sd, strict=True):
-        power = power + (sd * scale) ** 2 * np.sum(matrix**2, axis=1)
-    return float(np.sqrt(power.sum() / fit.observations.n))
-
-
-def setting_noise(noise: Noise) -> dict[str, float]:
-    """Standard deviations (rad) by component name."""
-    return dict(zip(noise.component, noise.sd, strict=True))

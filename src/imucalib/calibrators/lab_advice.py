@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from imucalib.attitude import attitude_errors, rms, worst
 from imucalib.bench import RawUnit
-from imucalib.calibrators.lab import LabResult, gravity_of, setting_noise
+from imucalib.calibrators.lab import LabResult, gravity_of
 from imucalib.calibrators.lab_design import judge
+from imucalib.calibrators.lab_errors import setting_noise
 from imucalib.context import Context
 from imucalib.effects import catalogue
 from imucalib.errors import UsageError

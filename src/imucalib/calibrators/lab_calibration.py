@@ -9,8 +9,9 @@ import numpy as np
 
 from imucalib.attitude import attitude_errors, rms, worst
 from imucalib.calibration import Calibration, from_fit
-from imucalib.calibrators.lab import gravity_of, setting_noise
+from imucalib.calibrators.lab import gravity_of
 from imucalib.calibrators.lab_advice import fixture_curve
+from imucalib.calibrators.lab_errors import setting_noise
 from imucalib.calibrators.lab_run import LabRun
 from imucalib.references import KnownVector
 from imucalib.units import DEG, MG

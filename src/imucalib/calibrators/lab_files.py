@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from imucalib.calibrators.lab_run import LabRequest, LabRun, run_lab
+from imucalib.calibrators.lab_request import LabRequest
+from imucalib.calibrators.lab_run import LabRun, run_lab
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.mapping import FieldMapping
 from imucalib.position_table import PositionTable, read_position_table

@@ -60,9 +60,7 @@ def simulated_table(plan: BenchPlan, rng: np.random.Generator) -> PositionTable:
     inclination, tool_face = _layout(plan, rng)
     nominal = _blank(plan, inclination, tool_face)
     meant = plan.gravity * unit_vector(*Conventions().inside(inclination, tool_face))
-    data = position_observations(
-        nominal, meant, Conventions(), plan.gravity, sigma=plan.noise * MG
-    )
+    data = position_observations(nominal, meant, Conventions(), plan.gravity, sigma=plan.noise * MG)
     model, theta = _planted(plan, data)
     components = ("inclination setting", "tool-face setting")
     noise = Noise(1.0, components, tuple(a * DEG for a in plan.setting))

@@ -7,12 +7,12 @@ from typing import Any
 
 import click
 
+from imucalib.cli.lab_options import lab_options, request_of
 from imucalib.cli.output import (
     color,
     emit_json,
     json_option,
     note,
-    numbers,
     pairs,
     quiet_option,
     seed_option,
@@ -21,140 +21,9 @@ from imucalib.cli.output import (
 from imucalib.cli.recording_options import mapping_of, recording_options
 
 
-def _fix(text: str) -> tuple[int, str, float]:
-    row, colon, cell = text.partition(":")
-    role, sign, value = cell.partition("=")
-    try:
-        if not colon or not sign:
-            raise ValueError
-        return int(row), role.strip(), float(value)
-    except ValueError:
-        raise click.BadParameter(
-            f"'{text}' is not ROW:COLUMN=VALUE, for example 10:y=-58593", param_hint="--fix"
-        ) from None
-
-
 @click.command("lab", short_help="Calibrate on a bench with known angles.")
 @click.argument("table", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    help="Folder for calibration.yaml, report.html and report.json.",
-)
-@click.option(
-    "--recording",
-    type=click.Path(path_type=Path),
-    help="Recording with the positions of TABLE in order; its still segments are averaged.",
-)
-@click.option(
-    "--reference",
-    type=click.Choice(["vector", "norm"]),
-    default="vector",
-    show_default=True,
-    help="Known angles, or only the size of gravity (TABLE may then be a recording).",
-)
-@click.option(
-    "--columns",
-    multiple=True,
-    metavar="ROLE=NAME,...",
-    help="Columns by heading: inclination, tool_face, x, y, z, temperature, samples.",
-)
-@click.option(
-    "--unit", help="Unit of raw x, y, z: g, mg, ug, m/s2, counts. Default: by the norm at rest."
-)
-@click.option("--lsb-per-g", type=float, help="Counts a g, with --unit counts.")
-@click.option("--gravity", type=float, help="Local gravity, m/s².")
-@click.option("--latitude", type=float, help="Latitude in degrees, for normal gravity.")
-@click.option(
-    "--height", type=float, default=0.0, help="Height above the ellipsoid in m, with --latitude."
-)
-@click.option(
-    "--convention",
-    default="paper",
-    show_default=True,
-    help="Angles: paper, drilling-gravity or drilling-force.",
-)
-@click.option(
-    "--gravity-sign",
-    type=click.Choice(["down", "up"]),
-    help="Which way an axis points that reads +g.",
-)
-@click.option(
-    "--z-axis",
-    type=click.Choice(["down-hole", "up-hole"]),
-    help="The tool's end to which z points.",
-)
-@click.option(
-    "--inclination-zero",
-    type=click.Choice(["horizontal", "vertical"]),
-    help="What inclination 0 means.",
-)
-@click.option(
-    "--toolface-zero-axis",
-    type=click.Choice(["+x", "-x", "+y", "-y"]),
-    help="Axis that reads most at tool-face 0.",
-)
-@click.option(
-    "--toolface-sense",
-    type=click.Choice(["clockwise", "counter-clockwise"]),
-    help="Clockwise: from +y towards +x.",
-)
-@click.option("--toolface-offset", type=float, help="Degrees added to every tool-face.")
-@click.option("--model", default="linear12", show_default=True, help="linear12 or geometric9.")
-@click.option(
-    "--objective",
-    type=click.Choice(["settings", "vector", "angles", "paper"]),
-    default="settings",
-    show_default=True,
-    help="What is minimised; settings: angles are uncertain as set.",
-)
-@click.option(
-    "--as-published", is_flag=True, help="Paper 004's own method and split (its Table 2)."
-)
-@click.option(
-    "--train",
-    default="",
-    metavar="ROWS",
-    help="Rows to choose and fit on, for example 1-20; the rest tests.",
-)
-@click.option("--exclude", default="", metavar="ROWS", help="Leave rows out.")
-@click.option(
-    "--fix",
-    "fixes",
-    multiple=True,
-    metavar="ROW:COLUMN=VALUE",
-    help="Repair one cell, in the table's unit.",
-)
-@click.option("--auto-exclude", is_flag=True, help="Leave out records that the search finds wrong.")
-@click.option("--swap-angles", is_flag=True, help="Exchange the two angle columns.")
-@click.option("--keep-angles", is_flag=True, help="Do not refuse angles that look exchanged.")
-@click.option(
-    "--sigma", type=float, help="Declared noise of a reading, mg; default: from the data."
-)
-@click.option(
-    "--declare", multiple=True, metavar="EFFECT", help="Put an effect into the base model."
-)
-@click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects.")
-@click.option("--without", multiple=True, metavar="EFFECT", help="Leave effects out of the search.")
-@click.option(
-    "--effects",
-    "effects_file",
-    type=click.Path(path_type=Path),
-    help="Python file with effects of your own.",
-)
-@click.option("--no-loop", is_flag=True, help="Fit the base model only.")
-@click.option(
-    "--draws", default=1000, show_default=True, help="Simulated data sets behind each p-value."
-)
-@click.option("--max-error", type=float, help="Limit: held-out error, mg rms; exit 1 beyond.")
-@click.option(
-    "--max-inclination-error", type=float, help="Limit: largest held-out inclination error, deg."
-)
-@click.option(
-    "--max-toolface-error", type=float, help="Limit: largest held-out tool-face error, deg."
-)
-@click.option("--max-norm-error", type=float, help="Limit: held-out error of |a|, mg rms.")
+@lab_options
 @recording_options
 @seed_option
 @json_option
@@ -179,7 +48,7 @@ def command(table: Path, **options: Any) -> int:
     files = LabFiles(
         table, options["recording"], pairs(options["columns"], "--columns"), mapping_of(options)
     )
-    run = calibrate_files(files, _request(options), lambda text: note(text, quiet))
+    run = calibrate_files(files, request_of(options), lambda text: note(text, quiet))
     if options["output"] is not None:
         from imucalib.report.lab_files import write_reports
 
@@ -192,79 +61,3 @@ def command(table: Path, **options: Any) -> int:
     elif not quiet:
         click.echo(render_text(lab_document(run), width(), color=color()), nl=False)
     return run.outcome.exit_code
-
-
-def _request(options: dict[str, Any]):  # type: ignore[no-untyped-def]
-    from dataclasses import replace
-
-    from imucalib.calibrators.lab import LabSettings
-    from imucalib.calibrators.lab_run import LabRequest, as_published
-    from imucalib.closed_loop import LoopSettings
-    from imucalib.conventions import preset
-    from imucalib.effects import load_file
-    from imucalib.units import MG
-
-    keys = (
-        "gravity_sign",
-        "z_axis",
-        "inclination_zero",
-        "toolface_zero_axis",
-        "toolface_sense",
-        "toolface_offset",
-    )
-    overrides = {key: options[key] for key in keys if options[key] is not None}
-    settings = LabSettings(
-        model=options["model"],
-        objective=options["objective"],
-        declare=options["declare"],
-        only=options["only"],
-        without=options["without"],
-        loop=not options["no_loop"],
-        sigma=None if options["sigma"] is None else options["sigma"] * MG,
-        rules=LoopSettings(draws=options["draws"]),
-        extra_effects=load_file(options["effects_file"]) if options["effects_file"] else {},
-        conventions=replace(preset(options["convention"]), **overrides),
-    )
-    limits = {
-        name: options[name.replace("-", "_")]
-        for name in ("max-error", "max-inclination-error", "max-toolface-error", "max-norm-error")
-        if options[name.replace("-", "_")] is not None
-    }
-    gravity, source = _gravity(options)
-    request = LabRequest(
-        unit=options["unit"],
-        lsb_per_g=options["lsb_per_g"],
-        gravity=gravity,
-        gravity_source=source,
-        reference=options["reference"],
-        fixes=tuple(_fix(text) for text in options["fixes"]),
-        exclude=numbers(options["exclude"], "--exclude"),
-        auto_exclude=options["auto_exclude"],
-        swap_angles=options["swap_angles"],
-        keep_angles=options["keep_angles"],
-        train=numbers(options["train"], "--train"),
-        limits=limits,
-        settings=settings,
-        seed=options["seed"],
-    )
-    return as_published(request) if options["as_published"] else request
-
-
-def _gravity(options: dict[str, Any]) -> tuple[float, str]:
-    from imucalib.units import STANDARD_GRAVITY, local_gravity
-
-    if options["gravity"] is not None and options["latitude"] is not None:
-        raise click.UsageError("--gravity and --latitude exclude each other")
-    if options["gravity"] is not None:
-        if not 9.7 < options["gravity"] < 9.9:
-            raise click.BadParameter(
-                "local gravity is between 9.7 and 9.9 m/s²", param_hint="--gravity"
-            )
-        return options["gravity"], "as given"
-    if options["latitude"] is not None:
-        value = local_gravity(options["latitude"], options["height"])
-        return (
-            value,
-            f"normal gravity at latitude {options['latitude']:g}, height {options['height']:g} m",
-        )
-    return STANDARD_GRAVITY, "standard gravity; --gravity or --latitude gives the local value"

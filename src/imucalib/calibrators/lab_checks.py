@@ -1,0 +1,103 @@
+"""From a position table to observations, refusing what users mistake: angles, units, rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.bench import RawUnit, position_observations, still_observations, swapped_angles
+from imucalib.calibrators.lab import LabSettings
+from imucalib.calibrators.lab_request import LabRequest
+from imucalib.errors import UsageError
+from imucalib.observations import Observations
+from imucalib.position_table import PositionTable
+from imucalib.starting_point import misfit
+from imucalib.units import DEG, MG
+
+Index = NDArray[np.intp]
+
+
+def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> Observations:
+    """All rows as observations. Raises UsageError for angles that cannot be degrees."""
+    reading = table.raw() * raw.si
+    sigma = request.settings.sigma or MG
+    if request.reference == "norm":
+        return still_observations(table, reading, request.gravity, sigma=sigma)
+    table = _in_degrees(table)
+    exact = request.settings.objective == "vector"
+    return position_observations(
+        table,
+        reading,
+        request.settings.conventions,
+        request.gravity,
+        sigma=sigma,
+        setting_errors=not exact,
+    )
+
+
+def _in_degrees(table: PositionTable) -> PositionTable:
+    """Angle columns whose heading says rad, in degrees; refuse angles that cannot be degrees."""
+    columns = dict(table.columns)
+    for role in ("inclination", "tool_face"):
+        if table.unit.get(role) == "rad":
+            columns[role] = columns[role] / DEG
+        if np.abs(columns[role]).max() > 720.0:
+            row = int(np.argmax(np.abs(columns[role]))) + 1
+            raise UsageError(
+                f"angle {columns[role][row - 1]:g} is out of range",
+                where=f"{table.path}, row {row}, column {table.names[role]}",
+                remedy="angles are in degrees, within two turns",
+            )
+    return replace(table, columns=columns)
+
+
+def refuse_swapped(
+    observations: Observations, table: PositionTable, raw: RawUnit, request: LabRequest
+) -> None:
+    """Raise UsageError when the angle columns, exchanged or read as radians, fit far better."""
+    as_given = misfit(observations)
+    if as_given < 0.03 * request.gravity:
+        return
+    columns = dict(table.columns)
+    columns["inclination"] = columns["inclination"] / DEG
+    columns["tool_face"] = columns["tool_face"] / DEG
+    turned = replace(table, columns=columns)
+    option = "without it" if request.swap_angles else "--swap-angles"
+    for other, what, remedy in (
+        (swapped_angles(table), "exchanged", f"run again {option}, or name them with --columns"),
+        (
+            turned,
+            "read as radians",
+            "convert them, or name the columns with the unit (inclination_rad)",
+        ),
+    ):
+        if np.abs(other.columns["inclination"]).max() > 720.0:
+            continue
+        changed = misfit(observations_of(other, raw, request))
+        if changed < as_given / 3.0:
+            raise UsageError(
+                f"the angle columns fit far better {what}: {changed / MG:.0f} instead of "
+                f"{as_given / MG:.0f} mg rms",
+                where=table.path,
+                remedy=f"{remedy}; --keep-angles to insist",
+            )
+
+
+def kept_rows(table: PositionTable, exclude: tuple[int, ...]) -> Index:
+    """Rows (from 0) that are left; UsageError for one that does not exist."""
+    unknown = [r for r in exclude if not 1 <= r <= table.n]
+    if unknown:
+        raise UsageError(f"--exclude {unknown[0]}: no such row", remedy=f"rows are 1..{table.n}")
+    return np.array([k for k in range(table.n) if k + 1 not in exclude], dtype=np.intp)
+
+
+def with_train(request: LabRequest, rows: Index) -> LabSettings:
+    """The settings with the training rows among those that are left; UsageError when none is."""
+    if not request.train:
+        return request.settings
+    chosen = np.flatnonzero(np.isin(rows + 1, request.train))
+    if chosen.size == 0:
+        raise UsageError("--train names no row that is left")
+    return replace(request.settings, train=chosen)
