@@ -112,7 +112,7 @@ def from_dict(content: Any, where: str) -> Calibration:
         )
     try:
         return _calibration(content)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise UnreadableInput(f"the calibration is incomplete: {error!r}", where=where) from None
 
 
