@@ -186,8 +186,11 @@ class _State:
         return state
 
     def scored_records(self) -> tuple[Score, ...]:
-        taken = {row for _, row in self.records}
-        return record_scores(self.fit, taken, self.rng, self.rules.draws)
+        return self._records_of(self.fit, {row for _, row in self.records})
+
+    def _records_of(self, fit: Fit, taken: set[int]) -> tuple[Score, ...]:
+        rules = self.rules
+        return record_scores(fit, taken, self.rng, draws=rules.draws, alpha=rules.record_alpha)
 
     def accept(self, fit: Fit, step: Step) -> _State:
         """Take an effect in, and look at the records again: it may have hidden one."""
@@ -214,7 +217,7 @@ class _State:
             if chosen is None:
                 continue
             beside = extended(self.fit, effects[chosen.name])
-            again = record_scores(beside, set(), self.rng, self.rules.draws)[:1]
+            again = self._records_of(beside, set())[:1]
             if again and row_of(again[0].name) == row and again[0].p <= self.rules.record_alpha:
                 return replace(self, fit=aside, records=(*self.records, (again[0], row)))
         return None
@@ -231,7 +234,7 @@ def search(
     usable = [e for e in effects.values() if e.name not in rejected]
     catalogue, missing = effect_candidates(current, usable)
     everything = catalogue + probes(current) + correlated_noise(current)
-    return score(current, everything, rng, draws=rules.draws), missing
+    return score(current, everything, rng, draws=rules.draws, alpha=rules.alpha), missing
 
 
 def _choose(scores: tuple[Score, ...], rules: LoopSettings) -> Score | None:

@@ -30,7 +30,7 @@ _FIRST_DRAWS = 299
 _TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 #: Variance components are re-estimated on this grid of factors of the fitted ratio. The fitted
 #: ratio itself is left out: the data would sit on a grid point and simulated data beside one.
-_SHRINK = (0.0, 1 / 8, 1 / 4, 1 / 2, 0.72, 0.9, 1.12, 1.4, 2.0)
+_SHRINK = (0.0, 0.15, 0.4, 0.72, 0.92, 1.15, 1.6)
 #: A block that keeps less than this share of its columns is absorbed by the fitted parameters.
 _ABSORBED = 1e-5
 
@@ -87,16 +87,21 @@ class _Point:
 
 
 def score(
-    fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, *, draws: int = 500
+    fit: Fit,
+    candidates: tuple[Candidate, ...],
+    rng: np.random.Generator,
+    *,
+    draws: int = 1000,
+    alpha: float = 0.05,
 ) -> tuple[Score, ...]:
     """Score candidates against a fit, best first; p by up to `draws` simulated data sets.
 
-    A first part of the draws settles what is clear; only a p that is neither clearly large nor at
-    the first part's floor is worth the rest.
+    A first part of the draws settles what is clear; only a best p that is neither far above
+    `alpha` nor at the first part's floor is worth the rest.
     """
     few = min(draws, _FIRST_DRAWS)
     scores = _score(fit, candidates, rng, few)
-    if scores and few < draws and 1.5 / (few + 1) < min(s.p for s in scores) < 0.2:
+    if scores and few < draws and 1.5 / (few + 1) < min(s.p for s in scores) < 4.0 * alpha:
         return _score(fit, candidates, rng, draws)
     return scores
 

@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 
 
 def record_scores(
-    fit: Fit, taken: set[int], rng: np.random.Generator, draws: int
+    fit: Fit, taken: set[int], rng: np.random.Generator, *, draws: int, alpha: float
 ) -> tuple[Score, ...]:
     """Every component of every record and every setting of one record, best first."""
     candidates = [c for c in record_candidates(fit) if row_of(c.name) not in taken]
-    return score(fit, tuple(candidates), rng, draws=draws)
+    return score(fit, tuple(candidates), rng, draws=draws, alpha=alpha)
 
 
 def row_of(name: str) -> int:
