@@ -37,7 +37,8 @@ def measured(data: Path) -> None:
         ("the default's model, fitted on rows 1-20", lab(*common, "--train", "1-20", "--no-loop",
          "--declare", "inclination_zero", "--declare", "inclination_scale")),
     ]  # fmt: skip
-    print("| Table 1, row 10 repaired (largest / rms) | held out | tool-face, deg | inclination, deg | norm, mg |")
+    quantities = "tool-face, deg | inclination, deg | norm, mg"
+    print(f"| Table 1, row 10 repaired (largest / rms) | held out | {quantities} |")
     print("|---|---|---|---|---|")
     for name, report in rows:
         for split in (s for s in report["held_out"] if s["model"] == "final"):
@@ -46,9 +47,11 @@ def measured(data: Path) -> None:
                 for key in ("tool_face_deg", "inclination_deg", "norm_mg")
             ]
             print(f"| {name} | {split['split']} | {' | '.join(cells)} |")
-    printed = np.genfromtxt(data / "lab_table" / "table2_as_printed.csv", delimiter=",", skip_header=1)
+    path = data / "lab_table" / "table2_as_printed.csv"
+    printed = np.genfromtxt(path, delimiter=",", skip_header=1)
     ours = np.array([p["corrected_m_per_s2"] for p in rows[0][1]["positions"]])
-    print(f"\nLargest difference to the printed Table 2: {np.abs(ours - printed[:, :3]).max():.5f} m/s²")
+    away = np.abs(ours - printed[:, :3]).max()
+    print(f"\nLargest difference to the printed Table 2: {away:.5f} m/s²")
     _default(rows[5][1], lab(table, "--gravity", "9.8061"))
     _instruments(data)
 
@@ -70,7 +73,8 @@ def _default(repaired: dict, printed: dict) -> None:
 
 
 def _instruments(data: Path) -> None:
-    print("\n| at rest, by the norm | raw, mg | held out base -> final, mg rms | found |\n|---|---|---|---|")
+    print("\n| at rest, by the norm | raw, mg | held out base -> final, mg rms | found |")
+    print("|---|---|---|---|")
     runs = []
     with tempfile.TemporaryDirectory() as folder:
         for name in ("ab", "ai"):

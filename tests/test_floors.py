@@ -51,6 +51,8 @@ FLOORS: dict[str, int] = {
     "attitude": 8,
     "simulate": 8,
     "matrices": 8,
+    "loop": 9,  # what the closed loop is asked for and finds; loop_records: the wrong records
+    "loop_records": 9,
     "closed_loop": 9,
     "calibration": 10,
     "calibration_file": 10,
@@ -67,7 +69,7 @@ MODULE_LINES, FUNCTION_LINES = 260, 45
 LONG_MODULES = {
     "closed_loop": 283,
 }
-LONG_FUNCTIONS = {"calibrators.lab_run.run_lab": 49}
+LONG_FUNCTIONS: dict[str, int] = {}
 VAGUE = {"utils", "util", "helpers", "helper", "common", "manager", "misc", "tools"}
 
 

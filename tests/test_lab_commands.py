@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "sample_logs"
 SCHEMAS = Path(imucalib.__file__).parent / "schemas"
 FAST = ("--draws", "99")
+REPAIR = ("--fix", "10:y=-45.86119676")
 
 
 def run(*arguments: object) -> Result:
@@ -55,6 +56,15 @@ def column(name: str) -> list[str]:
     return [line.split(",")[k] for line in lines[1:]]
 
 
+def spoilt(name: str, row: int, cell: str) -> list[str]:
+    cells = column(name)
+    cells[row - 1] = cell
+    return cells
+
+
+SWAPPED = {"inclination": column("tool_face"), "tool_face": column("inclination")}
+
+
 def test_a_wrong_record_is_named_and_left_to_the_user(tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = run("lab", SAMPLES / "bench.csv", "-o", out, *FAST)
@@ -62,7 +72,8 @@ def test_a_wrong_record_is_named_and_left_to_the_user(tmp_path: Path) -> None:
     report = validated((out / "report.json").read_text(), "report")
     assert report["status"] == "marginal"
     (record,) = report["loop"]["record_errors"]
-    assert (record["where"], record["channel"], record["likely"]) == ("row 10", "y", "lost sign of y")
+    named = (record["where"], record["channel"], record["likely"])
+    assert named == ("row 10", "y", "lost sign of y")
     assert abs(record["size"] - 2 * 45.86) < 4.5 * record["sd"]
     assert "--fix 10:y=-45.86119676" in result.stdout.replace("\n", " ")
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -72,7 +83,7 @@ def test_a_wrong_record_is_named_and_left_to_the_user(tmp_path: Path) -> None:
 
 def test_the_repaired_bench_names_the_dial_and_passes(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = run("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-o", out, "--json", *FAST)
+    result = run("lab", SAMPLES / "bench.csv", *REPAIR, "-o", out, "--json", *FAST)
     assert result.return_value == 0
     report = validated(result.stdout, "report")
     assert report == json.loads((out / "report.json").read_text())
@@ -98,22 +109,19 @@ def test_yaml_validates_and_applies_to_its_own_table(tmp_path: Path) -> None:
     run("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-o", out, *FAST)
     from ruamel.yaml import YAML
 
-    from imucalib import calibration
+    from imucalib.calibration_file import read
 
     content = YAML(typ="safe", pure=True).load((out / "calibration.yaml").read_text())
     validated(json.dumps(content), "calibration")
     assert run("validate", out / "calibration.yaml").return_value == 0
-    loaded = calibration.read(out / "calibration.yaml") if hasattr(calibration, "read") else None
-    if loaded is None:
-        from imucalib.calibration_file import read
-
-        loaded = read(out / "calibration.yaml")
+    loaded = read(out / "calibration.yaml")
     raw = np.array([[float(v) for v in column(f"{a}_mg")] for a in "xyz"]).T * MG
     raw[9, 1] *= -1.0
     norms = np.linalg.norm(loaded.apply(raw), axis=1) / MG
     assert np.sqrt(np.mean((norms - 1000.0) ** 2)) < 2.0
-    M, b = np.array(content["matrices"]["corrected_from_raw"]["M"]), content["matrices"]["corrected_from_raw"]["b"]
-    np.testing.assert_allclose(raw @ M.T + np.array(b), loaded.apply(raw), atol=1e-9)
+    linear = content["matrices"]["corrected_from_raw"]
+    by_matrix = raw @ np.array(linear["M"]).T + np.array(linear["b"])
+    np.testing.assert_allclose(by_matrix, loaded.apply(raw), atol=1e-9)
 
 
 def test_a_recording_with_positions_in_order(tmp_path: Path) -> None:
@@ -151,11 +159,11 @@ def test_same_seed_same_result() -> None:
     [
         ({"x_mg": None}, 3, "no column for x"),
         ({"inclination": None}, 3, "no column for inclination"),
-        ({"y_mg": [*column("y_mg")[:4], "oops", *column("y_mg")[5:]]}, 3, "row 5, column y_mg: 'oops'"),
-        ({"z_mg": [*column("z_mg")[:6], "", *column("z_mg")[7:]]}, 3, "row 7, column z_mg: the cell is empty"),
-        ({"x_mg": [*column("x_mg")[:2], "nan", *column("x_mg")[3:]]}, 3, "row 3, column x_mg"),
-        ({"tool_face": ["1e4", *column("tool_face")[1:]]}, 2, "row 1, column tool_face"),
-        ({"inclination": column("tool_face"), "tool_face": column("inclination")}, 2, "--swap-angles"),
+        ({"y_mg": spoilt("y_mg", 5, "oops")}, 3, "row 5, column y_mg: 'oops'"),
+        ({"z_mg": spoilt("z_mg", 7, "")}, 3, "row 7, column z_mg: the cell is empty"),
+        ({"x_mg": spoilt("x_mg", 3, "nan")}, 3, "row 3, column x_mg"),
+        ({"tool_face": spoilt("tool_face", 1, "1e4")}, 2, "row 1, column tool_face"),
+        (SWAPPED, 2, "--swap-angles"),
         ({"inclination": ["30"] * 32}, 4, "leave open"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Setting wrong records aside: the first part of the closed loop, and refits from where a fit is."""
+"""Setting wrong records aside, the first part of the closed loop; refits from where a fit is."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def record_scores(
 
 def row_of(name: str) -> int:
     """The row of a record candidate's name, "9:y" or "9:inclination setting"."""
-    return int(name.split(":")[0])
+    return int(name.partition(":")[0])
 
 
 def set_aside(fit: Fit, row: int) -> Fit:
@@ -52,13 +52,9 @@ def _settled(fit: Fit) -> Array:
     return np.zeros_like(fit.eta) if fit.noise.component else fit.eta
 
 
-def named_records(
-    fit: Fit, found: tuple[tuple[Score, int], ...]
-) -> tuple[RecordError, ...]:
+def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[RecordError, ...]:
     """Diagnose records from the fit in which they are set aside."""
-    return tuple(
-        diagnose(fit, row, s.name.split(":")[1], s.p, s.evidence) for s, row in found
-    )
+    return tuple(diagnose(fit, row, s.name.partition(":")[2], s.p, s.evidence) for s, row in found)
 
 
 def record_names(fit: Fit) -> tuple[str, ...]:

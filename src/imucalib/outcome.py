@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from imucalib.closed_loop import Loop
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken
 from imucalib.fit import Fit
+from imucalib.loop import Loop
 
 Status = Literal["ok", "marginal", "failed"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from imucalib.attitude import AttitudeErrors, attitude_errors
 from imucalib.calibrators.lab_errors import Split, error_summary, held_out_splits
-from imucalib.closed_loop import Loop, LoopSettings, close_loop
+from imucalib.closed_loop import close_loop
 from imucalib.conventions import Conventions
 from imucalib.effect import Effect
 from imucalib.effects import catalogue, named
@@ -23,6 +23,7 @@ from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.fit import Fit
 from imucalib.held_out import fitted
+from imucalib.loop import Loop, LoopSettings
 from imucalib.model import Model
 from imucalib.observations import Observations
 from imucalib.outcome import ErrorSummary

@@ -194,9 +194,9 @@ def _settings(options: dict[str, Any]) -> LabSettings:
     from dataclasses import replace
 
     from imucalib.calibrators.lab import LabSettings
-    from imucalib.closed_loop import LoopSettings
     from imucalib.conventions import preset
     from imucalib.effects import load_file
+    from imucalib.loop import LoopSettings
     from imucalib.units import MG
 
     stated = {key: options[key] for key in _CONVENTIONS if options[key] is not None}

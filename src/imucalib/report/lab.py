@@ -30,6 +30,7 @@ def lab_document(run: LabRun) -> Document:
     outcome = run.outcome
     sections = [
         loop_section(outcome),
+        Section("Residual before and after", residual_plots(run), brief=False),
         _angle_section(run),
         _parameter_section(run),
         _bench_section(run),
@@ -37,7 +38,7 @@ def lab_document(run: LabRun) -> Document:
         advice_section(outcome),
         _sensor_section(run, calibration),
         uncertainty_section(run),
-        Section("Positions", (position_table(run), *residual_plots(run)), brief=False),
+        Section("Positions", (position_table(run),), brief=False),
     ]
     if outcome.loop:
         sections.append(candidate_section(outcome.loop))
