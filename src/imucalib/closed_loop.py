@@ -8,7 +8,8 @@ candidates and the held-out density agrees; then what is left is named as what i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.evidence import Score, score
 from imucalib.fit import Fit
 from imucalib.held_out import log_predictive
+from imucalib.loop import Loop, LoopSettings, Step, Unexplained
 from imucalib.loop_records import (
     extended,
     held_out_rms,
@@ -31,7 +33,6 @@ from imucalib.loop_records import (
 )
 from imucalib.model import Model
 from imucalib.observations import Observations
-from imucalib.record_errors import RecordError
 
 Array = NDArray[np.float64]
 
@@ -39,73 +40,6 @@ Array = NDArray[np.float64]
 _HELD_OUT_NATS = 1.0
 #: Suspect records that are set aside on trial when nothing stands out by itself.
 _SUSPECTS = 3
-
-
-@dataclass(frozen=True)
-class LoopSettings:
-    """alpha : family-wise false-alarm rate of the physics search; record_alpha : of the record
-    search; margin : nats by which a probe must beat the best catalogue effect; draws : simulated
-    data sets per search"""
-
-    alpha: float = 0.04
-    record_alpha: float = 0.01
-    margin: float = 3.0
-    draws: int = 1000
-    most_effects: int = 4
-    most_records: int = 4
-
-
-@dataclass(frozen=True)
-class Step:
-    """One accepted effect. Held-out errors are rms in m/s²."""
-
-    effect: str
-    p: float
-    draws: int
-    evidence: float
-    held_out_before: float
-    held_out_after: float
-    aliases: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Unexplained:
-    """Structure that no catalogue effect carries. share : of the weighted residual power."""
-
-    name: str
-    driver: str
-    kind: str
-    p: float
-    evidence: float
-    share: float
-
-
-@dataclass(frozen=True)
-class Loop:
-    """The whole search.
-
-    base, final : fits before and after; records are free in both once they are set aside
-    plain, as_recorded : the base and the final model with every record taken as it stands
-    scores : the last search's table; missing : why effects could not be tested
-    """
-
-    base: Fit
-    final: Fit
-    plain: Fit
-    as_recorded: Fit
-    records: tuple[RecordError, ...] = ()
-    steps: tuple[Step, ...] = ()
-    rejected: tuple[tuple[str, str], ...] = ()
-    unexplained: tuple[Unexplained, ...] = ()
-    scores: tuple[Score, ...] = ()
-    first_scores: tuple[Score, ...] = ()
-    missing: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def verdict(self) -> str:
-        if self.steps or self.records:
-            return "explained in part" if self.unexplained else "explained"
-        return "unexplained" if self.unexplained else "nothing missing"
 
 
 def close_loop(
@@ -143,11 +77,8 @@ def close_loop(
             continue
         state = state.accept(trial, _step(state.fit, trial, chosen, scores))
     final, steps = _eliminate(state, effects)
-    base = plain
-    for _, row in state.records:
-        base = set_aside(base, row)
     return Loop(
-        base=base,
+        base=reduce(set_aside, (row for _, row in state.records), plain),
         final=final,
         plain=plain,
         as_recorded=reduced(final, record_names(final)) if state.records else final,

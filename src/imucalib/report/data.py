@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from imucalib.closed_loop import Loop
+from imucalib.loop import Loop
 from imucalib.outcome import ErrorSummary, Outcome
 
 SCHEMA = "imucal/report/1"

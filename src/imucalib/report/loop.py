@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from imucalib.closed_loop import Loop
+from imucalib.loop import Loop
 from imucalib.outcome import ErrorSummary, Outcome
 from imucalib.report.document import Block, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, probability
