@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.attitude import attitude_errors
+from imucalib.attitude import attitude_errors, rms
 from imucalib.calibrators.lab import gravity_of
 from imucalib.calibrators.lab_advice import curve_words, fixture_curve
 from imucalib.calibrators.lab_run import LabRun
@@ -79,7 +79,7 @@ def _half_width(title: str, x: Array, y: Array) -> Plot:
 
 
 def residual_plots(run: LabRun) -> tuple[Plot, ...]:
-    """Errors of the fitted rows before and after the loop."""
+    """Errors of the fitted rows before and after the loop, first the one that gained most."""
     result = run.result
     gravity = gravity_of(result.observations)
     x = (result.used + 1).astype(np.float64)
@@ -93,6 +93,7 @@ def residual_plots(run: LabRun) -> tuple[Plot, ...]:
             ("Inclination error", "deg", before.inclination, after.inclination),
             ("Tool-face error", "deg", before.tool_face, after.tool_face),
         ]
+    quantities.sort(key=lambda q: rms(q[3]) / max(rms(q[2]), 1e-12))
     for title, unit, old, new in quantities:
         series = (
             Series("base model", x, old, "points", names=names),
