@@ -14,6 +14,7 @@ from scipy.stats import multivariate_normal
 
 from bench_world import NINE, NOISE, base_model, bench, draw, ordinary_theta, tumble
 from imucalib.balance import Balanced, Noise, balance, setting_errors, whitener
+from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import estimate_noise
 from imucalib.fit import Fit
@@ -268,3 +269,18 @@ def test_fewer_positions_leave_directions_open_in_words() -> None:
     assert found.null_directions
     assert all("bias" in w or "scale" in w or "mount" in w or "cross" in w
                for w in found.null_directions)  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [1, 13, 15, 18, 55, 58])
+def test_a_free_gross_error_is_not_mistaken_for_a_setting(seed: int) -> None:
+    """From the plain start, the fit finds what it finds when it starts at the truth."""
+    rng = np.random.default_rng(seed)
+    data, axis, row = bench(seed, 20, shared=seed % 2 == 1), "xyz"[seed % 3], int(rng.integers(20))
+    model = base_model().plus(record_error(row, "it", axis))
+    theta = ordinary_theta(model, data, seed)
+    theta[-1] = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(1.3, 3.3)  # mg
+    noisy = draw(model, theta, data, seed)
+    plain, near = fit_model(model, noisy), fit_model(model, noisy, start=theta)
+    assert plain.converged
+    assert plain.log_likelihood == pytest.approx(near.log_likelihood, abs=1e-3)
+    assert abs(plain.theta[-1] - theta[-1]) < 4.5 * plain.sd[-1]

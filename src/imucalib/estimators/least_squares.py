@@ -94,7 +94,15 @@ def _solve(model: Model, observations: Observations, start: State, noise: Noise)
     def move(state: State, step: Array) -> State:
         return _with_eta(model, observations, State(state.theta + step, state.eta), noise)
 
-    return minimise(linearise, move, _with_eta(model, observations, start, noise))
+    first = _with_eta(model, observations, start, noise)
+    if noise.component:
+        # A gross error looks like a gross setting error until θ has had its say: start from
+        # whichever comes out better, η settled before the first step of θ or after it.
+        residual, jacobian = linearise(start)
+        scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        step = np.linalg.lstsq(jacobian / scale, residual, rcond=1e-10)[0] / scale
+        first = min(first, move(start, step), key=lambda s: float(np.sum(linearise(s)[0] ** 2)))
+    return minimise(linearise, move, first)
 
 
 def _with_eta(model: Model, observations: Observations, state: State, noise: Noise) -> State:
