@@ -5,33 +5,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import click
-
-from imucalib.cli import COMMANDS, cli
 from imucalib.effects import catalogue
 from imucalib.report.catalogue import catalogue_markdown
 
 HERE = Path(__file__).parent
 
 
-def commands_markdown() -> str:
-    """docs/commands.md: the help of every command."""
-    parts = ["# Commands", "", "Generated from the code by `make docs`.", ""]
-    context = click.Context(cli, info_name="imucal", max_content_width=88, terminal_width=88)
-    parts += ["```text", cli.get_help(context).rstrip(), "```", ""]
-    for name in COMMANDS:
-        command = cli.get_command(context, name)
-        assert command is not None
-        inner = click.Context(
-            command, parent=context, info_name=name, max_content_width=88, terminal_width=88
-        )
-        parts += [f"## imucal {name}", "", "```text", command.get_help(inner).rstrip(), "```", ""]
-    return "\n".join(parts)
-
-
 PAGES = {
     "effects.md": lambda: catalogue_markdown(list(catalogue().values())),
-    "commands.md": commands_markdown,
 }
 
 
