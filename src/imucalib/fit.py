@@ -58,6 +58,13 @@ class Fit:
         return self.covariance / self.noise.factor**2
 
     @property
+    def condition(self) -> float:
+        """Condition number of the whitened Jacobian in typical sizes: 1 is ideal, 1e3 is poor."""
+        typical = np.array([p.typical for p in self.parameters])
+        values = np.linalg.eigvalsh(self.covariance / np.outer(typical, typical))
+        return float(np.sqrt(values[-1] / max(values[0], 1e-300))) if values.size else 1.0
+
+    @property
     def noise_sd(self) -> Array:
         """Relative standard deviation of the noise factor and of each component's sd."""
         return np.sqrt(np.maximum(np.diag(self.noise_covariance), 0.0))

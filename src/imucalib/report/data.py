@@ -36,6 +36,7 @@ def report_dict(outcome: Outcome, details: dict[str, Any]) -> dict[str, Any]:
             "chi2": fit.chi2,
             "dof": fit.dof,
             "noise_factor": fit.noise.factor,
+            "condition": fit.condition,
         },
         "loop": _loop(outcome),
         "limits": [

@@ -138,6 +138,8 @@ def _bench_section(run: LabRun) -> Section:
         rows.append((name, f"{plus_minus(sd / DEG, spread_sd, 'deg')} scatter"))
     rows += [("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})")]
     rows += [("raw unit", run.raw.sentence)]
+    rows += [("condition number", f"{fit.condition:.0f}, parameters in typical sizes")]
+    rows += [("left open", words) for words in fit.null_directions]
     rows += [("left out", text) for text in run.excluded]
     words = curve_words(fit)
     return Section("The bench", (Facts(tuple(rows)), *((Text(words),) if words else ())))
