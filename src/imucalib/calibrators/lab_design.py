@@ -121,8 +121,8 @@ def judge(
             )
         )
     parameters = model.parameters(Context(1))
-    values = np.linalg.eigvalsh(total)
-    root = np.linalg.cholesky(total + 1e-30 * np.trace(total) * np.eye(p)).T
+    values, vectors = np.linalg.eigh(total)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     typical = np.array([q.typical for q in parameters])
     return Design(
         len(inclination),
