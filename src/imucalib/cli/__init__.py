@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 
 import click
@@ -79,6 +80,9 @@ def main() -> None:
     """Entry point: runs a command and turns every failure into its message and exit code."""
     from imucalib.errors import ImucalError
 
+    # The matrices are small: a second BLAS thread costs more than it does, and changes last bits.
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")
     try:
