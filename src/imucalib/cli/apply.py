@@ -22,6 +22,12 @@ from imucalib.cli.recording_options import mapping_of, recording_options
     help="File to write: .mcap, .h5 or .csv.",
 )
 @click.option("--triad", help="Which sensor, when the recording has several.")
+@click.option(
+    "--effects",
+    "effects_file",
+    type=click.Path(path_type=Path),
+    help="Python file with effects of your own that the calibration uses.",
+)
 @recording_options
 @json_option
 @quiet_option
@@ -35,8 +41,11 @@ def command(
     """
     from imucalib.application import apply_to_recording, write_corrected
     from imucalib.calibration_file import read
+    from imucalib.effects import load_file
     from imucalib.readers import read as read_recording
 
+    if options["effects_file"] is not None:
+        load_file(options["effects_file"])
     loaded = read(calibration)
     if loaded.status != "ok":
         note(

@@ -15,10 +15,17 @@ from pathlib import Path
 from imucalib.effect import Effect
 from imucalib.errors import UsageError
 
+#: Effects of files that this process has loaded; a calibration may need them to be applied.
+_LOADED: dict[str, Effect] = {}
+
+
+def catalogue() -> dict[str, Effect]:
+    """All effects by name: this folder's, those of installed entry points, and loaded files'."""
+    return {**_installed(), **_LOADED}
+
 
 @cache
-def catalogue() -> dict[str, Effect]:
-    """All effects by name: this folder's first, then those of installed entry points."""
+def _installed() -> dict[str, Effect]:
     found: dict[str, Effect] = {}
     for info in sorted(pkgutil.iter_modules(__path__), key=lambda m: m.name):
         module = importlib.import_module(f"{__name__}.{info.name}")
@@ -29,18 +36,28 @@ def catalogue() -> dict[str, Effect]:
 
 
 def load_file(path: Path) -> dict[str, Effect]:
-    """The effects of a user's file; raises UsageError when the file has no `EFFECTS`."""
+    """Add the effects of a user's file to the catalogue.
+
+    Raises UsageError when there is no such file, it fails, it has no `EFFECTS`, or a name is taken.
+    """
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():
         raise UsageError("not a Python file", where=str(path))
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found: dict[str, Effect] = {}
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # the file is the user's: whatever it raises is theirs to mend
+        raise UsageError(
+            f"it fails with {type(error).__name__}: {error}", where=str(path)
+        ) from error
+    found = dict(_installed())
     effects = getattr(module, "EFFECTS", ())
     if not effects:
         raise UsageError("no EFFECTS in it", where=str(path), remedy="define EFFECTS = (...,)")
     _add(found, effects, str(path))
-    return found
+    own = {effect.name: effect for effect in effects}
+    _LOADED.update(own)
+    return own
 
 
 def named(name: str) -> Effect:
