@@ -27,7 +27,8 @@ class Reader(Protocol):
     """One recording format. Memory of `blocks` is bounded by the block, not by the file.
 
     Rules that hold for every reader and are tested on all of them:
-    - `recognises` looks at the content (`head` is the first 64 KiB), never at the suffix;
+    - `recognises` looks at the content (`head` is the first 64 KiB, empty for the folder
+      of a ROS 2 bag), never at the suffix alone;
     - times `t` of all blocks count from the same `start_ns`, and each block holds consecutive
       samples, so that concatenating the blocks equals `read`; a block may lack a channel;
     - a note or gap appears in one block only: the first in which it is known (a gap between two
@@ -73,7 +74,7 @@ def readers() -> tuple[Reader, ...]:
 def reader_for(path: str | os.PathLike[str]) -> Reader:
     """The reader for a file: by content first, then by suffix; UnreadableInput when none fits."""
     file = Path(path)
-    head = head_of(file)
+    head = b"" if (file / "metadata.yaml").is_file() else head_of(file)
     for reader in readers():
         if reader.recognises(file, head):
             return reader

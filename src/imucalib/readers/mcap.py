@@ -7,17 +7,36 @@ an acceleration do. Split accelerometer and gyroscope topics are joined into one
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from imucalib.mapping import FieldMapping
-from imucalib.readers.mcap_plan import CHANNEL_NAMES, Plan, decide
 from imucalib.readers.mcap_records import MAGIC
-from imucalib.readers.mcap_store import Store
-from imucalib.readers.mcap_stream import TopicStream, checked
-from imucalib.readers.mcap_timeline import Timeline
-from imucalib.recording import Array, Channel, Gap, Recording
+from imucalib.readers.mcap_scan import Scanner
+from imucalib.readers.mcap_summary import Summary, read_summary
+from imucalib.readers.message_recording import log_blocks, read_log
+from imucalib.readers.source import sha256_of
+from imucalib.recording import Recording
+
+
+@dataclass(frozen=True)
+class McapLog:
+    """An MCAP file as a log of messages."""
+
+    path: Path
+    format: str = "mcap"
+
+    def scan(self, *, strict: bool) -> Scanner:
+        """A linear scan that needs no index."""
+        return Scanner(self.path, strict=strict)
+
+    def summary(self) -> Summary:
+        """What the file's own summary says; empty when it is absent or damaged."""
+        return read_summary(self.path)
+
+    def sha256(self) -> str:
+        """Hash of the file."""
+        return sha256_of(self.path)
 
 
 class McapReader:
@@ -31,120 +50,14 @@ class McapReader:
         return head.startswith(MAGIC)
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all samples in one pass; peak memory is the result and one spare channel."""
-        try:
-            stream, store = _collect(path, mapping, strict, keep=True)
-            plan = decide(path, mapping, stream, store)
-        except OSError as error:
-            raise checked(error, path) from error
-        store.surveys.clear()  # they hold on to raw samples
-        outputs = {}
-        gaps: list[Gap] = []
-        timelines = plan.timelines()
-        for topic, timeline in timelines.items():
-            marks = stream.sources[topic].marks
-            stamps, log, columns = store.taken(topic, needs_stamps=timeline.clock.source == "stamp")
-            pieces = [timeline.push(stamps, log, columns, marks), timeline.flush(marks)]
-            done = [piece for piece in pieces if piece]
-            gaps += [gap for piece in done for gap in piece[2]]
-            outputs[topic] = [(t, values) for t, values, _ in done]
-        notes = (*plan.head.notes, *_missing(timelines))
-        return _recording(plan, outputs, gaps, notes)
+        """Read all samples in one pass."""
+        return read_log(McapLog(path), mapping, strict=strict)
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
-        """Read the file twice: what holds for all of it first, then the samples in blocks."""
-        try:
-            stream, store = _collect(path, mapping, strict, keep=False)
-            plan = decide(path, mapping, stream, store)
-            yield from _emit(path, mapping, plan, block_samples)
-        except OSError as error:
-            raise checked(error, path) from error
-
-
-def _collect(
-    path: Path, mapping: FieldMapping, strict: bool, *, keep: bool
-) -> tuple[TopicStream, Store]:
-    stream = TopicStream(path, mapping, strict=strict)
-    store = Store(keep, stream.expected)
-    for samples in stream.samples():
-        store.add(samples)
-    store.close()
-    return stream, store
-
-
-def _missing(timelines: dict[str, Timeline]) -> list[str]:
-    return [
-        f"{line.label}: {line.missing} samples are missing in short steps, below a gap's length"
-        for line in timelines.values()
-        if line.missing
-    ]
-
-
-def _emit(path: Path, mapping: FieldMapping, plan: Plan, block_samples: int) -> Iterator[Recording]:
-    # The first pass has raised already if the file must be whole.
-    stream = TopicStream(path, mapping, strict=False, gather=block_samples)
-    timelines = plan.timelines()
-    outputs: dict[str, list[tuple[Array, list[Array]]]] = {name: [] for name in timelines}
-    gaps: list[Gap] = []
-    notes = plan.head.notes
-    for samples in stream.samples():
-        if samples.topic not in timelines:
-            continue
-        marks = stream.sources[samples.topic].marks
-        columns = [np.array(c, dtype=np.float64) for c in samples.columns]
-        t, values, found = timelines[samples.topic].push(
-            samples.stamps, samples.log, columns, marks
-        )
-        gaps += found
-        outputs[samples.topic].append((t, values))
-        if sum(part[0].size for part in outputs[samples.topic]) >= block_samples:
-            yield _recording(plan, outputs, gaps, notes)
-            outputs, gaps, notes = {name: [] for name in timelines}, [], ()
-    for name, timeline in timelines.items():
-        last = timeline.flush(stream.sources[name].marks)
-        if last:
-            outputs[name].append(last[:2])
-            gaps += last[2]
-    notes = (*notes, *_missing(timelines))
-    if notes or gaps or any(t.size for parts in outputs.values() for t, _ in parts):
-        yield _recording(plan, outputs, gaps, notes)
-
-
-def _recording(
-    plan: Plan,
-    outputs: dict[str, list[tuple[Array, list[Array]]]],
-    gaps: list[Gap],
-    notes: tuple[str, ...],
-) -> Recording:
-    times: dict[str, Array] = {}
-    channels: dict[str, Channel] = {}
-    for part in plan.parts:
-        pieces = outputs[part.topic]
-        if not any(t.size for t, _ in pieces):
-            continue
-        if part.topic not in times:
-            times[part.topic] = _whole([t for t, _ in pieces])
-        values = part.conversion.apply(_whole([columns[part.column] for _, columns in pieces]))
-        period = plan.clocks[part.topic].period
-        channels[part.name] = Channel(
-            t=times[part.topic],
-            values=values,
-            unit=part.conversion.unit,
-            quantity=CHANNEL_NAMES[part.quantity],
-            triad=part.triad,
-            rate=1e9 / period if period else 0.0,
-        )
-    head, ordered = plan.head, sorted(gaps, key=lambda gap: (gap.start, gap.stop, gap.reason))
-    return Recording(
-        channels, head.path, head.format, head.sha256, head.start_ns, tuple(ordered), notes,
-        head.mapping,
-    )  # fmt: skip
-
-
-def _whole(pieces: list[Array]) -> Array:
-    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+        """Read the file twice, in bounded memory."""
+        yield from log_blocks(McapLog(path), mapping, block_samples=block_samples, strict=strict)
 
 
 READER = McapReader()

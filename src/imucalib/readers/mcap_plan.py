@@ -17,7 +17,7 @@ from imucalib.readers.mcap_select import Triad, no_imu, resolved, triads_of
 from imucalib.readers.mcap_store import Store
 from imucalib.readers.mcap_stream import TopicStream
 from imucalib.readers.mcap_timeline import Timeline
-from imucalib.readers.source import sha256_of
+from imucalib.readers.message_log import MessageLog
 from imucalib.recording import Array, Recording
 
 CHANNEL_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
@@ -55,8 +55,9 @@ class _Topics(NamedTuple):
     clocks: dict[str, Clock]
 
 
-def decide(path: Path, mapping: FieldMapping, stream: TopicStream, store: Store) -> Plan:
+def decide(log: MessageLog, mapping: FieldMapping, stream: TopicStream, store: Store) -> Plan:
     """Triads, clocks, units and notes, from everything that the first pass saw."""
+    path = log.path
     sources = {n: s for n, s in stream.sources.items() if s.rows}
     if any(source.imu for source in sources.values()) and not any((*mapping.acc, *mapping.gyro)):
         sources = {n: s for n, s in sources.items() if s.imu}
@@ -73,7 +74,7 @@ def decide(path: Path, mapping: FieldMapping, stream: TopicStream, store: Store)
     states = {part.quantity: part.conversion.source_unit for part in reversed(parts)}
     found = resolved(mapping, triads, fields, [states.get("acc", ""), states.get("gyro", "")])
     head = Recording(
-        {}, str(path), "mcap", sha256_of(path), start if dated else None, (), tuple(notes),
+        {}, str(path), log.format, log.sha256(), start if dated else None, (), tuple(notes),
         found.to_dict(),
     )  # fmt: skip
     return Plan(head, tuple(parts), clocks, start)

@@ -65,7 +65,7 @@ class Topic:
 class Damage:
     """A part of the file that could not be read, or not be trusted.
 
-    offset, size : bytes of the file
+    offset, size : bytes of the file; offset -1 when a container hides the place
     first_ns, last_ns : log times that the part's header claims, None when unknown
     messages : how many messages were lost, None when unknown
     """
@@ -78,7 +78,8 @@ class Damage:
     messages: int | None = None
 
     def __str__(self) -> str:
-        text = f"byte {self.offset}: {self.reason}"
+        place = f"byte {self.offset}" if self.offset >= 0 else "a place that the index hides"
+        text = f"{place}: {self.reason}"
         if self.size:
             text += f"; {self.size} bytes"
         if self.messages:

@@ -1,4 +1,4 @@
-"""One pass over an MCAP file that turns the wanted topics' messages into columns."""
+"""One pass over a log that turns the wanted topics' messages into columns."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from imucalib.readers.mcap_definition import LayoutError
 from imucalib.readers.mcap_fields import TopicFields, is_imu
 from imucalib.readers.mcap_lanes import DecodedRows, Lane, Samples, Source, joined_stamps
 from imucalib.readers.mcap_records import MessageBlock, Topic
-from imucalib.readers.mcap_scan import Scanner
 from imucalib.readers.mcap_select import fields_of, natural, split_address
-from imucalib.readers.mcap_summary import read_summary
+from imucalib.readers.message_log import MessageLog
 
 _UNDECIDED, _SKIPPED = -1, -2
 _GATHER = 1 << 16  # rows that are decoded before they are divided among their topics
@@ -28,15 +27,15 @@ class TopicStream:
     """Reads the topics that the mapping wants; `sources`, `counts` and notes fill meanwhile."""
 
     def __init__(
-        self, path: Path, mapping: FieldMapping, *, strict: bool, gather: int = _GATHER
+        self, log: MessageLog, mapping: FieldMapping, *, strict: bool, gather: int = _GATHER
     ) -> None:
         self._gather = min(gather, _GATHER)
-        self.path, self.mapping, self.strict = path, mapping, strict
-        self.scanner = Scanner(path, strict=strict)
+        self.path, self.mapping, self.strict = log.path, mapping, strict
+        self.scanner = log.scan(strict=strict)
         self.sources: dict[str, Source] = {}
         self.counts: dict[int, int] = {}
         self.orphans = 0
-        self._hints, self._counted = read_summary(path)
+        self._hints, self._counted = log.summary()
         self._imu_known = any(is_imu(topic) for topic in self._hints.values())
         self._lane_of = np.full(1 << 16, _UNDECIDED, dtype=np.int64)
         self._lanes: list[Lane] = []
