@@ -80,7 +80,11 @@ def balanced(prediction: Prediction, eta: Array, observations: Observations) -> 
 
     flat = [j for j, name in enumerate(directions.component) if name is None]
     keep = np.broadcast_to(np.eye(m), (n, m, m))
-    if flat:
+    if m == 3 and len(flat) == 2:
+        # The one direction that is left, without a decomposition of every observation.
+        across = np.cross(free[..., flat[0]], free[..., flat[1]])
+        keep = (across / np.linalg.norm(across, axis=1, keepdims=True))[..., None]
+    elif flat:
         keep = np.linalg.qr(free[..., flat], mode="complete")[0][..., len(flat) :]
     project = keep.transpose(0, 2, 1)
 

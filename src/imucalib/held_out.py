@@ -128,13 +128,22 @@ def log_predictive(fit: Fit) -> float:
     for key in np.unique(keys):
         rows = np.flatnonzero(keys == key)
         if white.lower is None:
-            block = np.eye(rows.size) - q[rows] @ q[rows].T
+            values, along, plain = _independent_block(q[rows], rest[rows])
         else:
-            block = projector[np.ix_(rows, rows)]
+            values, vectors = np.linalg.eigh(projector[np.ix_(rows, rows)])
+            along, plain = vectors.T @ rest[rows], (0, 0.0)
         # A direction that only this group determines predicts nothing: it carries no weight.
-        values, vectors = np.linalg.eigh(block)
         use = values > 1e-9
-        along = vectors[:, use].T @ rest[rows]
-        total += float(np.sum(np.log(values[use]) / 2.0 - 0.5 * along**2 / values[use]))
-        total -= float(use.sum() * np.log(noise.factor))
+        values, along = values[use], along[use]
+        total += float(np.sum(np.log(values) / 2.0 - 0.5 * along**2 / values)) - 0.5 * plain[1]
+        total -= float((use.sum() + plain[0]) * np.log(noise.factor))
     return total
+
+
+def _independent_block(q: Array, rest: Array) -> tuple[Array, Array, tuple[int, float]]:
+    """Eigenvalues of 1 - q qᵀ that are not one, the rest along them, and what is left beside:
+    how many directions with eigenvalue one and the sum of squares along them."""
+    u, s, _ = np.linalg.svd(q, full_matrices=False)
+    along = u.T @ rest
+    beside = float(rest @ rest) - float(along @ along)
+    return 1.0 - s**2, along, (rest.size - s.size, max(beside, 0.0))

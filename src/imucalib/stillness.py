@@ -29,6 +29,8 @@ class StillSettings:
     drift_ratio : change of the mean between neighbouring windows, over the noise, at most
     turning : rad/s, deviation of the angular rate that a rest in the hand may have; 0.05 rad/s
         during half a second tilts by 1.4°, which changes a mean norm by less than 1e-4
+    sway : m/s², standard deviation of the acceleration that a worn sensor at rest may have beside
+        its noise (breathing, slow rolls); 0 for a sensor on a bench
     """
 
     window: float = 0.5
@@ -40,6 +42,7 @@ class StillSettings:
     range_ratio: float = 10.0
     drift_ratio: float = 1.0
     turning: float = 0.05
+    sway: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("window", "shortest", "variance_ratio", "range_ratio", "drift_ratio"):
@@ -113,6 +116,8 @@ def judge(
     w, noise = sensor.windows, sensor.noise
     if sensor.quantity == "angular_rate":
         noise = np.maximum(noise, settings.turning / np.sqrt(settings.variance_ratio))
+    else:
+        noise = np.hypot(noise, settings.sway)
     quiet = np.all(w.variance <= settings.variance_ratio * noise**2, axis=1)
     quiet &= np.all(w.high - w.low <= settings.range_ratio * noise, axis=1)
     frozen, clipped = _frozen(sensor), _clipped(sensor)
