@@ -1,6 +1,7 @@
 """CPU seconds and peak memory of reading IMU logs from MCAP, beside other readers.
 
     python benchmarks/mcap_read.py [--folder DIR] [--single SECONDS] [--array SECONDS]
+                                   [--long SECONDS]
 
 Two logs are generated (one IMU, and 32 IMUs, 1 kHz, sensor_msgs/Imu, zstd, values quantised like
 a sensor's). Every reader turns them into arrays of stamps, acceleration and angular rate, each in
@@ -23,7 +24,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-BARS = {"single": (600.0, 0.5, None), "array": (600.0, 15.0, 1.5e9)}
+BARS = {
+    "single": (600.0, 0.5, None),
+    "array": (600.0, 15.0, 1.5e9),
+    "long array": (600.0, 15.0, 1.5e9),
+}
 MODULES = {
     "imucal": "zstandard",
     "imucal-blocks": "zstandard",
@@ -159,13 +164,16 @@ def one(reader: str, path: Path) -> None:
     print(count, cpu, before, idle * 1024, peak * 1024)
 
 
-def compare(name: str, imus: int, seconds: float, folder: Path) -> None:
-    """Measure every reader on one log, and hold imucal against its bar."""
-    path = folder / f"{name}.mcap"
+def compare(
+    name: str, imus: int, seconds: float, folder: Path, readers: tuple[str, ...] = tuple(READERS)
+) -> None:
+    """Measure readers on one log, and hold imucal against its bar."""
+    path = folder / f"{name.replace(' ', '_')}.mcap"
     count = generate(path, imus, seconds)
     size = path.stat().st_size
     print(f"{name}: {imus} IMU, {seconds:g} s at 1 kHz, {count} messages, {size / 1e6:.0f} MB")
-    for reader, package in READERS.items():
+    for reader in readers:
+        package = READERS[reader]
         cost = measure(reader, path)
         if cost is None:
             continue
@@ -196,6 +204,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="keep the logs here (a temporary one if unset)")
     parser.add_argument("--single", type=float, default=600.0, help="seconds of the 1-IMU log")
     parser.add_argument("--array", type=float, default=60.0, help="seconds of the 32-IMU log")
+    parser.add_argument(
+        "--long", type=float, default=0.0, help="seconds of a 32-IMU log that only imucal reads"
+    )
     parser.add_argument("--reader", choices=READERS, help=argparse.SUPPRESS)
     parser.add_argument("path", nargs="?", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -207,6 +218,8 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         compare("single", 1, options.single, folder)
         compare("array", 32, options.array, folder)
+        if options.long:
+            compare("long array", 32, options.long, folder, ("imucal", "imucal-blocks"))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,15 +11,27 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
 from imucalib.errors import UsageError
+from imucalib.mapping import FieldMapping, from_dict
 from imucalib.readers import read
 from imucalib.readers.mcap_scan import Scanner
 from imucalib.recording import Channel, Recording
 from imucalib.writers import write
 from imucalib.writers.mcap import write_with_topics_of
-from mcap_logs import START, cdr, imu_log, packed, readings, same_bits, write_log
+from mcap_logs import (
+    IMU_ROS1,
+    START,
+    cdr,
+    imu_log,
+    packed,
+    readings,
+    ros1,
+    same_bits,
+    write_log,
+)
 
 
 def recording(
@@ -152,13 +165,126 @@ def test_other_topics_are_copied_untouched(tmp_path: Path, date: int) -> None:
     assert len(after) == len(before)
     times = [m[1] for m in after]
     assert max(times) - min(times) < 10**9
-    from imucalib.mapping import FieldMapping
-
     back = read(tmp_path / "c.mcap", FieldMapping(acc=("/imu/data",)))
     assert same_bits(
         back.channels["imu0/acceleration"].values, channels["imu0/acceleration"].values
     )
     assert back.start_ns == whole.start_ns
+
+
+def full_messages(path: Path) -> list[tuple[int, int, int, bytes]]:
+    """Log time, publish time, sequence and payload of /imu/data, in file order."""
+    rows = []
+    scanner = Scanner(path, strict=True)
+    for block in scanner.blocks():
+        names = ("channel", "log_time", "publish_time", "sequence")
+        columns = zip(*(block.header(n).tolist() for n in names), strict=True)
+        for (number, *rest), payload in zip(columns, block.payloads(), strict=True):
+            if scanner.topics[number].name == "/imu/data":
+                rows.append((*rest, payload))
+    return rows
+
+
+PACKINGS = {
+    "cdr": (cdr, "<"),
+    "cdr big-endian": (lambda r: cdr(r, order=">"), ">"),
+    "cdr 2": (lambda r: cdr(r, version=2), "<"),
+    "ros1": (ros1, "<"),
+}
+
+
+@pytest.mark.parametrize("packing", PACKINGS)
+def test_corrected_messages_keep_all_their_other_bytes(tmp_path: Path, packing: str) -> None:
+    pack, order = PACKINGS[packing]
+    rows = readings(400)
+    rows = [replace(r, frame="imu_link"[: 3 + i % 3]) for i, r in enumerate(rows)]
+    rows[100], rows[130] = rows[130], rows[100]  # stamps step back
+    old = packing == "ros1"
+    schema = ("sensor_msgs/Imu", "ros1msg", IMU_ROS1.encode())
+    options = {"schema": schema, "encoding": "ros1"} if old else {}
+    logs = {"/imu/data": [(START + 7 * i, pack(r)) for i, r in enumerate(rows)]}
+    source = write_log(tmp_path / "a.mcap", logs, chunk_size=9000, **options)
+    whole = read(source)
+    channels = {
+        n: replace(c, values=c.values * 1.5 + 1) if "acceleration" in n else c
+        for n, c in whole.channels.items()
+    }
+    write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
+    before, after = full_messages(source), full_messages(tmp_path / "c.mcap")
+    assert len(before) == len(after) == 400
+    for one, two, reading in zip(before, after, rows, strict=True):
+        assert one[:3] == two[:3]
+        new = np.array(reading.acc) * 1.5 + 1
+        tail = struct.pack(f"{order}3d", *new)
+        at = len(one[3]) - 12 * 8
+        assert two[3] == one[3][:at] + tail + one[3][at + 24 :]
+    back = read(tmp_path / "c.mcap", strict=True)
+    for name, channel in channels.items():
+        assert same_bits(back.channels[name].values, channel.values)
+        assert same_bits(back.channels[name].t, channel.t)
+
+
+def test_messages_packed_one_by_one_are_written_anew(tmp_path: Path) -> None:
+    import zstandard
+
+    squeeze = zstandard.ZstdCompressor().compress
+    logs = {"/imu/data": [(r.ns, squeeze(cdr(r))) for r in readings(300)]}
+    source = write_log(tmp_path / "a.mcap", logs)
+    whole = read(source)
+    channels = {n: replace(c, values=c.values * 2.0) for n, c in whole.channels.items()}
+    write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
+    back = read(tmp_path / "c.mcap", from_dict(whole.mapping))
+    for name, channel in channels.items():
+        assert same_bits(back.channels[name].values, channel.values)
+
+
+def test_turned_axes_are_written_anew(tmp_path: Path) -> None:
+    source = imu_log(tmp_path / "a.mcap", 200)
+    whole = read(source, FieldMapping(axis_map="y,-x,z"))
+    write_with_topics_of(whole, source, tmp_path / "c.mcap")
+    back = read(tmp_path / "c.mcap")
+    for name, channel in whole.channels.items():
+        assert same_bits(back.channels[name].values, channel.values)
+
+
+def test_attachments_metadata_and_a_thermometer_are_kept(tmp_path: Path) -> None:
+    source = tmp_path / "a.mcap"
+    made = recording(["imu0"], 300)
+    warm = Channel(np.arange(30) * 0.05, np.full((30, 1), 21.5), "degC", "temperature", "imu0", 20)
+    write(replace(made, channels={**made.channels, "imu0/temperature": warm}), source)
+    note = b"a photo of the bench" * 50
+    packed_file = tmp_path / "b.mcap"
+    with source.open("rb") as old, packed_file.open("wb") as new:
+        writer = Writer(new)
+        writer.start("ros2")
+        reader = make_reader(old)
+        numbers: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            if channel.id not in numbers:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                meta = dict(channel.metadata)
+                numbers[channel.id] = writer.register_channel(channel.topic, "cdr", kind, meta)
+            writer.add_message(
+                numbers[channel.id], message.log_time, message.data, message.publish_time
+            )
+        writer.add_attachment(5, 6, "bench.jpg", "image/jpeg", note)
+        writer.add_metadata("rig", {"table": "7", "operator": "x"})
+        writer.finish()
+    whole = read(packed_file)
+    assert "imu0/temperature" in whole.channels
+    write_with_topics_of(whole, packed_file, tmp_path / "c.mcap")
+    with (tmp_path / "c.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        (kept,) = reader.iter_attachments()
+        assert (kept.name, kept.media_type, kept.data) == ("bench.jpg", "image/jpeg", note)
+        assert {kept.log_time, kept.create_time} == {5, 6}
+        (metadata,) = reader.iter_metadata()
+        assert (metadata.name, metadata.metadata) == ("rig", {"table": "7", "operator": "x"})
+        statistics = reader.get_summary().statistics
+        assert (statistics.attachment_count, statistics.metadata_count) == (1, 1)
+    assert raw_messages(tmp_path / "c.mcap") == raw_messages(packed_file)
+    assert_equal(whole, read(tmp_path / "c.mcap", strict=True))
 
 
 def test_a_channel_without_a_message_is_refused_and_nothing_is_left(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 MESSAGE_INDEX, STATISTICS, DATA_END = 0x07, 0x0B, 0x0F
+ATTACHMENT, METADATA = 0x09, 0x0C
 COMPRESSIONS = ("", "zstd", "lz4")
 RECORD_HEADER = struct.Struct("<BQ")
 INDEX_HEAD = struct.Struct("<QHI")  # record length, channel, bytes of entries
@@ -153,7 +154,8 @@ def parse_chunk_head(content: bytes) -> ChunkHead | None:
     return ChunkHead(first, last, size, crc, text, 40 + name_length, inner)
 
 
-def _text(content: bytes, at: int) -> tuple[str, int]:
+def text_at(content: bytes, at: int) -> tuple[str, int]:
+    """The string at a byte of a record, and where it ends; raises MalformedRecordError."""
     raw, end = _blob(content, at)
     return raw.decode("utf-8", "replace"), end
 
@@ -171,8 +173,8 @@ def parse_schema(content: bytes) -> Schema:
     """A Schema record; raises MalformedRecordError."""
     if len(content) < 2:
         raise MalformedRecordError("a schema record is too short")
-    name, at = _text(content, 2)
-    encoding, at = _text(content, at)
+    name, at = text_at(content, 2)
+    encoding, at = text_at(content, at)
     data, _ = _blob(content, at)
     return Schema(int(_U16.unpack_from(content)[0]), name, encoding, data)
 
@@ -181,13 +183,13 @@ def parse_channel(content: bytes, schemas: dict[int, Schema]) -> Topic:
     """A Channel record, its schema looked up; raises MalformedRecordError."""
     if len(content) < 4:
         raise MalformedRecordError("a channel record is too short")
-    name, at = _text(content, 4)
-    encoding, at = _text(content, at)
+    name, at = text_at(content, 4)
+    encoding, at = text_at(content, at)
     packed, _ = _blob(content, at)
     pairs, at = [], 0
     while at < len(packed):
-        key, at = _text(packed, at)
-        value, at = _text(packed, at)
+        key, at = text_at(packed, at)
+        value, at = text_at(packed, at)
         pairs.append((key, value))
     number, schema = struct.unpack_from("<HH", content)
     return Topic(number, name, encoding, schemas.get(schema), tuple(pairs))

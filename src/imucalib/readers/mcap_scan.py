@@ -36,6 +36,7 @@ class Scanner:
         self.topics: dict[int, Topic] = {}
         self.damages: list[Damage] = []
         self.messages = 0
+        self.extras: list[tuple[int, int, int]] = []  # attachments, metadata: opcode, byte, size
         self._schemas: dict[int, Schema] = {}
         self._hidden: int | None = None  # the damage whose messages the next indexes can count
         self._chunks = 0
@@ -147,6 +148,8 @@ class Scanner:
             lost = self.damages[self._hidden]
             count = (lost.messages or 0) + mr.index_count(self._read(at + 9, 6))
             self.damages[self._hidden] = dataclasses.replace(lost, messages=count)
+        elif opcode in (mr.ATTACHMENT, mr.METADATA):
+            self.extras.append((opcode, at + 9, end - at - 9))
         elif opcode == mr.DATA_END:
             self._check_data_end(at, end)
         elif opcode == mr.STATISTICS:

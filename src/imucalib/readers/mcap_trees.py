@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UsageError
-from imucalib.readers.mcap_decode import Decoded, Widths
+from imucalib.readers.mcap_columns import Decoded, Widths
 from imucalib.readers.mcap_definition import LayoutError
 from imucalib.readers.mcap_layout import Groups
 from imucalib.readers.mcap_records import MessageBlock, Schema

@@ -17,11 +17,7 @@ from imucalib.recording import Array, Channel, Gap, Recording
 
 def read_log(log: MessageLog, mapping: FieldMapping, *, strict: bool) -> Recording:
     """Read all samples in one pass; peak memory is the result and one spare channel."""
-    try:
-        stream, store = _collect(log, mapping, strict, keep=True)
-        plan = decide(log, mapping, stream, store)
-    except OSError as error:
-        raise checked(error, log.path) from error
+    stream, store, plan = planned(log, mapping, strict=strict)
     store.surveys.clear()  # they hold on to raw samples
     outputs = {}
     gaps: list[Gap] = []
@@ -35,6 +31,17 @@ def read_log(log: MessageLog, mapping: FieldMapping, *, strict: bool) -> Recordi
         outputs[topic] = [(t, values) for t, values, _ in done]
     notes = (*plan.head.notes, *_missing(timelines))
     return _recording(plan, outputs, gaps, notes)
+
+
+def planned(
+    log: MessageLog, mapping: FieldMapping, *, strict: bool
+) -> tuple[TopicStream, Store, Plan]:
+    """One whole pass: every sample, in file order, and what was decided for them."""
+    try:
+        stream, store = _collect(log, mapping, strict, keep=True)
+        return stream, store, decide(log, mapping, stream, store)
+    except OSError as error:
+        raise checked(error, log.path) from error
 
 
 def log_blocks(
@@ -76,7 +83,7 @@ def _emit(
     timelines = plan.timelines()
     outputs: dict[str, list[tuple[Array, list[Array]]]] = {name: [] for name in timelines}
     gaps: list[Gap] = []
-    notes = plan.head.notes
+    notes, waiting = plan.head.notes, 0  # samples of all topics: that is what takes memory
     for samples in stream.samples():
         if samples.topic not in timelines:
             continue
@@ -87,9 +94,10 @@ def _emit(
         )
         gaps += found
         outputs[samples.topic].append((t, values))
-        if sum(part[0].size for part in outputs[samples.topic]) >= block_samples:
+        waiting += t.size
+        if waiting >= block_samples:
             yield _recording(plan, outputs, gaps, notes)
-            outputs, gaps, notes = {name: [] for name in timelines}, [], ()
+            outputs, gaps, notes, waiting = {name: [] for name in timelines}, [], (), 0
     for name, timeline in timelines.items():
         last = timeline.flush(stream.sources[name].marks)
         if last:

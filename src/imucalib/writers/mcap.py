@@ -6,6 +6,7 @@ when raw, the time origin), so that the reader gives back the same recording.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import imucalib
@@ -13,9 +14,16 @@ from imucalib.errors import UsageError
 from imucalib.readers.mcap_records import Topic
 from imucalib.recording import Recording
 from imucalib.writers import replaced_atomically
-from imucalib.writers.mcap_copy import copied, log_origin, topics_of
+from imucalib.writers.mcap_copy import (
+    Contents,
+    contents_of,
+    copied,
+    copy_extras,
+    log_origin,
+)
 from imucalib.writers.mcap_file import McapFile
 from imucalib.writers.mcap_messages import SCHEMAS, SHORT_NAMES, Output, chunks_of, outputs_of
+from imucalib.writers.mcap_patch import Patch, patch_of
 
 
 class McapWriter:
@@ -30,41 +38,54 @@ class McapWriter:
 
 
 def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None:
-    """Write a recording, and every topic of `source` that the recording was not read from.
+    """Write a recording over the MCAP file that it was read from, as a new file.
 
-    The recording's own topics are written anew: stamps and vectors, without the orientation,
-    covariances and frame name of the original messages.
-    Copied messages keep their bytes, times and channel; damaged parts of the source are left
-    out. The topics that `recording.mapping` names are replaced. Written atomically.
+    Messages of sensor_msgs/Imu get the recording's vectors and keep every other byte, their times
+    and sequence numbers (see `mcap_patch`); other kinds of topics that the recording was read from
+    are written anew. All other topics, attachments and metadata are copied; damaged parts of the
+    source are left out. Written atomically.
     """
     with replaced_atomically(path) as temporary:
         _write(recording, temporary, source)
 
 
 def _write(recording: Recording, path: Path, source: Path | None) -> None:
-    topics = topics_of(source) if source else {}
-    taken = _topic_names(recording, source is not None)
-    kept = {n: t for n, t in topics.items() if t.name not in _replaced(recording)}
-    clashes = {t.name for t in kept.values()} & set(taken.values())
-    if clashes:
-        raise UsageError(f"the source has topics of the same name: {', '.join(sorted(clashes))}")
-    first = max([0, *topics]) + 1
-    origin = log_origin(recording, source)
-    outputs = outputs_of(recording, taken, first, origin)
-    base = max([0, *(t.schema.id for t in topics.values() if t.schema)])
-    if first + len(outputs) > 65535 or base + len(SCHEMAS) > 65535:
-        raise UsageError("the source has no free channel numbers left", where=str(source))
+    contents = contents_of(source) if source else Contents({}, ())
+    patch = patch_of(recording, source) if source else Patch({}, frozenset())
+    held = {topic.name for topic in patch.topics.values()}
+    replaced = _replaced(recording) - held
+    kept = {n: t for n, t in contents.topics.items() if t.name not in replaced}
+    left = {n: c for n, c in recording.channels.items() if n not in patch.channels}
+    anew = replace(recording, channels=left)
     file = McapFile(path, "ros2", f"imucal {imucalib.__version__}")
     try:
+        outputs, base = _outputs(anew, source, contents.topics, kept)
         _define(file, outputs, kept, base)
         for chunk in chunks_of(outputs):
             file.chunk(*chunk)
         if source is not None:
-            for block in copied(source, kept):
+            for block in copied(source, kept, patch):
                 file.chunk(*block)
+            copy_extras(source, contents.extras, file)
         file.close()
     finally:
         file.abandon()
+
+
+def _outputs(
+    recording: Recording, source: Path | None, topics: dict[int, Topic], kept: dict[int, Topic]
+) -> tuple[list[Output], int]:
+    """The topics that are written anew, and the highest schema number of the source."""
+    taken = _topic_names(recording, source is not None)
+    clashes = {t.name for t in kept.values()} & set(taken.values())
+    if clashes:
+        raise UsageError(f"the source has topics of the same name: {', '.join(sorted(clashes))}")
+    first = max([0, *topics]) + 1
+    outputs = outputs_of(recording, taken, first, log_origin(recording, source))
+    base = max([0, *(t.schema.id for t in topics.values() if t.schema)])
+    if first + len(outputs) > 65535 or base + len(SCHEMAS) > 65535:
+        raise UsageError("the source has no free channel numbers left", where=str(source))
+    return outputs, base
 
 
 def _define(file: McapFile, outputs: list[Output], kept: dict[int, Topic], base: int) -> None:

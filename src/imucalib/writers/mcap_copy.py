@@ -1,26 +1,60 @@
-"""Topics of another MCAP file, copied untouched."""
+"""Topics, attachments and metadata of another MCAP file, copied untouched."""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.readers.mcap_records import MessageBlock, Topic
+from imucalib.readers.mcap_records import (
+    ATTACHMENT,
+    MalformedRecordError,
+    MessageBlock,
+    Topic,
+)
 from imucalib.readers.mcap_scan import Scanner
 from imucalib.readers.mcap_summary import read_summary
 from imucalib.recording import Recording
+from imucalib.writers.mcap_file import McapFile
 from imucalib.writers.mcap_messages import ChunkData
+from imucalib.writers.mcap_patch import Patch
 
 
-def topics_of(source: Path) -> dict[int, Topic]:
-    """Every channel of a file by its number."""
+@dataclass(frozen=True)
+class Contents:
+    """Every channel of a file by its number; attachments and metadata as
+    (opcode, byte, size) of their content."""
+
+    topics: dict[int, Topic]
+    extras: tuple[tuple[int, int, int], ...]
+
+
+def contents_of(source: Path) -> Contents:
+    """What there is to copy from a file."""
     scanner = Scanner(source)
     for _ in scanner.blocks():
         pass
-    return {**read_summary(source).topics, **scanner.topics}
+    topics = {**read_summary(source).topics, **scanner.topics}
+    return Contents(topics, tuple(scanner.extras))
+
+
+def copy_extras(source: Path, extras: tuple[tuple[int, int, int], ...], file: McapFile) -> None:
+    """Copy attachments and metadata records; one whose CRC or names do not fit is left out."""
+    with source.open("rb") as stream:
+        for opcode, at, size in extras:
+            stream.seek(at)
+            content = stream.read(size)
+            crc = int.from_bytes(content[-4:], "little") if opcode == ATTACHMENT else 0
+            if len(content) < size or (crc and crc != zlib.crc32(content[:-4])):
+                continue
+            try:
+                (file.attachment if opcode == ATTACHMENT else file.metadata)(content)
+            except MalformedRecordError:
+                continue
 
 
 def log_origin(recording: Recording, source: Path | None) -> int:
@@ -32,15 +66,16 @@ def log_origin(recording: Recording, source: Path | None) -> int:
     return 0
 
 
-def copied(source: Path, kept: dict[int, Topic]) -> Iterator[ChunkData]:
-    """The messages of some channels, a chunk at a time, as they are."""
+def copied(source: Path, kept: dict[int, Topic], patch: Patch) -> Iterator[ChunkData]:
+    """The messages of some channels, a chunk at a time, as they are but for what is patched."""
     numbers = np.zeros(1 << 16, dtype=np.bool_)
     numbers[list(kept)] = True
     for block in Scanner(source).blocks():
         channels = block.header("channel").astype(np.int64)
-        wanted = numbers[channels]
+        patched, lost = patch.apply(block, channels)
+        wanted = numbers[channels] & ~lost
         if wanted.any():
-            part = block.take(wanted)
+            part = patched.take(wanted)
             yield _records_of(part, channels[wanted])
 
 

@@ -18,6 +18,7 @@ from imucalib.readers import mcap_records as mr
 from imucalib.readers.mcap_records import MAGIC, RECORD_HEADER
 
 _HEADER, _CHUNK_INDEX, _SUMMARY_OFFSET = 0x01, 0x08, 0x0E
+_ATTACHMENT_INDEX, _METADATA_INDEX = 0x0A, 0x0D
 
 
 class _Chunk(NamedTuple):
@@ -41,6 +42,7 @@ class McapFile:
         self._chunks: list[_Chunk] = []
         self._counts: dict[int, int] = {}
         self._definitions: dict[tuple[int, int], bytes] = {}
+        self._extras: dict[int, list[bytes]] = {_ATTACHMENT_INDEX: [], _METADATA_INDEX: []}
         self._put(MAGIC)
         self._record(_HEADER, _text(profile) + _text(library))
 
@@ -88,6 +90,22 @@ class McapFile:
         tail = self._at - at - length
         self._chunks.append(_Chunk(at, length, first, last, index, tail, len(packed), len(data)))
 
+    def attachment(self, content: bytes) -> None:
+        """Write an attachment record with its content as another file has it."""
+        at = self._at
+        self._record(mr.ATTACHMENT, content)
+        name, end = mr.text_at(content, 16)
+        media, end = mr.text_at(content, end)
+        head = struct.pack("<QQ", at, self._at - at) + content[:16] + content[end : end + 8]
+        self._extras[_ATTACHMENT_INDEX].append(head + _text(name) + _text(media))
+
+    def metadata(self, content: bytes) -> None:
+        """Write a metadata record with its content as another file has it."""
+        at = self._at
+        self._record(mr.METADATA, content)
+        head = struct.pack("<QQ", at, self._at - at)
+        self._extras[_METADATA_INDEX].append(head + _text(mr.text_at(content, 0)[0]))
+
     def close(self) -> None:
         """Write the summary and the footer, and make sure that they are on the disk."""
         import os
@@ -101,6 +119,7 @@ class McapFile:
             groups.append((kind, contents))
         groups.append((mr.STATISTICS, [self._statistics()]))
         groups.append((_CHUNK_INDEX, [_chunk_index(chunk) for chunk in self._chunks]))
+        groups += self._extras.items()
         offsets = []
         for kind, contents in groups:
             begin = self._at
@@ -128,9 +147,9 @@ class McapFile:
         last = max((c.last_ns for c in self._chunks), default=0)
         counts = b"".join(struct.pack("<HQ", *pair) for pair in self._counts.items())
         numbers = (sum(self._counts.values()), kinds.count(mr.SCHEMA), kinds.count(mr.CHANNEL))
-        return struct.pack("<QHIIIIQQ", *numbers, 0, 0, len(self._chunks), first, last) + _sized(
-            counts
-        )
+        extras = [len(self._extras[kind]) for kind in (_ATTACHMENT_INDEX, _METADATA_INDEX)]
+        head = struct.pack("<QHIIIIQQ", *numbers, *extras, len(self._chunks), first, last)
+        return head + _sized(counts)
 
     def _define(self, kind: int, number: int, content: bytes) -> None:
         if self._definitions.get((kind, number)) != content:
