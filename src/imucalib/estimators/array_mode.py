@@ -1,0 +1,133 @@
+"""The highest point of the array posterior and the Gaussian that touches it there.
+
+The frame x = mode + L z, L Lᵀ the inverse of the true Hessian, is what both the sampler and
+quick answers use. The Hessian comes from one batched call of the gradient.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import NotConverged
+from imucalib.estimators.array_likelihood import ArrayPosterior
+from imucalib.estimators.array_problem import ArrayData, ArrayPrior
+
+Array = NDArray[np.float64]
+_FEW = 300  # samples on which the first steps are taken
+_REFRESHES = 12
+_CLOSE = 0.02  # Newton decrement at which a point counts as the mode
+
+
+@dataclass(frozen=True)
+class Frame:
+    """mode (d,); root (d, d) lower L; value: the log posterior at the mode; posterior: with the
+    conditional starts at the mode and the cheapest gradient that is good there."""
+
+    posterior: ArrayPosterior
+    mode: Array
+    root: Array
+    value: float
+
+    @property
+    def covariance(self) -> Array:
+        return self.root @ self.root.T
+
+    def place(self, z: Array) -> Array:
+        """x (…, d) of z."""
+        return np.asarray(self.mode + z @ self.root.T)
+
+
+def start_prior(data: ArrayData, prior: ArrayPrior) -> ArrayPrior:
+    """The prior with its motion scale from the data at the drawing: mean square ω̇."""
+    flat = replace(prior, motion="flat", exponent=0.5, estimate_noise=False)
+    x = flat.mean_vector[None]
+    from imucalib.estimators.array_likelihood import conditionals
+
+    given, _ = conditionals(data, flat, x)
+    w = np.asarray(data.rate.T)[None]
+    from imucalib.estimators.array_rotation import cross
+
+    spin = given.gain @ (given.torque - cross(w, given.inertia @ w))
+    return replace(prior, motion_scale=float(np.mean(spin * spin)))
+
+
+def laplace_frame(data: ArrayData, prior: ArrayPrior) -> Frame:
+    """Mode and Hessian. Raises NotConverged when no mode is found."""
+    x, root = prior.mean_vector, np.diag(prior.sd_vector) * 0.01
+    few = data
+    if data.samples > 2 * _FEW:
+        few = data.take(np.linspace(0, data.samples - 1, _FEW).astype(np.intp))
+        x, root = _climb(_posterior(few, prior), x, root)
+        root = root * np.sqrt(few.samples / data.samples)
+    posterior = _posterior(data, prior)
+    x, root = _climb(posterior, x, root, fresh=few is data)
+    start = posterior.modes(x[None])[0]
+    moments = _gyros_leave_open(posterior, x, start)
+    exact = posterior.at(start, moments=moments)
+    root = _touching(exact, x, root)
+    return Frame(exact, x, root, float(exact.value(x[None])[0]))
+
+
+def _posterior(data: ArrayData, prior: ArrayPrior) -> ArrayPosterior:
+    return ArrayPosterior(data, prior, np.ascontiguousarray(data.rate.T), moments=True)
+
+
+def _gyros_leave_open(posterior: ArrayPosterior, x: Array, start: Array) -> bool:
+    """Whether dropping the determinant's slope would change the gradient by a noticeable part."""
+    both = [posterior.at(start, moments=m).value_and_gradient(x[None])[1] for m in (True, False)]
+    return bool(np.abs((both[0] - both[1]) * posterior.prior.sd_vector).max() > 1e-3)
+
+
+def _climb(
+    posterior: ArrayPosterior, x: Array, root: Array, *, fresh: bool = True
+) -> tuple[Array, Array]:
+    """Newton with a Hessian that is refreshed when it predicts badly, from x; the frame too."""
+    value, gradient = (v[0] for v in posterior.value_and_gradient(x[None]))
+    for k in range(_REFRESHES):
+        if k or fresh:
+            root = _touching(posterior, x, root)
+        for _ in range(6):
+            whitened = root.T @ gradient
+            decrement = float(whitened @ whitened)
+            if decrement < _CLOSE**2:
+                return x, root
+            step = root @ whitened
+            scale = 1.0
+            while scale > 1e-6:
+                there = posterior.value_and_gradient((x + scale * step)[None])
+                if there[0][0] >= value + 1e-4 * scale * decrement:
+                    break
+                scale *= 0.4
+            else:
+                break
+            gain = float(there[0][0] - value)
+            x, value, gradient = x + scale * step, there[0][0], there[1][0]
+            if scale < 1.0 or gain < 0.25 * decrement or gain > 0.75 * decrement:
+                break
+    raise NotConverged(
+        "no mode of the positions' posterior was found",
+        remedy="the samples contradict each other or the board's drawing; check the mounting "
+        "rotations and units, or leave out the fastest samples",
+    )
+
+
+def _touching(posterior: ArrayPosterior, x: Array, root: Array) -> Array:
+    """Root of the inverse Hessian at x, by central differences along the columns of `root`."""
+    d = len(x)
+    step = 0.1
+    points = np.concatenate([x + step * root.T, x - step * root.T])
+    slopes = posterior.value_and_gradient(points)[1]
+    curvature = -(slopes[:d] - slopes[d:]) @ root / (2.0 * step)
+    values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    floor = 1e-6 * max(float(values[-1]), 1e-300)
+    whitened = vectors / np.sqrt(np.maximum(np.abs(values), floor))
+    covariance = root @ whitened @ (root @ whitened).T
+    # A direction that the differences make open is still held by the prior.
+    sd = posterior.prior.sd_vector
+    scaled = covariance / np.outer(sd, sd)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    values = np.clip(values, 1e-16, 1.5)
+    return np.asarray(np.linalg.cholesky((vectors * values) @ vectors.T * np.outer(sd, sd)))
