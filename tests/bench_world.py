@@ -45,6 +45,7 @@ def context_of(inclination: Array, tool_face: Array, rng: np.random.Generator) -
         "order": np.linspace(0.0, 1.0, n),
         "time": np.linspace(0.0, 3600.0, n),
         "temperature": 25.0 + rng.permutation(np.linspace(-12.0, 12.0, n)),
+        "time_of_day": 2.0 * np.pi * (0.618 * np.arange(n) % 1.0),
         "inclination": inclination,
         "tool_face": tool_face,
         "sweep": np.floor(4.0 * np.arange(n) / n),

@@ -35,6 +35,7 @@ FLOORS: dict[str, int] = {
     "observations": 3,
     "bench": 3,
     "inspection": 3,
+    "runs": 3,
     "effect": 3,
     "effects": 4,
     "model": 5,
@@ -55,6 +56,7 @@ FLOORS: dict[str, int] = {
     "matrices": 8,
     "loop": 9,  # what the closed loop is asked for and finds; loop_records: the wrong records
     "loop_records": 9,
+    "loop_search": 9,
     "closed_loop": 9,
     "calibration": 10,
     "calibration_file": 10,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.context import Context
-from imucalib.effects import catalogue
+from imucalib.effects import known
 from imucalib.errors import UnreadableInput
 from imucalib.fit import Fit
 from imucalib.matrices import Matrices, matrices
@@ -58,13 +58,14 @@ class Calibration:
         Raises UnreadableInput when the file names an effect that this version does not know.
         """
         names = dict.fromkeys(p.effect for p in self.parameters if p.stage != "fixture")
-        unknown = [name for name in names if name not in catalogue()]
+        effects = {name: effect for name in names if (effect := known(name)) is not None}
+        unknown = [name for name in names if name not in effects]
         if unknown:
             raise UnreadableInput(
                 f"the calibration uses unknown effects: {', '.join(unknown)}",
                 remedy="load the file that defines them with --effects, or update imucal",
             )
-        model = Model(tuple(catalogue()[name] for name in names))
+        model = Model(tuple(effects.values()))
         by_effect = {n: [p.value for p in self.parameters if p.effect == n] for n in names}
         return model, np.array([v for e in model.effects for v in by_effect[e.name]])
 

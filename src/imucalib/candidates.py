@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.effect import Effect
+from imucalib.effect import Effect, Family
 from imucalib.evidence import Candidate
 from imucalib.fit import Fit
+from imucalib.model import Prediction
 from imucalib.units import DEG, MG
 
 Array = NDArray[np.float64]
 
 #: Typical size of an unknown curve: 1 mg on an axis, 0.1 deg on an angle, 50 mg on one record.
 _CURVE_MG, _CURVE_DEG, _RECORD_MG, _RECORD_DEG = 1.0, 0.1, 50.0, 2.0
-_TERMS = 8
+_TERMS, _MOST_TERMS = 8, 32
+#: Beyond so many observations, noise in time is looked for in this many stretches.
+_EXACT_NOISE, _STRETCHES = 400, 48
 
 
-def effect_columns(fit: Fit, effect: Effect) -> Array:
+def effect_columns(fit: Fit, effect: Effect, prediction: Prediction | None = None) -> Array:
     """(N, m) columns of a catalogue effect at θ = 0, scaled by its typical sizes.
 
     The effect's own derivative at the fitted truth, chained through what acts after it.
+    prediction : of the fit, when it is there: sensor effects act side by side and need no new one
     """
+    if prediction is not None and effect.stage == "sensor":
+        context = fit.observations.context
+        start = np.array([p.start for p in effect.parameters(context)])
+        size = np.array([p.typical for p in effect.parameters(context)])
+        return fit.at.columns(effect.act(start, prediction.force, context).d_theta * size)
     extended = fit.model.plus(effect)
     context, reference = fit.observations.context, fit.observations.reference
     slices = extended.slices(context)
@@ -40,6 +50,7 @@ def effect_candidates(
 ) -> tuple[tuple[Candidate, ...], dict[str, str]]:
     """Candidates of all effects that the context can carry, and why the others cannot be tested."""
     found, missing = [], {}
+    prediction = fitted_prediction(fit)
     for effect in effects:
         if effect.name in fit.model.names:
             continue
@@ -47,8 +58,21 @@ def effect_candidates(
         if reason or not effect.parameters(fit.observations.context):
             missing[effect.name] = reason or "it has no parameter on these data"
             continue
-        found.append(Candidate(effect.name, "effect", effect_columns(fit, effect)))
+        columns = effect_columns(fit, effect, prediction)
+        found.append(Candidate(effect.name, "effect", columns))
     return tuple(found), missing
+
+
+def fitted_prediction(fit: Fit) -> Prediction:
+    """The fitted model's prediction of the fit's own observations."""
+    context, reference = fit.observations.context, fit.observations.reference
+    return fit.model.predict(fit.theta, reference.truth(fit.eta), context)
+
+
+def family_candidates(fit: Fit, family: Family, values: Sequence[str]) -> tuple[Candidate, ...]:
+    """Candidates of some members of a scan; those that the context cannot carry are left out."""
+    found, _ = effect_candidates(fit, [family.member(value) for value in values])
+    return tuple(replace(c, family=family.name) for c in found)
 
 
 def _cosines(values: Array, terms: int) -> Array:
@@ -68,13 +92,14 @@ def _harmonics(angle: Array, terms: int) -> Array:
 def probes(fit: Fit) -> tuple[Candidate, ...]:
     """Smooth curves of every sensor axis and every reference angle against every covariate."""
     context, reference = fit.observations.context, fit.observations.reference
-    prediction = fit.model.predict(fit.theta, reference.truth(fit.eta), context)
+    prediction = fitted_prediction(fit)
     directions = reference.directions(fit.eta)
     n, k, _ = prediction.reading.shape
     found = []
+    fine = int(np.clip(n // 25, _TERMS, _MOST_TERMS))
     for axis, letter in enumerate("xyz"):
-        curves = _cosines(prediction.force[:, :, axis].ravel(), _TERMS).reshape(n, k, _TERMS)
-        block = np.zeros((n, k, 3, _TERMS))
+        curves = _cosines(prediction.force[:, :, axis].ravel(), fine).reshape(n, k, fine)
+        block = np.zeros((n, k, 3, fine))
         block[:, :, axis] = curves * _CURVE_MG * MG
         found.append(_probe(fit, f"response of {letter} against its own input", block, letter))
     for name in ("order", "temperature", "inclination", "tool_face"):
@@ -107,6 +132,8 @@ def correlated_noise(fit: Fit) -> tuple[Candidate, ...]:
     if "order" not in context or context.n < 8:
         return ()
     position = np.argsort(np.argsort(context["order"])).astype(float)
+    if context.n > _EXACT_NOISE:
+        return (_stretches(fit, position),)
     covariance = np.exp(-np.abs(position[:, None] - position[None]) / 2.0)
     values, vectors = np.linalg.eigh(covariance)
     top = slice(max(0, context.n - 16), None)
@@ -116,6 +143,15 @@ def correlated_noise(fit: Fit) -> tuple[Candidate, ...]:
     wide = np.broadcast_to(block, (context.n, k, 3, block.shape[-1]))
     columns = fit.at.columns(wide * _CURVE_MG * MG)
     return (Candidate("noise correlated in time", "noise", columns, "order"),)
+
+
+def _stretches(fit: Fit, position: Array) -> Candidate:
+    """An error that all neighbours of one stretch of time share, stretch by stretch."""
+    n = position.size
+    of = np.minimum((position * _STRETCHES / n).astype(int), _STRETCHES - 1)
+    one = (of[fit.at.owner][:, None] == np.arange(_STRETCHES)).astype(float)
+    columns = one * _CURVE_MG * MG / fit.at.sigma[fit.at.owner, :1]
+    return Candidate("noise correlated in time", "noise", columns, "order")
 
 
 def record_candidates(fit: Fit) -> tuple[Candidate, ...]:

@@ -14,13 +14,13 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.candidates import correlated_noise, effect_candidates, probes
-from imucalib.effect import Effect
+from imucalib.candidates import effect_candidates
+from imucalib.effect import Effect, Family
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.evidence import Score, score
 from imucalib.fit import Fit
 from imucalib.held_out import log_predictive
-from imucalib.loop import Loop, LoopSettings, Step, Unexplained
+from imucalib.loop import Loop, LoopSettings, Step
 from imucalib.loop_records import (
     extended,
     held_out_rms,
@@ -31,6 +31,7 @@ from imucalib.loop_records import (
     row_of,
     set_aside,
 )
+from imucalib.loop_search import choose, effect_named, refined, search, unexplained
 from imucalib.model import Model
 from imucalib.observations import Observations
 
@@ -49,31 +50,33 @@ def close_loop(
     rng: np.random.Generator,
     settings: LoopSettings | None = None,
     start: Array | None = None,
+    families: tuple[Family, ...] = (),
 ) -> Loop:
     """Run the search from a base model; `effects` are the catalogue's candidates.
 
     start : θ of the base model to start from
+    families : scans over a value, for example the time of a step
     """
     rules = settings or LoopSettings()
     plain = fit_model(model, observations, start=start)
-    state = _State(plain, (), (), rng, rules)
-    state = state.without_wrong_records()
+    state = _State(plain, (), (), rng, rules, families).without_wrong_records()
     rejected: dict[str, str] = {}
     first: tuple[Score, ...] = ()
     while True:
-        scores, missing = search(state.fit, effects, rng, rules, rejected)
+        scores, missing = search(state.fit, effects, rng, rules, rejected, families)
         first = first or scores
-        chosen = _choose(scores, rules) if len(state.steps) < rules.most_effects else None
+        chosen = choose(scores, rules) if len(state.steps) < rules.most_effects else None
         if chosen is None:
             freed = state.behind_a_record(effects, rejected)
             if freed is None:
                 break
             state = freed
             continue
-        trial = extended(state.fit, effects[chosen.name])
+        chosen = refined(state.fit, chosen, families, rng)
+        trial = extended(state.fit, effect_named(effects, chosen.name))
         reason = _why_not(state.fit, trial)
         if reason:
-            rejected[chosen.name] = reason
+            rejected[chosen.candidate.family or chosen.name] = reason
             continue
         state = state.accept(trial, _step(state.fit, trial, chosen, scores))
     final, steps = _eliminate(state, effects)
@@ -85,7 +88,7 @@ def close_loop(
         records=named_records(final, state.records),
         steps=steps,
         rejected=tuple(rejected.items()),
-        unexplained=_unexplained(scores, rules),
+        unexplained=unexplained(scores, rules),
         scores=scores,
         first_scores=first,
         missing=missing,
@@ -101,10 +104,13 @@ class _State:
     steps: tuple[Step, ...]
     rng: np.random.Generator
     rules: LoopSettings
+    families: tuple[Family, ...] = ()
 
     def without_wrong_records(self) -> _State:
         """Set aside every record that cannot belong to the rest, one at a time, worst first."""
         state = self
+        if self.fit.observations.n > self.rules.searchable:
+            return state
         while len(state.records) < state.rules.most_records:
             best = state.scored_records()[:1]
             if not best or best[0].p > state.rules.record_alpha:
@@ -137,44 +143,23 @@ class _State:
         """
         if len(self.records) >= self.rules.most_records or self.steps:
             return None
+        if self.fit.observations.n > self.rules.searchable:
+            return None
         strict = replace(self.rules, alpha=self.rules.alpha / _SUSPECTS)
         for suspect in self.scored_records()[:_SUSPECTS]:
             if suspect.evidence < 1.0:
                 break
             row = row_of(suspect.name)
             aside = set_aside(self.fit, row)
-            scores, _ = search(aside, effects, self.rng, strict, rejected)
-            chosen = _choose(scores, strict)
+            scores, _ = search(aside, effects, self.rng, strict, rejected, self.families)
+            chosen = choose(scores, strict)
             if chosen is None:
                 continue
-            beside = extended(self.fit, effects[chosen.name])
+            beside = extended(self.fit, effect_named(effects, chosen.name))
             again = self._records_of(beside, set())[:1]
             if again and row_of(again[0].name) == row and again[0].p <= self.rules.record_alpha:
                 return replace(self, fit=aside, records=(*self.records, (again[0], row)))
         return None
-
-
-def search(
-    current: Fit,
-    effects: Mapping[str, Effect],
-    rng: np.random.Generator,
-    rules: LoopSettings,
-    rejected: Mapping[str, str],
-) -> tuple[tuple[Score, ...], dict[str, str]]:
-    """Score everything that could be missing, and say what could not be tested."""
-    usable = [e for e in effects.values() if e.name not in rejected]
-    catalogue, missing = effect_candidates(current, usable)
-    everything = catalogue + probes(current) + correlated_noise(current)
-    return score(current, everything, rng, draws=rules.draws, alpha=rules.alpha), missing
-
-
-def _choose(scores: tuple[Score, ...], rules: LoopSettings) -> Score | None:
-    """The best catalogue effect, unless a probe or noise beats it by the margin."""
-    passing = [s for s in scores if s.p <= rules.alpha]
-    physical = [s for s in passing if s.candidate.kind == "effect"]
-    if not physical or physical[0].evidence < passing[0].evidence - rules.margin:
-        return None
-    return physical[0]
 
 
 def _why_not(before: Fit, after: Fit) -> str:
@@ -221,15 +206,7 @@ def _eliminate(state: _State, effects: Mapping[str, Effect]) -> tuple[Fit, tuple
     current, steps = state.fit, state.steps
     for step in steps[:-1]:
         without = reduced(current, (step.effect,))
-        candidates, _ = effect_candidates(without, [effects[step.effect]])
+        candidates, _ = effect_candidates(without, [effect_named(effects, step.effect)])
         if score(without, candidates, state.rng, draws=1)[0].evidence < 1.0:
             current, steps = without, tuple(s for s in steps if s.effect != step.effect)
     return current, steps
-
-
-def _unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexplained, ...]:
-    left = [s for s in scores if s.p <= rules.alpha and s.candidate.kind != "effect"]
-    return tuple(
-        Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
-        for s in left[:3]
-    )

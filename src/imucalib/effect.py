@@ -131,6 +131,22 @@ class Response(Described):
         )
 
 
+@dataclass(frozen=True)
+class Family:
+    """Effects that differ in one value that the search has to find: a time, a lag, an axis.
+
+    member : value as text -> the effect "name@value", the same for the same text anywhere
+    values : context -> texts to try; nearby : (context, text) -> finer ones around the best, or
+        nothing where the values are all there are
+    """
+
+    name: str
+    sentence: str
+    member: Callable[[str], Effect]
+    values: Callable[[Context], tuple[str, ...]]
+    nearby: Callable[[Context, str], tuple[str, ...]] = lambda context, text: ()
+
+
 Turn = Callable[[Context], tuple[Array, Array]]
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.balance import whitener
+from imucalib.evidence_gram import gram_evidence
 from imucalib.fit import Fit
 
 Array = NDArray[np.float64]
@@ -33,16 +34,22 @@ _TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 _SHRINK = (0.0, 0.15, 0.4, 0.72, 0.92, 1.15, 1.6)
 #: A block that keeps less than this share of its columns is absorbed by the fitted parameters.
 _ABSORBED = 1e-5
+#: Independent observations from which on the candidates' Gram matrix stands in for the data.
+_MANY = 300
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One block. columns : (N, m) in the balance's units, scaled by the typical size."""
+    """One block. columns : (N, m) in the balance's units, scaled by the typical size.
+
+    family : the scan that it is one value of, or empty
+    """
 
     name: str
     kind: Kind
     columns: Array
     driver: str = ""
+    family: str = ""
 
 
 @dataclass(frozen=True)
@@ -111,6 +118,8 @@ def _score(
 ) -> tuple[Score, ...]:
     if not candidates:
         return ()
+    if not fit.at.settings and fit.at.residual.size >= _MANY:
+        return _score_many(fit, candidates, rng, draws)
     at, noise = fit.at, fit.noise
     fitted = tuple(sd / noise.factor for sd in noise.sd)
     alone = [_alone(fit, c, fitted) for c in candidates]
@@ -131,6 +140,26 @@ def _score(
         Score(c, float(e), float(q), draws, *numbers)
         for c, e, q, numbers in zip(candidates, evidence, p, alone, strict=True)
     ]
+    return tuple(sorted(scores, key=lambda s: -s.evidence))
+
+
+def _score_many(
+    fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, draws: int
+) -> tuple[Score, ...]:
+    """The same without settings: all by Gram matrices, nothing of the size of the data squared."""
+    factor = fit.noise.factor
+    live = [k for k, c in enumerate(candidates) if np.any(c.columns)]
+    blocks = [candidates[k].columns / factor for k in live]
+    found = gram_evidence(fit.at.residual / factor, fit.at.jacobian, blocks, _TAU, rng, draws)
+    best = np.sort(found.best)
+    scores = [Score(c, 0.0, 1.0, draws, 0.0, 0.0, 0.0) for c in candidates if not np.any(c.columns)]
+    for i, k in enumerate(live):
+        absorbed = found.left[i] < _ABSORBED
+        value = 0.0 if absorbed else float(found.evidence[i])
+        above = draws - int(np.searchsorted(best, value, side="left"))
+        p = 1.0 if absorbed else (1 + above) / (draws + 1)
+        numbers = (found.left[i], found.strength[i], found.share[i])
+        scores.append(Score(candidates[k], value, p, draws, *map(float, numbers)))
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 

@@ -22,6 +22,8 @@ class LoopSettings:
     draws: int = 1000
     most_effects: int = 4
     most_records: int = 4
+    #: records are searched one by one up to so many observations
+    searchable: int = 500
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from imucalib.effect import Effect
+from imucalib.effect import Effect, Family
 from imucalib.errors import UsageError
 
 #: Effects of files that this process has loaded; a calibration may need them to be applied.
@@ -33,6 +33,27 @@ def _installed() -> dict[str, Effect]:
     for point in entry_points(group="imucal.effects"):
         _add(found, point.load(), f"entry point {point.name}")
     return found
+
+
+@cache
+def families() -> dict[str, Family]:
+    """Scans by name: modules of this folder that have `FAMILIES` contribute them."""
+    found: dict[str, Family] = {}
+    for info in sorted(pkgutil.iter_modules(__path__), key=lambda m: m.name):
+        module = importlib.import_module(f"{__name__}.{info.name}")
+        found.update({f.name: f for f in getattr(module, "FAMILIES", ())})
+    return found
+
+
+def known(name: str) -> Effect | None:
+    """An effect by name, be it of the catalogue or one of a family ("bias_step@86400s")."""
+    family, at, value = name.partition("@")
+    if at and family in families():
+        try:
+            return families()[family].member(value)
+        except ValueError:
+            return None
+    return catalogue().get(name)
 
 
 def load_file(path: Path) -> dict[str, Effect]:
@@ -65,10 +86,11 @@ def named(name: str) -> Effect:
     import difflib
 
     effects = catalogue()
-    if name not in effects:
+    found = known(name)
+    if found is None:
         near = ", ".join(difflib.get_close_matches(name, effects, 3)) or ", ".join(effects)
         raise UsageError(f"no effect is called '{name}'", remedy=f"did you mean: {near}")
-    return effects[name]
+    return found
 
 
 def _add(found: dict[str, Effect], effects: tuple[Effect, ...], where: str) -> None:

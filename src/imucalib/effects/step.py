@@ -1,0 +1,65 @@
+"""A bias that jumps at an unknown time: a knock, a changed battery, a restart."""
+
+import numpy as np
+
+from imucalib.context import Context
+from imucalib.effect import Array, Effect, Family, Response
+from imucalib.parameter import Parameter
+from imucalib.units import MG
+
+_SCANNED = 48  # times tried at first; the neighbours of the best one are tried after
+_FEWEST = 12  # observations on each side of a step
+
+
+def bias_step(value: str) -> Effect:
+    """The step at a time such as "86400s" after the recording's start; ValueError otherwise."""
+    at = float(value.removesuffix("s"))
+
+    def basis(x: Array, context: Context) -> Array:
+        after = (context["time"] >= at).astype(float)[:, None, None, None]
+        return np.asarray(np.eye(3) * MG * after + 0.0 * x[..., None])
+
+    def basis_dx(x: Array, context: Context) -> Array:
+        return np.zeros((*x.shape, 3, 3))
+
+    return Response(
+        f"bias_step@{value}",
+        f"The bias jumps {at / 3600.0:.2f} h after the start.",
+        "y_i = x_i + d_i [time >= t0]",
+        "1-20 mg after a knock or a restart, practice",
+        "Wear the sensor in varied postures on both sides of the jump.",
+        ("time",),
+        each=tuple(Parameter(f"step_{value}_{a}", "mg", 2.0, 300.0) for a in "xyz"),
+        basis=basis,
+        basis_dx=basis_dx,
+    )
+
+
+def _text(time: float) -> str:
+    return f"{time:.10g}s"
+
+
+def _between(context: Context) -> Array:
+    """Times between neighbouring observations, far enough from both ends."""
+    time = np.unique(context["time"]) if "time" in context else np.zeros(0)
+    if time.size <= 2 * _FEWEST:
+        return np.zeros(0)
+    return np.asarray(np.round(0.5 * (time[1:] + time[:-1]), 3)[_FEWEST - 1 : -_FEWEST + 1])
+
+
+def _values(context: Context) -> tuple[str, ...]:
+    every = _between(context)
+    if not every.size:
+        return ()
+    picked = np.unique(np.linspace(0, every.size - 1, min(_SCANNED, every.size)).astype(int))
+    return tuple(_text(t) for t in every[picked])
+
+
+def _nearby(context: Context, value: str) -> tuple[str, ...]:
+    every = _between(context)
+    reach = max(1, every.size // _SCANNED) + 1
+    at = int(np.searchsorted(every, float(value.removesuffix("s"))))
+    return tuple(_text(t) for t in every[max(0, at - reach) : at + reach + 1])
+
+
+FAMILIES = (Family("bias_step", "The bias jumps at one time.", bias_step, _values, _nearby),)

@@ -1,0 +1,48 @@
+"""A bias that follows the temperature late: the thermometer and the sensing element differ."""
+
+import numpy as np
+
+from imucalib.context import Context
+from imucalib.effect import Array, Effect, Family, Response
+from imucalib.parameter import Parameter
+from imucalib.units import MG
+
+#: Hours by which the sensor may trail the thermometer.
+LAGS = ("0.5h", "1h", "1.5h", "2h", "3h")
+
+
+def covariate(value: str) -> str:
+    """Name of the covariate that carries the temperature with this lag."""
+    return f"temperature_lag_{value}"
+
+
+def thermal_lag(value: str) -> Effect:
+    """The lag given as "1.5h"; ValueError otherwise."""
+    hours = float(value.removesuffix("h"))
+    name = covariate(value)
+
+    def basis(x: Array, context: Context) -> Array:
+        late = (context[name] - 25.0)[:, None, None, None]
+        return np.asarray(np.eye(3) * MG * late + 0.0 * x[..., None])
+
+    def basis_dx(x: Array, context: Context) -> Array:
+        return np.zeros((*x.shape, 3, 3))
+
+    return Response(
+        f"thermal_lag@{value}",
+        f"The bias follows the temperature of the last {hours:g} hours.",
+        "y_i = x_i + c_i (T_lag - 25 °C),  T_lag' = (T - T_lag) / τ",
+        "0.5-3 h in a case on the wrist, practice",
+        "Record the temperature through several changes that last longer than the lag.",
+        (name,),
+        each=tuple(Parameter(f"lag_{value}_{a}", "mg/degC", 0.5, 15.0) for a in "xyz"),
+        basis=basis,
+        basis_dx=basis_dx,
+    )
+
+
+def _values(context: Context) -> tuple[str, ...]:
+    return tuple(v for v in LAGS if covariate(v) in context)
+
+
+FAMILIES = (Family("thermal_lag", "The bias follows the temperature late.", thermal_lag, _values),)
