@@ -15,6 +15,8 @@ COMMANDS = {
     "inspect": "Say what a recording holds and how it would be read.",
     "apply": "Correct a recording with a calibration.",
     "convert": "Rewrite a recording in another format.",
+    "batch": "Calibrate a cohort, one recording a task.",
+    "collect": "Make one table of a cohort's entries.",
     "simulate": "Make a bench table or recording with planted effects.",
     "effects": "List the catalogue of effects.",
     "validate": "Check a calibration file.",

@@ -6,7 +6,9 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import click
@@ -65,3 +67,29 @@ def note(text: str, quiet: bool) -> None:
     """A line about the work, to stderr."""
     if not quiet:
         click.echo(text, err=True)
+
+
+@contextmanager
+def progress(total: int, what: str, quiet: bool) -> Iterator[Callable[[], None]]:
+    """Advance by one at each call: a bar on a terminal, else a line for every tenth part."""
+    if quiet:
+        yield lambda: None
+    elif sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import Progress, TimeRemainingColumn
+
+        columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
+        with Progress(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task(what, total=total)
+            yield lambda: bar.advance(task)
+    else:
+        state = {"done": 0, "start": time.monotonic()}
+
+        def advance() -> None:
+            state["done"] += 1
+            done = int(state["done"])
+            if done == total or done * 10 // total > (done - 1) * 10 // total:
+                left = (time.monotonic() - state["start"]) / done * (total - done)
+                click.echo(f"{done} of {total} {what}, {left:.0f} s left", err=True)
+
+        yield advance

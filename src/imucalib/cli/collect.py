@@ -1,0 +1,40 @@
+"""imucal collect"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from imucalib.cli.output import note, quiet_option
+
+
+@click.command("collect", short_help="Make one table of a cohort's entries.")
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Table to write: .csv, or .parquet (extra parquet).",
+)
+@quiet_option
+def command(folder: Path, output: Path, quiet: bool) -> int:
+    """Gather the entries that `imucal batch` wrote into one table, a row a recording.
+
+    \b
+    Example: imucal collect entries -o cohort.csv
+    """
+    from imucalib.batch import read_entry, rows
+    from imucalib.cohort_table import write_table
+    from imucalib.errors import UnreadableInput
+
+    found = [read_entry(path) for path in sorted(folder.glob("*.json"))]
+    entries = tuple(entry for entry in found if entry is not None)
+    if not entries:
+        raise UnreadableInput("no entries of imucal batch in it", where=str(folder))
+    write_table(rows(entries), output)
+    note(f"{len(found) - len(entries)} files are no entries" if None in found else "", quiet)
+    if not quiet:
+        click.echo(f"wrote {output}: {len(entries)} recordings")
+    return 0
