@@ -44,9 +44,17 @@ from imucalib.cli.output import emit_json, json_option, note, progress, quiet_op
 @json_option
 @quiet_option
 def command(
-    manifest: Path, arguments: tuple[str, ...], output: Path, calibrator: str, jobs: int, shard: str,
-    resume: bool, scheduler: str | None, as_json: bool, quiet: bool,
-) -> int:  # fmt: skip
+    manifest: Path,
+    arguments: tuple[str, ...],
+    output: Path,
+    calibrator: str,
+    jobs: int,
+    shard: str,
+    resume: bool,
+    scheduler: str | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
     """Calibrate all recordings of MANIFEST: a path a line, or a CSV with a column path.
 
     ARGUMENTS after -- go to the calibrator. One bad file never stops the rest; a rerun does only

@@ -100,7 +100,7 @@ EFFECTS = (
         (
             "The bias moves steadily over the recording.",
             "y_i = x_i + d_i (order - 1/2), order from 0 to 1",
-            "1 mg per session, practice",
+            "1 mg over a bench run, practice",
             "Repeat a few positions at the end, and take the positions in random order.",
         ),
         ("order",),
@@ -113,7 +113,7 @@ EFFECTS = (
         (
             "The scale factor moves steadily over the recording.",
             "y_i = x_i (1 + d_i (order - 1/2)), order from 0 to 1",
-            "0.1 % per session, practice",
+            "0.1 % over a bench run, practice",
             "Repeat a few positions at the end, and take the positions in random order.",
         ),
         ("order",),
