@@ -123,7 +123,7 @@ def _accelerometer(block: Recording, triad: str | None) -> str:
     names = [c.triad for c in found]
     if not names:
         return ""
-    if triad is None and len(names) > 1 or triad is not None and triad not in names:
+    if (triad is None and len(names) > 1) or (triad is not None and triad not in names):
         raise UsageError(
             f"{len(names)} accelerometers to choose from",
             where=block.path,

@@ -170,7 +170,7 @@ def request_of(options: dict[str, Any]) -> LabRequest:
 
     settings = _settings(options)
     limits = {name: options[name.replace("-", "_")] for name in _LIMITS}
-    gravity, source = _gravity(options)
+    gravity, source = gravity_of(options)
     request = LabRequest(
         unit=options["unit"],
         lsb_per_g=options["lsb_per_g"],
@@ -227,7 +227,7 @@ def _fix(text: str) -> tuple[int, str, float]:
         ) from None
 
 
-def _gravity(options: dict[str, Any]) -> tuple[float, str]:
+def gravity_of(options: dict[str, Any]) -> tuple[float, str]:
     from imucalib.units import STANDARD_GRAVITY, local_gravity
 
     if options["gravity"] is not None and options["latitude"] is not None:

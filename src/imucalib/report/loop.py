@@ -61,7 +61,7 @@ def loop_section(outcome: Outcome) -> Section:
             for s in loop.steps
         )
         header = ("effect added", "p", "before", "after", "cannot be told from")
-        note = f"Held-out error in {outcome.error.unit}; p is the chance in the whole search."
+        note = f"Held-out error in {outcome.error.unit} rms; p is the chance in the whole search."
         blocks.append(Table("Steps of the loop", header, rows, "lrrrl", note))
     blocks.append(error_table(outcome.error))
     return Section("Closed loop", tuple(blocks))

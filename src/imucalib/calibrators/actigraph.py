@@ -1,0 +1,150 @@
+"""`imucal actigraph`: a worn sensor, calibrated by gravity over days (paper 002, and beyond it)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.actigraph_errors import error_summary, mean_error
+from imucalib.calibrators.actigraph_observations import observations_of, weighted
+from imucalib.calibrators.actigraph_request import ActigraphRequest
+from imucalib.closed_loop import close_loop
+from imucalib.effect import Effect
+from imucalib.effects import catalogue, families, named
+from imucalib.errors import NotConverged, Undetermined, UsageError
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.fit import Fit
+from imucalib.held_out import Held, fitted, held_out
+from imucalib.loop import Loop
+from imucalib.model import Model
+from imucalib.observations import Observations
+from imucalib.outcome import ErrorSummary
+from imucalib.runs import PostureRuns, Scan
+
+Array = NDArray[np.float64]
+
+NINE = ("bias", "scale", "non_orthogonality")
+
+
+@dataclass(frozen=True)
+class ActigraphResult:
+    """What the reports of `actigraph` show.
+
+    base, final : the nine parameters, and with what the loop added
+    base_held, final_held : predictions of each run by fits without its block of time
+    light : runs that count less, because nothing else is like them
+    declined : why the loop's model was not taken, or empty
+    """
+
+    runs: PostureRuns
+    loop: Loop | None
+    base: Fit
+    final: Fit
+    base_held: Held
+    final_held: Held
+    error: ErrorSummary
+    light: int
+    declined: str = ""
+
+    @property
+    def fitted(self) -> Held:
+        return fitted(self.final)
+
+
+def calibrate(
+    runs: PostureRuns, scanned: Scan, request: ActigraphRequest, rng: np.random.Generator
+) -> ActigraphResult:
+    """Fit, search for what is missing, and measure the error on time that was not fitted.
+
+    Raises Undetermined when the postures leave a combination of parameters open.
+    """
+    data = observations_of(runs, scanned, request.gravity, request.blocks)
+    model = base_model(request, data)
+    demand_enough(model, data)
+    base, light = robust_fit(model, data, runs)
+    if base.null_directions:
+        raise Undetermined(
+            f"the {runs.n} postures leave open: " + "; ".join(base.null_directions),
+            where=scanned.path,
+            remedy="record longer, or turn the sensor to the directions that are missing: "
+            + "; ".join(unseen(runs)),
+        )
+    if not base.converged:
+        raise NotConverged("the fit did not settle", where=scanned.path)
+    loop = search(base, request, rng) if request.loop else None
+    final, declined = (loop.as_recorded, "") if loop else (base, "")
+    base_held, final_held = held_out(base), held_out(final)
+    if mean_error(final_held) > mean_error(base_held):
+        declined = (
+            f"the search's model ({', '.join(s.effect for s in loop.steps) if loop else ''}) "
+            "was not taken: its held-out error is larger than without"
+        )
+        final, final_held = base, base_held
+    error = error_summary(base, final, base_held, final_held, request.gravity)
+    return ActigraphResult(
+        runs, loop, base, final, base_held, final_held, error, light, declined
+    )  # fmt: skip
+
+
+def base_model(request: ActigraphRequest, data: Observations) -> Model:
+    """The nine parameters and what the user declares beside them."""
+    declared = tuple(
+        request.extra_effects[n] if n in request.extra_effects else named(n)
+        for n in request.declare
+    )
+    for effect in declared:
+        if reason := effect.missing(data.context):
+            raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
+    return Model((*(named(n) for n in NINE), *declared))
+
+
+def demand_enough(model: Model, data: Observations) -> None:
+    """Raise Undetermined when there are fewer postures than parameters."""
+    parameters = len(model.parameters(data.context))
+    if data.n <= parameters:
+        raise Undetermined(
+            f"{data.n} postures at rest for {parameters} parameters",
+            remedy="record longer; a night of sleep shows most postures",
+        )
+
+
+def robust_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, int]:
+    """Fit with the scatter between runs and the weight of strange ones as the data show them."""
+    found, light = fit_model(model, data), 0
+    for _ in range(2):
+        data, light = weighted(found, runs)
+        found = fit_model(model, data, start=found.theta)
+    return found, light
+
+
+def search(base: Fit, request: ActigraphRequest, rng: np.random.Generator) -> Loop:
+    """The closed loop over the catalogue and its scans, as `only` and `without` leave them."""
+    chosen = request.only or (*catalogue(), *request.extra_effects, *families())
+    every: dict[str, Effect] = {**catalogue(), **request.extra_effects}
+    for name in (*request.only, *request.without):
+        if name not in every and name not in families():
+            named(name)
+    wanted = [n for n in chosen if n not in request.without]
+    return close_loop(
+        base.model,
+        base.observations,
+        {n: every[n] for n in wanted if n in every and every[n].stage == "sensor"},
+        rng,
+        request.rules,
+        base.theta,
+        tuple(families()[n] for n in wanted if n in families()),
+    )
+
+
+def unseen(runs: PostureRuns) -> tuple[str, ...]:
+    """Ends of the axes that gravity never came near (0.3 g), in words."""
+    g = np.median(np.linalg.norm(runs.mean, axis=1))
+    ends = []
+    for axis, name in enumerate("xyz"):
+        reading = runs.mean[:, axis] / g
+        for sign, word in ((1.0, "up"), (-1.0, "down")):
+            if (sign * reading).max() < 0.3:
+                ends.append(f"{name} {word}")
+    return tuple(ends) or ("directions between those that were recorded",)

@@ -1,0 +1,77 @@
+"""What limits a worn sensor's calibration, and what to record to lift the limit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from imucalib.calibrators.actigraph import ActigraphResult, unseen
+from imucalib.calibrators.actigraph_errors import even_directions, mean_error, norm_sd
+from imucalib.outcome import Limit
+from imucalib.units import MG
+
+#: The field calls a calibration good below this error (mg); a tenth of it is well known.
+_GOOD, _WELL_KNOWN = 10.0, 1.0
+#: Gain on held-out time from which on it is worth a word that there is none.
+_WORSE = 1.0
+
+
+def weakest(result: ActigraphResult) -> tuple[float, float]:
+    """Mean and largest standard deviation (mg) of the corrected |a| over all directions."""
+    sd = norm_sd(result.final, even_directions()) / MG
+    return float(sd.mean()), float(sd.max())
+
+
+def reasons(result: ActigraphResult) -> tuple[str, ...]:
+    """Why the calibration is not simply good."""
+    found = []
+    missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
+    _, largest = weakest(result)
+    if largest > _WELL_KNOWN:
+        where = f"; no posture with {', '.join(missing)}" if missing else ""
+        found.append(f"the error in some directions is known to {largest:.1f} mg only{where}")
+    held = mean_error(result.final_held)
+    if held > _GOOD:
+        found.append(f"the held-out error of {held:.1f} mg is above the field's 10 mg")
+    raw = result.error.held_out.raw
+    if held > raw * _WORSE:
+        found.append(f"on held-out time it is worse than no calibration ({raw:.2f} mg)")
+    if result.light > 0.02 * result.runs.n:
+        found.append(
+            f"{result.light} of {result.runs.n} posture runs are unlike the rest and count less"
+        )
+    return tuple(found)
+
+
+def advice(result: ActigraphResult) -> tuple[str, ...]:
+    """The next steps, most useful first."""
+    found = []
+    missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
+    if missing and weakest(result)[1] > _WELL_KNOWN:
+        found.append(
+            f"Rest the sensor for ten seconds with {', '.join(missing)}, or record more nights."
+        )
+    loop = result.loop
+    in_time = loop and any(u.driver == "order" for u in loop.unexplained)
+    if in_time and "temperature" not in result.final.observations.context:
+        found.append(
+            "The error moves with time and no temperature was recorded: export the temperature "
+            "channel too, or calibrate in parts with --every 1d."
+        )
+    if loop and loop.steps and loop.steps[0].aliases:
+        found.append(
+            f"{loop.steps[0].effect} cannot be told from {', '.join(loop.steps[0].aliases)}: "
+            "both correct this recording alike; a longer one separates them."
+        )
+    return tuple(found)
+
+
+def limits_of(result: ActigraphResult, asked: Mapping[str, float]) -> tuple[Limit, ...]:
+    """The user's limits against what was found."""
+    held = mean_error(result.final_held)
+    value = {
+        "max-error": held,
+        "max-worst-error": float(np.abs(result.final_held.error).max()) / MG,
+    }
+    return tuple(Limit(name, value[name], limit, "mg") for name, limit in asked.items())

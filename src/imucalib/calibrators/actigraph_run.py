@@ -1,0 +1,105 @@
+"""From a recording to an outcome: one pass, posture runs, calibration, judgement."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from imucalib import __version__
+from imucalib.calibrators.actigraph import ActigraphResult, calibrate
+from imucalib.calibrators.actigraph_advice import advice, limits_of, reasons
+from imucalib.calibrators.actigraph_request import ActigraphRequest
+from imucalib.mapping import FieldMapping
+from imucalib.outcome import Outcome, Provenance
+from imucalib.readers import blocks
+from imucalib.runs import WORN, PostureRuns, Scan, posture_runs, scan
+
+
+@dataclass(frozen=True)
+class ActigraphRun:
+    """A finished run: the outcome that all calibrators share, and what only `actigraph` reports."""
+
+    outcome: Outcome
+    result: ActigraphResult
+    scanned: Scan
+    request: ActigraphRequest
+
+    @property
+    def runs(self) -> PostureRuns:
+        return self.result.runs
+
+
+def calibrate_recording(
+    path: Path, mapping: FieldMapping, request: ActigraphRequest, say: Callable[[str], None]
+) -> ActigraphRun:
+    """Read in blocks and calibrate; `say` gets a line for each thing worth knowing on the way."""
+    scanned = scan(blocks(path, mapping), request.window, request.triad)
+    runs = posture_runs(scanned, WORN)
+    return run_of(runs, scanned, request, say)
+
+
+def run_of(
+    runs: PostureRuns, scanned: Scan, request: ActigraphRequest, say: Callable[[str], None]
+) -> ActigraphRun:
+    """Calibrate posture runs that are already there."""
+    say(
+        f"read {scanned.path} ({scanned.format}, {scanned.stop / 3600.0:.1f} h at "
+        f"{scanned.rate:g} Hz): {runs.still} still windows in {runs.n} posture runs"
+    )
+    for text in (*scanned.notes, *runs.notes):
+        say(f"  {text}")
+    result = calibrate(runs, scanned, request, np.random.default_rng(request.seed))
+    declined = (result.declined,) if result.declined else ()
+    outcome = Outcome(
+        calibrator="actigraph",
+        fit=result.final,
+        loop=result.loop,
+        error=result.error,
+        provenance=provenance_of(scanned, request),
+        reasons=reasons(result),
+        advice=advice(result),
+        limits=limits_of(result, request.limits),
+        notes=(*scanned.notes, *runs.notes, *declined),
+    )
+    return ActigraphRun(outcome, result, scanned, request)
+
+
+def provenance_of(scanned: Scan, request: ActigraphRequest) -> Provenance:
+    """Where the numbers come from; enough to compute them again."""
+    import scipy
+
+    settings: dict[str, object] = {
+        "window_s": request.window,
+        "gravity_m_per_s2": request.gravity,
+        "gravity_source": request.gravity_source,
+        "as_published": request.as_published,
+        "declare": list(request.declare),
+        "only": list(request.only),
+        "without": list(request.without),
+        "loop": request.loop,
+        "blocks": request.blocks,
+        "alpha": request.rules.alpha,
+        "draws": request.rules.draws,
+    }
+    versions = {
+        "imucalib": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+    return Provenance(
+        Path(scanned.path).name,
+        scanned.sha256,
+        scanned.samples,
+        scanned.gaps,
+        scanned.mapping,
+        settings,
+        request.seed,
+        versions,
+        datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+    )

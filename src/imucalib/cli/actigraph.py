@@ -1,0 +1,105 @@
+"""imucal actigraph"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imucalib.cli.output import (
+    color,
+    emit_json,
+    json_option,
+    note,
+    quiet_option,
+    seed_option,
+    width,
+)
+from imucalib.cli.recording_options import mapping_of, recording_options
+
+if TYPE_CHECKING:
+    from imucalib.calibrators.actigraph_request import ActigraphRequest
+
+_LIMITS = ("max-error", "max-worst-error")
+
+
+@click.command("actigraph", short_help="Calibrate a worn sensor by gravity.")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False),
+              help="Folder for calibration.yaml, report.html and report.json.")  # fmt: skip
+@click.option("--triad", help="Which accelerometer, when the recording has several.")
+@click.option("--gravity", type=float, help="Local gravity, m/s²; default: standard gravity.")
+@click.option("--latitude", type=float, help="Latitude in degrees, for normal gravity.")
+@click.option("--height", type=float, default=0.0, help="Height in m, with --latitude.")
+@click.option("--declare", multiple=True, metavar="EFFECT", help="Put an effect into the model.")
+@click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects.")
+@click.option("--without", multiple=True, metavar="EFFECT", help="Leave effects out of the search.")
+@click.option("--effects", "effects_file", type=click.Path(path_type=Path),
+              help="Python file with effects of your own.")  # fmt: skip
+@click.option("--no-loop", is_flag=True, help="Fit the nine parameters only.")
+@click.option("--draws", default=1000, show_default=True,
+              help="Simulated data sets behind each p-value.")  # fmt: skip
+@click.option("--max-error", type=float, help="Limit: mean held-out error, mg; exit 1 beyond.")
+@click.option("--max-worst-error", type=float, help="Limit: largest held-out error, mg.")
+@recording_options
+@seed_option
+@json_option
+@quiet_option
+def command(recording: Path, **options: Any) -> int:
+    """Calibrate a worn accelerometer from days of recording: gravity in every posture at rest.
+
+    RECORDING is a CSV, HDF5 or MCAP file of raw acceleration. Finds the moments at rest, fits
+    nine parameters with their uncertainty, searches for what they lack, and measures the error on
+    time that was not fitted. Writes calibration.yaml, report.html and report.json into the folder
+    given by -o, and prints the report.
+
+    \b
+    Examples:
+      imucal actigraph week.csv -o out
+      imucal actigraph week.h5 -o out --latitude 46.3 --max-error 5
+    """
+    from imucalib.calibrators.actigraph_run import calibrate_recording
+    from imucalib.report.actigraph import actigraph_document
+    from imucalib.report.text import render_text
+
+    quiet = options["quiet"]
+    run = calibrate_recording(
+        recording, mapping_of(options), request_of(options), lambda text: note(text, quiet)
+    )
+    if options["output"] is not None:
+        from imucalib.report.actigraph_files import write_reports
+
+        for path in write_reports(run, options["output"]):
+            note(f"wrote {path}", quiet)
+    if options["as_json"]:
+        from imucalib.report.actigraph_data import actigraph_dict
+
+        emit_json(actigraph_dict(run))
+    elif not quiet:
+        click.echo(render_text(actigraph_document(run), width(), color=color()), nl=False)
+    return run.outcome.exit_code
+
+
+def request_of(options: dict[str, Any]) -> ActigraphRequest:
+    """The request that the options state; raises click's usage errors."""
+    from imucalib.calibrators.actigraph_request import ActigraphRequest
+    from imucalib.cli.lab_options import gravity_of
+    from imucalib.effects import load_file
+    from imucalib.loop import LoopSettings
+
+    gravity, source = gravity_of(options)
+    limits = {name: options[name.replace("-", "_")] for name in _LIMITS}
+    return ActigraphRequest(
+        gravity=gravity,
+        gravity_source=source,
+        triad=options["triad"],
+        declare=options["declare"],
+        only=options["only"],
+        without=options["without"],
+        loop=not options["no_loop"],
+        rules=LoopSettings(draws=options["draws"]),
+        extra_effects=load_file(options["effects_file"]) if options["effects_file"] else {},
+        limits={name: limit for name, limit in limits.items() if limit is not None},
+        seed=options["seed"],
+    )

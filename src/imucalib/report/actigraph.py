@@ -1,0 +1,134 @@
+"""The report of `imucal actigraph`, as data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from imucalib.calibrators.actigraph_advice import weakest
+from imucalib.calibrators.actigraph_calibration import actigraph_calibration, coverage_block
+from imucalib.calibrators.actigraph_run import ActigraphRun
+from imucalib.outcome import Status
+from imucalib.report.actigraph_plots import residual_plots, sphere_blocks
+from imucalib.report.document import Document, Facts, Section, Table, Text, Tone
+from imucalib.report.loop import advice_section, candidate_section, loop_section
+from imucalib.significant_digits import plus_minus, with_sd
+from imucalib.units import MG
+
+_TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "failed": "bad"}
+_MOST_ROWS = 12  # parameters of one effect that are shown in full
+
+
+def actigraph_document(run: ActigraphRun) -> Document:
+    """Everything that a reader of the calibration must know, headline first."""
+    outcome = run.outcome
+    sections = [
+        loop_section(outcome),
+        _parameters(run),
+        _coverage(run),
+        advice_section(outcome),
+        Section("Residual before and after", residual_plots(run), brief=False),
+        Section("Error over the sphere", sphere_blocks(run), brief=False),
+        _sensor(run),
+    ]
+    if outcome.loop:
+        sections.append(candidate_section(outcome.loop))
+    return Document(
+        f"Calibration of {Path(run.scanned.path).name} by gravity",
+        _verdict(run),
+        tuple(sections),
+        _footer(run),
+    )
+
+
+def _verdict(run: ActigraphRun) -> Text:
+    outcome, error = run.outcome, run.outcome.error
+    head = (
+        f"Error at rest on held-out time {error.held_out.raw:.2f} mg raw, "
+        f"{error.held_out.base:.2f} with nine parameters, {error.held_out.final:.2f} final."
+    )
+    broken = [
+        f"{x.name}: {x.value:.3g} {x.unit} exceeds {x.limit:g}" for x in outcome.limits if x.broken
+    ]
+    declined = (run.result.declined,) if run.result.declined else ()
+    why = [f"{r[0].upper()}{r[1:]}" for r in (*outcome.reasons, *declined)]
+    return Text(" ".join([head, *(f"{t}." for t in (*broken, *why))]), _TONE[outcome.status])
+
+
+def _parameters(run: ActigraphRun) -> Section:
+    fit = run.result.final
+    rows: list[tuple[str, ...]] = []
+    hidden = []
+    for name, part in fit.model.slices(fit.observations.context).items():
+        if part.stop - part.start > _MOST_ROWS:
+            hidden.append(f"{name} ({part.stop - part.start} terms)")
+            continue
+        for k in range(part.start, part.stop):
+            p = fit.parameters[k]
+            rows.append((p.name, name, *with_sd(float(fit.theta[k]), float(fit.sd[k])), p.unit))
+    note = "Uncertainty by posture run: windows of one posture are not independent."
+    if hidden:
+        note += f" In calibration.yaml only: {', '.join(hidden)}."
+    table = Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), tuple(rows),
+                  "llrrl", note)  # fmt: skip
+    return Section("Parameters", (table,))
+
+
+def _coverage(run: ActigraphRun) -> Section:
+    block, runs = coverage_block(run), run.runs
+    mean_sd, largest = weakest(run.result)
+    span = ", ".join(
+        f"{a} {low:+.2f} to {high:+.2f} g" for a, (low, high) in block["axis_range_g"].items()
+    )
+    rows = [
+        ("recorded", f"{block['hours']:.1f} h at {block['rate_hz']:g} Hz"),
+        ("at rest", f"{runs.still} of {runs.total} windows of {run.request.window:g} s, "
+                    f"{runs.n} posture runs"),
+        ("seen of gravity", span),
+        ("|a| is known to", f"{mean_sd:.2f} mg on average over all directions, "
+                            f"{largest:.2f} mg in the worst"),
+        ("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"),
+    ]  # fmt: skip
+    if "temperature_degC" in block:
+        low, high = block["temperature_degC"]
+        rows.append(("temperature", f"{low:.1f} to {high:.1f} °C; reference 25 °C"))
+    if run.result.light:
+        rows.append(("count less", f"{run.result.light} runs that nothing else is like"))
+    rows += [("note", text) for text in run.outcome.notes]
+    return Section("What was recorded", (Facts(tuple(rows)),))
+
+
+def _sensor(run: ActigraphRun) -> Section:
+    linear = actigraph_calibration(run).matrices()
+    rows = tuple(
+        (
+            letter,
+            "  ".join(f"{v:+.6f}" for v in linear.M[k]),
+            f"{linear.b[k] / MG:+.3f}",
+            *with_sd(float(linear.scale[k]), float(linear.scale_sd[k])),
+        )
+        for k, letter in enumerate("xyz")
+    )
+    table = Table(
+        "corrected = M raw + b",
+        ("axis", "M", "b, mg", "scale", "sd"),
+        rows,
+        "llrrr",
+        "The linear part. Scale: sensitivity of each axis, free of the frame.",
+    )
+    angles = Facts(
+        tuple(
+            (f"angle {pair}", plus_minus(float(a), float(s), "deg"))
+            for pair, a, s in zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
+        )
+    )
+    return Section("The sensor", (table, angles), brief=False)
+
+
+def _footer(run: ActigraphRun) -> tuple[tuple[str, str], ...]:
+    origin = run.outcome.provenance
+    return (
+        ("input", f"{origin.path}, sha256 {origin.sha256[:16]}…"),
+        ("seed", str(origin.seed)),
+        ("versions", ", ".join(f"{k} {v}" for k, v in origin.versions.items())),
+        ("time", origin.time),
+    )

@@ -1,0 +1,27 @@
+"""report.json of `actigraph`: the shared part and what only a worn sensor has."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from imucalib.calibrators.actigraph_calibration import (
+    actigraph_calibration,
+    coverage_block,
+    error_block,
+    sphere_block,
+)
+from imucalib.calibrators.actigraph_run import ActigraphRun
+from imucalib.report.data import report_dict
+
+
+def actigraph_dict(run: ActigraphRun) -> dict[str, Any]:
+    """Plain types, ready for JSON."""
+    return report_dict(
+        run.outcome,
+        {
+            "error_mg": error_block(run),
+            "coverage": coverage_block(run),
+            "sphere": sphere_block(run),
+            "matrices": actigraph_calibration(run).matrices().as_dict(),
+        },
+    )
