@@ -38,9 +38,7 @@ def ros2_bag(
     """The folder of a ROS 2 bag; its database is `path / f"{path.name}.db3"`."""
     bag = rosbag2.Writer(path, version=9)
     if mode:
-        bag.set_compression(
-            rosbag2.Writer.CompressionMode[mode], rosbag2.Writer.CompressionFormat.ZSTD
-        )
+        bag.set_compression(rosbag2.CompressionMode[mode], rosbag2.CompressionFormat.ZSTD)
     with bag:
         joined = {t: bag.add_connection(t, IMU, typestore=ROS2) for t in topics}
         rows = [(r.ns + delay, t, r) for t, readings in topics.items() for r in readings]

@@ -22,7 +22,9 @@ class ImucalError(Exception):
 
     def __str__(self) -> str:
         text = f"{self.where}: {self.what}" if self.where else self.what
-        return f"{text}. {self.remedy}" if self.remedy else text
+        if self.remedy and not text.endswith("\n"):
+            text += ". "
+        return text + self.remedy
 
 
 class LimitBroken(ImucalError):

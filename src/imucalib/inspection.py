@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,6 +15,10 @@ from imucalib.segments import Segments, StillSettings, find_segments
 from imucalib.units import STANDARD_GRAVITY
 
 _KEPT = 10  # candidates and gaps that are listed; the rest is counted
+_LOSS = re.compile(
+    r"\bdamaged\b|\blost\b|cannot be (read|decoded)|did not close|may be cut|never defines"
+    r"|zero bytes|are missing|without its footer"
+)
 _STEPS = 1 << 16  # steps a channel keeps for the jitter
 
 
@@ -77,6 +82,11 @@ class Inspection:
     mapping: Mapping[str, object]
     notes: tuple[str, ...]
 
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """The notes that tell of data that is in the file no more, or not readable."""
+        return tuple(note for note in self.notes if _LOSS.search(note))
+
 
 class _Running:
     """What one channel has shown so far, block by block."""
@@ -113,6 +123,33 @@ class _Running:
         )
 
 
+@dataclass
+class _Watch:
+    """What passes by while the still segments are sought."""
+
+    seen: dict[str, _Running] = field(default_factory=dict)
+    gaps: list[Gap] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    last: Recording | None = None
+
+    def watched(self, blocks: Iterable[Recording]) -> Iterator[Recording]:
+        """The blocks, noticed."""
+        for block in blocks:
+            self.last = block
+            self.gaps.extend(block.gaps)
+            self.notes.extend(n for n in block.notes if n not in self.notes)
+            for name, channel in block.channels.items():
+                if channel.t.size:
+                    self.seen.setdefault(name, _Running(channel)).add(channel)
+            yield block
+
+    @property
+    def span(self) -> float:
+        """Seconds from the first to the last sample of any channel."""
+        firsts = [r.first for r in self.seen.values()]
+        return max((r.last for r in self.seen.values()), default=0.0) - min(firsts, default=0.0)
+
+
 def inspect_recording(
     blocks: Iterable[Recording], settings: StillSettings | None = None
 ) -> Inspection:
@@ -120,52 +157,36 @@ def inspect_recording(
 
     Raises what the blocks raise; a recording without rest or acceleration is told, not refused.
     """
-    seen: dict[str, _Running] = {}
-    gaps: list[Gap] = []
-    notes: list[str] = []
-    last: list[Recording] = []
-
-    def watched() -> Iterable[Recording]:
-        for block in blocks:
-            last[:] = [block]
-            gaps.extend(block.gaps)
-            notes.extend(n for n in block.notes if n not in notes)
-            for name, channel in block.channels.items():
-                if channel.t.size:
-                    seen.setdefault(name, _Running(channel)).add(channel)
-            yield block
-
+    watch = _Watch()
+    stream = watch.watched(blocks)
     still, why = None, ""
-    stream = iter(watched())
     try:
         still = find_segments(stream, settings)
     except ImucalError as error:
-        if not last:  # nothing was read: the reader's own error
+        if watch.last is None:  # nothing was read: the reader's own error
             raise
         why = error.what
     for _ in stream:  # what the detector left unread, if it gave up early
         pass
-    if not last:
+    whole = watch.last
+    if whole is None:
         raise ValueError("inspect_recording needs at least one block")
-    facts = tuple(_facts(name, running, still) for name, running in seen.items())
-    whole = last[0]
-    notes += list(still.notes) if still else []
+    facts = tuple(_facts(name, running, still) for name, running in watch.seen.items())
     return Inspection(
         path=whole.path,
         format=whole.format,
         sha256=whole.sha256,
         start_ns=whole.start_ns,
-        span=max((r.last for r in seen.values()), default=0.0)
-        - min((r.first for r in seen.values()), default=0.0),
+        span=watch.span,
         channels=facts,
-        gaps=tuple(sorted(gaps, key=lambda g: g.start - g.stop)[:_KEPT]),
-        gap_count=len(gaps),
-        gap_seconds=sum(max(0.0, g.stop - g.start) for g in gaps),
+        gaps=tuple(sorted(watch.gaps, key=lambda g: g.start - g.stop)[:_KEPT]),
+        gap_count=len(watch.gaps),
+        gap_seconds=sum(max(0.0, g.stop - g.start) for g in watch.gaps),
         still=still,
         why_not_still=why,
         candidates=_candidates(facts),
         mapping=whole.mapping,
-        notes=tuple(notes),
+        notes=(*watch.notes, *(still.notes if still else ())),
     )
 
 

@@ -21,6 +21,9 @@ from imucalib.cli.recording_options import mapping_of, recording_options
     type=click.Path(path_type=Path),
     help="File to write: .mcap, .h5 or .csv.",
 )
+@click.option(
+    "--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left."
+)
 @click.option("--triad", help="Which sensor, when the recording has several.")
 @click.option(
     "--effects",
@@ -32,7 +35,12 @@ from imucalib.cli.recording_options import mapping_of, recording_options
 @json_option
 @quiet_option
 def command(
-    calibration: Path, recording: Path, output: Path, triad: str | None, **options: Any
+    calibration: Path,
+    recording: Path,
+    output: Path,
+    strict: bool,
+    triad: str | None,
+    **options: Any,
 ) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 
@@ -52,7 +60,7 @@ def command(
             f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
             options["quiet"],
         )
-    source = read_recording(recording, mapping_of(options))
+    source = read_recording(recording, mapping_of(options), strict=strict)
     corrected = apply_to_recording(loaded, source, triad)
     write_corrected(corrected, recording, output)
     for text in corrected.notes:

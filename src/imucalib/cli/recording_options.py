@@ -22,14 +22,31 @@ _OPTIONS = (
     click.option("--acc", help="Recording: accelerometer fields or columns, x,y,z."),
     click.option("--gyro", help="Recording: gyroscope fields or columns."),
     click.option("--temperature", help="Recording: temperature field or column."),
-    click.option("--time", help="Recording: time field or column."),
-    click.option("--acc-unit", help="Recording: unit of the accelerometer."),
+    click.option("--time", help="Recording: time field or column; log_time for an MCAP file."),
+    click.option("--acc-unit", help="Recording: unit of the accelerometer: m/s2, g, mg, counts."),
+    click.option("--gyro-unit", help="Recording: unit of the gyroscope: rad/s, deg/s, counts."),
+    click.option("--time-unit", help="Recording: unit of the time stamps: s, ms, us, ns, text."),
     click.option("--rate", type=float, help="Recording: samples a second, without time stamps."),
     click.option("--axis-map", help='Recording: axes, for example "x,-y,z".'),
     click.option("--preset", help="Recording: named mapping (actigraph, axivity, euroc, ...)."),
     click.option("--lsb", help="Recording: accelerometer counts a g, with --acc-unit counts."),
     click.option("--acc-offset", help="Recording: accelerometer counts at zero."),
+    click.option("--skip", type=int, help="CSV: lines before the header or the first row."),
+    click.option("--decimal", help="CSV: decimal mark, . or ,"),
+    click.option("--delimiter", help="CSV: between the columns; tab and blank are understood."),
 )
+
+#: Option -> field of the mapping.
+_FIELDS = {
+    **{
+        name: name
+        for name in (
+            "acc", "gyro", "temperature", "time", "acc_unit", "gyro_unit", "time_unit", "rate",
+            "axis_map", "preset", "acc_offset", "skip", "decimal", "delimiter",
+        )
+    },
+    "lsb": "lsb_per_g",
+}  # fmt: skip
 
 
 def recording_options(command: Command) -> Command:
@@ -43,20 +60,9 @@ def mapping_of(options: dict[str, Any]) -> FieldMapping:
     """The mapping that the options state; the file first, single options over it."""
     from imucalib.mapping import FieldMapping, from_dict, load_mapping
 
-    stated = from_dict(
-        {
-            "acc": options["acc"],
-            "gyro": options["gyro"],
-            "temperature": options["temperature"],
-            "time": options["time"],
-            "acc_unit": options["acc_unit"],
-            "rate": options["rate"],
-            "axis_map": options["axis_map"],
-            "preset": options["preset"],
-            "lsb_per_g": options["lsb"],
-            "acc_offset": options["acc_offset"],
-        },
-        "command line",
-    )
+    words = {"tab": "\t", "\\t": "\t", "blank": " ", "blanks": " ", "space": " "}
+    stated = {name: options[option] for option, name in _FIELDS.items()}
+    delimiter = stated["delimiter"]
+    stated["delimiter"] = words.get(delimiter, delimiter) if delimiter else None
     base = load_mapping(options["mapping"]) if options["mapping"] else FieldMapping()
-    return stated.filled_from(base)
+    return from_dict(stated, "command line").filled_from(base)

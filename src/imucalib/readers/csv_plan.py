@@ -13,6 +13,7 @@ from imucalib.mapping import FieldMapping
 from imucalib.readers import conversion
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.csv_clock import Clock, Stamps, clock_of
+from imucalib.readers.csv_contents import nothing_found
 from imucalib.readers.csv_dialect import Dialect, cells_of, is_blank, sniff
 from imucalib.readers.csv_header import facts_of
 from imucalib.readers.csv_parse import Layout, Rows, parse
@@ -66,6 +67,8 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     dialect = sniff(pieces, mapping, where)
     facts = facts_of(dialect.preamble, where)
     selection = select(dialect, mapping, facts, where)
+    if not selection.vectors:
+        raise nothing_found(dialect, pieces, where)
     layout, samples = _layout(dialect, selection, pieces)
     parsed = _parse_looks(pieces, layout, dialect, where)
     main = [np.isfinite(_values(selection.vectors[0], layout, r)).all(axis=1) for r in parsed]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UsageError
 from imucalib.mapping import PRESETS, FieldMapping
 from imucalib.readers.csv_columns import Column, understand
 from imucalib.readers.csv_dialect import Dialect
@@ -40,8 +40,10 @@ class _Table:
 
 
 def select(dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, where: str) -> Selection:
-    """Choose the columns. Raises UsageError for a column that is not there, UnreadableInput when
-    no acceleration or angular rate is found."""
+    """Choose the columns: none when neither an acceleration nor an angular rate is found.
+
+    Raises UsageError for a column that is not there.
+    """
     columns = understand(dialect.names) if dialect.names else []
     notes: list[str] = []
     table = _Table(mapping, columns, dialect)
@@ -54,7 +56,7 @@ def select(dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, where: s
         vectors, guessed = _by_position(dialect, facts, notes)
         time = guessed if time < 0 and not mapping.rate and not columns else time
     if not vectors:
-        raise _nothing_found(dialect, where)
+        return Selection((), -1, "")
     vectors = [_with_device_unit(v, facts.device) for v in vectors]
     temperatures = _temperatures(mapping, columns, facts, dialect)
     return Selection((*vectors, *temperatures), time, time_unit, tuple(notes))
@@ -184,13 +186,3 @@ def _by_position(
         notes.append("no column names: taken as x, y, z")
         return [Vector("acceleration", "imu0", (0, 1, 2))], -1
     return [], -1
-
-
-def _nothing_found(dialect: Dialect, where: str) -> UnreadableInput:
-    if dialect.names:
-        what = f"no acceleration columns among: {', '.join(n for n in dialect.names if n)}"
-    else:
-        what = f"the {dialect.width} columns have no names"
-    return UnreadableInput(
-        what, where=where, remedy="name them with --acc (and --gyro, --time, --rate)"
-    )

@@ -14,6 +14,8 @@ import numpy as np
 
 from imucalib.errors import UnreadableInput
 from imucalib.mapping import FieldMapping
+from imucalib.readers.contents import listing, suggestion
+from imucalib.readers.hdf5_contents import contents_of
 from imucalib.readers.hdf5_fields import fields_of
 from imucalib.readers.hdf5_file import File, opened
 from imucalib.readers.hdf5_signals import Signal, raw_rows, resolved_mapping, signals_of, times
@@ -53,12 +55,12 @@ READER = Hdf5Reader()
 def _blocks(file: File, path: Path, mapping: FieldMapping, size: int) -> Iterator[Recording]:
     found = fields_of(file.handle, mapping, file.where)
     if not any(f.quantity != "temperature" for f in found):
-        names: list[str] = []
-        file.handle.visit(names.append)
+        held = contents_of(file.handle, file.where)
         raise UnreadableInput(
-            f"no inertial dataset was found among: {', '.join(names[:40]) or 'nothing'}",
+            f"no inertial dataset was found among:{listing(held) or ' none'}\n",
             where=file.where,
-            remedy="name them with --acc, --gyro and --time (dataset paths)",
+            remedy="Name them with --acc, --gyro and --time or --rate (dataset paths)"
+            + suggestion(held),
         )
     signals, start_ns, notes = signals_of(file, found, mapping)
     resolved = resolved_mapping(mapping, signals)

@@ -100,6 +100,14 @@ def vector(leaves: Leaves, address: str) -> tuple[str, ...]:
     return ()
 
 
+def vectors_of(leaves: Leaves) -> dict[str, tuple[str, ...]]:
+    """Address of every 3-vector, with its leaves."""
+    stars = [a for a in _stars(leaves) if a.replace("*", "w") not in leaves]  # no quaternion
+    addresses = (*_nodes(leaves), *stars)
+    named = {found: a for a in reversed(addresses) if (found := vector(leaves, a))}
+    return {a: found for found, a in reversed(named.items())}
+
+
 def instant(leaves: Leaves, address: str) -> tuple[str, ...]:
     """Leaves of the time at an address: one number, or seconds and nanoseconds."""
     if leaves.get(address) == 1:

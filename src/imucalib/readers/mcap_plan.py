@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from imucalib.errors import UnreadableInput, UsageError
 from imucalib.mapping import FieldMapping
 from imucalib.readers import conversion
+from imucalib.readers.contents import listing, suggestion
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.mcap_clock import Clock, choose_clock
 from imucalib.readers.mcap_fields import TopicFields
-from imucalib.readers.mcap_select import Triad, no_imu, resolved, triads_of
+from imucalib.readers.mcap_select import (
+    QUANTITIES,
+    Triad,
+    resolved,
+    split_address,
+    triads_of,
+)
 from imucalib.readers.mcap_store import Store
 from imucalib.readers.mcap_stream import TopicStream
 from imucalib.readers.mcap_timeline import Timeline
+from imucalib.readers.message_contents import contents_of
 from imucalib.readers.message_log import MessageLog
 from imucalib.recording import Array, Recording
 
@@ -58,6 +67,7 @@ class _Topics(NamedTuple):
 def decide(log: MessageLog, mapping: FieldMapping, stream: TopicStream, store: Store) -> Plan:
     """Triads, clocks, units and notes, from everything that the first pass saw."""
     path = log.path
+    _refuse_unknown(log, mapping, stream)
     sources = {n: s for n, s in stream.sources.items() if s.rows}
     if any(source.imu for source in sources.values()) and not any((*mapping.acc, *mapping.gyro)):
         sources = {n: s for n, s in sources.items() if s.imu}
@@ -65,7 +75,7 @@ def decide(log: MessageLog, mapping: FieldMapping, stream: TopicStream, store: S
     alive = {name: store.surveys[name].alive for name in sources}
     triads = triads_of(mapping, fields, alive)
     if not any(triad.parts for triad in triads):
-        raise no_imu(str(path), stream.candidates())
+        raise _no_imu(log, stream)
     used = list(dict.fromkeys(t for triad in triads for t, _ in triad.parts.values()))
     clocks = _clocks({name: fields[name] for name in used}, mapping, store)
     parts, notes = _parts(path, mapping, triads, store, _Topics(fields, clocks))
@@ -78,6 +88,32 @@ def decide(log: MessageLog, mapping: FieldMapping, stream: TopicStream, store: S
         found.to_dict(),
     )  # fmt: skip
     return Plan(head, tuple(parts), clocks, start)
+
+
+def _refuse_unknown(log: MessageLog, mapping: FieldMapping, stream: TopicStream) -> None:
+    for quantity in QUANTITIES:
+        for text in getattr(mapping, quantity):
+            if text and all(split_address(text, t) is None for t in stream.topics()):
+                raise UsageError(
+                    f"'{text}' is not a topic of {log.path}, which holds:"
+                    f"{listing(contents_of(log)) or ' none'}\n",
+                    where=f"mapping: {quantity}",
+                    remedy="Write it as TOPIC or TOPIC:FIELD",
+                )
+
+
+def _no_imu(log: MessageLog, stream: TopicStream) -> UnreadableInput:
+    """The error for a file without a topic to read, with everything that it has."""
+    held = contents_of(log)
+    reasons = stream.reasons()
+    named = tuple(replace(c, why=c.why or reasons.get(c.address, "")) for c in held)
+    lost = "; ".join(stream.losses())
+    return UnreadableInput(
+        f"no IMU topic was found among:{listing(named) or ' none'}\n"
+        + (f"{lost}\n" if lost else ""),
+        where=str(log.path),
+        remedy=f"Name the fields with --acc TOPIC:FIELD and --gyro TOPIC:FIELD{suggestion(held)}",
+    )
 
 
 def _origin(topics: list[TopicFields], clocks: list[Clock]) -> tuple[int, bool]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import UsageError
 from imucalib.mapping import FieldMapping
 from imucalib.readers import mcap_fields as mf
 from imucalib.readers.mcap_fields import Field, Leaves, TopicFields
@@ -242,14 +242,4 @@ def resolved(
         triads=tuple(triad.name for triad in triads),
         acc_unit=mapping.acc_unit or units[0],
         gyro_unit=mapping.gyro_unit or units[1],
-    )
-
-
-def no_imu(path: str, candidates: list[str]) -> UnreadableInput:
-    """The error for a file without a topic to read, with every topic that it has."""
-    listed = "; ".join(candidates) or "none"
-    return UnreadableInput(
-        f"no IMU topic was found. Topics: {listed}",
-        where=path,
-        remedy="name the fields with --acc TOPIC:FIELD and --gyro TOPIC:FIELD",
     )

@@ -16,7 +16,7 @@ from imucalib.readers.mcap_definition import LayoutError
 from imucalib.readers.mcap_fields import TopicFields, is_imu
 from imucalib.readers.mcap_lanes import DecodedRows, Lane, Samples, Source, joined_stamps
 from imucalib.readers.mcap_records import MessageBlock, Topic
-from imucalib.readers.mcap_select import fields_of, natural, split_address
+from imucalib.readers.mcap_select import fields_of, split_address
 from imucalib.readers.message_log import MessageLog
 
 _UNDECIDED, _SKIPPED = -1, -2
@@ -70,21 +70,20 @@ class TopicStream:
         """The topic of a channel number, from the data or else from the file's summary."""
         return self.scanner.topics.get(number) or self._hints.get(number)
 
+    def topics(self) -> list[Topic]:
+        """Every topic of the log, once the pass is over."""
+        return list({**self._hints, **self.scanner.topics}.values())
+
     def expected(self, topic: str) -> int:
         """How many messages of a topic the summary counts, at most what the file can hold."""
         numbers = [n for n, known in self._hints.items() if known.name == topic]
         total = sum(self._counted.get(n, 0) for n in numbers)
         return min(total, 100 * self.path.stat().st_size)
 
-    def candidates(self) -> list[str]:
-        """Every topic with its type, count and, where it could not be read, the reason."""
-        lines = []
-        for number, topic in {**self._hints, **self.scanner.topics}.items():
-            reason = self._reasons.get(number, "")
-            text = f"{topic.name} ({topic.type_name}, {topic.encoding or 'no encoding'}, "
-            text += f"{self.counts.get(number, 0)} messages{': ' if reason else ''}{reason})"
-            lines.append(text)
-        return sorted(lines, key=natural)
+    def reasons(self) -> dict[str, str]:
+        """Topics that could not be read, with the reason."""
+        known = {number: self.topic(number) for number in self._reasons}
+        return {topic.name: self._reasons[n] for n, topic in known.items() if topic is not None}
 
     def losses(self) -> list[str]:
         """Notes on what was damaged or could not be decoded."""

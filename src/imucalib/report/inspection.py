@@ -3,51 +3,114 @@
 from __future__ import annotations
 
 import math
+import re
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from imucalib.inspection import ChannelFacts, Inspection
-from imucalib.report.document import Block, Document, Facts, Section, Table, Text
+from imucalib.inspection_advice import advice, problems
+from imucalib.report.document import Block, Document, Facts, Section, Table, Text, Tone
+from imucalib.segments import Segments
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
+
+_CAUTION: Tone = "warning"
+#: Fields of a mapping that have an option of their own.
+_OPTIONS = {
+    "acc", "gyro", "temperature", "time", "acc_unit", "gyro_unit", "temperature_unit", "time_unit",
+    "rate", "axis_map", "preset", "acc_offset", "skip", "decimal", "delimiter",
+}  # fmt: skip
 
 
 def inspection_document(found: Inspection) -> Document:
-    """Channels, clock, rest and losses, and what would be used."""
-    usable = bool(found.candidates) and not math.isinf(_first_ratio(found))
-    still = found.still.n if found.still else 0
-    if usable and still:
-        verdict = Text(f"{still} still segments; {found.candidates[0][0]} would be used.", "ok")
-    else:
-        why = found.why_not_still or (
-            found.candidates[0][1] if found.candidates else "no acceleration"
-        )
-        verdict = Text(f"Not ready for calibration: {why}.", "warning")
-    sections = [Section("File", (_file(found),)), Section("Channels", _channels(found))]
-    if found.candidates:
-        norms = Table("Norm at rest", ("channel", "finding"), tuple(found.candidates), "ll")
-        sections.append(Section("Accelerometers", (norms,)))
-    notes: list[Block] = [Text(note) for note in found.notes]
+    """What is in the file, what would be used, what is wrong, and what to do next."""
+    sections = [
+        Section("File", (_file(found),)),
+        Section("Channels", (_channels(found),)),
+        Section("Clocks", (_clocks(found),)),
+    ]
+    if found.still is not None and found.still.n:
+        sections.append(Section("Rest", (_rest(found.still),)))
+    losses: list[Block] = [Text(note, "warning") for note in found.losses]
     if found.gap_count:
-        gaps = tuple((f"{g.start:.3f}", f"{g.stop - g.start:.3f}", g.reason) for g in found.gaps)
-        title = f"Longest of {found.gap_count} gaps, {found.gap_seconds:.3g} s in all"
-        notes.append(Table(title, ("at, s", "length, s", "reason"), gaps, "rrl"))
+        losses.append(_gaps(found))
+    if losses:
+        sections.append(Section("Losses and gaps", tuple(losses)))
+    notes = tuple(map(Text, _merged([n for n in found.notes if n not in found.losses])))
     if notes:
-        sections.append(Section("Notes", tuple(notes)))
+        sections.append(Section("Notes", notes))
     if found.mapping:
-        read = tuple((k, _text(v)) for k, v in found.mapping.items())
-        sections.append(Section("How it was read", (Facts(read),)))
-    return Document(found.path, verdict, tuple(sections))
+        sections.append(Section("How it was read", (Facts(_options(found)),)))
+    sections.append(Section("Next", (Facts(advice(found)),)))
+    return Document(found.path, _verdict(found), tuple(sections))
 
 
-def _first_ratio(found: Inspection) -> float:
-    first = next(f for f in found.channels if f.name == found.candidates[0][0])
-    return 0.0 if first.unit == "m/s2" and not math.isnan(first.norm_at_rest) else math.inf
+def _verdict(found: Inspection) -> Text:
+    sensors = [f for f in found.channels if f.quantity == "acceleration"]
+    still = found.still.n if found.still else 0
+    plural = "s" if len(sensors) != 1 else ""
+    summary = f"{len(sensors)} accelerometer{plural}, {still} still segment{'s' * (still != 1)}"
+    wrong = problems(found)
+    if wrong:
+        return Text(f"{summary}; {'; '.join(wrong)}.", "warning")
+    return Text(f"{summary}; nothing is wrong.", "plain")
+
+
+def _options(found: Inspection) -> tuple[tuple[str, str], ...]:
+    rows = []
+    for key, value in found.mapping.items():
+        name = "--lsb" if key == "lsb_per_g" else f"--{key.replace('_', '-')}"
+        rows.append((name if key in _OPTIONS or key == "lsb_per_g" else key, _text(value)))
+    return tuple(rows)
 
 
 def _text(value: object) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+    names = {"\t": "tab", " ": "blanks"}
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value))
+    return names.get(str(value), str(value))
+
+
+def _merged(notes: list[str]) -> list[str]:
+    """Notes that say the same of several sensors as one."""
+    alike: dict[str, list[tuple[str, str]]] = {}
+    for note in notes:
+        match = re.fullmatch(r"(\S+): (topic \S+, |)(.*)", note, re.DOTALL)
+        name, topic, text = match.groups() if match else ("", "", note)
+        alike.setdefault(text, []).append((name, topic))
+    merged = []
+    for text, found in alike.items():
+        (first, topic), (last, _) = found[0], found[-1]
+        name = first if len(found) == 1 else f"{first} to {last} ({len(found)})"
+        lead = f"{name}: " + (topic if len(found) == 1 else "") if first else ""
+        merged.append(lead + text)
+    return merged
+
+
+def _gaps(found: Inspection) -> Table:
+    rows = tuple((f"{g.start:.3f}", f"{g.stop - g.start:.3f}", g.reason) for g in found.gaps)
+    title = f"{found.gap_count} gap{'s' * (found.gap_count != 1)}, {found.gap_seconds:.3g} s in all"
+    if found.gap_count > len(rows):
+        title += f"; the longest {len(rows)}"
+    return Table(title, ("at, s", "length, s", "reason"), rows, "rrl")
+
+
+def _rest(still: Segments) -> Table:
+    """Where gravity lay while the sensors were still."""
+    rows: list[tuple[str, ...]] = []
+    tones: dict[int, Tone] = {}
+    for i, triad in enumerate(still.triads):
+        mean = still.mean[:, i]
+        unit = float(np.median(np.linalg.norm(mean, axis=1)))
+        low, high = np.round([mean.min(axis=0) / unit, mean.max(axis=0) / unit], 2)
+        ends = (f"{a:+.2f} to {b:+.2f}" for a, b in zip(low + 0.0, high + 0.0, strict=True))
+        rows.append((triad, *ends))
+        if (low > -0.5).any() or (high < 0.5).any():
+            tones[i] = _CAUTION
+    title = f"{still.n} still segments; gravity along each axis, in units of its norm at rest"
+    note = "Scale and bias of an axis show only when it has pointed both up and down."
+    return Table(title, ("sensor", "x", "y", "z"), tuple(rows), "lrrr", note, tones)
 
 
 def _file(found: Inspection) -> Facts:
@@ -65,47 +128,53 @@ def _file(found: Inspection) -> Facts:
     )
 
 
-def _shown(values: Any, unit: str) -> str:
-    """Noise in the field's units, largest axis."""
-    if not len(values):
-        return "-"
-    worst = float(np.max(values))
+def _scaled(value: float, unit: str, fine: bool) -> str:
+    """In the field's units: g or mg, deg/s."""
     if unit == "m/s2":
-        return f"{worst / MG:.2f} mg"
-    return f"{worst / DEG:.3f} deg/s" if unit == "rad/s" else f"{worst:.3g}"
+        return f"{value / MG:.2f} mg" if fine else f"{value / STANDARD_GRAVITY:.2f} g"
+    digits = 3 if fine else 1
+    return f"{value / DEG:.{digits}f} deg/s" if unit == "rad/s" else f"{value:.4g}"
 
 
-def _channels(found: Inspection) -> tuple[Block, ...]:
-    channels = tuple(
+def _channels(found: Inspection) -> Table:
+    rows = tuple(
         (
             f.name,
             f.unit,
             str(f.samples),
-            f"{f.clock.rate:.4g}",
-            _shown(f.noise, f.unit),
+            f"{f.clock.rate:.4g}" if math.isfinite(f.clock.rate) else "-",
+            _scaled(float(f.noise.max()), f.unit, True) if len(f.noise) else "-",
             _norm(f),
+            _scaled(float(np.abs([f.low, f.high]).max()), f.unit, False),
         )
         for f in found.channels
     )
-    table = Table(
-        "Channels",
-        ("channel", "unit", "samples", "Hz", "noise", "norm at rest"),
-        channels,
-        "llrrrr",
-        "Noise of one sample at rest, worst axis.",
-    )
-    clocks = tuple(
-        (
-            f.name,
-            f"{1e6 * f.clock.jitter:.1f}",
+    header = ("channel", "unit", "samples", "Hz", "noise", "norm at rest", "largest")
+    return Table("", header, rows, "llrrrrr", "Noise of one sample at rest, worst axis.")
+
+
+def _clocks(found: Inspection) -> Table:
+    """One row for all channels whose clocks did the same."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for f in found.channels:
+        facts = (
+            f"{1e6 * f.clock.jitter:.1f}" if math.isfinite(f.clock.jitter) else "-",
             f"{1e3 * f.clock.longest_step:.2f}",
             str(f.clock.duplicates),
             str(f.clock.back_steps),
         )
-        for f in found.channels
-    )
+        alike.setdefault(facts, []).append(f.name)
+    rows: list[tuple[str, ...]] = []
+    tones: dict[int, Tone] = {}
+    for i, (shown, names) in enumerate(alike.items()):
+        every = len(alike) == 1 and len(names) > 1
+        label = ("both" if len(names) == 2 else f"all {len(names)}") + " channels"
+        label = label if every else names[0]
+        rows.append((label if every or len(names) == 1 else f"{label} + {len(names) - 1}", *shown))
+        if shown[2:] != ("0", "0"):
+            tones[i] = _CAUTION
     header = ("channel", "jitter, µs", "longest step, ms", "repeated stamps", "back steps")
-    return table, Table("Clocks", header, clocks, "lrrrr")
+    return Table("", header, tuple(rows), "lrrrr", tones=tones)
 
 
 def _norm(f: ChannelFacts) -> str:
@@ -150,6 +219,8 @@ def inspection_dict(found: Inspection) -> dict[str, Any]:
         "still_segments": found.still.n if found.still else 0,
         "why_not_still": found.why_not_still,
         "candidates": [{"channel": c, "finding": w} for c, w in found.candidates],
+        "problems": list(problems(found)),
+        "losses": list(found.losses),
         "mapping": dict(found.mapping),
         "notes": list(found.notes),
     }
