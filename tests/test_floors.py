@@ -35,6 +35,7 @@ FLOORS: dict[str, int] = {
     "observations": 3,
     "bench": 3,
     "inspection": 3,
+    "inspection_advice": 3,
     "runs": 3,
     "effect": 3,
     "effects": 4,
