@@ -121,13 +121,17 @@ class Response(Described):
         table = theta.reshape(len(context.triads), len(self.each))
         basis = self.basis(x, context)
         n, k, _, m = basis.shape
+        slope = self.basis_dx(x, context)
+        if k == 1:
+            turned = slope[:, 0].transpose(0, 1, 3, 2) @ table[0]
+            return Action((basis[:, 0] @ table[0])[:, None], basis, turned[:, None])
         d_theta = np.zeros((n, k, 3, k, m))
         for triad in range(k):
             d_theta[:, triad, :, triad] = basis[:, triad]
         return Action(
             np.asarray(np.einsum("nkim,km->nki", basis, table)),
             d_theta.reshape(n, k, 3, k * m),
-            np.asarray(np.einsum("nkimj,km->nkij", self.basis_dx(x, context), table)),
+            np.asarray(np.einsum("nkimj,km->nkij", slope, table)),
         )
 
 

@@ -24,7 +24,10 @@ def null_directions(
     if not parameters:
         return ()
     typical = np.array([p.typical for p in parameters])
-    _, values, rows = np.linalg.svd(white_jacobian * typical / factor, full_matrices=True)
+    scaled = white_jacobian * typical / factor
+    if len(scaled) > len(parameters):
+        scaled = np.linalg.qr(scaled, mode="r")
+    _, values, rows = np.linalg.svd(scaled, full_matrices=True)
     values = np.concatenate([values, np.zeros(len(parameters) - values.size)])
     found = [rows[k] for k in range(len(parameters)) if values[k] * OPEN_AT < 1.0]
     return tuple(_words(direction, parameters) for direction in found)

@@ -73,14 +73,14 @@ def calibrate(
         )
     if not base.converged:
         raise NotConverged("the fit did not settle", where=scanned.path)
-    loop = search(base, request, rng) if request.loop else None
-    final, declined = (loop.as_recorded, "") if loop else (base, "")
+    loop, declined = None, ""
+    if request.loop:
+        loop, light = searched(base, light, runs, request, rng)
+    final = loop.as_recorded if loop else base
     base_held, final_held = held_out(base), held_out(final)
-    if mean_error(final_held) > mean_error(base_held):
-        declined = (
-            f"the search's model ({', '.join(s.effect for s in loop.steps) if loop else ''}) "
-            "was not taken: its held-out error is larger than without"
-        )
+    if loop and loop.steps and mean_error(final_held) > mean_error(base_held):
+        names = ", ".join(s.effect for s in loop.steps)
+        declined = f"{names} not taken: the held-out error is larger with it than without"
         final, final_held = base, base_held
     error = error_summary(base, final, base_held, final_held, request.gravity)
     return ActigraphResult(
@@ -117,6 +117,19 @@ def robust_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit
         data, light = weighted(found, runs)
         found = fit_model(model, data, start=found.theta)
     return found, light
+
+
+def searched(
+    base: Fit, light: int, runs: PostureRuns, request: ActigraphRequest, rng: np.random.Generator
+) -> tuple[Loop, int]:
+    """The search, once more with new weights where the first found something: what was missing
+    made runs look strange and the scatter large, which hides smaller effects."""
+    loop = search(base, request, rng)
+    if not loop.steps:
+        return loop, light
+    data, now = weighted(loop.as_recorded, runs)
+    again = fit_model(base.model, data, start=base.theta)
+    return search(again, request, rng), now
 
 
 def search(base: Fit, request: ActigraphRequest, rng: np.random.Generator) -> Loop:
