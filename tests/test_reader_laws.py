@@ -2,6 +2,7 @@
 
 import os
 import random
+import tracemalloc
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -193,8 +194,17 @@ def test_an_empty_file_is_named(tmp_path: Path) -> None:
         readers.read(path)
 
 
-def test_a_directory_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableInput, match="directory"):
+@pytest.mark.parametrize("suffix", ["", *(r.suffixes[0] for r in readers.readers())])
+def test_a_directory_is_named(suffix: str, tmp_path: Path) -> None:
+    folder = tmp_path / f"folder{suffix}"
+    folder.mkdir()
+    with pytest.raises(UnreadableInput, match=r"folder.*directory"):
+        readers.read(folder)
+
+
+def test_a_bag_folder_without_its_files_is_named(tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 9}\n")
+    with pytest.raises(UnreadableInput, match="bag cannot be opened"):
         readers.read(tmp_path)
 
 
@@ -203,20 +213,54 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         readers.read(tmp_path / "absent.csv")
 
 
-def test_a_pipe_does_not_block(tmp_path: Path) -> None:
-    path = tmp_path / "pipe.csv"
+@pytest.mark.parametrize("suffix", [r.suffixes[0] for r in readers.readers()])
+def test_a_pipe_does_not_block(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"pipe{suffix}"
     os.mkfifo(path)
     with pytest.raises(UnreadableInput, match="not a regular file"):
         readers.read(path)
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_forbidden_file_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "secret.csv"
+@pytest.mark.parametrize("suffix", [r.suffixes[0] for r in readers.readers()])
+def test_a_forbidden_file_is_named(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"secret{suffix}"
     path.write_text("1,2,3\n")
     path.chmod(0)
-    with pytest.raises(UnreadableInput, match=r"[Pp]ermission"):
-        readers.read(path)
+    readers.readers()  # what is imported now need not be readable for the child
+    if os.geteuid():
+        with pytest.raises(UnreadableInput, match=r"secret.*[Pp]ermission"):
+            readers.read(path)
+        return
+    child = os.fork()  # root may read everything, its child gives that up
+    if child == 0:
+        try:
+            os.setuid(65534)
+            readers.read(path)
+        except UnreadableInput as error:
+            os._exit(0 if "ermission" in str(error) and "secret" in str(error) else 2)
+        finally:
+            os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def peak_of_blocks(path: Path) -> int:
+    """Most bytes in use while a file is read in blocks."""
+    tracemalloc.start()
+    try:
+        for _ in readers.blocks(path, block_samples=4096):
+            pass
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@BY_NAME
+def test_ten_minutes_take_no_more_memory_than_five(pair: Pair, tmp_path: Path) -> None:
+    (tmp_path / "five").mkdir()
+    five = peak_of_blocks(written(pair, tmp_path / "five", 30_000).path)
+    ten = peak_of_blocks(written(pair, tmp_path, 60_000).path)
+    assert ten < 1.2 * five
+    assert ten < 32e6
 
 
 @BY_NAME

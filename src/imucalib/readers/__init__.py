@@ -74,7 +74,7 @@ def readers() -> tuple[Reader, ...]:
 def reader_for(path: str | os.PathLike[str]) -> Reader:
     """The reader for a file: by content first, then by suffix; UnreadableInput when none fits."""
     file = Path(path)
-    head = b"" if (file / "metadata.yaml").is_file() else head_of(file)
+    head = b"" if os.path.isfile(file / "metadata.yaml") else head_of(file)
     for reader in readers():
         if reader.recognises(file, head):
             return reader

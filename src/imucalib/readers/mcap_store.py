@@ -62,7 +62,7 @@ class Store:
     def _survey(self, topic: str) -> None:
         stamps, log, columns = self._kept[topic].arrays()
         if log.size:
-            self.surveys[topic].update(stamps, log, columns)
+            self.surveys[topic].update(stamps, log, columns, passing=not self._keep)
 
 
 class _Kept:

@@ -111,8 +111,13 @@ class Survey:
         self.alive = [False] * self.width
         self.pieces = [{} for _ in range(self.width)]
 
-    def update(self, stamps: Stamps | None, log: Stamps, columns: list[Array]) -> None:
-        """Add consecutive samples; the result does not depend on how they are divided."""
+    def update(
+        self, stamps: Stamps | None, log: Stamps, columns: list[Array], *, passing: bool
+    ) -> None:
+        """Add consecutive samples; the result does not depend on how they are divided.
+
+        passing : whether the columns are given up afterwards, so that what is kept is copied
+        """
         start, stop = self.rows, self.rows + log.size
         self.log.update(log)
         if start < _HEAD:
@@ -126,7 +131,8 @@ class Survey:
         for number in _stretches(start // _PIECE, (stop - 1) // _PIECE):
             a, b = max(number * _PIECE, start), min((number + 1) * _PIECE, stop)
             for kept, column in zip(self.pieces, columns, strict=True):
-                kept.setdefault(number, []).append(column[a - start : b - start])
+                part = column[a - start : b - start]
+                kept.setdefault(number, []).append(part.copy() if passing else part)
         self.rows = stop
 
     def rest_pieces(self, column: int) -> list[Array]:

@@ -51,6 +51,7 @@ def log_blocks(
     try:
         stream, store = _collect(log, mapping, strict, keep=False)
         plan = decide(log, mapping, stream, store)
+        del stream, store  # the second pass needs the decisions only
         yield from _emit(log, mapping, plan, block_samples)
     except OSError as error:
         raise checked(error, log.path) from error
