@@ -14,6 +14,7 @@ from imucalib import __version__
 from imucalib.calibrators.actigraph import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph_advice import advice, limits_of, reasons
 from imucalib.calibrators.actigraph_request import ActigraphRequest
+from imucalib.calibrators.actigraph_series import Series, series
 from imucalib.mapping import FieldMapping
 from imucalib.outcome import Outcome, Provenance
 from imucalib.readers import blocks
@@ -28,6 +29,7 @@ class ActigraphRun:
     result: ActigraphResult
     scanned: Scan
     request: ActigraphRequest
+    series: Series | None = None
 
     @property
     def runs(self) -> PostureRuns:
@@ -66,7 +68,8 @@ def run_of(
         limits=limits_of(result, request.limits),
         notes=(*scanned.notes, *runs.notes, *declined),
     )
-    return ActigraphRun(outcome, result, scanned, request)
+    parts = series(runs, scanned, request, say) if request.every else None
+    return ActigraphRun(outcome, result, scanned, request, parts)
 
 
 def provenance_of(scanned: Scan, request: ActigraphRequest) -> Provenance:

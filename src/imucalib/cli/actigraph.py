@@ -20,6 +20,7 @@ from imucalib.cli.recording_options import mapping_of, recording_options
 
 if TYPE_CHECKING:
     from imucalib.calibrators.actigraph_request import ActigraphRequest
+    from imucalib.mapping import FieldMapping
 
 _LIMITS = ("max-error", "max-worst-error")
 
@@ -40,6 +41,13 @@ _LIMITS = ("max-error", "max-worst-error")
 @click.option("--no-loop", is_flag=True, help="Fit the nine parameters only.")
 @click.option("--draws", default=1000, show_default=True,
               help="Simulated data sets behind each p-value.")  # fmt: skip
+@click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")
+@click.option("--export", multiple=True, type=click.Choice(["ggir-csv", "c-header"]),
+              help="Write the coefficients for GGIR or for firmware, too.")  # fmt: skip
+@click.option("--as-published", is_flag=True,
+              help="Paper 002's own rule of rest, 18 points and gradient descent.")  # fmt: skip
+@click.option("--arithmetic", type=click.Choice(["float", "int32", "int16"]), default="float",
+              show_default=True, help="Of the gradient descent, with --as-published.")  # fmt: skip
 @click.option("--max-error", type=float, help="Limit: mean held-out error, mg; exit 1 beyond.")
 @click.option("--max-worst-error", type=float, help="Limit: largest held-out error, mg.")
 @recording_options
@@ -59,18 +67,25 @@ def command(recording: Path, **options: Any) -> int:
       imucal actigraph week.csv -o out
       imucal actigraph week.h5 -o out --latitude 46.3 --max-error 5
     """
+    quiet = options["quiet"]
+    request, mapping = request_of(options), mapping_of(options)
+    if options["export"] and options["output"] is None:
+        raise click.UsageError("--export needs a folder: -o")
+    if request.as_published:
+        return _as_published(recording, mapping, request, options)
     from imucalib.calibrators.actigraph_run import calibrate_recording
     from imucalib.report.actigraph import actigraph_document
     from imucalib.report.text import render_text
 
-    quiet = options["quiet"]
-    run = calibrate_recording(
-        recording, mapping_of(options), request_of(options), lambda text: note(text, quiet)
-    )
+    run = calibrate_recording(recording, mapping, request, lambda text: note(text, quiet))
     if options["output"] is not None:
-        from imucalib.report.actigraph_files import write_reports
+        from imucalib.calibrators.actigraph_calibration import actigraph_calibration
+        from imucalib.report.actigraph_files import write_exports, write_reports
 
-        for path in write_reports(run, options["output"]):
+        paths = write_reports(run, options["output"])
+        calibration = actigraph_calibration(run)
+        paths += write_exports(calibration, recording, options["export"], options["output"])
+        for path in paths:
             note(f"wrote {path}", quiet)
     if options["as_json"]:
         from imucalib.report.actigraph_data import actigraph_dict
@@ -78,6 +93,37 @@ def command(recording: Path, **options: Any) -> int:
         emit_json(actigraph_dict(run))
     elif not quiet:
         click.echo(render_text(actigraph_document(run), width(), color=color()), nl=False)
+    return run.outcome.exit_code
+
+
+def _as_published(
+    recording: Path, mapping: FieldMapping, request: ActigraphRequest, options: dict[str, Any]
+) -> int:
+    """The paper's own procedure, with the same files."""
+    from imucalib.calibrators.actigraph_published import (
+        calibrate_as_published,
+        published_calibration,
+    )
+    from imucalib.report.actigraph_files import write_exports
+    from imucalib.report.actigraph_published import (
+        published_dict,
+        published_document,
+        write_published,
+    )
+    from imucalib.report.text import render_text
+
+    quiet = options["quiet"]
+    run = calibrate_as_published(recording, mapping, request, lambda text: note(text, quiet))
+    if options["output"] is not None:
+        paths = write_published(run, options["output"])
+        calibration = published_calibration(run)
+        paths += write_exports(calibration, recording, options["export"], options["output"])
+        for path in paths:
+            note(f"wrote {path}", quiet)
+    if options["as_json"]:
+        emit_json(published_dict(run))
+    elif not quiet:
+        click.echo(render_text(published_document(run), width(), color=color()), nl=False)
     return run.outcome.exit_code
 
 
@@ -94,6 +140,9 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         gravity=gravity,
         gravity_source=source,
         triad=options["triad"],
+        as_published=options["as_published"],
+        arithmetic=options["arithmetic"],
+        every=_seconds(options["every"]) if options["every"] else None,
         declare=options["declare"],
         only=options["only"],
         without=options["without"],
@@ -103,3 +152,17 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         limits={name: limit for name, limit in limits.items() if limit is not None},
         seed=options["seed"],
     )
+
+
+def _seconds(text: str) -> float:
+    """ "7d", "12h" or "30min" in seconds; raises click's usage error."""
+    for unit, seconds in (("min", 60.0), ("d", 86400.0), ("h", 3600.0)):
+        number = text.removesuffix(unit)
+        if number != text:
+            try:
+                value = float(number) * seconds
+            except ValueError:
+                break
+            if value > 0.0:
+                return value
+    raise click.BadParameter(f"'{text}' is not a time such as 7d or 12h", param_hint="--every")

@@ -9,6 +9,7 @@ from imucalib.calibrators.actigraph_calibration import actigraph_calibration, co
 from imucalib.calibrators.actigraph_run import ActigraphRun
 from imucalib.outcome import Status
 from imucalib.report.actigraph_plots import residual_plots, sphere_blocks
+from imucalib.report.actigraph_series import series_section
 from imucalib.report.document import Document, Facts, Section, Table, Text, Tone
 from imucalib.report.loop import advice_section, candidate_section, loop_section
 from imucalib.significant_digits import plus_minus, with_sd
@@ -30,6 +31,8 @@ def actigraph_document(run: ActigraphRun) -> Document:
         Section("Error over the sphere", sphere_blocks(run), brief=False),
         _sensor(run),
     ]
+    if run.series:
+        sections.insert(1, series_section(run.series))
     if outcome.loop:
         sections.append(candidate_section(outcome.loop))
     return Document(

@@ -11,17 +11,18 @@ from imucalib.calibrators.actigraph_calibration import (
     sphere_block,
 )
 from imucalib.calibrators.actigraph_run import ActigraphRun
+from imucalib.report.actigraph_series import series_block
 from imucalib.report.data import report_dict
 
 
 def actigraph_dict(run: ActigraphRun) -> dict[str, Any]:
     """Plain types, ready for JSON."""
-    return report_dict(
-        run.outcome,
-        {
-            "error_mg": error_block(run),
-            "coverage": coverage_block(run),
-            "sphere": sphere_block(run),
-            "matrices": actigraph_calibration(run).matrices().as_dict(),
-        },
-    )
+    details: dict[str, Any] = {
+        "error_mg": error_block(run),
+        "coverage": coverage_block(run),
+        "sphere": sphere_block(run),
+        "matrices": actigraph_calibration(run).matrices().as_dict(),
+    }
+    if run.series:
+        details["series"] = series_block(run.series)
+    return report_dict(run.outcome, details)
