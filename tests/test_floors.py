@@ -37,6 +37,7 @@ FLOORS: dict[str, int] = {
     "inspection": 3,
     "inspection_advice": 3,
     "runs": 3,
+    "calibration_points": 3,
     "effect": 3,
     "effects": 4,
     "model": 5,
