@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +12,14 @@ from numpy.typing import NDArray
 from imucalib.calibration import Calibration
 from imucalib.context import Context
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.mapping import FieldMapping
+from imucalib.readers import blocks, read, reader_for
 from imucalib.recording import Channel, Recording
-from imucalib.writers import write
+from imucalib.writers import write, write_blocks
 
 Array = NDArray[np.float64]
+
+_OF_MESSAGES = ("mcap", "rosbag")
 
 
 def apply_to_recording(
@@ -71,11 +76,38 @@ def _context(calibration: Calibration, recording: Recording, channel: Channel) -
     return Context(len(channel.t), covariates)
 
 
-def write_corrected(recording: Recording, source: Path, path: Path) -> None:
-    """Write by suffix; from MCAP to MCAP every other topic is copied untouched."""
-    if recording.format == "mcap" and path.suffix.lower() == ".mcap":
-        from imucalib.writers.mcap import write_with_topics_of
+def correct_file(
+    calibration: Calibration,
+    source: Path,
+    target: Path,
+    mapping: FieldMapping,
+    *,
+    triad: str | None = None,
+    strict: bool = False,
+) -> tuple[str, ...]:
+    """Correct a recording into a file of the target's suffix; returns the recording's notes.
 
-        write_with_topics_of(recording, source, path)
-    else:
-        write(recording, path)
+    Goes block by block, so a week takes no more memory than an hour. Logs of messages are held
+    whole, since their topics come at their own times; from MCAP to MCAP every other topic is
+    copied untouched. Errors as in `apply_to_recording`.
+    """
+    kind = reader_for(source).name
+    if kind in _OF_MESSAGES:
+        corrected = apply_to_recording(calibration, read(source, mapping, strict=strict), triad)
+        if kind == "mcap" and target.suffix.lower() == ".mcap":
+            from imucalib.writers.mcap import write_with_topics_of
+
+            write_with_topics_of(corrected, source, target)
+        else:
+            write(corrected, target)
+        return corrected.notes
+    notes: dict[str, None] = {}
+
+    def parts() -> Iterator[Recording]:
+        for block in blocks(source, mapping, strict=strict):
+            corrected = apply_to_recording(calibration, block, triad)
+            notes.update(dict.fromkeys(corrected.notes))
+            yield corrected
+
+    write_blocks(parts(), target)
+    return tuple(notes)

@@ -47,10 +47,9 @@ def command(
     \b
     Example: imucal apply out/calibration.yaml run.mcap -o corrected.mcap
     """
-    from imucalib.application import apply_to_recording, write_corrected
+    from imucalib.application import correct_file
     from imucalib.calibration_file import read
     from imucalib.effects import load_file
-    from imucalib.readers import read as read_recording
 
     if options["effects_file"] is not None:
         load_file(options["effects_file"])
@@ -60,13 +59,11 @@ def command(
             f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
             options["quiet"],
         )
-    source = read_recording(recording, mapping_of(options), strict=strict)
-    corrected = apply_to_recording(loaded, source, triad)
-    write_corrected(corrected, recording, output)
-    for text in corrected.notes:
+    notes = correct_file(loaded, recording, output, mapping_of(options), triad=triad, strict=strict)
+    for text in notes:
         note(text, options["quiet"])
     if options["as_json"]:
-        emit_json({"output": str(output), "notes": list(corrected.notes)})
+        emit_json({"output": str(output), "notes": list(notes)})
     elif not options["quiet"]:
         click.echo(f"wrote {output}")
     return 0

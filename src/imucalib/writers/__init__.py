@@ -9,16 +9,25 @@ import importlib
 import os
 import pkgutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from imucalib.errors import UsageError
+from imucalib.readers.joining import join
 from imucalib.recording import Recording
 
-__all__ = ["Writer", "replaced_atomically", "write", "writer_for", "writers"]
+__all__ = [
+    "BlockWriter",
+    "Writer",
+    "replaced_atomically",
+    "write",
+    "write_blocks",
+    "writer_for",
+    "writers",
+]
 
 
 class Writer(Protocol):
@@ -36,6 +45,15 @@ class Writer(Protocol):
 
     def write(self, recording: Recording, path: Path) -> None:
         """Write all channels so that the reader of the same name gives them back bit for bit."""
+        ...
+
+
+@runtime_checkable
+class BlockWriter(Protocol):
+    """A writer whose memory is bounded by a block."""
+
+    def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
+        """Write blocks as `readers.blocks` yields them."""
         ...
 
 
@@ -99,3 +117,16 @@ def write(recording: Recording, path: str | os.PathLike[str]) -> None:
         raise UsageError("the recording has no channels to write", where=recording.path)
     with replaced_atomically(path) as temporary:
         writer.write(recording, temporary)
+
+
+def write_blocks(blocks: Iterable[Recording], path: str | os.PathLike[str]) -> None:
+    """Write a recording that comes in blocks, in the format of the suffix; errors as in `write`.
+
+    A format that cannot grow block by block takes the whole recording into memory.
+    """
+    writer = writer_for(path)
+    with replaced_atomically(path) as temporary:
+        if isinstance(writer, BlockWriter):
+            writer.write_blocks(blocks, temporary)
+        else:
+            writer.write(join(blocks, str(path)), temporary)

@@ -6,7 +6,9 @@ that gives the same float64. Channels with their own times get rows of their own
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,21 +28,50 @@ class CsvWriter:
 
     def write(self, recording: Recording, path: Path) -> None:
         """Write all channels. Raises UsageError when channels differ in times that step back."""
-        channels = dict(recording.channels)
-        t, rows = _union_of_times(channels, recording.path)
-        width = 1 + sum(c.values.shape[1] for c in channels.values())
+        self.write_blocks([recording], path)
+
+    def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
+        """Write block after block; memory holds one. Errors as in `write`, and UsageError for a
+        channel that the first block does not have: the heading is written by then."""
+        count, names, head = 0, (), ""
         with path.open("w", encoding="utf-8", newline="\n") as out:
-            start = "none" if recording.start_ns is None else str(recording.start_ns)
-            out.write(f"# imucal recording, rows: {t.size}, start_ns: {start}\n")
-            out.write(",".join(_names(channels)) + "\n")
-            for first in range(0, t.size, _ROWS):
-                block = np.full((min(_ROWS, t.size - first), width), "", dtype="U32")
-                block[:, 0] = t[first : first + _ROWS].astype("U32")
-                _fill(block, first, channels, rows)
-                out.write("\n".join(map(",".join, block.tolist())) + "\n")
+            for recording in blocks:
+                channels = dict(recording.channels)
+                if not names:
+                    names, head = tuple(channels), _head(0, recording.start_ns)
+                    out.write(head + ",".join(_names(channels)) + "\n")
+                if tuple(channels) != names:
+                    raise UsageError(
+                        f"channels change within the recording: {', '.join(names)}, then "
+                        f"{', '.join(channels)}",
+                        where=recording.path,
+                        remedy="write HDF5 (.h5) instead",
+                    )
+                count += _append(out, channels, recording.path)
+                last = recording.start_ns
+            if names:
+                out.seek(0)
+                out.write(_head(count, last))
 
 
 WRITER = CsvWriter()
+
+
+def _head(rows: int, start_ns: int | None) -> str:
+    """The first line; the number of rows has a fixed width, so that it can be filled in last."""
+    start = "none" if start_ns is None else str(start_ns)
+    return f"# imucal recording, rows: {rows:012d}, start_ns: {start}\n"
+
+
+def _append(out: TextIO, channels: dict[str, Channel], where: str) -> int:
+    t, rows = _union_of_times(channels, where)
+    width = 1 + sum(c.values.shape[1] for c in channels.values())
+    for first in range(0, t.size, _ROWS):
+        block = np.full((min(_ROWS, t.size - first), width), "", dtype="U32")
+        block[:, 0] = t[first : first + _ROWS].astype("U32")
+        _fill(block, first, channels, rows)
+        out.write("\n".join(map(",".join, block.tolist())) + "\n")
+    return int(t.size)
 
 
 def _names(channels: dict[str, Channel]) -> list[str]:

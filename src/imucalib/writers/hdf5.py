@@ -7,9 +7,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
-from imucalib.recording import Recording
+from imucalib.recording import Array, Channel, Recording
 
 FORMAT, VERSION = "imucal recording", 1
 _CHUNK_ROWS = 1 << 14
@@ -23,28 +25,48 @@ class Hdf5Writer:
 
     def write(self, recording: Recording, path: Path) -> None:
         """Write all channels; a flipped bit in them is found when they are read."""
+        self.write_blocks([recording], path)
+
+    def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
+        """Write block after block; memory holds one."""
         import h5py
 
         with h5py.File(path, "w") as file:
             file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-            if recording.start_ns is not None:
-                file.attrs["start_ns"] = recording.start_ns
-            file.attrs["source_path"] = recording.path
-            file.attrs["source_sha256"] = recording.sha256
-            for name, channel in recording.channels.items():
-                group = file.create_group(name)
-                rows = max(1, min(_CHUNK_ROWS, channel.t.size))
-                values = group.create_dataset(
-                    "values",
-                    data=channel.values,
-                    chunks=(rows, channel.values.shape[1]),
-                    fletcher32=True,
-                )
-                time = group.create_dataset("time", data=channel.t, chunks=(rows,), fletcher32=True)
-                time.attrs["units"], values.attrs["units"] = "s", channel.unit
-                values.attrs["quantity"] = channel.quantity
-                values.attrs["triad"] = channel.triad
-                values.attrs["sampling_rate"] = channel.rate
+            for recording in blocks:
+                if recording.start_ns is not None:
+                    file.attrs["start_ns"] = recording.start_ns
+                file.attrs["source_path"] = recording.path
+                file.attrs["source_sha256"] = recording.sha256
+                for name, channel in recording.channels.items():
+                    if name not in file:
+                        _define(file.create_group(name), channel)
+                    _append(file[name]["values"], channel.values)
+                    _append(file[name]["time"], channel.t)
 
 
 WRITER = Hdf5Writer()
+
+
+def _define(group: Any, channel: Channel) -> None:
+    k = channel.values.shape[1]
+    shapes = {"values": (k,), "time": ()}
+    for name, tail in shapes.items():
+        group.create_dataset(
+            name,
+            shape=(0, *tail),
+            maxshape=(None, *tail),
+            chunks=(_CHUNK_ROWS, *tail),
+            dtype="f8",
+            fletcher32=True,
+        )
+    group["time"].attrs["units"] = "s"
+    values = group["values"].attrs
+    values["units"], values["quantity"] = channel.unit, channel.quantity
+    values["triad"], values["sampling_rate"] = channel.triad, channel.rate
+
+
+def _append(dataset: Any, rows: Array) -> None:
+    first = dataset.shape[0]
+    dataset.resize(first + rows.shape[0], axis=0)
+    dataset[first:] = rows
