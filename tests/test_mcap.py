@@ -112,7 +112,7 @@ def test_every_plain_cdr(tmp_path: Path, order: str, version: int, frame: str) -
 
 def test_cdr_that_is_not_plain_is_named(tmp_path: Path) -> None:
     logs = {"/imu": [(t, b"\0\x0b" + p[2:]) for t, p in packed(readings(5), cdr)]}
-    with pytest.raises(UnreadableInput, match=r"/imu .*5 messages: the CDR encapsulation 000b"):
+    with pytest.raises(UnreadableInput, match=r"/imu: 5 x.*the CDR encapsulation 000b"):
         read(write_log(tmp_path / "a.mcap", logs))
 
 
@@ -175,7 +175,7 @@ def test_topics_sort_naturally(tmp_path: Path) -> None:
 def test_no_imu_lists_every_topic(tmp_path: Path) -> None:
     logs = {"/chatter": [(START + i, b"\0\1\0\0\1\0\0\0\0") for i in range(3)]}
     schema = ("std_msgs/msg/String", "ros2msg", b"string data")
-    with pytest.raises(UnreadableInput, match=r"/chatter \(std_msgs/msg/String, cdr, 3 messages\)"):
+    with pytest.raises(UnreadableInput, match=r"/chatter: 3 x, std_msgs/msg/String \(cdr\)"):
         read(write_log(tmp_path / "a.mcap", logs, schema=schema))
 
 

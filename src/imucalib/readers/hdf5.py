@@ -115,11 +115,12 @@ def _channel(
     if stop <= start:
         return None, []
     t, raw = times(file, signal, start, stop), raw_rows(file, signal.found, start, stop)
-    usable = np.isfinite(t) & np.isfinite(raw).all(axis=1)
-    if not usable.any():
-        return None, []
-    t, raw = t[usable], raw[usable]
-    rows = start + np.flatnonzero(usable).astype(np.float64)
+    rows = np.arange(start, stop, dtype=np.float64)
+    if not (np.isfinite(t).all() and np.isfinite(raw).all()):
+        usable = np.isfinite(t) & np.isfinite(raw).all(axis=1)
+        if not usable.any():
+            return None, []
+        t, raw, rows = t[usable], raw[usable], rows[usable]
     gaps = []
     if signal.found.quantity != "temperature":
         gaps = find_gaps(t, rows, signal.threshold, last.get(signal.name))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.errors import UsageError
 from imucalib.readers.contents import Content, norm_of
 from imucalib.readers.mcap_decode import Decoder, decoder_for
 from imucalib.readers.mcap_definition import LayoutError
@@ -44,7 +45,7 @@ class _Seen:
         part = block.take(np.arange(min(_STRETCH, times.size)))
         try:
             self._sample(part)
-        except LayoutError as error:
+        except (LayoutError, UsageError) as error:  # the latter: a package is missing
             self.why = str(error)
         self.sampled += part.starts.size
 
