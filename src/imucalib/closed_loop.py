@@ -72,7 +72,7 @@ def close_loop(
                 break
             state = freed
             continue
-        chosen = refined(state.fit, chosen, families, rng)
+        chosen = refined(state.fit, chosen, families, rng, rules)
         trial = extended(state.fit, effect_named(effects, chosen.name))
         reason = _why_not(state.fit, trial)
         if reason:

@@ -12,7 +12,7 @@ by simulating such data through the same computation (Westfall and Young 1993, m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
@@ -152,14 +152,17 @@ def _score_many(
     blocks = [candidates[k].columns / factor for k in live]
     found = gram_evidence(fit.at.residual / factor, fit.at.jacobian, blocks, _TAU, rng, draws)
     best = np.sort(found.best)
-    scores = [Score(c, 0.0, 1.0, draws, 0.0, 0.0, 0.0) for c in candidates if not np.any(c.columns)]
+    # Scores outlive the search: thousands of numbers a column would stay with them.
+    bare = [replace(c, columns=np.zeros((0, c.columns.shape[1]))) for c in candidates]
+    dead = set(range(len(candidates))) - set(live)
+    scores = [Score(bare[k], 0.0, 1.0, draws, 0.0, 0.0, 0.0) for k in sorted(dead)]
     for i, k in enumerate(live):
         absorbed = found.left[i] < _ABSORBED
         value = 0.0 if absorbed else float(found.evidence[i])
         above = draws - int(np.searchsorted(best, value, side="left"))
         p = 1.0 if absorbed else (1 + above) / (draws + 1)
         numbers = (found.left[i], found.strength[i], found.share[i])
-        scores.append(Score(candidates[k], value, p, draws, *map(float, numbers)))
+        scores.append(Score(bare[k], value, p, draws, *map(float, numbers)))
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 

@@ -44,7 +44,9 @@ def gram_evidence(
     starts = np.cumsum([0] + [b.shape[1] for b in blocks])
     columns = np.concatenate(blocks, axis=1)
     whole = np.add.reduceat(np.einsum("ij,ij->j", columns, columns), starts[:-1])
-    columns = columns - basis @ (basis.T @ columns)
+    inside = basis.T @ columns
+    for a in range(0, len(columns), 1024):  # in place: no second copy of all columns
+        columns[a : a + 1024] -= basis[a : a + 1024] @ inside
     gram, along = columns.T @ columns, columns.T @ rest
     size, turn = _directions(gram, starts)
     freedom, power = residual.size - basis.shape[1], float(rest @ rest)

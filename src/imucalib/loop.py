@@ -24,6 +24,8 @@ class LoopSettings:
     most_records: int = 4
     #: records are searched one by one up to so many observations
     searchable: int = 500
+    #: candidates are scored on at most so many observations
+    most_scored: int = 4000
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ def search(
 
     Of a scan only the best value is kept; all its values take part in the family-wise p.
     """
+    current = thinned(current, rules.most_scored)
     usable = [e for e in effects.values() if e.name not in rejected]
     catalogue, missing = effect_candidates(current, usable)
     for family in families:
@@ -45,12 +46,41 @@ def search(
     return tuple(best), missing
 
 
+def thinned(fit: Fit, most: int) -> Fit:
+    """The same fit seen through at most so many observations, spread evenly in their order.
+
+    Scores need no more, and their memory is that of the observations times the candidates. Only
+    where every observation has its own free direction; fits always use all of them.
+    """
+    n = fit.observations.n
+    if n <= most or fit.at.settings:
+        return fit
+    rows = np.linspace(0, n - 1, most).astype(np.intp)
+    at = fit.at
+    numbers = np.flatnonzero(np.isin(at.owner, rows))
+    part = replace(
+        at,
+        residual=at.residual[numbers],
+        jacobian=at.jacobian[numbers],
+        keep=at.keep[rows],
+        owner=np.searchsorted(rows, at.owner[numbers]),
+        sigma=at.sigma[rows],
+    )
+    eta = fit.eta.reshape(n, -1)[rows].ravel()
+    return replace(fit, at=part, observations=fit.observations.take(rows), eta=eta)
+
+
 def refined(
-    current: Fit, chosen: Score, families: tuple[Family, ...], rng: np.random.Generator
+    current: Fit,
+    chosen: Score,
+    families: tuple[Family, ...],
+    rng: np.random.Generator,
+    rules: LoopSettings,
 ) -> Score:
     """The best value near the one that a scan found; the p of the scan stands."""
     for family in families:
         if family.name == chosen.candidate.family:
+            current = thinned(current, rules.most_scored)
             context = current.observations.context
             near = family.nearby(context, chosen.name.partition("@")[2])
             if near:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from imucalib.recording import Array, Channel, Gap
 
 Index = NDArray[np.intp]
-_CACHE = 1 << 14  # numbers that are worked on at a time
+_CACHE = 1 << 15  # numbers that are worked on at a time
+_BESIDE = 40  # samples laid side by side, at most
 _EVERY = 8  # one in so many pieces is looked at for the resolution
 
 
@@ -56,44 +57,35 @@ class WindowBuilder:
 
     def add(self, channel: Channel, gaps: Sequence[Gap]) -> None:
         """Take the next block of the channel, with the gaps that the block reports."""
-        held = 0 if self._values is None else self._t.size
-        t = np.concatenate([self._t, channel.t])
-        values = channel.values if not held else np.concatenate([_array(self), channel.values])
+        held, new = self._t.size, channel.values
+        t = np.concatenate([self._t, channel.t]) if held else channel.t
         edges = _breaks(t, gaps)
         bounds = [0, *edges.tolist(), t.size]
+        before, w = self._values, self.samples
+
+        def piece(a: int, b: int) -> Array:
+            if before is None or a >= held:
+                return new[a - held : b - held]
+            return np.concatenate([before[a:b], new[: max(b - held, 0)]])
+
         for k, (a, b) in enumerate(pairwise(bounds)):
             self._run += k > 0
-            last = k == len(bounds) - 2
-            whole = (b - a) // self.samples * self.samples
-            if whole:
-                part = slice(a, a + whole)
-                self._parts.append(self._of(t[part], values[part], self._offset + a))
-            if last:
-                self._t, self._values = t[a + whole : b], values[a + whole : b]
+            whole = (b - a) // w * w
+            # Only the window that spans two blocks is copied together.
+            first = min(whole, -(-(held - a) // w) * w) if a < held else 0
+            for low, high in ((a, a + first), (a + first, a + whole)):
+                if high > low:
+                    part = self._of(t[low:high], piece(low, high), self._offset + low)
+                    self._parts.append(part)
+            if k == len(bounds) - 2:
+                self._t, self._values = t[a + whole : b].copy(), piece(a + whole, b).copy()
                 self._offset += a + whole
 
     def _of(self, t: Array, values: Array, first: int) -> Windows:
         w = self.samples
-        m, k = t.size // w, values.shape[1]
-        mean, variance = np.empty((m, k)), np.empty((m, k))
-        low, high = np.empty((m, k)), np.empty((m, k))
-        finest = np.full(k, np.inf)
-        cube = values.reshape(m, w, k)
-        size = max(1, _CACHE // (w * k))
-        for a in range(0, m, size):
-            part = slice(a, min(a + size, m))
-            # Samples first: each reduction then runs along contiguous windows, within the cache.
-            plane = np.ascontiguousarray(cube[part].transpose(1, 0, 2))
-            np.min(plane, axis=0, out=low[part])
-            np.max(plane, axis=0, out=high[part])
-            if a % (_EVERY * size) == 0:
-                steps = np.abs(np.diff(plane, axis=0))
-                smallest = np.where(steps > 0, steps, np.inf).min(axis=(0, 1), initial=np.inf)
-                finest = np.minimum(finest, smallest)
-            np.mean(plane, axis=0, out=mean[part])
-            plane -= mean[part]
-            np.square(plane, out=plane)
-            np.divide(plane.sum(axis=0), max(w - 1, 1), out=variance[part])
+        statistics = _statistics(values.reshape(t.size // w, w, values.shape[1]))
+        mean, variance, low, high, finest = statistics
+        m = t.size // w
         return Windows(
             samples=w,
             first=first + w * np.arange(m),
@@ -144,9 +136,39 @@ def in_order(windows: Windows) -> tuple[Windows, int]:
     return replace(windows, **{n: getattr(windows, n)[keep] for n in names}), int((~keep).sum())
 
 
-def _array(builder: WindowBuilder) -> Array:
-    values = builder._values
-    return np.empty((0, 0)) if values is None else values
+def _statistics(cube: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Mean, variance, low and high (m, k), and the finest step (k,), of windows (m, w, k).
+
+    A few samples are laid side by side, so that every reduction runs along a row of numbers and
+    not along three; as many windows at a time as the cache holds.
+    """
+    m, w, k = cube.shape
+    beside = max(f for f in range(1, min(w, _BESIDE) + 1) if w % f == 0)
+    out = [np.empty((m, k)) for _ in range(4)]
+    finest = np.full(k, np.inf)
+    size = max(1, _CACHE // (w * k))
+    for a in range(0, m, size):
+        part = slice(a, min(a + size, m))
+        block = cube[part]
+        if a % (_EVERY * size) == 0:
+            steps = np.abs(np.diff(block, axis=1))
+            smallest = np.where(steps > 0, steps, np.inf).min(axis=(0, 1), initial=np.inf)
+            finest = np.minimum(finest, smallest)
+        rows = block.reshape(len(block), w // beside, beside * k)
+
+        def folded(values: Array, of: np.ufunc, into: Array) -> None:
+            of.reduce(values.reshape(len(into), beside, k), axis=1, out=into)
+
+        folded(rows.min(axis=1), np.minimum, out[2][part])
+        folded(rows.max(axis=1), np.maximum, out[3][part])
+        # Counted from the first sample, so that squares lose no digits to the mean.
+        rows = rows - np.tile(block[:, 0], beside)[:, None]
+        total, square = np.empty((len(block), k)), np.empty((len(block), k))
+        folded(rows.sum(axis=1), np.add, total)
+        folded(np.einsum("nij,nij->nj", rows, rows), np.add, square)
+        out[0][part] = block[:, 0] + total / w
+        out[1][part] = np.maximum(square - total**2 / w, 0.0) / max(w - 1, 1)
+    return out[0], out[1], out[2], out[3], finest
 
 
 def _breaks(t: Array, gaps: Sequence[Gap]) -> Index:

@@ -167,10 +167,9 @@ def simulated_blocks(plan: WeekPlan, seed: int, *, block: float = 3600.0) -> Ite
     rng = np.random.default_rng(seed)
     rate, seconds = plan.rate, plan.days * _DAY
     model, theta = planted(replace(plan, plant={}), Context(1))
-    reach = np.eye(3)
     offset = model.predict(theta, np.zeros((1, 1, 3)), Context(1)).reading[0, 0]
     reach = model.predict(theta, np.zeros((1, 1, 3)), Context(1)).d_truth[0, 0]
-    per = round(rate * 30.0)
+    per = round(rate * _RUN_S)
     for start in np.arange(0.0, seconds, block):
         n = round(min(block, seconds - start) * rate)
         count = n // per + 1
