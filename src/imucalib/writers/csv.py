@@ -33,7 +33,8 @@ class CsvWriter:
     def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
         """Write block after block; memory holds one. Errors as in `write`, and UsageError for a
         channel that the first block does not have: the heading is written by then."""
-        count, names, head = 0, (), ""
+        count, head = 0, ""
+        names: tuple[str, ...] = ()
         with path.open("w", encoding="utf-8", newline="\n") as out:
             for recording in blocks:
                 channels = dict(recording.channels)
