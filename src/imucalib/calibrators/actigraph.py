@@ -114,6 +114,8 @@ def robust_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit
     """Fit with the scatter between runs and the weight of strange ones as the data show them."""
     found, light = fit_model(model, data), 0
     for _ in range(2):
+        if found.null_directions:
+            break
         data, light = weighted(found, runs)
         found = fit_model(model, data, start=found.theta)
     return found, light
