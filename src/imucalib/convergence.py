@@ -63,10 +63,14 @@ def split(draws: Array) -> Array:
 def rank_normalised(draws: Array) -> Array:
     """Normal scores of the ranks over all chains, average ranks for ties (eq. 14)."""
     from scipy.special import ndtri
-    from scipy.stats import rankdata
 
     m, n, d = draws.shape
-    ranks = rankdata(draws.reshape(m * n, d), axis=0, method="average")
+    flat = draws.reshape(m * n, d)
+    ordered = np.sort(flat, axis=0)
+    ranks = np.empty_like(flat)
+    for k in range(d):
+        below = np.searchsorted(ordered[:, k], flat[:, k], side="left")
+        ranks[:, k] = 0.5 * (below + 1 + np.searchsorted(ordered[:, k], flat[:, k], side="right"))
     return np.asarray(ndtri((ranks - 0.375) / (m * n + 0.25))).reshape(m, n, d)
 
 

@@ -12,6 +12,7 @@ import click
 COMMANDS = {
     "lab": "Calibrate a tool's accelerometer on a bench with known angles, or by gravity alone.",
     "actigraph": "Calibrate a worn sensor from days of recording, by gravity at rest.",
+    "array": "Find the positions of the accelerometers of an inertial sensor array.",
     "design": "Judge a set of positions, and say which added ones help most.",
     "inspect": "Say what a recording holds and how it would be read.",
     "apply": "Correct a recording with a calibration.",

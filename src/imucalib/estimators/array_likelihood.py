@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from imucalib.estimators.array_problem import ArrayData, ArrayPrior
 from imucalib.estimators.array_rotation import (
+    CYCLES,
     Conditionals,
     Prepared,
     cross,
@@ -89,7 +90,7 @@ class ArrayPosterior:
         with np.errstate(invalid="ignore", divide="ignore"):
             value = -np.sum(here.value + 0.5 * np.log(det), axis=1)
         value = np.where(positive.all(axis=1), value, -np.inf)
-        value = value + _constants(self.data, self.prior, geometry)
+        value = value + constants(self.data, self.prior, geometry)
         if not slope:
             return value, np.empty((len(x), 0))
         if self.moments:
@@ -121,7 +122,7 @@ def conditionals(data: ArrayData, prior: ArrayPrior, x: Array) -> tuple[Prepared
     return given, Geometry(centred, spread, inertia, given.gain, factor, weight, log_inertia)
 
 
-def _constants(data: ArrayData, prior: ArrayPrior, geometry: Geometry) -> Array:
+def constants(data: ArrayData, prior: ArrayPrior, geometry: Geometry) -> Array:
     """(B,) all of the log likelihood that does not depend on ω."""
     t, a = data.samples, data.triads
     log_weight = np.log(geometry.weight)
@@ -139,7 +140,7 @@ def _moments(w: Array, spin: Array) -> tuple[Array, Array, Array]:
     """W = Ω(ω)² + Ω(ω̇) (B, 3, 3, T), Σ WᵀW (B, 3, 3) and Σ ω̇ω̇ᵀ (B, 3, 3) over the samples."""
     turn = w[:, :, None] * w[:, None]
     ww = turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2]
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    for i, j, k in CYCLES:
         turn[:, i, i] -= ww
         turn[:, i, j] -= spin[:, k]
         turn[:, j, i] += spin[:, k]

@@ -12,13 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import NotConverged
-from imucalib.estimators.array_likelihood import ArrayPosterior
+from imucalib.estimators.array_likelihood import ArrayPosterior, conditionals
 from imucalib.estimators.array_problem import ArrayData, ArrayPrior
+from imucalib.estimators.array_rotation import cross
 
 Array = NDArray[np.float64]
 _FEW = 300  # samples on which the first steps are taken
-_REFRESHES = 12
-_CLOSE = 0.02  # Newton decrement at which a point counts as the mode
+_REFRESHES = 25
+_LONGEST = 1.0  # prior standard deviations of a step
+_NOTICED = 0.1  # whitened slope of the Laplace determinant that costs acceptance
+_CLOSE = 0.05  # Newton decrement at which a point counts as the mode
 
 
 @dataclass(frozen=True)
@@ -44,12 +47,8 @@ def start_prior(data: ArrayData, prior: ArrayPrior) -> ArrayPrior:
     """The prior with its motion scale from the data at the drawing: mean square ω̇."""
     flat = replace(prior, motion="flat", exponent=0.5, estimate_noise=False)
     x = flat.mean_vector[None]
-    from imucalib.estimators.array_likelihood import conditionals
-
     given, _ = conditionals(data, flat, x)
     w = np.asarray(data.rate.T)[None]
-    from imucalib.estimators.array_rotation import cross
-
     spin = given.gain @ (given.torque - cross(w, given.inertia @ w))
     return replace(prior, motion_scale=float(np.mean(spin * spin)))
 
@@ -65,20 +64,16 @@ def laplace_frame(data: ArrayData, prior: ArrayPrior) -> Frame:
     posterior = _posterior(data, prior)
     x, root = _climb(posterior, x, root, fresh=few is data)
     start = posterior.modes(x[None])[0]
-    moments = _gyros_leave_open(posterior, x, start)
-    exact = posterior.at(start, moments=moments)
+    exact = posterior.at(start, moments=True)
     root = _touching(exact, x, root)
-    return Frame(exact, x, root, float(exact.value(x[None])[0]))
+    cheap = posterior.at(start, moments=False)
+    missed = exact.value_and_gradient(x[None])[1] - cheap.value_and_gradient(x[None])[1]
+    chosen = exact if float(np.abs(missed @ root).max()) > _NOTICED else cheap
+    return Frame(chosen, x, root, float(exact.value(x[None])[0]))
 
 
 def _posterior(data: ArrayData, prior: ArrayPrior) -> ArrayPosterior:
     return ArrayPosterior(data, prior, np.ascontiguousarray(data.rate.T), moments=True)
-
-
-def _gyros_leave_open(posterior: ArrayPosterior, x: Array, start: Array) -> bool:
-    """Whether dropping the determinant's slope would change the gradient by a noticeable part."""
-    both = [posterior.at(start, moments=m).value_and_gradient(x[None])[1] for m in (True, False)]
-    return bool(np.abs((both[0] - both[1]) * posterior.prior.sd_vector).max() > 1e-3)
 
 
 def _climb(
@@ -95,6 +90,8 @@ def _climb(
             if decrement < _CLOSE**2:
                 return x, root
             step = root @ whitened
+            # A step of several prior standard deviations is no longer within the model.
+            step /= max(1.0, float(np.abs(step / posterior.prior.sd_vector).max()) / _LONGEST)
             scale = 1.0
             while scale > 1e-6:
                 there = posterior.value_and_gradient((x + scale * step)[None])

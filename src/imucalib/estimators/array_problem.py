@@ -159,9 +159,9 @@ class ArrayPrior:
             return out
         h = x[:, self.positions : self.positions + 6]
         for k in range(3):
-            out[:, k, k] = np.exp(h[:, k])
+            out[:, k, k] = np.exp(np.clip(h[:, k], -40.0, 40.0))
         out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = h[:, 3], h[:, 4], h[:, 5]
-        return out / np.sqrt(self.motion_scale)
+        return np.asarray(out / np.sqrt(self.motion_scale))
 
     def factor_gradient(self, factor: Array, slope: Array) -> Array:
         """(B, 6) gradient by the unknowns of Σ, from (B, 3, 3) the gradient by Σ^-1."""

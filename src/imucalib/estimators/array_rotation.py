@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_AHEAD, _BEHIND = [1, 2, 0], [2, 0, 1]
+CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 _EXACT = 1e-10  # Newton decrement (twice what f can still fall) at which a mode is final
 _LONGEST = 60
 
@@ -90,7 +90,11 @@ class Local:
 
 def cross(a: Array, b: Array) -> Array:
     """a × b along the second axis."""
-    return np.asarray(a[:, _AHEAD] * b[:, _BEHIND] - a[:, _BEHIND] * b[:, _AHEAD])
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in CYCLES:
+        np.multiply(a[:, j], b[:, k], out=out[:, i])
+        out[:, i] -= a[:, k] * b[:, j]
+    return out
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -130,7 +134,7 @@ def _hessian(given: Prepared, w: Array, jw: Array, a: Array, ww: Array, wjw: Arr
         column = inertia[:, :, c]
         spun[:, :, c] = cross(a, column)
         turn[:, :, c] = cross(column, w)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    for i, j, k in CYCLES:
         turn[:, i, j] -= jw[:, k]
         turn[:, j, i] += jw[:, k]
     gained = (given.gain @ turn.reshape(b, 3, 3 * t)).reshape(b, 3, 3, t)

@@ -58,14 +58,17 @@ class Chains:
 def sample(
     target: Target, d: int, rng: np.random.Generator, *, chains: int = 4,
     stop: Stop | None = None, checkpoint: Path | None = None,
+    seen: Callable[[Array], Array] = lambda draws: draws,
 ) -> Chains:  # fmt: skip
-    """Draw until the diagnostics are met. Raises NotConverged with them when `stop.most` is not
-    enough. With a checkpoint, every block is kept there, and a run that was cut short goes on from
-    it with the same result."""
+    """Draw until the diagnostics of `seen(draws)`, what will be reported, are met.
+
+    Raises NotConverged with them when `stop.most` is not enough. With a checkpoint, every block is
+    kept there, and a run that was cut short goes on from it with the same result.
+    """
     rule = stop or Stop()
     run = _resumed(checkpoint, d, chains, rng) or _begin(target, d, rng, chains)
     while True:
-        found = convergence(run.draws) if run.draws.shape[1] >= 2 * rule.block else None
+        found = convergence(seen(run.draws)) if run.draws.shape[1] >= 2 * rule.block else None
         if found and found.reached(rule.rhat, rule.ess):
             return Chains(run.draws, run.accepted, run.steps, found)
         if found and run.draws.shape[1] >= rule.most:

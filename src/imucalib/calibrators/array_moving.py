@@ -1,0 +1,97 @@
+"""Which moving samples say something about the positions, and what they become for the sampler."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array_gyros import Gyros, relative_gyros
+from imucalib.calibrators.array_log import ArrayLog
+from imucalib.calibrators.array_static import StaticFit
+from imucalib.errors import Undetermined
+from imucalib.estimators.array_problem import ArrayData
+from imucalib.units import DEG
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+GyroCovariance = Literal["mean", "scatter", "sample"]
+SLOWEST = 60.0 * DEG  # rad/s below which a sample counts as not rotating
+WIDEST = 0.05  # gyro scatter over |ω| above which the rate is not known well enough
+FEWEST = 30
+
+
+@dataclass(frozen=True)
+class Moving:
+    """The moving part, calibrated by gravity and by the gyros' mean.
+
+    t : (N,) s; acceleration : (N, K, 3); rate : (N, K, 3) rad/s as each gyro reads it, without
+    offset; gyros : their comparison; good : indices of the informative samples; counts : samples
+    by what became of them
+    """
+
+    t: Array
+    acceleration: Array
+    rate: Array
+    gyros: Gyros
+    good: Index
+    interval: float
+    counts: dict[str, int]
+
+
+def moving_part(log: ArrayLog, static: StaticFit) -> Moving:
+    """Correct, and find the informative samples. Raises Undetermined when there are too few."""
+    acceleration = static.corrected(log.acceleration, log.t)
+    rate = static.without_bias(log.rate, log.t)
+    speed = np.linalg.norm(np.median(rate, axis=1), axis=1)
+    turning = speed > SLOWEST
+    usable = turning & ~log.clipped
+    counts = {"rotating": int(turning.sum()), "clipped": int((turning & log.clipped).sum())}
+    _refuse_few(counts, int(usable.sum()))
+    gyros = relative_gyros(rate, np.flatnonzero(usable))
+    wide = usable & (gyros.scatter > WIDEST * np.linalg.norm(gyros.mean, axis=1))
+    good = np.flatnonzero(usable & ~wide)
+    counts |= {"gyros scattered": int(wide.sum()), "informative": len(good)}
+    _refuse_few(counts, len(good))
+    return Moving(log.t, acceleration, rate, gyros, good, log.interval, counts)
+
+
+def _refuse_few(counts: dict[str, int], left: int) -> None:
+    if left < FEWEST:
+        words = ", ".join(f"{n} {name}" for name, n in counts.items())
+        raise Undetermined(
+            f"too little rotation: {left} informative samples ({words})",
+            remedy=f"twist the array about all axes, faster than {SLOWEST / DEG:.0f} deg/s and "
+            "within the gyros' range, for half a minute",
+        )
+
+
+def spread_over(rows: Index, count: int) -> Index:
+    """At most `count` of the rows, evenly over the motion."""
+    if len(rows) <= count:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, count).round().astype(np.intp)]
+
+
+def samples_of(
+    moving: Moving, rows: Index, sigma: Array, covariance: GyroCovariance = "scatter"
+) -> ArrayData:
+    """What the sampler gets: rows of the moving part with accelerometer sigmas (K,).
+
+    covariance : "scatter" takes that of the triads about their mean, over their number; "mean" the
+        smallest the noise at rest could give is never below it; "sample" is equation (30b) of the
+        paper, one sample's scatter over the triads
+    """
+    k = moving.gyros.triads
+    if covariance == "sample":
+        inverse = np.linalg.inv(moving.gyros.gain)
+        corrected = np.einsum("kij,nkj->nki", inverse, moving.rate[rows])
+        off = corrected - corrected.mean(axis=1, keepdims=True)
+        each = np.einsum("nki,nkj->nij", off, off) / (k - 1)
+        floor = 1e-3 * np.trace(moving.gyros.covariance) / 3.0
+        precision = np.linalg.inv(each + floor * np.eye(3))
+    else:
+        precision = np.linalg.inv(moving.gyros.covariance / k)
+    return ArrayData(moving.acceleration[rows], sigma, moving.gyros.mean[rows], precision)
