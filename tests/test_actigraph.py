@@ -12,13 +12,17 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 from imucalib import cli
+from imucalib.application import apply_to_recording
 from imucalib.balance import Noise
 from imucalib.calibration_file import read as read_calibration
+from imucalib.calibration_file import write as write_calibration
 from imucalib.calibrators.actigraph import NINE, calibrate, robust_fit
+from imucalib.calibrators.actigraph_calibration import actigraph_calibration
 from imucalib.calibrators.actigraph_errors import even_directions, norm_sd
 from imucalib.calibrators.actigraph_export import EXPORTS, nearest_six
 from imucalib.calibrators.actigraph_observations import observations_of
 from imucalib.calibrators.actigraph_request import ActigraphRequest
+from imucalib.calibrators.actigraph_run import run_of
 from imucalib.calibrators.actigraph_series import series
 from imucalib.calibrators.actigraph_simulation import WeekPlan, simulated_week
 from imucalib.context import Context
@@ -201,6 +205,27 @@ def test_scans_know_their_members_by_name() -> None:
         assert known(name) is None
         with pytest.raises(UsageError):
             named(name)
+
+
+def test_a_step_is_undone_at_its_own_time(tmp_path: Path) -> None:
+    plan = WeekPlan(days=2.0, plant={"bias_step@86400s": (30.0, -20.0, 40.0)})
+    week = simulated_week(plan, 8)
+    run = run_of(week.runs, week.scanned, ActigraphRequest(), lambda text: None)
+    assert [s.effect.partition("@")[0] for s in run.outcome.loop.steps] == ["bias_step"]
+    path = tmp_path / "calibration.yaml"
+    write_calibration(actigraph_calibration(run), path)
+    t = np.array([3600.0, 170000.0])
+    theta = np.concatenate([plan.sensor[name] for name in NINE])
+    force = G * np.array([[0.6, 0.0, 0.8], [0.6, 0.0, 0.8]])
+    reading = nine().predict(theta, force[:, None], Context(2)).reading[:, 0]
+    reading[1] += MG * np.array([30.0, -20.0, 40.0])
+    channel = Channel(t, reading, "m/s2", "acceleration", "imu0", 1.0)
+    recording = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=0)
+    out = apply_to_recording(read_calibration(path), recording)
+    assert np.allclose(out.channels["imu0/acceleration"].values, force, atol=0.5 * MG)
+    undated = replace(recording, start_ns=10**17)
+    later = apply_to_recording(read_calibration(path), undated)
+    assert not np.allclose(later.channels["imu0/acceleration"].values[0], force[0], atol=10.0 * MG)
 
 
 def test_series_finds_a_change_and_nothing_without_one() -> None:

@@ -54,26 +54,52 @@ def apply_to_recording(
 
 def _context(calibration: Calibration, recording: Recording, channel: Channel) -> Context:
     needed = {name for effect in calibration.model()[0].effects for name in effect.needs}
-    covariates: dict[str, Array] = {}
-    if "temperature" in needed:
-        warm = [
-            c
-            for c in recording.channels.values()
-            if c.quantity == "temperature" and c.triad in (channel.triad, "")
-        ]
-        if warm:
-            values = np.interp(channel.t, warm[0].t, warm[0].values[:, 0])
-            low, high = calibration.valid.get("temperature", (-np.inf, np.inf))
-            margin = 0.1 * (high - low)
-            if values.min() < low - margin or values.max() > high + margin:
-                raise UnreadableInput(
-                    f"temperature {values.min():.1f} to {values.max():.1f} °C leaves the "
-                    f"calibrated range {low:.1f} to {high:.1f} °C",
-                    where=recording.path,
-                    remedy="calibrate over the range of use, or without temperature effects",
-                )
-            covariates["temperature"] = values
-    return Context(len(channel.t), covariates)
+    known = _clock(calibration, recording, channel)
+    warm = [
+        c
+        for c in recording.channels.values()
+        if c.quantity == "temperature" and c.triad in (channel.triad, "")
+    ]
+    if warm:
+        known["temperature"] = np.interp(channel.t, warm[0].t, warm[0].values[:, 0])
+    found = {name: values for name, values in known.items() if name in needed}
+    for name, values in found.items():
+        _demand_range(calibration, recording, name, values)
+    return Context(len(channel.t), found)
+
+
+#: Covariates with a range: what a message calls them, and their unit.
+_RANGED = {"temperature": ("temperature", "°C"), "order": ("time, as a share of the session,", "")}
+
+
+def _demand_range(calibration: Calibration, recording: Recording, name: str, values: Array) -> None:
+    """Raise UnreadableInput where a covariate leaves what was calibrated by more than a tenth."""
+    low, high = calibration.valid.get(name, (-np.inf, np.inf))
+    margin = 0.1 * (high - low)
+    if name in _RANGED and (values.min() < low - margin or values.max() > high + margin):
+        word, unit = _RANGED[name]
+        raise UnreadableInput(
+            f"{word} {values.min():.1f} to {values.max():.1f} {unit} leaves the "
+            f"calibrated range {low:.1f} to {high:.1f} {unit}".replace("  ", " ").rstrip(),
+            where=recording.path,
+            remedy=f"calibrate over the range of use, or without {name} effects",
+        )
+
+
+def _clock(calibration: Calibration, recording: Recording, channel: Channel) -> dict[str, Array]:
+    """Time as the calibration counts it, where it says how: drifts and steps belong to its time."""
+    clock = calibration.facts.get("clock")
+    if not clock:
+        return {}
+    start = recording.start_ns
+    shift = 0.0
+    if start is not None and clock["start_ns"] is not None:
+        shift = (start - int(clock["start_ns"])) / 1e9
+    time = channel.t + shift
+    known = {"time": time, "order": time / float(clock["span_s"])}
+    if start is not None:
+        known["time_of_day"] = 2.0 * np.pi * ((channel.t + start / 1e9 % 86400.0) / 86400.0 % 1.0)
+    return known
 
 
 def correct_file(

@@ -151,18 +151,16 @@ def _score_many(
     live = [k for k, c in enumerate(candidates) if np.any(c.columns)]
     blocks = [candidates[k].columns / factor for k in live]
     found = gram_evidence(fit.at.residual / factor, fit.at.jacobian, blocks, _TAU, rng, draws)
-    best = np.sort(found.best)
     # Scores outlive the search: thousands of numbers a column would stay with them.
-    bare = [replace(c, columns=np.zeros((0, c.columns.shape[1]))) for c in candidates]
-    dead = set(range(len(candidates))) - set(live)
-    scores = [Score(bare[k], 0.0, 1.0, draws, 0.0, 0.0, 0.0) for k in sorted(dead)]
+    bare = [replace(c, columns=c.columns[:0].copy()) for c in candidates]
+    dead = [k for k in range(len(candidates)) if k not in live]
+    scores = [Score(bare[k], 0.0, 1.0, draws, 0.0, 0.0, 0.0) for k in dead]
     for i, k in enumerate(live):
         absorbed = found.left[i] < _ABSORBED
         value = 0.0 if absorbed else float(found.evidence[i])
-        above = draws - int(np.searchsorted(best, value, side="left"))
-        p = 1.0 if absorbed else (1 + above) / (draws + 1)
-        numbers = (found.left[i], found.strength[i], found.share[i])
-        scores.append(Score(bare[k], value, p, draws, *map(float, numbers)))
+        p = 1.0 if absorbed else (1 + int((found.best >= value).sum())) / (draws + 1)
+        numbers = map(float, (found.left[i], found.strength[i], found.share[i]))
+        scores.append(Score(bare[k], value, p, draws, *numbers))
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 

@@ -20,6 +20,7 @@ def actigraph_calibration(run: ActigraphRun) -> Calibration:
     facts: dict[str, Any] = {
         "gravity_source": run.request.gravity_source,
         "frame": "x keeps its direction; gravity alone cannot see a rotation of the frame",
+        "clock": {"start_ns": run.scanned.start_ns, "span_s": max(run.scanned.stop, 1.0)},
         "error_mg": error_block(run),
         "coverage": coverage_block(run),
         "provenance": {
