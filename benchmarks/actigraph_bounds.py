@@ -97,7 +97,8 @@ def main() -> None:
                 mean_bound = bound[:, part].mean() * np.sqrt(2.0 / np.pi)
                 print(
                     f"{noise:4.0f}  {windows:6d}  {name:9s} {np.abs(error[:, part]).mean():.2e}  "
-                    f"{mean_bound:.2e}  {rms:9.3f}  {np.abs(paper[:, part]).mean():16.2e}  {z.std():6.3f}"
+                    f"{mean_bound:.2e}  {rms:9.3f}  {np.abs(paper[:, part]).mean():16.2e}  "
+                    f"{z.std():6.3f}"
                 )
 
 

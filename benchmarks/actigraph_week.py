@@ -53,7 +53,7 @@ def measured(arguments: list[str]) -> tuple[float, float, float, int]:
         check=False,
     )  # fmt: skip
     wall = time.perf_counter() - start
-    use = [line for line in done.stderr.splitlines() if line.startswith("USE")][0].split()
+    use = next(x for x in done.stderr.splitlines() if x.startswith("USE")).split()
     return float(use[1]), wall, float(use[2]), done.returncode
 
 

@@ -147,8 +147,7 @@ def _score_many(
     fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, draws: int
 ) -> tuple[Score, ...]:
     """The same without settings: all by Gram matrices, nothing of the size of the data squared."""
-    factor = fit.noise.factor
-    live = [k for k, c in enumerate(candidates) if np.any(c.columns)]
+    factor, live = fit.noise.factor, [k for k, c in enumerate(candidates) if np.any(c.columns)]
     blocks = [candidates[k].columns / factor for k in live]
     found = gram_evidence(fit.at.residual / factor, fit.at.jacobian, blocks, _TAU, rng, draws)
     # Scores outlive the search: thousands of numbers a column would stay with them.
