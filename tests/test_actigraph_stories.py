@@ -110,6 +110,26 @@ def test_strange_runs_count_less_and_change_little() -> None:
     assert np.abs(z).max() < 4.0
 
 
+def test_unexplained_structure_widens_what_is_stated() -> None:
+    z: list[Array] = []
+    narrow: list[Array] = []
+    for seed in range(6):
+        week = simulated_week(WeekPlan(days=2.0), 40 + seed)
+        # A bias that wanders from hour to hour, which no effect of the catalogue follows.
+        rng = np.random.default_rng(seed)
+        hour = (week.runs.time / 7200.0).astype(int)
+        week.runs.mean[:] += 1.5 * MG * rng.standard_normal((hour.max() + 1, 3))[hour]
+        result = solved(week, seed)
+        assert result.loop is not None
+        assert result.loop.unexplained
+        truth = np.concatenate([week.plan.sensor[name] for name in result.base.model.names])
+        away = result.base.theta - truth
+        narrow.append(away / result.base.sd)
+        z.append(away / result.base.sd / result.widened)
+    assert np.std(narrow) > 1.5
+    assert np.std(z) < 1.4
+
+
 def test_evidence_by_gram_matrix_is_the_evidence() -> None:
     week = simulated_week(WeekPlan(days=0.5), 2)
     found = solved(week, 2, ActigraphRequest(loop=False)).final

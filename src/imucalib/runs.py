@@ -7,7 +7,7 @@ observation: its mean reading, time and temperature, and how many windows it ave
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,12 @@ class Scan:
     start_ns: int | None
     notes: tuple[str, ...]
     mapping: Mapping[str, object] = field(default_factory=dict)
+
+    def without_windows(self) -> Scan:
+        """The rest, once the runs are made: the windows are most of the memory."""
+        arrays = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
+        nothing = {name: getattr(self.windows, name)[:0].copy() for name in arrays}
+        return replace(self, windows=replace(self.windows, **nothing))
 
 
 @dataclass(frozen=True)

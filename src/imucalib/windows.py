@@ -103,23 +103,14 @@ class WindowBuilder:
         """All windows so far; None when no window was ever full."""
         if not self._parts:
             return None
-
-        def joined(name: str) -> NDArray[np.float64]:
-            return np.concatenate([getattr(p, name) for p in self._parts])
-
         finest = np.min([p.finest for p in self._parts], axis=0)
-        return Windows(
-            samples=self.samples,
-            first=joined("first").astype(np.intp),
-            run=joined("run").astype(np.intp),
-            start=joined("start"),
-            stop=joined("stop"),
-            mean=joined("mean"),
-            variance=joined("variance"),
-            low=joined("low"),
-            high=joined("high"),
-            finest=finest,
-        )
+        names = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
+        pieces = {name: [getattr(p, name) for p in self._parts] for name in names}
+        self._parts = []
+        # Each list is let go before the next is joined: no second copy of everything.
+        joined = {name: np.concatenate(pieces.pop(name)) for name in names}
+        self._parts = [Windows(samples=self.samples, finest=finest, **joined)]
+        return self._parts[0]
 
 
 def in_order(windows: Windows) -> tuple[Windows, int]:

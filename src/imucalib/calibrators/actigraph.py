@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from imucalib.effects import catalogue, families, named
 from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.fit import Fit
-from imucalib.held_out import Held, fitted, held_out
+from imucalib.held_out import Held, fitted, held_out, theta_without
 from imucalib.loop import Loop
 from imucalib.model import Model
 from imucalib.observations import Observations
@@ -36,6 +36,7 @@ class ActigraphResult:
     base_held, final_held : predictions of each run by fits without its block of time
     light : runs that count less, because nothing else is like them
     declined : why the loop's model was not taken, or empty
+    widened : factor by which unexplained structure has widened all standard deviations
     """
 
     runs: PostureRuns
@@ -47,6 +48,12 @@ class ActigraphResult:
     error: ErrorSummary
     light: int
     declined: str = ""
+    widened: float = 1.0
+
+    @property
+    def added(self) -> bool:
+        """Whether the final model has more than the base model."""
+        return len(self.final.theta) > len(self.base.theta)
 
     @property
     def fitted(self) -> Held:
@@ -82,10 +89,27 @@ def calibrate(
         names = ", ".join(s.effect for s in loop.steps)
         declined = f"{names} not taken: the held-out error is larger with it than without"
         final, final_held = base, base_held
-    error = error_summary(base, final, base_held, final_held, request.gravity)
+    error = error_summary(base, final, base_held, final_held)
+    widened = 1.0
+    if loop and loop.unexplained:
+        widened = between_blocks(final)
+        final = replace(final, covariance=widened**2 * final.covariance)
     return ActigraphResult(
-        runs, loop, base, final, base_held, final_held, error, light, declined
-    )  # fmt: skip
+        runs, loop, base, final, base_held, final_held, error, light, declined, widened
+    )
+
+
+def between_blocks(fit: Fit) -> float:
+    """How much more the parameters move from block to block of time than noise explains, as a
+    factor on their standard deviations, at least 1 (the delete-one-block jackknife)."""
+    group = fit.observations.group
+    keys = np.unique(group)
+    without = np.array([theta_without(fit, np.flatnonzero(group == key)) for key in keys])
+    away = without - without.mean(axis=0)
+    scale = (len(keys) - 1) / len(keys)
+    # Nine directions that the noise makes equally long, so that no unit and no size dominates.
+    spread = scale * np.einsum("gi,ij,gj->", away, np.linalg.pinv(fit.covariance), away)
+    return float(np.sqrt(max(1.0, spread / fit.theta.size)))
 
 
 def base_model(request: ActigraphRequest, data: Observations) -> Model:

@@ -13,8 +13,6 @@ from imucalib.units import MG
 
 #: The field calls a calibration good below this error (mg); a tenth of it is well known.
 _GOOD, _WELL_KNOWN = 10.0, 1.0
-#: Gain on held-out time from which on it is worth a word that there is none.
-_WORSE = 1.0
 
 
 def weakest(result: ActigraphResult) -> tuple[float, float]:
@@ -35,8 +33,13 @@ def reasons(result: ActigraphResult) -> tuple[str, ...]:
     if held > _GOOD:
         found.append(f"the held-out error of {held:.1f} mg is above the field's 10 mg")
     raw = result.error.held_out.raw
-    if held > raw * _WORSE:
+    if held > raw:
         found.append(f"on held-out time it is worse than no calibration ({raw:.2f} mg)")
+    if result.widened > 1.5:
+        found.append(
+            f"what stays unexplained makes the parameters {result.widened:.1f} times less certain "
+            "than noise alone would; the standard deviations include it"
+        )
     if result.light > 0.02 * result.runs.n:
         found.append(
             f"{result.light} of {result.runs.n} posture runs are unlike the rest and count less"

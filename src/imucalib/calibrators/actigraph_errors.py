@@ -27,11 +27,8 @@ def raw_errors(fit: Fit) -> Held:
     return errors(replace(fit, model=Model(()), theta=np.zeros(0)), np.zeros(0), fit.observations)
 
 
-def error_summary(
-    base: Fit, final: Fit, base_held: Held, final_held: Held, gravity: float
-) -> ErrorSummary:
+def error_summary(base: Fit, final: Fit, base_held: Held, final_held: Held) -> ErrorSummary:
     """Raw, base and final, fitted and held out; the floor is what the noise of runs alone gives."""
-    del gravity
     raw = mean_error(raw_errors(base))
     sigma = final.noise.factor * final.observations.sigma[:, 0, 0]
     floor = float(np.mean(sigma)) * float(np.sqrt(2.0 / np.pi)) / MG

@@ -42,6 +42,7 @@ def calibrate_recording(
     """Read in blocks and calibrate; `say` gets a line for each thing worth knowing on the way."""
     scanned = scan(blocks(path, mapping), request.window, request.triad)
     runs = posture_runs(scanned, WORN)
+    scanned = scanned.without_windows()
     return run_of(runs, scanned, request, say)
 
 

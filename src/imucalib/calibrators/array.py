@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.calibrators.array_board import Board
 from imucalib.calibrators.array_log import array_log
+from imucalib.calibrators.array_loop import ArrayLoop, close_array_loop
 from imucalib.calibrators.array_moving import Moving, moving_part, samples_of, spread_over
 from imucalib.calibrators.array_request import NON_LINEARITY, ArrayRequest
 from imucalib.calibrators.array_static import StaticFit, fit_static
@@ -43,6 +44,7 @@ class ArrayRun:
     static: StaticFit
     moving: Moving
     final: ArrayPositions
+    loop: ArrayLoop | None
     notes: tuple[str, ...]
 
     @property
@@ -79,11 +81,15 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     say(f"{segments.n} rests: triads fit gravity to {1e3 * static.residual:.2f} mm/s² rms")
     moving = moving_part(log, static)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
+    loop = _loop(moving, static, board, request) if request.loop else None
+    if loop is not None:
+        moving = loop.moving
+        say("found: " + (", ".join(f"{s.name} ({s.value})" for s in loop.accepted) or "nothing"))
     rng = np.random.default_rng(request.seed)
     final = _sampled(moving, static, board, request, rng)
     say(f"{final.data.samples} samples: {final.convergence.sentence}")
     notes = (*recording.notes, *segments.notes, *log.notes, *final.notes)
-    return ArrayRun(recording, board, request, segments, static, moving, final, notes)
+    return ArrayRun(recording, board, request, segments, static, moving, final, loop, notes)
 
 
 def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
@@ -95,6 +101,14 @@ def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
             remedy="hold the board still in nine or more attitudes before twisting it",
         )
     return [segments.triads.index(name) for name in names]
+
+
+def _loop(
+    moving: Moving, static: StaticFit, board: Board, request: ArrayRequest
+) -> ArrayLoop | None:
+    sigma, estimate = _sigma(static, board, request)
+    prior = ArrayPrior(board.drawn, board.prior_sd, estimate_noise=estimate)
+    return close_array_loop(moving, prior, sigma)
 
 
 def _sampled(

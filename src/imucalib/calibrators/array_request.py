@@ -37,5 +37,6 @@ class ArrayRequest:
     chains: int | None = None
     stop: Stop = field(default_factory=Stop)
     iterations: int = 100_000
+    loop: bool = True
     checkpoint: Path | None = None
     seed: int = 0

@@ -19,7 +19,8 @@ _BINS = 60
 
 def residual_plots(run: ActigraphRun) -> tuple[Plot, ...]:
     """Error of |a| of every posture run before and after the search."""
-    before = fitted(run.result.base).error[:, 0, 0] / MG
+    result = run.result
+    before = fitted(result.base).error[:, 0, 0] / MG if result.loop and result.added else None
     after = run.result.fitted.error[:, 0, 0] / MG
     runs = run.runs
     drivers = [("time", "time (h)", runs.time / 3600.0)]
@@ -32,13 +33,14 @@ def residual_plots(run: ActigraphRun) -> tuple[Plot, ...]:
     return tuple(_residuals(name, label, x, before, after) for name, label, x in drivers)
 
 
-def _residuals(name: str, label: str, x: Array, before: Array, after: Array) -> Plot:
+def _residuals(name: str, label: str, x: Array, before: Array | None, after: Array) -> Plot:
     centre, mean = _binned(x, after)
-    series = (
-        Series("nine parameters", x, before, "points"),
+    series: tuple[Series, ...] = (
         Series("final model", x, after, "points"),
         Series("mean of the final error", centre, mean, "line"),
     )
+    if before is not None:
+        series = (Series("nine parameters", x, before, "points"), *series)
     caption = "One point a posture run; a line that leaves zero is what no effect explains."
     return Plot(f"Error of |a| against {name}", label, "mg", series, caption)
 

@@ -9,8 +9,11 @@ from imucalib.outcome import ErrorSummary, Outcome
 from imucalib.report.document import Block, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, probability
 
+#: What is left out at a time, by calibrator.
+_HELD_OUT = {"actigraph": "Held out: each block of time predicted by a fit without it."}
 
-def error_table(error: ErrorSummary) -> Table:
+
+def error_table(error: ErrorSummary, calibrator: str = "") -> Table:
     """Error before and after, fitted and on data that was not fitted, with the floor."""
 
     def number(value: float) -> str:
@@ -27,7 +30,9 @@ def error_table(error: ErrorSummary) -> Table:
         ("", "fitted", "held out"),
         rows,
         "lrr",
-        "Held out: each position predicted by a fit without it, or the test rows.",
+        _HELD_OUT.get(
+            calibrator, "Held out: each position predicted by a fit without it, or the test rows."
+        ),
     )
 
 
@@ -36,7 +41,8 @@ def loop_section(outcome: Outcome) -> Section:
     loop = outcome.loop
     blocks: list[Block] = []
     if loop is None:
-        return Section("Closed loop", (Text("The search was not run."), error_table(outcome.error)))
+        table = error_table(outcome.error, outcome.calibrator)
+        return Section("Closed loop", (Text("The search was not run."), table))
     if loop.records:
         rows = tuple(
             (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), probability(r.p, 299), r.likely)
@@ -63,7 +69,7 @@ def loop_section(outcome: Outcome) -> Section:
         header = ("effect added", "p", "before", "after", "cannot be told from")
         note = f"Held-out error in {outcome.error.unit} rms; p is the chance in the whole search."
         blocks.append(Table("Steps of the loop", header, rows, "lrrrl", note))
-    blocks.append(error_table(outcome.error))
+    blocks.append(error_table(outcome.error, outcome.calibrator))
     return Section("Closed loop", tuple(blocks))
 
 
