@@ -24,7 +24,7 @@ from imucalib.report.array_files import write_draws
 from imucalib.writers import write
 
 BOARD = read_board("mimu4444_corners")
-PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=20.0, gyro_gain=0.0)
+PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=25.0, gyro_gain=0.0)
 DATA = Path(__file__).parents[1].parent / "shared" / "data" / "mimu4444"
 
 

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 @click.option("--chains", type=int, help="Number of chains.")
 @click.option("--ess", default=400.0, show_default=True, help="Effective sample size to reach.")
 @click.option("--iterations", default=100_000, show_default=True, help="Of --sampler pmmh.")
+@click.option("--loop/--no-loop", default=True, show_default=True,
+              help="Search for what the model lacks.")  # fmt: skip
 @click.option("--draws", type=click.Path(path_type=Path), help="Also write the draws: .h5 or .nc.")
 @click.option("--checkpoint", type=click.Path(path_type=Path),
               help="Keep the chains here after every block, and go on from there.")  # fmt: skip
@@ -117,7 +119,7 @@ def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
         motion=options["motion_prior"], exponent=float(options["det_exponent"]),
         accelerometer_sigma=sigma, gyro_covariance=options["gyro_covariance"],
         chains=options["chains"], stop=Stop(ess=options["ess"]), iterations=options["iterations"],
-        checkpoint=options["checkpoint"], seed=options["seed"],
+        loop=options["loop"], checkpoint=options["checkpoint"], seed=options["seed"],
     )  # fmt: skip
 
 

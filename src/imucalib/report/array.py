@@ -18,6 +18,7 @@ def array_document(run: ArrayRun) -> Document:
     sections = (
         Section("Positions", (_position_table(run), _size(run))),
         Section("The board", (*board_plots(run), deviation_plot(run)), brief=False),
+        _loop_section(run),
         _motion_section(run),
         _static_section(run),
         Section("Observability", _observability(run)),
@@ -77,6 +78,23 @@ def _size(run: ArrayRun) -> Facts:
             ("its gyro part", f"± {gyro:.4f}: the gyros' mean scale carries it, within tolerance"),
         )
     )
+
+
+def _loop_section(run: ArrayRun) -> Section:
+    """What the search found in the residuals, on parts of the motion that were held out."""
+    if run.loop is None:
+        return Section("Closed loop", (Text("The search was not run."),))
+    rows = tuple(
+        (step.name, step.value, step.held_out, "kept" if step.accepted else "left out")
+        for step in run.loop.steps
+    )
+    before, after = run.loop.gyro
+    note = (
+        f"Gyros about their mean, held out: {before:.2f} -> {after:.2f} deg/s "
+        "(1.4826 x median absolute deviation). nats: log likelihood of the other half."
+    )
+    table = Table("Candidates", ("effect", "value", "held out", ""), rows, "llrl", note)
+    return Section("Closed loop", (table,))
 
 
 def _motion_section(run: ArrayRun) -> Section:

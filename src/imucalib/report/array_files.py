@@ -41,6 +41,11 @@ def array_dict(run: ArrayRun) -> dict[str, Any]:
             "drift_order": static.order,
         },
         "moving": dict(run.moving.counts),
+        "loop": [
+            {"effect": s.name, "value": s.value, "held_out": s.held_out, "accepted": s.accepted}
+            for s in (run.loop.steps if run.loop else ())
+        ],
+        "gyro_residual_deg_per_s": list(run.loop.gyro) if run.loop else [],
         "notes": list(run.notes),
     }
 
