@@ -17,7 +17,7 @@ from imucalib.units import DEG
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-GyroCovariance = Literal["mean", "scatter", "sample"]
+GyroCovariance = Literal["scatter", "sample"]
 SLOWEST = 60.0 * DEG  # rad/s below which a sample counts as not rotating
 WIDEST = 0.05  # gyro scatter over |ω| above which the rate is not known well enough
 FEWEST = 30
@@ -80,9 +80,8 @@ def samples_of(
 ) -> ArrayData:
     """What the sampler gets: rows of the moving part with accelerometer sigmas (K,).
 
-    covariance : "scatter" takes that of the triads about their mean, over their number; "mean" the
-        smallest the noise at rest could give is never below it; "sample" is equation (30b) of the
-        paper, one sample's scatter over the triads
+    covariance : "scatter" is that of the triads about their mean, pooled over the motion, over
+        their number; "sample" is equation (30b) of the paper, one sample's scatter over the triads
     """
     k = moving.gyros.triads
     if covariance == "sample":
