@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from imucalib.context import Context
 from imucalib.effects import known
+from imucalib.effects.record_error import is_record_error
 from imucalib.errors import UnreadableInput
 from imucalib.fit import Fit
 from imucalib.matrices import Matrices, matrices
@@ -109,7 +110,7 @@ def from_fit(
     stored, keep = [], []
     for effect in fit.model.effects:
         part = fit.model.slices(context)[effect.name]
-        if effect.name.startswith("record_error"):
+        if is_record_error(effect.name):
             continue
         for k, parameter in zip(
             range(part.start, part.stop), effect.parameters(context), strict=True

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.balance import whitener
+from imucalib.effects.record_error import is_record_error
 from imucalib.fit import Fit
 from imucalib.observations import Observations
 from imucalib.references import KnownVector
@@ -103,7 +104,7 @@ def _without_records(fit: Fit, theta: Array) -> Array:
     """A record's own error is no part of the calibration, so it must not flatter its error."""
     theta = theta.copy()
     for name, part in fit.model.slices(fit.observations.context).items():
-        if name.startswith("record_error"):
+        if is_record_error(name):
             theta[part] = 0.0
     return theta
 

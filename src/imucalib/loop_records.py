@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from imucalib.candidates import record_candidates
 from imucalib.effect import Effect
-from imucalib.effects.record_error import record_error
+from imucalib.effects.record_error import is_record_error, record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.evidence import Score, score
 from imucalib.fit import Fit
@@ -59,7 +59,7 @@ def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[Recor
 
 def record_names(fit: Fit) -> tuple[str, ...]:
     """Names of the record errors in a fit's model."""
-    return tuple(name for name in fit.model.names if name.startswith("record_error"))
+    return tuple(name for name in fit.model.names if is_record_error(name))
 
 
 def held_out_rms(fit: Fit) -> float:

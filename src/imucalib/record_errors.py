@@ -8,6 +8,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.effects.record_error import is_record_error
 from imucalib.fit import Fit
 from imucalib.held_out import theta_without
 from imucalib.references import KnownNorm, KnownVector, angles_of
@@ -59,7 +60,7 @@ def predict_record(fit: Fit, row: int) -> Prediction:
     eta = np.zeros(reference.eta_size)
     slices = fit.model.slices(one.context)
     for name, part in slices.items():
-        if name.startswith("record_error"):
+        if is_record_error(name):
             theta[part] = 0.0
     predicted = fit.model.predict(theta, reference.truth(eta), one.context)
     directions = reference.directions(eta)
@@ -67,9 +68,7 @@ def predict_record(fit: Fit, row: int) -> Prediction:
     spread = np.array([fit.noise.sd[fit.noise.component.index(c)] for c in directions.component])
     noise = np.diag((fit.noise.factor * one.sigma[0, 0]) ** 2)
     slope = predicted.d_theta[0, 0]
-    known = [
-        k for n, s in slices.items() if not n.startswith("record") for k in range(s.start, s.stop)
-    ]
+    known = [k for n, s in slices.items() if not is_record_error(n) for k in range(s.start, s.stop)]
     covariance = slope[:, known] @ fit.covariance[np.ix_(known, known)] @ slope[:, known].T
     return Prediction(predicted.reading[0, 0], noise + covariance + (free * spread**2) @ free.T)
 

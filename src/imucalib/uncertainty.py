@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.context import Context
+from imucalib.effects.record_error import is_record_error
 from imucalib.fit import Fit
 from imucalib.model import Model
 from imucalib.references import unit_vector
@@ -101,11 +102,7 @@ def force_slope(fit: Fit, force: Array) -> tuple[Array, Array]:
 def correcting(model: Model) -> Model:
     """The part of a model that `correct` undoes: mounting and sensor, without single records."""
     return Model(
-        tuple(
-            e
-            for e in model.effects
-            if e.stage != "fixture" and not e.name.startswith("record_error")
-        )
+        tuple(e for e in model.effects if e.stage != "fixture" and not is_record_error(e.name))
     )
 
 

@@ -93,11 +93,7 @@ def held_out_block(run: LabRun) -> list[dict[str, Any]]:
 def fixture_block(run: LabRun) -> dict[str, Any]:
     """What the bench is off by: inclination against the dial with 95 % intervals."""
     fit = run.result.final
-    effects = [
-        e.name
-        for e in fit.model.effects
-        if e.stage == "fixture" and not e.name.startswith("record")
-    ]
+    effects = [e.name for e in fit.model.effects if e.stage == "fixture"]
     at = np.radians([0.0, 30.0, 50.0, 60.0, 90.0])
     shift, sd, half = fixture_curve(fit, at)
     curve = [

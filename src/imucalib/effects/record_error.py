@@ -10,6 +10,13 @@ from imucalib.effect import Array, Response
 from imucalib.parameter import Parameter
 from imucalib.units import MG
 
+_PREFIX = "record_error_"
+
+
+def is_record_error(name: str) -> bool:
+    """Whether an effect's name is that of one record's error: no part of any calibration."""
+    return name.startswith(_PREFIX)
+
 
 def record_error(record: int, label: str, axes: str = "xyz") -> Response:
     """Free error of some axes of the observation whose covariate "record" equals `record`."""
@@ -23,7 +30,7 @@ def record_error(record: int, label: str, axes: str = "xyz") -> Response:
         return np.zeros((*x.shape, len(columns), 3))
 
     return Response(
-        f"record_error_{record}_{axes}",
+        f"{_PREFIX}{record}_{axes}",
         f"The record of {label} is wrong in {', '.join(axes)}.",
         "y = x + e, on this record only",
         "geodetic data snooping (Baarda 1968)",
