@@ -11,9 +11,9 @@ from imucalib.outcome import Status
 from imucalib.report.actigraph_plots import residual_plots, sphere_blocks
 from imucalib.report.actigraph_series import series_section
 from imucalib.report.document import Document, Facts, Section, Table, Text, Tone
+from imucalib.report.linear import linear_blocks
 from imucalib.report.loop import advice_section, candidate_section, loop_section
-from imucalib.significant_digits import plus_minus, with_sd
-from imucalib.units import MG
+from imucalib.significant_digits import with_sd
 
 _TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "failed": "bad"}
 _MOST_ROWS = 12  # parameters of one effect that are shown in full
@@ -102,28 +102,8 @@ def _coverage(run: ActigraphRun) -> Section:
 
 def _sensor(run: ActigraphRun) -> Section:
     linear = actigraph_calibration(run).matrices()
-    rows = tuple(
-        (
-            letter,
-            "  ".join(f"{v:+.6f}" for v in linear.M[k]),
-            f"{linear.b[k] / MG:+.3f}",
-            *with_sd(float(linear.scale[k]), float(linear.scale_sd[k])),
-        )
-        for k, letter in enumerate("xyz")
-    )
-    table = Table(
-        "corrected = M raw + b",
-        ("axis", "M", "b, mg", "scale", "sd"),
-        rows,
-        "llrrr",
-        "The linear part. Scale: sensitivity of each axis, free of the frame.",
-    )
-    angles = Facts(
-        tuple(
-            (f"angle {pair}", plus_minus(float(a), float(s), "deg"))
-            for pair, a, s in zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
-        )
-    )
+    note = "The linear part. Scale: sensitivity of each axis, free of the frame."
+    table, angles = linear_blocks(linear, note)
     return Section("The sensor", (table, angles), brief=False)
 
 

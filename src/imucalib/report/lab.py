@@ -17,6 +17,7 @@ from imucalib.references import KnownVector
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text, Tone
 from imucalib.report.lab_plots import dial_section, residual_plots, uncertainty_section
 from imucalib.report.lab_tables import iscwsa_table, position_table, published_table, training_note
+from imucalib.report.linear import linear_blocks
 from imucalib.report.loop import advice_section, candidate_section, loop_section
 from imucalib.significant_digits import plus_minus, spread, with_sd
 from imucalib.units import DEG, MG
@@ -147,30 +148,7 @@ def _bench_section(run: LabRun) -> Section:
 
 def _sensor_section(run: LabRun, calibration: Calibration) -> Section:
     linear = calibration.matrices()
-    rows = []
-    for k, letter in enumerate("xyz"):
-        m = "  ".join(f"{v:+.6f}" for v in linear.M[k])
-        rows.append(
-            (
-                letter,
-                m,
-                f"{linear.b[k] / MG:+.3f}",
-                *with_sd(float(linear.scale[k]), float(linear.scale_sd[k])),
-            )
-        )
-    table = Table(
-        "corrected = M raw + b",
-        ("axis", "M", "b, mg", "scale", "sd"),
-        tuple(rows),
-        "llrrr",
-        "Scale: sensitivity of each axis, free of the frame.",
-    )
-    angles = Facts(
-        tuple(
-            (f"angle {pair}", plus_minus(float(a), float(s), "deg"))
-            for pair, a, s in zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
-        )
-    )
+    table, angles = linear_blocks(linear, "Scale: sensitivity of each axis, free of the frame.")
     return Section("The sensor", (table, angles, iscwsa_table(calibration, linear)), brief=False)
 
 
