@@ -49,6 +49,16 @@ class Provenance:
     versions: Mapping[str, str]
     time: str
 
+    @property
+    def footer(self) -> tuple[tuple[str, str], ...]:
+        """What stands at the foot of every report."""
+        return (
+            ("input", f"{self.path}, sha256 {self.sha256[:16]}…"),
+            ("seed", str(self.seed)),
+            ("versions", ", ".join(f"{k} {v}" for k, v in self.versions.items())),
+            ("time", self.time),
+        )
+
 
 @dataclass(frozen=True)
 class Limit:

@@ -39,7 +39,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
         f"Calibration of {Path(run.scanned.path).name} by gravity",
         _verdict(run),
         tuple(sections),
-        _footer(run),
+        run.outcome.provenance.footer,
     )
 
 
@@ -105,13 +105,3 @@ def _sensor(run: ActigraphRun) -> Section:
     note = "The linear part. Scale: sensitivity of each axis, free of the frame."
     table, angles = linear_blocks(linear, note)
     return Section("The sensor", (table, angles), brief=False)
-
-
-def _footer(run: ActigraphRun) -> tuple[tuple[str, str], ...]:
-    origin = run.outcome.provenance
-    return (
-        ("input", f"{origin.path}, sha256 {origin.sha256[:16]}…"),
-        ("seed", str(origin.seed)),
-        ("versions", ", ".join(f"{k} {v}" for k, v in origin.versions.items())),
-        ("time", origin.time),
-    )

@@ -49,7 +49,7 @@ def lab_document(run: LabRun) -> Document:
         f"Lab calibration of {outcome.provenance.path}",
         _verdict(run),
         tuple(s for s in sections if s.blocks),
-        _footer(run),
+        run.outcome.provenance.footer,
     )
 
 
@@ -150,13 +150,3 @@ def _sensor_section(run: LabRun, calibration: Calibration) -> Section:
     linear = calibration.matrices()
     table, angles = linear_blocks(linear, "Scale: sensitivity of each axis, free of the frame.")
     return Section("The sensor", (table, angles, iscwsa_table(calibration, linear)), brief=False)
-
-
-def _footer(run: LabRun) -> tuple[tuple[str, str], ...]:
-    origin = run.outcome.provenance
-    return (
-        ("input", f"{origin.path}, sha256 {origin.sha256[:16]}…"),
-        ("seed", str(origin.seed)),
-        ("versions", ", ".join(f"{k} {v}" for k, v in origin.versions.items())),
-        ("time", origin.time),
-    )
