@@ -135,8 +135,8 @@ def test_evidence_by_gram_matrix_is_the_evidence() -> None:
     found = solved(week, 2, ActigraphRequest(loop=False)).final
     assert found.at.residual.size < evidence._MANY
     candidates, _ = effect_candidates(found, catalogue().values())
-    direct = evidence._score(found, candidates, np.random.default_rng(0), 400)
-    gram = evidence._score_many(found, candidates, np.random.default_rng(1), 400)
+    direct = evidence._score_few(found, candidates, np.random.default_rng(0), 400, 1.0)
+    gram = evidence._score_many(found, candidates, np.random.default_rng(1), 400, 1.0)
     one, two = ({s.name: s for s in scores} for scores in (direct, gram))
     assert set(one) == set(two)
     for name, score in one.items():

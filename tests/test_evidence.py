@@ -18,7 +18,7 @@ from bench_world import (
     ordinary_theta,
     tumble,
 )
-from imucalib import evidence
+from imucalib import evidence_grid
 from imucalib import held_out as held_out_module
 from imucalib.candidates import (
     correlated_noise,
@@ -131,7 +131,7 @@ def _dense_evidence(fit: Fit, columns: Array) -> float:
         dets = np.linalg.slogdet(v)[1] + np.linalg.slogdet(info)[1]
         return float(-0.5 * (dets + (n - p) * np.log(power)))
 
-    shrink = evidence._SHRINK
+    shrink = evidence_grid.SHRINK
     fitted_ratio = [sd / fit.noise.factor for sd in fit.noise.sd]
     grid = list(product(*(tuple(s * r for s in shrink) for r in fitted_ratio)))
     without = max(log_density(ratio, 0.0) for ratio in grid)

@@ -49,6 +49,7 @@ FLOORS: dict[str, int] = {
     "starting_point": 7,
     "evidence": 8,
     "evidence_gram": 8,
+    "evidence_grid": 8,
     "candidates": 8,
     "held_out": 8,
     "record_errors": 8,

@@ -13,25 +13,21 @@ by simulating such data through the same computation (Westfall and Young 1993, m
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.balance import whitener
+from imucalib.balance import Whitener, whitener
 from imucalib.evidence_gram import gram_evidence
+from imucalib.evidence_grid import TAU, EvidenceGrid
 from imucalib.fit import Fit
 
 Array = NDArray[np.float64]
 Kind = Literal["effect", "probe", "noise", "record"]
 
-#: Simulated data sets of the first look; its floor, 1/300, is below every alpha in use.
-_FIRST_DRAWS = 299
-_TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
-#: Variance components are re-estimated on this grid of factors of the fitted ratio. The fitted
-#: ratio itself is left out: the data would sit on a grid point and simulated data beside one.
-_SHRINK = (0.0, 0.15, 0.4, 0.72, 0.92, 1.15, 1.6)
+#: Simulated data sets are drawn in parts; the second one's floor is below every alpha in use.
+_PARTS = (59, 299)
 #: A block that keeps less than this share of its columns is absorbed by the fitted parameters.
 _ABSORBED = 1e-5
 #: Independent observations from which on the candidates' Gram matrix stands in for the data.
@@ -81,18 +77,6 @@ class Score:
         return self.left < _ABSORBED
 
 
-@dataclass(frozen=True)
-class _Point:
-    """One noise hypothesis: directions (N, M) of all candidates after projection, their squared
-    sizes, and the part of the log likelihood that no candidate changes."""
-
-    white: Array
-    basis: Array
-    u: Array
-    size: Array
-    constant: float
-
-
 def score(
     fit: Fit,
     candidates: tuple[Candidate, ...],
@@ -103,53 +87,61 @@ def score(
 ) -> tuple[Score, ...]:
     """Score candidates against a fit, best first; p by up to `draws` simulated data sets.
 
-    A first part of the draws settles what is clear; only a best p that is neither far above
-    `alpha` nor at the first part's floor is worth the rest.
+    Draws are made in parts: what is clear after a part, far above `alpha` or at the part's floor,
+    is not worth the rest.
     """
-    few = min(draws, _FIRST_DRAWS)
-    scores = _score(fit, candidates, rng, few)
-    if scores and few < draws and 1.5 / (few + 1) < min(s.p for s in scores) < 4.0 * alpha:
-        return _score(fit, candidates, rng, draws)
-    return scores
-
-
-def _score(
-    fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, draws: int
-) -> tuple[Score, ...]:
     if not candidates:
         return ()
     if not fit.at.settings and fit.at.residual.size >= _MANY:
-        return _score_many(fit, candidates, rng, draws)
+        return _score_many(fit, candidates, rng, draws, alpha)
+    return _score_few(fit, candidates, rng, draws, alpha)
+
+
+def _undecided(p: float, done: int, alpha: float) -> bool:
+    """Whether more draws could change which side of alpha p is on."""
+    if done < _PARTS[1]:
+        return p < 0.3 + alpha
+    return 1.5 / (done + 1) < p < 4.0 * alpha
+
+
+def _score_few(
+    fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, draws: int, alpha: float
+) -> tuple[Score, ...]:
     at, noise = fit.at, fit.noise
     fitted = tuple(sd / noise.factor for sd in noise.sd)
-    alone = [_alone(fit, c, fitted) for c in candidates]
+    alone = _each_alone(fit, candidates)
     live = [k for k, (left, _, _) in enumerate(alone) if left >= _ABSORBED]
-    evidence = np.zeros(len(candidates))
-    p = np.ones(len(candidates))
+    evidence, p, done = np.zeros(len(candidates)), np.ones(len(candidates)), 0
     if live:
-        blocks = [candidates[k].columns / noise.factor for k in live]
-        starts = np.cumsum([0] + [b.shape[1] for b in blocks])[:-1]
-        everything = np.column_stack(blocks)
-        simulated = _null_data(fit, rng, draws)
-        data = np.column_stack([at.residual / noise.factor, simulated])
-        found = _evidence(fit, fitted, everything, starts, data)
-        best = found[:, 1:].max(axis=0)
+        grid = EvidenceGrid(
+            at.jacobian, at.settings, fitted, [candidates[k].columns / noise.factor for k in live]
+        )
+        found = grid.evidence(at.residual[:, None] / noise.factor)
+        null = np.zeros(0)
+        for part in (*_PARTS, draws):
+            size = min(part, draws) - done
+            if size <= 0:
+                break
+            simulated = grid.evidence(_null_data(fit, rng, size)).max(axis=0)
+            null, done = np.concatenate([null, simulated]), done + size
+            p[live] = (1 + (null[None] >= found).sum(axis=1)) / (done + 1)
+            if not _undecided(float(p.min()), done, alpha):
+                break
         evidence[live] = found[:, 0]
-        p[live] = (1 + (best[None] >= found[:, :1]).sum(axis=1)) / (draws + 1)
     scores = [
-        Score(c, float(e), float(q), draws, *numbers)
+        Score(c, float(e), float(q), done, *numbers)
         for c, e, q, numbers in zip(candidates, evidence, p, alone, strict=True)
     ]
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 
 def _score_many(
-    fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, draws: int
+    fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, draws: int, alpha: float
 ) -> tuple[Score, ...]:
     """The same without settings: all by Gram matrices, nothing of the size of the data squared."""
     factor, live = fit.noise.factor, [k for k, c in enumerate(candidates) if np.any(c.columns)]
     blocks = [candidates[k].columns / factor for k in live]
-    found = gram_evidence(fit.at.residual / factor, fit.at.jacobian, blocks, _TAU, rng, draws)
+    found = gram_evidence(fit.at.residual / factor, fit.at.jacobian, blocks, TAU, rng, draws)
     # Scores outlive the search: thousands of numbers a column would stay with them.
     bare = [replace(c, columns=c.columns[:0].copy()) for c in candidates]
     dead = [k for k in range(len(candidates)) if k not in live]
@@ -163,25 +155,39 @@ def _score_many(
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 
-def _alone(fit: Fit, candidate: Candidate, ratio: tuple[float, ...]) -> tuple[float, float, float]:
-    """What the fitted parameters leave of a candidate, its λ, and the share that it explains."""
-    white = whitener(fit.at.settings, ratio)
-    basis = np.linalg.qr(white(fit.at.jacobian))[0]
-    columns = white(candidate.columns)
-    rest = columns - basis @ (basis.T @ columns)
-    whole, kept = float(np.sum(columns**2)), float(np.sum(rest**2))
-    left = kept / whole if whole > 0.0 else 0.0
-    if left < _ABSORBED:
-        return left, 0.0, 0.0
+def _each_alone(fit: Fit, candidates: tuple[Candidate, ...]) -> list[tuple[float, float, float]]:
+    """What the fitted parameters leave of each candidate, its λ, and the share that it explains."""
+    white, basis = _base(fit)
     residual = white(fit.at.residual)
     residual = residual - basis @ (basis.T @ residual)
-    u, s, _ = np.linalg.svd(rest, full_matrices=False)
-    u = u[:, s > 1e-9 * s[0]]
-    freedom = residual.size - basis.shape[1]
     power = max(float(residual @ residual), 1e-300)
-    unexplained = 1.0 - float(np.sum((u.T @ residual) ** 2)) / power
-    share = 1.0 - unexplained * freedom / max(freedom - u.shape[1], 1)
-    return left, float(np.sqrt(kept)) / fit.noise.factor, max(share, 0.0)
+    freedom = residual.size - basis.shape[1]
+    found = []
+    for candidate in candidates:
+        columns = white(candidate.columns)
+        rest = columns - basis @ (basis.T @ columns)
+        whole, kept = float(np.sum(columns**2)), float(np.sum(rest**2))
+        left = kept / whole if whole > 0.0 else 0.0
+        if left < _ABSORBED:
+            found.append((left, 0.0, 0.0))
+            continue
+        u = _span(rest)
+        unexplained = 1.0 - float(np.sum((u.T @ residual) ** 2)) / power
+        share = 1.0 - unexplained * freedom / max(freedom - u.shape[1], 1)
+        found.append((left, float(np.sqrt(kept)) / fit.noise.factor, max(share, 0.0)))
+    return found
+
+
+def _base(fit: Fit) -> tuple[Whitener, Array]:
+    """The whitener of the fit's noise and an orthonormal basis of its whitened Jacobian."""
+    white = whitener(fit.at.settings, tuple(sd / fit.noise.factor for sd in fit.noise.sd))
+    return white, np.linalg.qr(white(fit.at.jacobian))[0]
+
+
+def _span(columns: Array) -> Array:
+    """Orthonormal basis of columns, without directions that are only rounding."""
+    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    return u[:, s > 1e-9 * max(float(s[0]), 1e-300)]
 
 
 def _null_data(fit: Fit, rng: np.random.Generator, draws: int) -> Array:
@@ -193,66 +199,13 @@ def _null_data(fit: Fit, rng: np.random.Generator, draws: int) -> Array:
     return data
 
 
-def _evidence(
-    fit: Fit, fitted: tuple[float, ...], columns: Array, starts: NDArray[np.intp], data: Array
-) -> Array:
-    """(candidates, data sets) evidence, the maximum over the noise grid and τ."""
-    grids = [tuple(shrink * ratio for shrink in _SHRINK) for ratio in fitted]
-    nothing: Array = np.full(data.shape[1], -np.inf)
-    best: Array = np.full((len(starts), data.shape[1]), -np.inf)
-    for ratio in product(*grids):
-        point = _at_point(fit, ratio, columns, starts)
-        whitened = whitener(fit.at.settings, ratio)(data)
-        whitened -= point.basis @ (point.basis.T @ whitened)
-        power = np.sum(whitened**2, axis=0)
-        freedom = data.shape[0] - point.basis.shape[1]
-        base = point.constant - 0.5 * freedom * np.log(power)
-        np.maximum(nothing, base, out=nothing)
-        explained = (point.u.T @ whitened) ** 2
-        for tau in _TAU:
-            gain = tau**2 * point.size
-            share = (gain / (1.0 + gain))[:, None]
-            drop = np.add.reduceat(share * explained, starts, axis=0)
-            penalty = np.add.reduceat(np.log1p(gain), starts)[:, None]
-            rest = np.maximum(power - drop, 1e-300)
-            value = point.constant - 0.5 * (freedom * np.log(rest) + penalty)
-            np.maximum(best, value, out=best)
-    return best - nothing
-
-
-def _at_point(
-    fit: Fit, ratio: tuple[float, ...], columns: Array, starts: NDArray[np.intp]
-) -> _Point:
-    white = whitener(fit.at.settings, ratio)
-    basis, triangle = np.linalg.qr(white(fit.at.jacobian))
-    projected = white(columns)
-    projected = projected - basis @ (basis.T @ projected)
-    u, size = projected.copy(), np.zeros(columns.shape[1])
-    for first, last in zip(starts, [*starts[1:], columns.shape[1]], strict=True):
-        block = projected[:, first:last]
-        if last - first == 1:
-            size[first] = float(block[:, 0] @ block[:, 0])
-            u[:, first] = block[:, 0] / np.sqrt(max(size[first], 1e-300))
-            continue
-        # Eigenvectors of the small Gram matrix are the block's singular directions.
-        values, vectors = np.linalg.eigh(block.T @ block)
-        size[first:last] = np.maximum(values, 0.0)
-        u[:, first:last] = block @ vectors / np.sqrt(np.maximum(values, 1e-300))
-        u[:, first:last][:, values <= 1e-12 * values[-1]] = 0.0
-    log_j = float(np.log(np.maximum(np.abs(np.diag(triangle)), 1e-300)).sum())
-    return _Point(projected, basis, u, size, -0.5 * white.log_det - log_j)
-
-
 def collinearity(fit: Fit, one: Candidate, other: Candidate) -> float:
     """Largest cosine between two candidates after projection: 1 means that they are aliases."""
-    white = whitener(fit.at.settings, tuple(sd / fit.noise.factor for sd in fit.noise.sd))
-    basis = np.linalg.qr(white(fit.at.jacobian))[0]
+    white, basis = _base(fit)
 
     def span(columns: Array) -> Array:
         rest = white(columns)
-        rest = rest - basis @ (basis.T @ rest)
-        u, s, _ = np.linalg.svd(rest, full_matrices=False)
-        return u[:, s > 1e-9 * max(float(s[0]), 1e-300)]
+        return _span(rest - basis @ (basis.T @ rest))
 
     a, b = span(one.columns), span(other.columns)
     if not a.size or not b.size:
