@@ -29,6 +29,7 @@ FLOORS: dict[str, int] = {
     "writers": 2,
     "references": 2,
     "windows": 2,
+    "tails": 2,
     "stillness": 2,
     "segments": 2,
     "position_table": 2,

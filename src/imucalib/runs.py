@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.recording import Array, Channel, Recording
 from imucalib.stillness import Sensor, StillSettings, judge
+from imucalib.tails import TailBuilder, overlapping, with_tails
 from imucalib.units import MG, STANDARD_GRAVITY
 from imucalib.windows import WindowBuilder, Windows, in_order
 
@@ -88,6 +89,7 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     scale, Undetermined when it is shorter than one window.
     """
     builders: dict[str, WindowBuilder] = {}
+    tails: TailBuilder | None = None
     name, rate, samples, stop, gaps = "", 0.0, 0, 0.0, 0
     notes: list[str] = []
     first: Recording | None = None
@@ -103,9 +105,11 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
                 builders[key] = WindowBuilder(per)
             builders[key].add(channel, block.gaps)
             if key == "acceleration":
+                tails = tails or TailBuilder(max(5, round(WORN.shortest * channel.rate)))
+                tails.add(channel, block.gaps)
                 rate, samples = rate or channel.rate, samples + channel.t.size
                 stop = max(stop, float(channel.t[-1])) if channel.t.size else stop
-    if first is None or "acceleration" not in builders:
+    if first is None or tails is None:
         where = first.path if first else ""
         raise UsageError("the recording has no acceleration channel", where=where)
     windows = builders["acceleration"].windows()
@@ -116,6 +120,7 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     ordered, lost = in_order(windows)
     if lost:
         notes.append(f"{lost} windows left out: time had stepped back")
+    ordered = with_tails(ordered, tails.tails)
     warm = builders["temperature"].windows() if "temperature" in builders else None
     return Scan(
         ordered, warm and in_order(warm)[0], name, rate, samples, stop, gaps, first.path,
@@ -161,6 +166,7 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
     sensor = Sensor(scanned.triad, "acceleration", scanned.rate, w)
     _, still, notes = judge(sensor, settings)
     chosen = np.flatnonzero(still)
+    chosen = np.setdiff1d(chosen, overlapping(w, chosen))
     if not chosen.size:
         raise Undetermined(
             "no window of the recording is still" + (f" ({'; '.join(notes)})" if notes else ""),

@@ -140,7 +140,10 @@ def _frozen(sensor: Sensor) -> Flags:
     w = sensor.windows
     constant = np.all(w.high == w.low, axis=1)
     if sensor.fine:
-        return np.asarray(constant)
+        # The window before or after one that is frozen through and through is so in part.
+        along = np.diff(w.run) == 0
+        after = np.append(False, constant[:-1] & along)
+        return np.asarray(constant | after | np.append(constant[1:] & along, False))
     same = constant & np.append(False, np.all(w.mean[1:] == w.mean[:-1], axis=1))
     starts = np.flatnonzero(~same)
     lengths = np.diff(starts, append=same.size)

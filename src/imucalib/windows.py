@@ -59,7 +59,7 @@ class WindowBuilder:
         """Take the next block of the channel, with the gaps that the block reports."""
         held, new = self._t.size, channel.values
         t = np.concatenate([self._t, channel.t]) if held else channel.t
-        edges = _breaks(t, gaps)
+        edges = breaks(t, gaps)
         bounds = [0, *edges.tolist(), t.size]
         before, w = self._values, self.samples
 
@@ -83,7 +83,7 @@ class WindowBuilder:
 
     def _of(self, t: Array, values: Array, first: int) -> Windows:
         w = self.samples
-        statistics = _statistics(values.reshape(t.size // w, w, values.shape[1]))
+        statistics = window_statistics(values.reshape(t.size // w, w, values.shape[1]))
         mean, variance, low, high, finest = statistics
         m = t.size // w
         return Windows(
@@ -127,7 +127,7 @@ def in_order(windows: Windows) -> tuple[Windows, int]:
     return replace(windows, **{n: getattr(windows, n)[keep] for n in names}), int((~keep).sum())
 
 
-def _statistics(cube: Array) -> tuple[Array, Array, Array, Array, Array]:
+def window_statistics(cube: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Mean, variance, low and high (m, k), and the finest step (k,), of windows (m, w, k).
 
     A few samples are laid side by side, so that every reduction runs along a row of numbers and
@@ -162,7 +162,7 @@ def _statistics(cube: Array) -> tuple[Array, Array, Array, Array, Array]:
     return out[0], out[1], out[2], out[3], finest
 
 
-def _breaks(t: Array, gaps: Sequence[Gap]) -> Index:
+def breaks(t: Array, gaps: Sequence[Gap]) -> Index:
     """Indices i such that sample i does not follow sample i - 1; 0 when it starts a new run."""
     back = np.flatnonzero(np.diff(t) < 0) + 1
     found = set(back.tolist())

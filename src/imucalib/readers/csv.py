@@ -21,6 +21,7 @@ from imucalib.readers.csv_parse import Rows, parse
 from imucalib.readers.csv_plan import Plan, Signal, make_plan
 from imucalib.readers.csv_source import Lines, line_blocks, text_head
 from imucalib.readers.csv_time import spread
+from imucalib.readers.idle_sleep import without_repeats
 from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
@@ -84,6 +85,11 @@ def _blocks(
     path: Path, mapping: FieldMapping, block_samples: int, strict: bool
 ) -> Iterator[Recording]:
     plan = make_plan(path, mapping)
+    found = _table(path, plan, block_samples, strict)
+    yield from without_repeats(found) if plan.idle else found
+
+
+def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator[Recording]:
     empty = Recording(
         {}, str(path), "csv", sha256_of(path), plan.clock.start_ns,
         notes=plan.notes, mapping=plan.resolved.to_dict(),
