@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from imucalib.recording import Array, Channel, Gap
 
 Index = NDArray[np.intp]
-_CACHE = 1 << 15  # numbers that are worked on at a time
-_BESIDE = 40  # samples laid side by side, at most
+_CACHE = 1 << 19  # bytes that are worked on at a time
 _EVERY = 8  # one in so many pieces is looked at for the resolution
 
 
@@ -127,39 +126,37 @@ def in_order(windows: Windows) -> tuple[Windows, int]:
     return replace(windows, **{n: getattr(windows, n)[keep] for n in names}), int((~keep).sum())
 
 
-def window_statistics(cube: Array) -> tuple[Array, Array, Array, Array, Array]:
+def window_statistics(
+    cube: NDArray[np.generic],
+) -> tuple[Array, Array, Array, Array, Array]:
     """Mean, variance, low and high (m, k), and the finest step (k,), of windows (m, w, k).
 
-    A few samples are laid side by side, so that every reduction runs along a row of numbers and
-    not along three; as many windows at a time as the cache holds.
+    As many windows at a time as the cache holds are turned, so that every reduction runs along
+    neighbouring numbers. Single precision stays so: it is counted from the first sample, and a
+    difference of two such numbers loses nothing that their noise would not hide.
     """
     m, w, k = cube.shape
-    beside = max(f for f in range(1, min(w, _BESIDE) + 1) if w % f == 0)
-    out = [np.empty((m, k)) for _ in range(4)]
+    kind = np.result_type(cube.dtype, np.float32)
+    mean, variance, low, high = (np.empty((m, k)) for _ in range(4))
     finest = np.full(k, np.inf)
-    size = max(1, _CACHE // (w * k))
+    size = max(1, _CACHE // (w * k * kind.itemsize))
+    turned, ones = np.empty((min(size, m), k, w), kind), np.ones(w, kind)
     for a in range(0, m, size):
         part = slice(a, min(a + size, m))
-        block = cube[part]
+        rows = turned[: part.stop - a]
+        rows[:] = cube[part].transpose(0, 2, 1)
+        low[part], high[part] = rows.min(axis=2), rows.max(axis=2)
         if a % (_EVERY * size) == 0:
-            steps = np.abs(np.diff(block, axis=1))
-            smallest = np.where(steps > 0, steps, np.inf).min(axis=(0, 1), initial=np.inf)
+            steps = np.abs(np.diff(rows, axis=2))
+            smallest = steps.min(axis=(0, 2), where=steps > 0, initial=np.inf)
             finest = np.minimum(finest, smallest)
-        rows = block.reshape(len(block), w // beside, beside * k)
-
-        def folded(values: Array, of: np.ufunc, into: Array) -> None:
-            of.reduce(values.reshape(len(into), beside, k), axis=1, out=into)
-
-        folded(rows.min(axis=1), np.minimum, out[2][part])
-        folded(rows.max(axis=1), np.maximum, out[3][part])
-        # Counted from the first sample, so that squares lose no digits to the mean.
-        rows = rows - np.tile(block[:, 0], beside)[:, None]
-        total, square = np.empty((len(block), k)), np.empty((len(block), k))
-        folded(rows.sum(axis=1), np.add, total)
-        folded(np.einsum("nij,nij->nj", rows, rows), np.add, square)
-        out[0][part] = block[:, 0] + total / w
-        out[1][part] = np.maximum(square - total**2 / w, 0.0) / max(w - 1, 1)
-    return out[0], out[1], out[2], out[3], finest
+        first = rows[:, :, :1].copy()
+        rows -= first
+        total = np.vecdot(rows, ones).astype(np.float64)
+        square = np.vecdot(rows, rows)
+        mean[part] = first[:, :, 0] + total / w
+        variance[part] = np.maximum(square - total**2 / w, 0.0) / max(w - 1, 1)
+    return mean, variance, low, high, finest
 
 
 def breaks(t: Array, gaps: Sequence[Gap]) -> Index:

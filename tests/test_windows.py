@@ -1,0 +1,61 @@
+"""Window statistics: blocked equals naive, whatever the shape, the type and the size of a block."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imucalib.windows import window_statistics
+
+KINDS = ("f4", "f8", "i2", "u1", "i4", "i8", "f2")
+
+
+def drawn(seed: int, shape: tuple[int, int, int], kind: str, level: float) -> np.ndarray:
+    numbers = np.random.default_rng(seed).normal(level, 20.0, shape)
+    numbers[::3] = np.round(numbers[::3, :1])  # constant windows
+    return numbers.clip(0, 250).astype(kind)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    m=st.integers(1, 40),
+    w=st.integers(1, 300),
+    k=st.sampled_from((1, 3)),
+    kind=st.sampled_from(KINDS),
+    level=st.sampled_from((0.0, 100.0)),
+    cache=st.sampled_from((1, 4096, 1 << 19)),
+)
+def test_equal_to_naive(
+    seed: int, m: int, w: int, k: int, kind: str, level: float, cache: int
+) -> None:
+    cube = drawn(seed, (m, w, k), kind, level)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("imucalib.windows._CACHE", cache)
+        patch.setattr("imucalib.windows._EVERY", 1)
+        mean, variance, low, high, finest = window_statistics(cube)
+    exact = cube.astype(np.float64)
+    assert np.array_equal(low, exact.min(axis=1))
+    assert np.array_equal(high, exact.max(axis=1))
+    single = np.result_type(cube.dtype, np.float32) == np.float32
+    error = 3e-7 if single else 1e-13
+    reach = np.abs(exact - exact[:, :1]).max(axis=1)
+    assert np.all(np.abs(mean - exact.mean(axis=1)) <= error * reach + 1e-14 * np.abs(mean))
+    naive = exact.var(axis=1, ddof=1) if w > 1 else np.zeros((m, k))
+    assert np.all(np.abs(variance - naive) <= 10.0 * error * reach**2)
+    assert np.all(variance[high == low] == 0.0)
+    steps = np.abs(np.diff(exact, axis=1))
+    smallest = np.where(steps > 0, steps, np.inf).min(axis=(0, 1), initial=np.inf)
+    assert np.allclose(finest, smallest, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_variance_far_from_zero(kind: str) -> None:
+    """Noise of one part in ten thousand keeps its digits beside a large offset."""
+    rng = np.random.default_rng(4)
+    cube = (1e3 + 0.1 * rng.standard_normal((20, 1000, 3))).astype(kind)
+    _, variance, *_ = window_statistics(cube)
+    exact = cube.astype(np.float64).var(axis=1, ddof=1)
+    assert np.allclose(variance, exact, rtol=1e-5 if kind == "f4" else 1e-10)
