@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from imucalib.model import Model, Prediction
 from imucalib.observations import Observations
@@ -122,6 +121,8 @@ class Whitener:
     def __call__(self, columns: Array) -> Array:
         if self.lower is None:
             return columns
+        from scipy.linalg import solve_triangular
+
         return np.asarray(solve_triangular(self.lower, columns, lower=True, check_finite=False))
 
 
@@ -145,6 +146,8 @@ def setting_errors(at: Balanced, noise: Noise, misfit: Array) -> Array:
     white = whitener(at.settings, ratio)
     weighted = white(misfit)
     if white.lower is not None:
+        from scipy.linalg import solve_triangular
+
         weighted = solve_triangular(white.lower, weighted, lower=True, trans="T")
     parts = [rho**2 * m.T @ weighted for m, rho in zip(at.settings, ratio, strict=True)]
     return np.concatenate(parts) if parts else np.zeros(0)
