@@ -4,11 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+class Pending(Protocol):
+    """A conversion to SI that is linear on each axis, so that statistics can go through it too."""
+
+    def apply(self, raw: NDArray[np.generic]) -> Array:
+        """Convert readings (..., k)."""
+        ...
+
+    def sizes(self, raw: NDArray[np.generic]) -> Array:
+        """Convert sizes (..., k) such as standard deviations or steps."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -20,6 +33,8 @@ class Channel:
     quantity : "acceleration", "angular_rate", "temperature", or a name from the file
     triad : the sensor that it belongs to, for example "imu0"
     rate : samples a second, from the median time step (or the file's header)
+    pending : None, except in blocks that were asked for as stored (`readers.stored_blocks`): there
+        `values` are the file's own numbers of any type, and this turns them into `unit`
     """
 
     t: Array
@@ -28,6 +43,7 @@ class Channel:
     quantity: str
     triad: str
     rate: float
+    pending: Pending | None = None
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.t.shape != self.values.shape[:1]:

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.recording import Array, Channel, Gap
+from imucalib.recording import Array, Channel, Gap, Pending
 
 Index = NDArray[np.intp]
 _CACHE = 1 << 19  # bytes that are worked on at a time
@@ -53,10 +53,12 @@ class WindowBuilder:
         self._values: Array | None = None
         self._offset = 0
         self._run = 0
+        self._pending: Pending | None = None
 
     def add(self, channel: Channel, gaps: Sequence[Gap]) -> None:
         """Take the next block of the channel, with the gaps that the block reports."""
         held, new = self._t.size, channel.values
+        self._pending = channel.pending
         t = np.concatenate([self._t, channel.t]) if held else channel.t
         edges = breaks(t, gaps)
         bounds = [0, *edges.tolist(), t.size]
@@ -108,8 +110,27 @@ class WindowBuilder:
         self._parts = []
         # Each list is let go before the next is joined: no second copy of everything.
         joined = {name: np.concatenate(pieces.pop(name)) for name in names}
-        self._parts = [Windows(samples=self.samples, finest=finest, **joined)]
-        return self._parts[0]
+        found = Windows(samples=self.samples, finest=finest, **joined)
+        found, self._pending = converted(found, self._pending), None
+        self._parts = [found]
+        return found
+
+
+def converted(windows: Windows, how: Pending | None) -> Windows:
+    """The windows in SI, when their numbers are still those of the file."""
+    if how is None:
+        return windows
+    ends = how.apply(windows.low), how.apply(windows.high)
+    known = np.isfinite(windows.finest)
+    finest = how.sizes(np.where(known, windows.finest, 0.0))
+    return replace(
+        windows,
+        mean=how.apply(windows.mean),
+        variance=how.sizes(np.sqrt(windows.variance)) ** 2,
+        low=np.minimum(*ends),
+        high=np.maximum(*ends),
+        finest=np.where(finest > 0.0, finest, np.inf),
+    )
 
 
 def in_order(windows: Windows) -> tuple[Windows, int]:

@@ -17,7 +17,7 @@ from imucalib.calibrators.actigraph_request import ActigraphRequest
 from imucalib.calibrators.actigraph_series import Series, series
 from imucalib.mapping import FieldMapping
 from imucalib.outcome import Outcome, Provenance
-from imucalib.readers import blocks
+from imucalib.readers import stored_blocks
 from imucalib.runs import WORN, PostureRuns, Scan, posture_runs, scan
 
 
@@ -40,7 +40,7 @@ def calibrate_recording(
     path: Path, mapping: FieldMapping, request: ActigraphRequest, say: Callable[[str], None]
 ) -> ActigraphRun:
     """Read in blocks and calibrate; `say` gets a line for each thing worth knowing on the way."""
-    scanned = scan(blocks(path, mapping), request.window, request.triad)
+    scanned = scan(stored_blocks(path, mapping), request.window, request.triad)
     runs = posture_runs(scanned, WORN)
     scanned = scanned.without_windows()
     return run_of(runs, scanned, request, say)

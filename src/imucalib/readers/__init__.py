@@ -18,7 +18,16 @@ from imucalib.mapping import FieldMapping
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording import Recording
 
-__all__ = ["BLOCK_SAMPLES", "Reader", "blocks", "read", "reader_for", "readers", "sha256_of"]
+__all__ = [
+    "BLOCK_SAMPLES",
+    "Reader",
+    "blocks",
+    "read",
+    "reader_for",
+    "readers",
+    "sha256_of",
+    "stored_blocks",
+]
 
 BLOCK_SAMPLES = 1 << 18  #: default samples (rows) of a block
 
@@ -113,3 +122,14 @@ def blocks(
     """Read a recording of any known format piecewise, in bounded memory; errors as in `read`."""
     full = (mapping or FieldMapping()).with_preset()
     return reader_for(path).blocks(Path(path), full, block_samples=block_samples, strict=strict)
+
+
+def stored_blocks(
+    path: str | os.PathLike[str], mapping: FieldMapping | None = None, *, strict: bool = False
+) -> Iterator[Recording]:
+    """`blocks` for a pass that keeps only statistics: a reader whose format holds plain numbers
+    gives them as they are, with the conversion to SI beside them (`Channel.pending`)."""
+    full, reader = (mapping or FieldMapping()).with_preset(), reader_for(path)
+    given = getattr(reader, "stored_blocks", reader.blocks)
+    found: Iterator[Recording] = given(Path(path), full, block_samples=BLOCK_SAMPLES, strict=strict)
+    return found

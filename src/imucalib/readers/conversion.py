@@ -48,6 +48,11 @@ class Conversion:
             values = values * self.factor
         return self.axes.apply(values)
 
+    def sizes(self, raw: NDArray[np.generic]) -> Array:
+        """Convert sizes (standard deviations, steps) of raw values: no offset, no sign."""
+        values = np.asarray(raw, dtype=np.float64) * np.abs(self.factor)
+        return np.abs(self.axes.apply(values))
+
 
 def norms_at_rest(pieces: Sequence[Array], window: int) -> Array:
     """Norms of the window means of the quietest tenth of all windows.

@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
 from imucalib.mapping import FieldMapping
@@ -18,11 +20,11 @@ from imucalib.readers.contents import listing, suggestion
 from imucalib.readers.hdf5_contents import contents_of
 from imucalib.readers.hdf5_fields import fields_of
 from imucalib.readers.hdf5_file import File, opened
-from imucalib.readers.hdf5_signals import Signal, raw_rows, resolved_mapping, signals_of, times
+from imucalib.readers.hdf5_signals import Signal, resolved_mapping, signals_of, stored_rows, times
 from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
-from imucalib.recording import Channel, Gap, Recording
+from imucalib.recording import Array, Channel, Gap, Recording
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
@@ -44,6 +46,13 @@ class Hdf5Reader:
         with opened(path, strict) as file:
             yield from _blocks(file, path, mapping, block_samples)
 
+    def stored_blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """The same blocks with the numbers as the file has them; see `readers.stored_blocks`."""
+        with opened(path, strict) as file:
+            yield from _blocks(file, path, mapping, block_samples, stored=True)
+
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
         """Read the whole file."""
         return join(self.blocks(path, mapping, block_samples=1 << 20, strict=strict), str(path))
@@ -52,7 +61,9 @@ class Hdf5Reader:
 READER = Hdf5Reader()
 
 
-def _blocks(file: File, path: Path, mapping: FieldMapping, size: int) -> Iterator[Recording]:
+def _blocks(
+    file: File, path: Path, mapping: FieldMapping, size: int, *, stored: bool = False
+) -> Iterator[Recording]:
     found = fields_of(file.handle, mapping, file.where)
     if not any(f.quantity != "temperature" for f in found):
         held = contents_of(file.handle, file.where)
@@ -75,6 +86,8 @@ def _blocks(file: File, path: Path, mapping: FieldMapping, size: int) -> Iterato
         for signal in signals:
             stop = _stop(file, signal, main, at[signal.name], size=size, until=until)
             channel, new = _channel(file, signal, at[signal.name], stop, last)
+            if channel is not None and not stored:
+                channel = _converted(channel)
             at[signal.name] = stop
             if channel is not None:
                 channels[signal.name] = channel
@@ -112,19 +125,33 @@ def _stop(file: File, signal: Signal, main: Signal, row: int, *, size: int, unti
 def _channel(
     file: File, signal: Signal, start: int, stop: int, last: dict[str, float]
 ) -> tuple[Channel | None, list[Gap]]:
+    """The channel with its conversion pending, and its gaps."""
     if stop <= start:
         return None, []
-    t, raw = times(file, signal, start, stop), raw_rows(file, signal.found, start, stop)
-    rows = np.arange(start, stop, dtype=np.float64)
-    if not (np.isfinite(t).all() and np.isfinite(raw).all()):
+    found, how = signal.found, signal.conversion
+    t, raw = times(file, signal, start, stop), stored_rows(file, found, start, stop)
+    rows: Array | range = range(start, stop)
+    if not (_finite(t) and _finite(raw)):
         usable = np.isfinite(t) & np.isfinite(raw).all(axis=1)
         if not usable.any():
             return None, []
-        t, raw, rows = t[usable], raw[usable], rows[usable]
+        t, raw, rows = t[usable], raw[usable], np.arange(start, stop)[usable]
     gaps = []
-    if signal.found.quantity != "temperature":
+    if found.quantity != "temperature":
         gaps = find_gaps(t, rows, signal.threshold, last.get(signal.name))
     last[signal.name] = float(t[-1])
-    how = signal.conversion
-    found = signal.found
-    return Channel(t, how.apply(raw), how.unit, found.quantity, found.triad, signal.rate), gaps
+    values = cast(Array, raw)  # of the type that the file has, while the conversion is pending
+    return Channel(t, values, how.unit, found.quantity, found.triad, signal.rate, how), gaps
+
+
+def _finite(values: NDArray[np.generic]) -> bool:
+    """Whether all are: a sum that is finite has no other terms, and is faster than a look."""
+    if values.dtype.kind in "iu":
+        return True
+    with np.errstate(invalid="ignore", over="ignore"):
+        return bool(np.isfinite(np.sum(values)) or np.isfinite(values).all())
+
+
+def _converted(channel: Channel) -> Channel:
+    assert channel.pending is not None
+    return replace(channel, values=channel.pending.apply(channel.values), pending=None)

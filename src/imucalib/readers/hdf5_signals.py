@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
 from imucalib.mapping import TIME_UNITS, FieldMapping
@@ -52,12 +53,17 @@ def times(file: File, signal: Signal, start: int, stop: int) -> Array:
 
 def raw_rows(file: File, found: Found, start: int, stop: int) -> Array:
     """Rows (n, 3), or (n, 1) of a temperature, in the stated unit."""
-    parts = [file.rows(p, start, stop).astype(np.float64) for p in found.parts]
+    return stored_rows(file, found, start, stop).astype(np.float64, copy=False)
+
+
+def stored_rows(file: File, found: Found, start: int, stop: int) -> NDArray[np.generic]:
+    """The same in the type of the file, as far as no factor has to be applied."""
+    parts = [file.rows(p, start, stop) for p in found.parts]
     if len(parts) == 1:
         values = parts[0].reshape(stop - start, -1)
     else:
         values = np.stack([p.reshape(-1) for p in parts], axis=1)
-    return values if found.scale == 1.0 else values * found.scale
+    return values if found.scale == 1.0 else values.astype(np.float64) * found.scale
 
 
 def _looks(found: Found) -> list[tuple[int, int]]:

@@ -35,23 +35,24 @@ def stepping(pieces: Sequence[Array]) -> Stepping | None:
     return Stepping(step, max(_MISSING_ONE * step, _JITTERY * high if high > 1.5 * step else 0.0))
 
 
-def find_gaps(t: Array, rows: Array, threshold: float, before: float | None) -> list[Gap]:
+def find_gaps(t: Array, rows: Array | range, threshold: float, before: float | None) -> list[Gap]:
     """Gaps and back-steps of the times of one channel (s).
 
     rows : number of each sample's row in the file, to tell missing values from missing rows;
     before : the last time of the previous block, or None.
     """
-    lead = [before] if before is not None else []
-    times = np.concatenate([lead, t])
-    order = np.concatenate([[rows[0] - 1] if lead else [], rows]) if rows.size else rows
-    steps = np.diff(times)
-    found = np.flatnonzero((steps > threshold) | (steps < 0))
     gaps = []
-    for k in found:
-        start, stop = float(times[k]), float(times[k + 1])
-        lost = int(order[k + 1] - order[k]) > 1
+
+    def add(start: float, stop: float, lost: bool) -> None:
         reason = "time steps back" if stop < start else "values missing" if lost else "no samples"
         gaps.append(Gap(start, stop, reason))
+
+    if before is not None and t.size and not 0.0 <= float(t[0]) - before <= threshold:
+        add(before, float(t[0]), False)
+    steps = np.diff(t)
+    if steps.size and not (steps.min() >= 0.0 and steps.max() <= threshold):
+        for k in np.flatnonzero((steps > threshold) | (steps < 0)).tolist():
+            add(float(t[k]), float(t[k + 1]), int(rows[k + 1] - rows[k]) > 1)
     return gaps
 
 
