@@ -121,7 +121,7 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
         stdin=subprocess.DEVNULL,
     )  # fmt: skip
     report: dict[str, Any] | None = None
-    if done.returncode in (0, 1, 5):
+    if done.returncode in (0, 1, 4, 5) and done.stdout.strip():  # 4 without output: refused
         report = json.loads(done.stdout)
     error = "" if report is not None else (done.stderr.strip() or f"ended by {done.returncode}")
     entry = Entry(task.recording, key, done.returncode, time.monotonic() - start, error, report)

@@ -29,6 +29,7 @@ class Fit:
     slope : (c, p, p) derivative of the covariance by log noise parameter, and
     noise_covariance : (c, c) of the log noise parameters; both for `interval_dof`
     null_directions : combinations that the data leave open, in words
+    prior : (p,) standard deviations of normal priors about the starting values, or None
     """
 
     model: Model
@@ -47,6 +48,7 @@ class Fit:
     null_directions: tuple[str, ...]
     converged: bool
     iterations: int
+    prior: Array | None = None
 
     @property
     def sd(self) -> Array:

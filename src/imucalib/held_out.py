@@ -47,6 +47,10 @@ def theta_without(fit: Fit, rows: Index) -> Array:
     settings = tuple(matrix[keep] for matrix in fit.at.settings)
     white = whitener(settings, tuple(sd / fit.noise.factor for sd in fit.noise.sd))
     both = white(np.column_stack([fit.at.residual[keep], fit.at.jacobian[keep]]))
+    if fit.prior is not None:
+        away = fit.model.start(fit.observations.context) - fit.theta
+        prior = np.column_stack([away, np.eye(away.size)]) / fit.prior[:, None]
+        both = np.vstack([both, fit.noise.factor * prior])
     scale = np.linalg.norm(both[:, 1:], axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     step = np.linalg.lstsq(both[:, 1:] / scale, both[:, 0], rcond=1e-10)[0] / scale

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken
+from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
 from imucalib.fit import Fit
 from imucalib.loop import Loop
 
-Status = Literal["ok", "marginal", "failed"]
+Status = Literal["ok", "marginal", "weak", "failed"]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,10 @@ class Limit:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished calibration: what was fitted, what the loop found, and how far to trust it."""
+    """A finished calibration: what was fitted, what the loop found, and how far to trust it.
+
+    weak : the data leave parameters open, which stay near their nominal values
+    """
 
     calibrator: str
     fit: Fit
@@ -88,6 +91,7 @@ class Outcome:
     undecided: tuple[str, ...] = ()
     limits: tuple[Limit, ...] = ()
     notes: tuple[str, ...] = field(default_factory=tuple)
+    weak: bool = False
 
     @property
     def unexplained(self) -> bool:
@@ -97,11 +101,16 @@ class Outcome:
     def status(self) -> Status:
         if not self.fit.converged or any(limit.broken for limit in self.limits):
             return "failed"
+        if self.weak:
+            return "weak"
         return "marginal" if self.unexplained or self.reasons else "ok"
 
     @property
     def exit_code(self) -> int:
-        """0 calibrated and consistent, 1 a limit is broken, 5 the residual is not explained."""
+        """0 calibrated and consistent, 1 a limit is broken, 4 the data leave parameters open, 5 the
+        residual is not explained."""
         if any(limit.broken for limit in self.limits):
             return LimitBroken.exit_code
+        if self.weak:
+            return Undetermined.exit_code
         return UNEXPLAINED_EXIT_CODE if self.unexplained else 0

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from imucalib.calibrators.actigraph_errors import error_summary, mean_error
 from imucalib.calibrators.actigraph_observations import observations_of, weighted
 from imucalib.calibrators.actigraph_request import ActigraphRequest
+from imucalib.calibrators.actigraph_weak import NINE, base_fit, is_weak
 from imucalib.closed_loop import close_loop
 from imucalib.effect import Effect
 from imucalib.effects import catalogue, families, named
-from imucalib.errors import NotConverged, Undetermined, UsageError
+from imucalib.errors import NotConverged, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.fit import Fit
 from imucalib.held_out import Held, fitted, held_out, theta_without
@@ -24,8 +25,6 @@ from imucalib.outcome import ErrorSummary
 from imucalib.runs import PostureRuns, Scan
 
 Array = NDArray[np.float64]
-
-NINE = ("bias", "scale", "non_orthogonality")
 
 
 @dataclass(frozen=True)
@@ -56,6 +55,11 @@ class ActigraphResult:
         return len(self.final.theta) > len(self.base.theta)
 
     @property
+    def weak(self) -> bool:
+        """Whether the postures leave some of the nine parameters open."""
+        return is_weak(self.base)
+
+    @property
     def fitted(self) -> Held:
         return fitted(self.final)
 
@@ -65,25 +69,18 @@ def calibrate(
 ) -> ActigraphResult:
     """Fit, search for what is missing, and measure the error on time that was not fitted.
 
-    Raises Undetermined when the postures leave a combination of parameters open.
+    Where the postures leave parameters open, these stay near their nominal values (see
+    `actigraph_weak`) and nothing is searched for. Raises NotConverged.
     """
     data = observations_of(runs, scanned, request.gravity, request.blocks)
     model = base_model(request, data)
-    demand_enough(model, data)
-    base, light = robust_fit(model, data, runs)
-    if base.null_directions:
-        raise Undetermined(
-            f"the {runs.n} postures leave open: " + "; ".join(base.null_directions),
-            where=scanned.path,
-            remedy="record longer, or turn the sensor to the directions that are missing: "
-            + "; ".join(unseen(runs)),
-        )
+    base, light = base_fit(model, data, runs)
     if not base.converged:
         raise NotConverged("the fit did not settle", where=scanned.path)
     loop, declined = None, ""
-    if request.loop:
+    if request.loop and not is_weak(base):
         loop, light = searched(base, light, runs, request, rng)
-    final = loop.as_recorded if loop else base
+    final = loop.as_recorded if loop and loop.steps else base
     base_held, final_held = held_out(base), held_out(final)
     if loop and loop.steps and mean_error(final_held) > mean_error(base_held):
         names = ", ".join(s.effect for s in loop.steps)
@@ -122,27 +119,6 @@ def base_model(request: ActigraphRequest, data: Observations) -> Model:
         if reason := effect.missing(data.context):
             raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
     return Model((*(named(n) for n in NINE), *declared))
-
-
-def demand_enough(model: Model, data: Observations) -> None:
-    """Raise Undetermined when there are fewer postures than parameters."""
-    parameters = len(model.parameters(data.context))
-    if data.n <= parameters:
-        raise Undetermined(
-            f"{data.n} postures at rest for {parameters} parameters",
-            remedy="record longer; a night of sleep shows most postures",
-        )
-
-
-def robust_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, int]:
-    """Fit with the scatter between runs and the weight of strange ones as the data show them."""
-    found, light = fit_model(model, data), 0
-    for _ in range(2):
-        if found.null_directions:
-            break
-        data, light = weighted(found, runs)
-        found = fit_model(model, data, start=found.theta)
-    return found, light
 
 
 def searched(

@@ -8,6 +8,7 @@ import numpy as np
 
 from imucalib.calibrators.actigraph import ActigraphResult, unseen
 from imucalib.calibrators.actigraph_errors import even_directions, mean_error, norm_sd
+from imucalib.calibrators.actigraph_weak import open_words
 from imucalib.outcome import Limit
 from imucalib.units import MG
 
@@ -23,10 +24,10 @@ def weakest(result: ActigraphResult) -> tuple[float, float]:
 
 def reasons(result: ActigraphResult) -> tuple[str, ...]:
     """Why the calibration is not simply good."""
-    found = []
+    found = [coverage_words(result)] if result.weak else []
     missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
     _, largest = weakest(result)
-    if largest > _WELL_KNOWN:
+    if largest > _WELL_KNOWN and not result.weak:
         where = f"; no posture with {', '.join(missing)}" if missing else ""
         found.append(f"the error in some directions is known to {largest:.1f} mg only{where}")
     held = mean_error(result.final_held)
@@ -47,10 +48,26 @@ def reasons(result: ActigraphResult) -> tuple[str, ...]:
     return tuple(found)
 
 
+def coverage_words(result: ActigraphResult) -> str:
+    """What weak coverage of the sphere leaves open, in the field's terms."""
+    missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
+    count = f"{result.runs.n} posture run" + "s" * (result.runs.n != 1)
+    never = f" (never {', '.join(missing)})" if missing else ""
+    text = f"weak coverage of the sphere: {count}{never} leave open {open_words(result.base)}"
+    if result.base.prior is not None:
+        text += "; what is open stays near its nominal value, with a data sheet's uncertainty"
+    return f"{text}; |a| is known to {weakest(result)[1]:.1f} mg in the worst direction"
+
+
 def advice(result: ActigraphResult) -> tuple[str, ...]:
     """The next steps, most useful first."""
     found = []
     missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
+    if result.weak and result.loop is None:
+        found.append(
+            "What the nine parameters lack was not searched for: that takes postures which "
+            "determine all of them."
+        )
     if missing and weakest(result)[1] > _WELL_KNOWN:
         found.append(
             f"Rest the sensor for ten seconds with {', '.join(missing)}, or record more nights."

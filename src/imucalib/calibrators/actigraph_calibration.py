@@ -11,6 +11,7 @@ from imucalib.calibration import Calibration, from_fit
 from imucalib.calibrators.actigraph_advice import weakest
 from imucalib.calibrators.actigraph_errors import sphere_cells
 from imucalib.calibrators.actigraph_run import ActigraphRun
+from imucalib.calibrators.actigraph_weak import from_data
 from imucalib.units import MG
 
 
@@ -23,6 +24,7 @@ def actigraph_calibration(run: ActigraphRun) -> Calibration:
         "clock": {"start_ns": run.scanned.start_ns, "span_s": max(run.scanned.stop, 1.0)},
         "error_mg": error_block(run),
         "coverage": coverage_block(run),
+        "from_data": data_share_block(run),
         "provenance": {
             "input": origin.path,
             "sha256": origin.sha256,
@@ -88,6 +90,12 @@ def coverage_block(run: ActigraphRun) -> dict[str, Any]:
         block["temperature_degC"] = [float(warm.min()), float(warm.max())]
         block["temperature_reference_degC"] = 25.0
     return block
+
+
+def data_share_block(run: ActigraphRun) -> dict[str, float]:
+    """Of each parameter: 1 - (sd / typical size)², 0 where nothing was learnt, 1 where all was."""
+    fit = run.result.final
+    return {p.name: float(v) for p, v in zip(fit.parameters, from_data(fit), strict=True)}
 
 
 def sphere_block(run: ActigraphRun) -> list[dict[str, Any]]:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from imucalib.calibration import Calibration, from_fit
 from imucalib.calibration_points import PointCollector, published_still, two_sets
-from imucalib.calibrators.actigraph import NINE
 from imucalib.calibrators.actigraph_request import ActigraphRequest
 from imucalib.calibrators.actigraph_run import provenance_of
+from imucalib.calibrators.actigraph_weak import NINE
 from imucalib.context import Context
 from imucalib.effects import named
 from imucalib.errors import Undetermined

@@ -68,6 +68,7 @@ def run_of(
         advice=advice(result),
         limits=limits_of(result, request.limits),
         notes=(*scanned.notes, *runs.notes, *declined),
+        weak=result.weak,
     )
     parts = series(runs, scanned, request, say) if request.every else None
     return ActigraphRun(outcome, result, scanned, request, parts)

@@ -9,9 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.actigraph import base_model, demand_enough, robust_fit
+from imucalib.calibrators.actigraph import base_model
 from imucalib.calibrators.actigraph_observations import hours, observations_of
 from imucalib.calibrators.actigraph_request import ActigraphRequest
+from imucalib.calibrators.actigraph_weak import base_fit, is_weak, open_words
 from imucalib.errors import ImucalError, Undetermined
 from imucalib.fit import Fit
 from imucalib.parameter import Parameter
@@ -95,12 +96,13 @@ def _fit(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> tuple[F
     try:
         data = observations_of(runs, scanned, request.gravity, request.blocks)
         model = base_model(request, data)
-        demand_enough(model, data)
-        found, _ = robust_fit(model, data, runs)
+        found, _ = base_fit(model, data, runs)
     except ImucalError as error:
         return None, error.what
-    if found.null_directions or not found.converged:
-        return None, "; ".join(found.null_directions) or "the fit did not settle"
+    if not found.converged:
+        return None, "the fit did not settle"
+    if is_weak(found):
+        return None, f"{runs.n} postures leave open: {open_words(found)} from the data"
     return found, ""
 
 

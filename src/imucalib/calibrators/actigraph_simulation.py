@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.actigraph import NINE
 from imucalib.calibrators.actigraph_observations import covariates_of
+from imucalib.calibrators.actigraph_weak import NINE
 from imucalib.context import Context
 from imucalib.effects import named
 from imucalib.errors import UsageError

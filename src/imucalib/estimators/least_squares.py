@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from imucalib.balance import Balanced, Noise, balance, setting_errors, whitener
 from imucalib.estimators.levenberg_marquardt import Solution, minimise
-from imucalib.estimators.variance import NoiseEstimate, estimate_noise
+from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate_with_prior
 from imucalib.fit import Fit
 from imucalib.identifiability import null_directions
 from imucalib.model import Model
@@ -36,12 +36,15 @@ def fit(
     *,
     start: Array | None = None,
     noise: Noise | None = None,
+    prior: Array | None = None,
     rounds: int = 25,
 ) -> Fit:
     """Fit θ, η and, unless `noise` is given, the noise.
 
     start : θ to start from; the effects' own starting values by default
     noise : held fixed when given (held-out refits); otherwise estimated by REML
+    prior : (p,) standard deviations of normal priors about the effects' own starting values: the
+        maximum a posteriori, which exists for any number of observations; without settings only
     A Fit whose `converged` is False must not be reported as a calibration.
     """
     context, reference = observations.context, observations.reference
@@ -53,17 +56,22 @@ def fit(
     estimate: NoiseEstimate | None = None
     converged, steps = False, 0
     for _ in range(rounds):
-        solution = _solve(model, observations, state, current)
+        solution = _solve(model, observations, state, current, prior)
         state, steps = solution.state, steps + solution.iterations
         at = balance(model, state.theta, state.eta, observations)
-        estimate = estimate_noise(at, current, fixed=noise is not None)
+        if prior is None:
+            estimate = estimate_noise(at, current, fixed=noise is not None)
+        else:
+            away = state.theta - model.start(context)
+            estimate = estimate_with_prior(at, current, prior, away)
         settled = _same(estimate.noise, current)
         current = estimate.noise
         if settled:
             converged = solution.converged
             break
     assert estimate is not None
-    return _finish(model, observations, state, at, estimate, converged, steps)
+    found = _finish(model, observations, state, at, estimate, converged, steps)
+    return replace(found, prior=prior)
 
 
 def evaluate(
@@ -82,13 +90,19 @@ def evaluate(
     return replace(found, covariance=covariance, noise_covariance=spread, null_directions=())
 
 
-def _solve(model: Model, observations: Observations, start: State, noise: Noise) -> Solution[State]:
+def _solve(
+    model: Model, observations: Observations, start: State, noise: Noise, prior: Array | None
+) -> Solution[State]:
     ratio = tuple(sd / noise.factor for sd in noise.sd)
+    nominal = model.start(observations.context)
 
     def linearise(state: State) -> tuple[Array, Array]:
         at = balance(model, state.theta, state.eta, observations)
         white = whitener(at.settings, ratio)
         both = white(np.column_stack([at.residual, at.jacobian]))
+        if prior is not None:
+            rows = np.column_stack([nominal - state.theta, np.eye(prior.size)])
+            both = np.vstack([both, noise.factor * rows / prior[:, None]])
         return both[:, 0], both[:, 1:]
 
     def move(state: State, step: Array) -> State:

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 #: the readings' noise. Below `_VANISHED` the component counts as zero.
 _RATIO = (1e-3, 1e5)
 _VANISHED = 1e-2
+#: What the prior of the noise factor weighs, in observations.
+_PRIOR_DOF = 4.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,41 @@ def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
         chi2,
         dof,
         float(likelihood),
+        at.jacobian,
+    )
+
+
+def estimate_with_prior(at: Balanced, start: Noise, prior: Array, away: Array) -> NoiseEstimate:
+    """The factor and the covariance where each parameter has a normal prior (p,) of its own.
+
+    away : (p,) distance of θ from the prior's centre. The factor has a prior too, worth
+    `_PRIOR_DOF` observations at 1, so that it exists for a single one. Its estimate is the fixed
+    point of the evidence: parameters cost degrees of freedom as far as the data determine them
+    (MacKay 1992). Only for balances without settings.
+    """
+    assert not at.settings
+    information, precision = at.jacobian.T @ at.jacobian, np.diag(prior**-2.0)
+    chi2, size = float(at.residual @ at.residual), at.residual.size
+    square = start.factor**2
+    for _ in range(100):
+        covariance = np.linalg.inv(information / square + precision)
+        used = float(np.sum(information * covariance)) / square
+        dof = _PRIOR_DOF + size - used
+        before, square = square, (_PRIOR_DOF + chi2) / dof
+        if abs(square - before) <= 1e-10 * before:
+            break
+    factor = float(np.sqrt(square))
+    covariance = np.linalg.inv(information / square + precision)
+    log_det = float(np.linalg.slogdet(np.eye(prior.size) + information / square * prior**2)[1])
+    likelihood = -0.5 * (chi2 / square + float(np.sum((away / prior) ** 2)) + log_det)
+    return NoiseEstimate(
+        Noise(factor),
+        covariance,
+        2.0 / square * (covariance @ information @ covariance)[None],
+        np.array([[0.5 / dof]]),
+        chi2,
+        max(0, round(size - used)),
+        likelihood - size * float(np.log(factor)),
         at.jacobian,
     )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from imucalib.calibrators.actigraph_advice import weakest
 from imucalib.calibrators.actigraph_calibration import actigraph_calibration, coverage_block
 from imucalib.calibrators.actigraph_run import ActigraphRun
+from imucalib.calibrators.actigraph_weak import from_data
 from imucalib.outcome import Status
 from imucalib.report.actigraph_plots import residual_plots, sphere_blocks
 from imucalib.report.actigraph_series import series_section
@@ -15,7 +16,7 @@ from imucalib.report.linear import linear_blocks
 from imucalib.report.loop import advice_section, candidate_section, loop_section
 from imucalib.significant_digits import with_sd
 
-_TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "failed": "bad"}
+_TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
 _MOST_ROWS = 12  # parameters of one effect that are shown in full
 
 
@@ -59,6 +60,7 @@ def _verdict(run: ActigraphRun) -> Text:
 
 def _parameters(run: ActigraphRun) -> Section:
     fit = run.result.final
+    share = from_data(fit)
     rows: list[tuple[str, ...]] = []
     hidden = []
     for name, part in fit.model.slices(fit.observations.context).items():
@@ -67,12 +69,16 @@ def _parameters(run: ActigraphRun) -> Section:
             continue
         for k in range(part.start, part.stop):
             p = fit.parameters[k]
-            rows.append((p.name, name, *with_sd(float(fit.theta[k]), float(fit.sd[k])), p.unit))
-    note = "Uncertainty by posture run: windows of one posture are not independent."
+            value = with_sd(float(fit.theta[k]), float(fit.sd[k]))
+            rows.append((p.name, name, *value, p.unit, f"{100.0 * share[k]:.0f}"))
+    note = (
+        "Uncertainty by posture run: windows of one posture are not independent. From data: share "
+        "of what is known that the recording has shown, 1 - (sd / typical size)²."
+    )
     if hidden:
         note += f" In calibration.yaml only: {', '.join(hidden)}."
-    table = Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), tuple(rows),
-                  "llrrl", note)  # fmt: skip
+    table = Table("Parameters", ("parameter", "effect", "value", "sd", "unit", "from data, %"),
+                  tuple(rows), "llrrlr", note)  # fmt: skip
     return Section("Parameters", (table,))
 
 

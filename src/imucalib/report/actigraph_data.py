@@ -7,6 +7,7 @@ from typing import Any
 from imucalib.calibrators.actigraph_calibration import (
     actigraph_calibration,
     coverage_block,
+    data_share_block,
     error_block,
     sphere_block,
 )
@@ -20,6 +21,7 @@ def actigraph_dict(run: ActigraphRun) -> dict[str, Any]:
     details: dict[str, Any] = {
         "error_mg": error_block(run),
         "coverage": coverage_block(run),
+        "from_data": data_share_block(run),
         "sphere": sphere_block(run),
         "matrices": actigraph_calibration(run).matrices().as_dict(),
     }
