@@ -59,10 +59,15 @@ class WindowBuilder:
         """Take the next block of the channel, with the gaps that the block reports."""
         held, new = self._t.size, channel.values
         self._pending = channel.pending
-        t = np.concatenate([self._t, channel.t]) if held else channel.t
-        edges = breaks(t, gaps)
-        bounds = [0, *edges.tolist(), t.size]
+        near = breaks(np.append(self._t, channel.t[:1]), gaps)  # among the samples held back
+        edges = np.union1d(near, held + breaks(channel.t, gaps))
+        bounds = [0, *edges.tolist(), held + channel.t.size]
         before, w = self._values, self.samples
+
+        def times(a: int, b: int) -> Array:
+            if a >= held:
+                return channel.t[a - held : b - held]
+            return np.concatenate([self._t[a:b], channel.t[: max(b - held, 0)]])
 
         def piece(a: int, b: int) -> Array:
             if before is None or a >= held:
@@ -76,10 +81,10 @@ class WindowBuilder:
             first = min(whole, -(-(held - a) // w) * w) if a < held else 0
             for low, high in ((a, a + first), (a + first, a + whole)):
                 if high > low:
-                    part = self._of(t[low:high], piece(low, high), self._offset + low)
+                    part = self._of(times(low, high), piece(low, high), self._offset + low)
                     self._parts.append(part)
             if k == len(bounds) - 2:
-                self._t, self._values = t[a + whole : b].copy(), piece(a + whole, b).copy()
+                self._t, self._values = times(a + whole, b).copy(), piece(a + whole, b).copy()
                 self._offset += a + whole
 
     def _of(self, t: Array, values: Array, first: int) -> Windows:
@@ -182,7 +187,7 @@ def window_statistics(
 
 def breaks(t: Array, gaps: Sequence[Gap]) -> Index:
     """Indices i such that sample i does not follow sample i - 1; 0 when it starts a new run."""
-    back = np.flatnonzero(np.diff(t) < 0) + 1
+    back = np.flatnonzero(t[1:] < t[:-1]) + 1
     found = set(back.tolist())
     bounds = [0, *back.tolist(), t.size]
     middles = np.array([0.5 * (g.start + g.stop) for g in gaps if g.stop > g.start])

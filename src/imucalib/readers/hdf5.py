@@ -131,14 +131,17 @@ def _channel(
     found, how = signal.found, signal.conversion
     t, raw = times(file, signal, start, stop), stored_rows(file, found, start, stop)
     rows: Array | range = range(start, stop)
-    if not (_finite(t) and _finite(raw)):
+    counted = found.time is None
+    if not ((counted or _finite(t)) and _finite(raw)):
         usable = np.isfinite(t) & np.isfinite(raw).all(axis=1)
         if not usable.any():
             return None, []
         t, raw, rows = t[usable], raw[usable], np.arange(start, stop)[usable]
     gaps = []
     if found.quantity != "temperature":
-        gaps = find_gaps(t, rows, signal.threshold, last.get(signal.name))
+        # Times that are counted have no gap where no row was left out.
+        new = slice(0, 1) if counted and isinstance(rows, range) else slice(None)
+        gaps = find_gaps(t[new], rows[new], signal.threshold, last.get(signal.name))
     last[signal.name] = float(t[-1])
     values = cast(Array, raw)  # of the type that the file has, while the conversion is pending
     return Channel(t, values, how.unit, found.quantity, found.triad, signal.rate, how), gaps

@@ -44,7 +44,9 @@ class Signal:
 def times(file: File, signal: Signal, start: int, stop: int) -> Array:
     """Seconds since the start; NaN where a damaged chunk hides them."""
     if signal.found.time is None:
-        return np.arange(start, stop) / signal.rate
+        t = np.arange(start, stop, dtype=np.float64)
+        t /= signal.rate
+        return t
     stamps = file.rows(signal.found.time, start, stop).reshape(-1)
     if stamps.dtype.kind in "iu":
         return np.asarray((stamps.astype(np.int64) - int(signal.origin)) / round(1.0 / signal.size))
