@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibration import Calibration
+from imucalib.calibration_series import CalibrationPart, part_at, parts_of
 from imucalib.context import Context
+from imucalib.effects.thermal_lag import PREFIX, hours_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.mapping import FieldMapping
 from imucalib.readers import blocks, read, reader_for
 from imucalib.recording import Channel, Recording
+from imucalib.thermal_history import ThermalHistory, thermal_history
 from imucalib.writers import write, write_blocks
 
 Array = NDArray[np.float64]
@@ -23,12 +27,20 @@ _OF_MESSAGES = ("mcap", "rosbag")
 
 
 def apply_to_recording(
-    calibration: Calibration, recording: Recording, triad: str | None = None
+    calibration: Calibration,
+    recording: Recording,
+    triad: str | None = None,
+    *,
+    use: str | None = None,
+    history: ThermalHistory | None = None,
 ) -> Recording:
     """A recording whose acceleration of one triad is corrected specific force in m/s².
 
-    triad : which sensor, when there are several. Raises UsageError when it is not clear which, and
-    UnreadableInput when a covariate is missing or leaves the range that was calibrated.
+    triad : which sensor, when there are several
+    use : "parts" or "whole", of a calibration in parts; by default what it says itself
+    history : temperature of the whole recording when this is a block of it
+    Raises UsageError when it is not clear which sensor, and UnreadableInput when a covariate is
+    missing or leaves the range that was calibrated.
     """
     names = [n for n, c in recording.channels.items() if c.quantity == "acceleration"]
     chosen = [n for n in names if triad is None or recording.channels[n].triad == triad]
@@ -46,14 +58,51 @@ def apply_to_recording(
             where=recording.path,
             remedy="give --acc-unit, or --acc-unit counts with --lsb",
         )
-    corrected = calibration.apply(channel.values, _context(calibration, recording, channel))
+    parts = parts_of(calibration, use)
+    if history is None and _lags(calibration, parts):
+        history = thermal_history([recording], channel.triad)
+    context = _context(calibration, parts, recording, channel, history)
+    corrected = _corrected(calibration, parts, channel, context)
     channels = {**recording.channels, chosen[0]: replace(channel, values=corrected)}
-    note = f"{chosen[0]} corrected with a {calibration.calibrator} calibration"
+    note = f"{chosen[0]} corrected with a calibration by {calibration.calibrator}"
+    if parts:
+        note += f", each sample with the one of {len(parts)} parts that is valid at its time"
     return replace(recording, channels=channels, notes=(*recording.notes, note))
 
 
-def _context(calibration: Calibration, recording: Recording, channel: Channel) -> Context:
-    needed = {name for effect in calibration.model()[0].effects for name in effect.needs}
+def _needs(calibration: Calibration, parts: tuple[CalibrationPart, ...]) -> set[str]:
+    """Covariates of every effect that may be undone."""
+    everything = {id(c): c for c in (calibration, *(p.calibration for p in parts))}
+    models = [c.model()[0] for c in everything.values()]
+    return {name for model in models for effect in model.effects for name in effect.needs}
+
+
+def _lags(calibration: Calibration, parts: tuple[CalibrationPart, ...]) -> dict[str, float]:
+    """The lagged temperatures that are needed, with their hours."""
+    names = [n for n in _needs(calibration, parts) if n.startswith(PREFIX)]
+    return {name: hours_of(name.removeprefix(PREFIX)) for name in names}
+
+
+def _corrected(
+    calibration: Calibration, parts: tuple[CalibrationPart, ...], channel: Channel, known: Context
+) -> Array:
+    if not parts:
+        return calibration.apply(channel.values, known)
+    out, valid = np.empty_like(channel.values), part_at(parts, known["time"])
+    for number in np.unique(valid):
+        rows = np.flatnonzero(valid == number)
+        out[rows] = parts[number].calibration.apply(channel.values[rows], known.take(rows))
+    return out
+
+
+def _context(
+    calibration: Calibration,
+    parts: tuple[CalibrationPart, ...],
+    recording: Recording,
+    channel: Channel,
+    history: ThermalHistory | None,
+) -> Context:
+    needed = _needs(calibration, parts) | ({"time"} if parts else set())
     known = _clock(calibration, recording, channel)
     warm = [
         c
@@ -62,6 +111,9 @@ def _context(calibration: Calibration, recording: Recording, channel: Channel) -
     ]
     if warm:
         known["temperature"] = np.interp(channel.t, warm[0].t, warm[0].values[:, 0])
+    if history is not None:
+        lags = _lags(calibration, parts)
+        known |= {name: history.lagged(hours, channel.t) for name, hours in lags.items()}
     found = {name: values for name, values in known.items() if name in needed}
     for name, values in found.items():
         _demand_range(calibration, recording, name, values)
@@ -76,6 +128,10 @@ def _demand_range(calibration: Calibration, recording: Recording, name: str, val
     """Raise UnreadableInput where a covariate leaves what was calibrated by more than a tenth."""
     low, high = calibration.valid.get(name, (-np.inf, np.inf))
     margin = 0.1 * (high - low)
+    if name.startswith(PREFIX):
+        name = "temperature"
+    if not values.size:
+        return
     if name in _RANGED and (values.min() < low - margin or values.max() > high + margin):
         word, unit = _RANGED[name]
         raise UnreadableInput(
@@ -110,16 +166,19 @@ def correct_file(
     *,
     triad: str | None = None,
     strict: bool = False,
+    use: str | None = None,
 ) -> tuple[str, ...]:
     """Correct a recording into a file of the target's suffix; returns the recording's notes.
 
     Goes block by block, so a week takes no more memory than an hour. Logs of messages are held
     whole, since their topics come at their own times; from MCAP to MCAP every other topic is
-    copied untouched. Errors as in `apply_to_recording`.
+    copied untouched. A lag of the temperature takes a first pass of its own. Options and errors as
+    in `apply_to_recording`.
     """
     kind = reader_for(source).name
     if kind in _OF_MESSAGES:
-        corrected = apply_to_recording(calibration, read(source, mapping, strict=strict), triad)
+        whole = read(source, mapping, strict=strict)
+        corrected = apply_to_recording(calibration, whole, triad, use=use)
         if kind == "mcap" and target.suffix.lower() == ".mcap":
             from imucalib.writers.mcap import write_with_topics_of
 
@@ -128,12 +187,24 @@ def correct_file(
             write(corrected, target)
         return corrected.notes
     notes: dict[str, None] = {}
+    history = None
+    if _lags(calibration, parts_of(calibration, use)):
+        history = _history(blocks(source, mapping, strict=strict), triad)
 
-    def parts() -> Iterator[Recording]:
+    def corrected_blocks() -> Iterator[Recording]:
         for block in blocks(source, mapping, strict=strict):
-            corrected = apply_to_recording(calibration, block, triad)
+            corrected = apply_to_recording(calibration, block, triad, use=use, history=history)
             notes.update(dict.fromkeys(corrected.notes))
             yield corrected
 
-    write_blocks(parts(), target)
+    write_blocks(corrected_blocks(), target)
     return tuple(notes)
+
+
+def _history(found: Iterator[Recording], triad: str | None) -> ThermalHistory | None:
+    """The temperature beside the accelerometer that is corrected."""
+    first = next(found, None)
+    if first is None:
+        return None
+    names = [c.triad for c in first.channels.values() if c.quantity == "acceleration"]
+    return thermal_history(chain([first], found), triad or (names[0] if names else ""))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration import Calibration, from_fit
+from imucalib.calibration_series import series_facts
 from imucalib.calibrators.actigraph_advice import weakest
 from imucalib.calibrators.actigraph_errors import sphere_cells
 from imucalib.calibrators.actigraph_run import ActigraphRun
@@ -37,6 +38,9 @@ def actigraph_calibration(run: ActigraphRun) -> Calibration:
             "time": origin.time,
         },
     }
+    if run.series is not None:
+        parts = [(part.start, part.stop, part.fit) for part in run.series.parts]
+        facts |= series_facts(parts, differ=run.series.differ)
     return from_fit(
         run.result.final,
         "actigraph",

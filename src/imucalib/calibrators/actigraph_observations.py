@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.context import Context
-from imucalib.effects.thermal_lag import LAGS, covariate
+from imucalib.effects.thermal_lag import LAGS, covariate, hours_of
 from imucalib.fit import Fit
 from imucalib.observations import Observations
 from imucalib.references import KnownNorm
 from imucalib.runs import PostureRuns, Scan
+from imucalib.thermal_history import history_of
 from imucalib.units import MG
-from imucalib.windows import Windows
 
 Array = NDArray[np.float64]
 
@@ -62,21 +62,9 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     warm = scanned.temperature
     if warm is not None and np.ptp(runs.temperature) >= _LEAST_WARMTH:  # False for NaN
         found["temperature"] = runs.temperature
-        found |= {covariate(v): _lagged(warm, runs.time, v) for v in LAGS}
+        history = history_of(warm)
+        found |= {covariate(v): history.lagged(hours_of(v), runs.time) for v in LAGS}
     return found
-
-
-def _lagged(warm: Windows, at: Array, value: str) -> Array:
-    """Temperature behind an exponential lag, at some times (s); it starts in equilibrium."""
-    from scipy.signal import lfilter
-
-    t = 0.5 * (warm.start + warm.stop)
-    step = float(np.median(np.diff(t))) if t.size > 1 else 1.0
-    grid = np.arange(t[0], t[-1] + step, step)
-    values = np.interp(grid, t, warm.mean[:, 0])
-    share = 1.0 - np.exp(-step / (3600.0 * float(value.removesuffix("h"))))
-    late = lfilter([share], [1.0, share - 1.0], values, zi=[(1.0 - share) * values[0]])[0]
-    return np.asarray(np.interp(at, grid, late))
 
 
 def _sigma(between: float, runs: PostureRuns) -> Array:

@@ -31,6 +31,13 @@ from imucalib.cli.recording_options import mapping_of, recording_options
     type=click.Path(path_type=Path),
     help="Python file with effects of your own that the calibration uses.",
 )
+@click.option(
+    "--parts",
+    "use",
+    flag_value="parts",
+    help="Each sample by the part valid at its time (--every).",
+)
+@click.option("--whole", "use", flag_value="whole", help="One calibration for all, whatever parts.")
 @recording_options
 @json_option
 @quiet_option
@@ -40,6 +47,7 @@ def command(
     output: Path,
     strict: bool,
     triad: str | None,
+    use: str | None,
     **options: Any,
 ) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
@@ -59,7 +67,9 @@ def command(
             f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
             options["quiet"],
         )
-    notes = correct_file(loaded, recording, output, mapping_of(options), triad=triad, strict=strict)
+    notes = correct_file(
+        loaded, recording, output, mapping_of(options), triad=triad, strict=strict, use=use
+    )
     for text in notes:
         note(text, options["quiet"])
     if options["as_json"]:

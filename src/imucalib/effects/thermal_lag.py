@@ -10,15 +10,22 @@ from imucalib.units import MG
 #: Hours by which the sensor may trail the thermometer.
 LAGS = ("0.5h", "1h", "1.5h", "2h", "3h")
 
+PREFIX = "temperature_lag_"
+
 
 def covariate(value: str) -> str:
     """Name of the covariate that carries the temperature with this lag."""
-    return f"temperature_lag_{value}"
+    return f"{PREFIX}{value}"
+
+
+def hours_of(value: str) -> float:
+    """The lag "1.5h" as a number; ValueError otherwise."""
+    return float(value.removesuffix("h"))
 
 
 def thermal_lag(value: str) -> Effect:
     """The lag given as "1.5h"; ValueError otherwise."""
-    hours = float(value.removesuffix("h"))
+    hours = hours_of(value)
     name = covariate(value)
 
     def basis(x: Array, context: Context) -> Array:

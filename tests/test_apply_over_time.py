@@ -1,0 +1,202 @@
+"""Corrections that depend on when: lagged temperature and parts, the same in blocks of any size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from numpy.typing import NDArray
+
+from imucalib import cli
+from imucalib.application import apply_to_recording
+from imucalib.calibration import Calibration
+from imucalib.calibration_file import read as read_calibration
+from imucalib.calibration_file import write as write_calibration
+from imucalib.calibration_series import part_at, parts_of
+from imucalib.calibrators.actigraph_calibration import actigraph_calibration
+from imucalib.calibrators.actigraph_request import ActigraphRequest
+from imucalib.calibrators.actigraph_run import run_of
+from imucalib.calibrators.actigraph_simulation import SENSOR, WeekPlan, simulated_week
+from imucalib.calibrators.actigraph_weak import NINE
+from imucalib.context import Context
+from imucalib.effects import named
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.mapping import FieldMapping
+from imucalib.model import Model
+from imucalib.readers import read
+from imucalib.recording import Channel, Recording
+from imucalib.thermal_history import ThermalHistory, thermal_history
+from imucalib.units import MG, STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+G = STANDARD_GRAVITY
+MODEL = Model(tuple(named(name) for name in NINE))
+SECONDS = FieldMapping(time_unit="s")
+THETA = np.concatenate([SENSOR[name] for name in NINE])
+
+
+def calibrated(plan: WeekPlan, request: ActigraphRequest, folder: Path) -> Calibration:
+    week = simulated_week(plan, 8)
+    run = run_of(week.runs, week.scanned, request, lambda text: None)
+    write_calibration(actigraph_calibration(run), folder / "calibration.yaml")
+    return read_calibration(folder / "calibration.yaml")
+
+
+@pytest.fixture(scope="module")
+def lagging(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration]:
+    folder = tmp_path_factory.mktemp("lag")
+    plan = WeekPlan(days=3.0, plant={"thermal_lag@1h": (1.5, -2.0, 1.0)})
+    found = calibrated(plan, ActigraphRequest(only=("thermal_lag",)), folder)
+    assert {p.effect for p in found.parameters} >= {"thermal_lag@1h"}
+    return folder, found
+
+
+def warming(n: int = 20_000, step: float = 1.0) -> tuple[Array, Array]:
+    t = step * np.arange(n)
+    return t, 29.0 + 3.0 * np.sin(t / 4000.0) + 2.0 * (t > 9000.0)
+
+
+def test_a_lag_follows_its_differential_equation() -> None:
+    t, warm = warming()
+    late = ThermalHistory(t, warm).lagged(0.5, t)
+    assert late[0] == warm[0]
+    rate = np.gradient(late, t)[5:-5]
+    assert np.allclose(
+        1800.0 * rate, (warm - late)[5:-5], atol=0.02 + 2.1 * (np.abs(t[5:-5] - 9000) < 3)
+    )
+
+
+@pytest.mark.parametrize("rows", [313, 4096])
+def test_the_history_is_that_of_the_whole(rows: int) -> None:
+    t, warm = warming(5000)
+    channel = Channel(t, warm[:, None], "degC", "temperature", "imu0", 1.0)
+    whole = Recording({"imu0/temperature": channel}, "", "", "")
+    cut = (slice(a, a + rows) for a in range(0, t.size, rows))
+    parts = [
+        replace(whole, channels={"x": replace(channel, t=t[s], values=channel.values[s])})
+        for s in cut
+    ]
+    one, many = thermal_history([whole], "imu0"), thermal_history(parts, "imu0")
+    assert one is not None
+    assert many is not None
+    assert np.array_equal(one.time, many.time)
+    assert np.allclose(one.values, many.values, rtol=0.0, atol=1e-12)
+    assert thermal_history([whole], "imu1") is None
+
+
+def test_a_lag_is_undone_in_blocks_as_in_memory(
+    lagging: tuple[Path, Calibration], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, calibration = lagging
+    t, warm = warming()
+    late = ThermalHistory(t, warm).lagged(1.0, t)
+    rng = np.random.default_rng(0)
+    force = rng.standard_normal((t.size, 3))
+    force *= G / np.linalg.norm(force, axis=1, keepdims=True)
+    reading = MODEL.predict(THETA, force[:, None], Context(t.size)).reading[:, 0]
+    reading += MG * np.array([1.5, -2.0, 1.0]) * (late - 25.0)[:, None]
+    path = tmp_path / "raw.csv"
+    rows = np.column_stack([t, reading / G, warm])
+    header = "time_s,acc_x_g,acc_y_g,acc_z_g,temperature (degC)"
+    np.savetxt(path, rows, "%.7f", ",", header=header, comments="")
+    whole = (
+        apply_to_recording(calibration, read(path, SECONDS)).channels["imu0/acceleration"].values
+    )
+    assert np.abs(np.linalg.norm(whole, axis=1) - G).mean() < 0.2 * MG
+    plain = calibration.parameters[:9]
+    without = replace(calibration, parameters=plain, covariance=calibration.covariance[:9, :9])
+    early = apply_to_recording(without, read(path, SECONDS)).channels["imu0/acceleration"].values
+    assert np.abs(np.linalg.norm(early, axis=1) - G).mean() > 2.0 * MG
+
+    from imucalib import application
+
+    for size in (777, 5000):
+        from imucalib.readers import blocks
+
+        monkeypatch.setattr(
+            application, "blocks", lambda *a, s=size, **k: blocks(*a, block_samples=s, **k)
+        )
+        target = tmp_path / f"out{size}.csv"
+        arguments = [
+            "apply",
+            str(folder / "calibration.yaml"),
+            str(path),
+            "-o",
+            str(target),
+            "-q",
+            "--time-unit",
+            "s",
+        ]
+        result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+        assert result.exception is None
+        got = read(target, SECONDS).channels["imu0/acceleration"].values
+        assert np.allclose(got, whole, rtol=0.0, atol=1e-6)
+
+
+def test_a_lag_without_a_thermometer_is_refused(lagging: tuple[Path, Calibration]) -> None:
+    channel = Channel(np.arange(5.0), np.full((5, 3), 5.0), "m/s2", "acceleration", "imu0", 1.0)
+    bare = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=0)
+    with pytest.raises(UnreadableInput, match="temperature_lag_1h"):
+        apply_to_recording(lagging[1], bare)
+
+
+@pytest.fixture(scope="module")
+def stepped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration]:
+    folder = tmp_path_factory.mktemp("parts")
+    plan = WeekPlan(days=2.0, plant={"bias_step@86400s": (12.0, 0.0, -9.0)})
+    request = ActigraphRequest(every=86400.0, loop=False)
+    return folder, calibrated(plan, request, folder)
+
+
+def test_each_sample_gets_the_part_valid_at_its_time(stepped: tuple[Path, Calibration]) -> None:
+    _, calibration = stepped
+    t = np.array([10.0, 86399.0, 86400.0, 170000.0, 400000.0])
+    force = G * np.tile([0.6, 0.0, 0.8], (5, 1))
+    reading = MODEL.predict(THETA, force[:, None], Context(5)).reading[:, 0]
+    reading[2:] += MG * np.array([12.0, 0.0, -9.0])
+    channel = Channel(t, reading, "m/s2", "acceleration", "imu0", 1.0)
+    recording = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=0)
+    out = apply_to_recording(calibration, recording).channels["imu0/acceleration"].values
+    assert np.allclose(out, force, atol=0.6 * MG)
+    one = apply_to_recording(calibration, recording, use="whole")
+    assert not np.allclose(one.channels["imu0/acceleration"].values, force, atol=3.0 * MG)
+    for k in range(5):
+        single = replace(channel, t=t[k : k + 1], values=reading[k : k + 1])
+        block = replace(recording, channels={"imu0/acceleration": single})
+        alone = apply_to_recording(calibration, block).channels["imu0/acceleration"].values
+        assert np.allclose(alone[0], out[k], rtol=0.0, atol=1e-12)
+    later = replace(recording, start_ns=86_400_000_000_000)
+    moved = apply_to_recording(calibration, later).channels["imu0/acceleration"].values
+    assert np.allclose(moved[2:], force[2:], atol=0.6 * MG)
+    assert not np.allclose(moved[0], force[0], atol=3.0 * MG)
+
+
+def test_parts_are_used_where_they_differ(stepped: tuple[Path, Calibration]) -> None:
+    _, calibration = stepped
+    parts = parts_of(calibration)
+    assert [(p.start, p.stop) for p in parts] == [(0.0, 86400.0), (86400.0, 172800.0)]
+    assert part_at(parts, np.array([-5.0, 0.0, 86399.9, 86400.0, 1e9])).tolist() == [0, 0, 0, 1, 1]
+    alike = {**calibration.facts, "series": {**calibration.facts["series"], "use": "whole"}}
+    assert parts_of(replace(calibration, facts=alike)) == ()
+    assert len(parts_of(replace(calibration, facts=alike), "parts")) == 2
+    bare = {k: v for k, v in calibration.facts.items() if k != "series"}
+    with pytest.raises(UsageError, match="--every"):
+        parts_of(replace(calibration, facts=bare), "parts")
+    hurt = {**calibration.facts, "series": {"use": "parts", "parts": [{"start_s": 0.0}]}}
+    with pytest.raises(UnreadableInput, match="damaged"):
+        parts_of(replace(calibration, facts=hurt))
+
+
+def test_a_part_without_calibration_has_that_of_the_whole(
+    stepped: tuple[Path, Calibration],
+) -> None:
+    _, calibration = stepped
+    block = calibration.facts["series"]
+    first = {k: v for k, v in block["parts"][0].items() if k in ("start_s", "stop_s")}
+    facts = {**calibration.facts, "series": {**block, "parts": [first, block["parts"][1]]}}
+    parts = parts_of(replace(calibration, facts=facts))
+    assert parts[0].calibration.parameters == calibration.parameters
+    assert parts[1].calibration.parameters != calibration.parameters
