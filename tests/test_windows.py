@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from imucalib.mapping import FieldMapping
 from imucalib.readers import blocks, stored_blocks
+from imucalib.recording import Channel
 from imucalib.runs import scan
-from imucalib.windows import window_statistics
+from imucalib.windows import WindowBuilder, window_statistics
 
 KINDS = ("f4", "f8", "i2", "u1", "i4", "i8", "f2")
 
@@ -99,3 +100,25 @@ def test_statistics_of_stored_numbers(
     for name in ("mean", "low", "high", "variance", "finest"):
         found, known = getattr(two.windows, name), getattr(one.windows, name)
         assert np.allclose(found, known, rtol=1e-5 if name == "variance" else 1e-12, atol=1e-7)
+
+
+def test_windows_given_away_stay_when_more_follow() -> None:
+    rng = np.random.default_rng(1)
+    builder = WindowBuilder(10)
+    parts = []
+    for k in range(12):
+        t = np.arange(40 * k, 40 * (k + 1)) / 10.0
+        values = rng.standard_normal((40, 3))
+        builder.add(Channel(t, values, "m/s2", "acceleration", "imu0", 10.0), [])
+        parts.append(values)
+        if k == 5:
+            half = builder.windows()
+            assert half is not None
+            kept = half.mean.copy()
+    whole = builder.windows()
+    assert whole is not None
+    assert np.array_equal(half.mean, kept)
+    mean = np.concatenate(parts).reshape(-1, 10, 3).mean(axis=1)
+    assert np.allclose(whole.mean, mean, rtol=0.0, atol=1e-14)
+    assert np.array_equal(whole.mean[: len(kept)], kept)
+    assert np.array_equal(whole.first, 10 * np.arange(48))

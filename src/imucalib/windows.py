@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from imucalib.recording import Array, Channel, Gap, Pending
 
 Index = NDArray[np.intp]
+_COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
 _CACHE = 1 << 19  # bytes that are worked on at a time
 _EVERY = 8  # one in so many pieces is looked at for the resolution
 
@@ -48,17 +49,16 @@ class WindowBuilder:
 
     def __init__(self, samples: int) -> None:
         self.samples = samples
-        self._parts: list[Windows] = []
+        self._table = _Table()
+        self._finest: Array | None = None
         self._t: Array = np.empty(0)
         self._values: Array | None = None
         self._offset = 0
         self._run = 0
-        self._pending: Pending | None = None
 
     def add(self, channel: Channel, gaps: Sequence[Gap]) -> None:
         """Take the next block of the channel, with the gaps that the block reports."""
         held, new = self._t.size, channel.values
-        self._pending = channel.pending
         near = breaks(np.append(self._t, channel.t[:1]), gaps)  # among the samples held back
         edges = np.union1d(near, held + breaks(channel.t, gaps))
         bounds = [0, *edges.tolist(), held + channel.t.size]
@@ -82,7 +82,7 @@ class WindowBuilder:
             for low, high in ((a, a + first), (a + first, a + whole)):
                 if high > low:
                     part = self._of(times(low, high), piece(low, high), self._offset + low)
-                    self._parts.append(part)
+                    self._keep(converted(part, channel.pending))
             if k == len(bounds) - 2:
                 self._t, self._values = times(a + whole, b).copy(), piece(a + whole, b).copy()
                 self._offset += a + whole
@@ -105,20 +105,62 @@ class WindowBuilder:
             finest=finest,
         )
 
+    def _keep(self, part: Windows) -> None:
+        self._table.extend(np.column_stack([getattr(part, name) for name in _COLUMNS]))
+        before = self._finest
+        self._finest = part.finest if before is None else np.minimum(before, part.finest)
+
     def windows(self) -> Windows | None:
         """All windows so far; None when no window was ever full."""
-        if not self._parts:
+        if self._finest is None:
             return None
-        finest = np.min([p.finest for p in self._parts], axis=0)
-        names = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
-        pieces = {name: [getattr(p, name) for p in self._parts] for name in names}
-        self._parts = []
-        # Each list is let go before the next is joined: no second copy of everything.
-        joined = {name: np.concatenate(pieces.pop(name)) for name in names}
-        found = Windows(samples=self.samples, finest=finest, **joined)
-        found, self._pending = converted(found, self._pending), None
-        self._parts = [found]
-        return found
+        rows, k = self._table.rows(), self._finest.size
+        first, run = (rows[:, c].astype(np.intp) for c in (0, 1))
+        mean, variance, low, high = (rows[:, a : a + k] for a in range(4, 4 + 4 * k, k))
+        return Windows(
+            samples=self.samples,
+            first=first,
+            run=run,
+            start=rows[:, 2],
+            stop=rows[:, 3],
+            mean=mean,
+            variance=variance,
+            low=low,
+            high=high,
+            finest=self._finest,
+        )
+
+
+class _Table:
+    """Rows of numbers that grow in place, so that the windows of weeks are never there twice."""
+
+    def __init__(self) -> None:
+        self._held: Array | None = None
+        self._used = 0
+        self._given = False
+
+    def extend(self, rows: Array) -> None:
+        if self._held is None:
+            self._held = np.empty((0, rows.shape[1]))
+        elif self._given:  # what was given away must not move
+            self._held, self._given = self._held.copy(), False
+        needed = self._used + len(rows)
+        if needed > len(self._held):
+            self._resize(needed + needed // 8)
+        self._held[self._used : needed] = rows
+        self._used = needed
+
+    def rows(self) -> Array:
+        """The rows so far."""
+        if not self._given:
+            self._resize(self._used)
+        assert self._held is not None
+        self._given = True
+        return self._held
+
+    def _resize(self, rows: int) -> None:
+        assert self._held is not None
+        self._held.resize((rows, self._held.shape[1]), refcheck=False)
 
 
 def converted(windows: Windows, how: Pending | None) -> Windows:
@@ -148,8 +190,7 @@ def in_order(windows: Windows) -> tuple[Windows, int]:
     keep = windows.start > before
     if keep.all():
         return windows, 0
-    names = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
-    return replace(windows, **{n: getattr(windows, n)[keep] for n in names}), int((~keep).sum())
+    return replace(windows, **{n: getattr(windows, n)[keep] for n in _COLUMNS}), int((~keep).sum())
 
 
 def window_statistics(
