@@ -41,7 +41,9 @@ FLOORS: dict[str, int] = {
     "runs": 3,
     "calibration_points": 3,
     "effect": 3,
+    "array_effect": 3,
     "effects": 4,
+    "array_effects": 5,  # it takes the accelerometers' effects from the catalogue
     "model": 5,
     "balance": 6,
     "fit": 6,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -48,10 +49,33 @@ def gram_evidence(
     for a in range(0, len(columns), 1024):  # in place: no second copy of all columns
         columns[a : a + 1024] -= basis[a : a + 1024] @ inside
     gram, along = columns.T @ columns, columns.T @ rest
-    size, turn = _directions(gram, starts)
     freedom, power = residual.size - basis.shape[1], float(rest @ rest)
-    null, null_power = _null(turn.T @ gram @ turn, freedom, rng, draws)
-    explained = np.column_stack([(turn.T @ along) ** 2, null**2])
+    indices = [np.arange(first, last) for first, last in pairwise(starts)]
+    return block_evidence(gram, along, power, freedom, whole, indices, tau, rng, draws)
+
+
+def block_evidence(
+    gram: Array,
+    along: Array,
+    power: float,
+    freedom: int,
+    whole: Array,
+    blocks: Sequence[Index],
+    tau: Array,
+    rng: np.random.Generator,
+    draws: int,
+) -> GramEvidence:
+    """The same from the products alone: gram (M, M) and along (M,) of the projected columns, the
+    residual's power and freedom, the blocks as indices of columns (a column may stand in several),
+    and the squared size (k,) of each block before anything was taken out of it."""
+    starts = np.cumsum([0] + [len(b) for b in blocks])
+    size, turns = _directions(gram, blocks)
+    own = np.concatenate([turn.T @ along[b] for b, turn in zip(blocks, turns, strict=True)])
+    white, root, null_power = _null(gram, freedom, rng, draws)
+    null = np.concatenate(
+        [turn.T @ (root[b] @ white) for b, turn in zip(blocks, turns, strict=True)]
+    )
+    explained = np.column_stack([own**2, null**2])
     powers = np.concatenate([[power], null_power])
     found = _best(explained, powers, size, starts[:-1], freedom, tau)
     kept = np.add.reduceat(size, starts[:-1])
@@ -64,29 +88,40 @@ def gram_evidence(
     )
 
 
-def _directions(gram: Array, starts: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Squared sizes (M,) of each block's singular directions, and the matrix (M, M), block by
-    block, that turns columns into those directions at unit length."""
-    size, turn = np.zeros(len(gram)), np.zeros_like(gram)
-    for first, last in pairwise(starts):
-        part = slice(first, last)
-        values, vectors = np.linalg.eigh(gram[part, part])
+def _directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array]]:
+    """Squared sizes (M,) of each block's singular directions, and the matrices (m, m) that turn
+    its columns into those directions at unit length."""
+    sizes, turns = [], []
+    for block in blocks:
+        values, vectors = np.linalg.eigh(gram[np.ix_(block, block)])
         use = values > 1e-10 * max(float(values[-1]), 1e-300)
-        size[part] = np.where(use, values, 0.0)
-        turn[part, part] = vectors * np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
-    return size, turn
+        sizes.append(np.where(use, values, 0.0))
+        turns.append(vectors * np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0))
+    return np.concatenate(sizes), turns
 
 
 def _null(
-    correlation: Array, freedom: int, rng: np.random.Generator, draws: int
-) -> tuple[Array, Array]:
-    """Projections (M, draws) and powers (draws,) of data that lack nothing."""
+    gram: Array, freedom: int, rng: np.random.Generator, draws: int
+) -> tuple[Array, Array, Array]:
+    """White numbers (M, draws), the root (M, M) that gives them the columns' covariance, and the
+    powers (draws,) of data that lack nothing."""
+    length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    correlation = gram / length[:, None] / length
+    root = _root(correlation) * length[:, None]
+    white = rng.standard_normal((len(gram), draws))
+    beside = rng.chisquare(max(freedom - len(gram), 1), draws)
+    return white, root, np.einsum("ij,ij->j", white, white) + beside
+
+
+def _root(correlation: Array) -> Array:
+    """Cholesky factor; rounding and absorbed columns need a little on the diagonal."""
+    for jitter in (1e-12, 1e-10, 1e-8):
+        try:
+            return np.asarray(np.linalg.cholesky(correlation + jitter * np.eye(len(correlation))))
+        except np.linalg.LinAlgError:
+            continue
     values, vectors = np.linalg.eigh(correlation)
-    use = values > 1e-9 * max(float(values[-1]), 1e-300)
-    white = rng.standard_normal((int(use.sum()), draws))
-    beside = rng.chisquare(max(freedom - int(use.sum()), 1), draws)
-    root = vectors[:, use] * np.sqrt(values[use])
-    return root @ white, np.einsum("ij,ij->j", white, white) + beside
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _best(

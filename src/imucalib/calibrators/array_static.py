@@ -32,6 +32,7 @@ class StaticFit:
         (t - origin) / span, t kept within the rests; gyro_bias : the same, rad/s
     residual : m/s², rms per degree of freedom; before : without drift
     noise : (K,) m/s² of one sample; gyro_noise : (K,) rad/s
+    bias_sd : (K, 3) m/s² and gyro_bias_sd : (K, 3) rad/s, of the offsets at the end of the rests
     poses : number; gravity : m/s²; order : of the drift
     """
 
@@ -47,6 +48,8 @@ class StaticFit:
     gyro_noise: Array
     poses: int
     gravity: float
+    bias_sd: Array
+    gyro_bias_sd: Array
 
     @property
     def order(self) -> int:
@@ -102,18 +105,28 @@ def fit_static(segments: Segments, board: Board, order: list[int], gravity: floa
     rates = np.einsum("kij,nkj->nki", board.rotations, segments.rate[:, order])
     powers = late[:, None] ** np.arange(chosen.order + 1)
     drift = np.linalg.lstsq(powers, rates.reshape(len(rates), -1), rcond=None)[0]
+    rate_sd = _offset_sd(powers, rates.reshape(len(rates), -1) - powers @ drift)
     noise = np.sqrt(np.mean(segments.noise[order] ** 2, axis=1))
     gyro_noise = np.sqrt(np.mean(segments.rate_noise[order] ** 2, axis=1))
     return StaticFit(
         chosen.gain, chosen.gain_sd, chosen.bias, drift.reshape(-1, board.count, 3), origin, span,
-        chosen.rms, fits[0].rms, noise, gyro_noise, segments.n, gravity,
+        chosen.rms, fits[0].rms, noise, gyro_noise, segments.n, gravity, chosen.bias_sd,
+        rate_sd.reshape(board.count, 3),
     )  # fmt: skip
+
+
+def _offset_sd(powers: Array, residual: Array) -> Array:
+    """Standard deviation (m,) of the offsets at the end of the rests, from their residuals."""
+    freedom = max(len(residual) - powers.shape[1], 1)
+    leverage = float(np.linalg.inv(powers.T @ powers)[0, 0])
+    return np.asarray(np.sqrt(leverage * np.sum(residual**2, axis=0) / freedom))
 
 
 @dataclass(frozen=True)
 class _Attempt:
     gain: Array
     gain_sd: Array
+    bias_sd: Array
     bias: Array
     rms: float
     criterion: float
@@ -153,13 +166,14 @@ def _fit(y: Array, late: Array, order: int, gravity: float) -> _Attempt:
             break
     dof = max(y.size - _unknowns(poses, triads, order), 1)
     variance = float(np.sum(residual**2)) / dof
-    sd = np.sqrt(np.maximum(np.diag(covariance)[: 9 * triads] * variance, 0.0))
+    sd = np.sqrt(np.maximum(np.diag(covariance)[: 12 * triads] * variance, 0.0))
     criterion = y.size * np.log(float(np.mean(residual**2))) + np.log(y.size) * _unknowns(
         poses, triads, order
     )
     return _Attempt(
-        gain, sd.reshape(triads, 3, 3), bias, float(np.sqrt(variance)), criterion, order
-    )
+        gain, sd[: 9 * triads].reshape(triads, 3, 3), sd[9 * triads :].reshape(triads, 3), bias,
+        float(np.sqrt(variance)), criterion, order,
+    )  # fmt: skip
 
 
 def _tangents(u: Array) -> Array:

@@ -1,0 +1,259 @@
+"""Where the array's loop stands: positions, terms, noise and motion, fitted together.
+
+Positions and terms by Gauss-Newton with the motion of every sample taken out, weights by the noise,
+which is estimated along. Every basis is taken at the fitted motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.array_effect import ArrayMotion
+from imucalib.calibrators.array_terms import Term
+from imucalib.estimators.array_gram import Columns, Gram, Reduced, gram, reduced, starts_of
+from imucalib.estimators.array_noise import SensorNoise, chosen_noise, log_density, scaled
+from imucalib.estimators.array_samples import Readings, Sampled, Weights, fit_samples
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+_ROUNDS, _CLOSE = 15, 1e-3  # Gauss-Newton steps at most; squared step at which a fit is settled
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What does not change in the search.
+
+    readings : calibrated by the rests, at T samples and their neighbours; t : (T,) s
+    inner : samples that have both neighbours; first : (inner,) whether in the first held-out half
+    order : (T,) 0..1 over the motion; nominal : (K, 3) m, the drawing; spread : m, its sd
+    robust : whether tails and growth of the noise may be taken in
+    rows : (T,) of the moving part
+    """
+
+    readings: Readings
+    t: Array
+    order: Array
+    inner: Index
+    first: NDArray[np.bool_]
+    imus: tuple[str, ...]
+    rotations: Array
+    nominal: Array
+    spread: float
+    robust: bool
+    rows: Index
+
+    @property
+    def triads(self) -> int:
+        return len(self.imus)
+
+
+@dataclass(frozen=True)
+class ArrayState:
+    """r : (K, 3) m, the first at zero; terms; noise of accelerometers and gyros; sampled : the
+    fitted motion; motion : the same for effects; covariance : of positions and terms' coordinates;
+    density : nats, of the data and the terms' prior"""
+
+    setup: Setup
+    r: Array
+    terms: tuple[Term, ...]
+    noise: tuple[SensorNoise, SensorNoise]
+    sampled: Sampled
+    motion: ArrayMotion
+    covariance: Array
+    density: float
+    converged: bool
+
+    @property
+    def positions(self) -> int:
+        return 3 * (self.setup.triads - 1)
+
+    @cached_property
+    def base(self) -> Base:
+        return Base(self)
+
+    @property
+    def found(self) -> tuple[Term, ...]:
+        return tuple(term for term in self.terms if term.found)
+
+    def squares(self) -> tuple[Array, Array, Array]:
+        """(inner, K) squared residuals of accelerometers and gyros, each over the share of the
+        variance that it keeps, and the speed (inner,) rad/s."""
+        off, inner = self.sampled.off, self.setup.inner
+        left = self.sampled.left
+        a = np.sum(off.acceleration**2, axis=2)[inner] / left[0][inner]
+        g = np.sum(off.rate**2, axis=2)[inner] / left[1][inner]
+        return a, g, np.linalg.norm(self.sampled.rate, axis=1)[inner]
+
+    def sd_of(self, term: Term) -> Array:
+        """(p,) posterior standard deviations of a term's parameters."""
+        at = self.positions
+        for other in self.terms:
+            if other.name == term.name:
+                break
+            at += len(other.value)
+        part = self.covariance[at : at + len(term.value), at : at + len(term.value)]
+        return np.asarray(np.sqrt(np.einsum("pi,ij,pj->p", term.live, part, term.live)))
+
+
+class Base:
+    """Columns of what is fitted: positions and terms, and the matrix from raw columns to the
+    coordinates that are free."""
+
+    def __init__(self, state: ArrayState) -> None:
+        k = state.setup.triads
+        turn = np.broadcast_to(state.sampled.turn[:, None], (len(state.sampled.turn), k, 3, 3))
+        blocks = [Columns(np.asarray(turn), False, False)]
+        blocks += [term.columns(state.motion) for term in state.terms]
+        self.blocks: Sequence[Columns] = blocks
+        self.raw = int(starts_of(blocks)[-1])
+        self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in state.terms)]
+        off = (state.r - state.setup.nominal)[1:].ravel()
+        flat = np.full(off.size, state.setup.spread**-2.0)
+        self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in state.terms)])
+        self.pull = self.prior * np.concatenate([off, *(term.value for term in state.terms)])
+
+    def free(self, found: Gram) -> Gram:
+        """The Gram matrix with the raw columns of the base replaced by its coordinates."""
+        from scipy.linalg import block_diag
+
+        turn = block_diag(*self.lives)
+        n, raw = turn.shape[1], self.raw
+        size = n + found.matrix.shape[0] - raw
+        matrix = np.empty((size, size))
+        matrix[:n, :n] = turn.T @ found.matrix[:raw, :raw] @ turn
+        matrix[:n, n:] = turn.T @ found.matrix[:raw, raw:]
+        matrix[n:, :n] = matrix[:n, n:].T
+        matrix[n:, n:] = found.matrix[raw:, raw:]
+        along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
+        whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
+        return Gram(matrix, along, found.power, found.numbers, whole)
+
+    def solved(self, found: Gram) -> Reduced:
+        """One Gauss-Newton step of the base alone, from its free coordinates."""
+        every = np.arange(len(self.prior))
+        return reduced(found, every, self.prior, self.pull, every[:0])
+
+
+def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
+    """Fitted with the drawing and plain noise as the start."""
+    k = setup.triads
+    one = np.ones(k)
+    noise = SensorNoise(0.2, 0.0, np.inf, one), SensorNoise(5e-3, 0.0, np.inf, one)
+    rate = np.median(setup.readings.rate, axis=1)
+    ones = np.ones(setup.readings.rate.shape[:2])
+    weights = Weights(ones / noise[0].sigma**2, ones / noise[1].sigma**2)
+    sampled = fit_samples(setup.readings, weights, setup.nominal, rate)
+    motion = _motion(setup, sampled, None)
+    state = ArrayState(
+        setup, setup.nominal, terms, noise, sampled, motion, np.empty((0, 0)), -np.inf, False
+    )
+    return settled(state)
+
+
+def settled(state: ArrayState) -> ArrayState:
+    """The joint fit of everything, and the noise in the shape that held-out halves ask for."""
+    state = _climbed(_with_scale(state))
+    if state.setup.robust:
+        # Which shape only shows once the fit is near; the fit then moves a little with it.
+        for _ in range(2):
+            noise = _shaped(state)
+            same = all(_alike(a, b) for a, b in zip(noise, state.noise, strict=True))
+            state = _climbed(replace(state, noise=noise))
+            if same:
+                break
+    return state
+
+
+def _alike(one: SensorNoise, two: SensorNoise) -> bool:
+    return one.growth == two.growth and one.freedom == two.freedom
+
+
+def _with_scale(state: ArrayState) -> ArrayState:
+    a, g, speed = state.squares()
+    noise = scaled(state.noise[0], a, speed), scaled(state.noise[1], g, speed)
+    return replace(state, noise=noise)
+
+
+def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
+    a, g, speed = state.squares()
+    some = np.linspace(0, len(speed) - 1, min(len(speed), 400)).astype(np.intp)
+    first = state.setup.first[some]
+    found = [chosen_noise(x[some], speed[some], first, robust=True) for x in (a, g)]
+    return scaled(found[0], a, speed), scaled(found[1], g, speed)
+
+
+def _climbed(state: ArrayState) -> ArrayState:
+    converged = False
+    for _ in range(_ROUNDS):
+        state = _sampled(state)
+        base = Base(state)
+        found = base.free(gram(state.sampled, base.blocks, state.setup.inner))
+        solved = base.solved(found)
+        inner = found.matrix + np.diag(base.prior)
+        length = float(solved.step @ inner @ solved.step)
+        state = _moved(state, solved)
+        converged = length < _CLOSE
+        if converged:
+            break
+        state = _with_scale(state)
+    state = _sampled(state)
+    a, g, speed = state.squares()
+    density = float(log_density(state.noise[0], a, speed).sum())
+    density += float(log_density(state.noise[1], g, speed).sum())
+    for term in state.terms:
+        density -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
+    return replace(state, density=density, converged=converged)
+
+
+def _moved(state: ArrayState, solved: Reduced) -> ArrayState:
+    at = state.positions
+    r = state.r.copy()
+    r[1:] += solved.step[:at].reshape(-1, 3)
+    terms = []
+    for term in state.terms:
+        part = slice(at, at + len(term.value))
+        terms.append(term.moved(solved.step[part], solved.covariance[part, part]))
+        at = part.stop
+    return replace(state, r=r, terms=tuple(terms), covariance=solved.covariance)
+
+
+def _sampled(state: ArrayState) -> ArrayState:
+    """The motion for the positions, terms and noise as they are."""
+    setup = state.setup
+    readings = corrected(state)
+    speed = np.linalg.norm(state.sampled.rate, axis=1)
+    off = state.sampled.off
+    weights = Weights(
+        state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
+        state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
+    )
+    sampled = fit_samples(readings, weights, state.r, state.sampled.rate)
+    motion = _motion(setup, sampled, state.motion.age)
+    return replace(state, sampled=sampled, motion=motion)
+
+
+def corrected(state: ArrayState) -> Readings:
+    """The readings less what the terms add to them."""
+    acceleration = state.setup.readings.acceleration.copy()
+    rate = state.setup.readings.rate.copy()
+    for term in state.terms:
+        columns = term.columns(state.motion)
+        target = rate if columns.gyro else acceleration
+        target -= term.reading(columns)
+    return Readings(acceleration, rate)
+
+
+def _motion(setup: Setup, sampled: Sampled, age: Array | None) -> ArrayMotion:
+    jerk = np.zeros_like(sampled.force)
+    inner = setup.inner
+    step = (setup.t[inner + 1] - setup.t[inner - 1])[:, None, None]
+    jerk[inner] = (sampled.force[inner + 1] - sampled.force[inner - 1]) / step
+    return ArrayMotion(
+        setup.imus, setup.t, setup.order, sampled.rate, sampled.spin, sampled.force, jerk,
+        setup.rotations, age,
+    )  # fmt: skip

@@ -1,0 +1,109 @@
+"""What an array's model holds beside the positions: errors of the rests, and accepted effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.array_effect import ArrayEffect, ArrayMotion
+from imucalib.calibrators.array_static import StaticFit
+from imucalib.estimators.array_gram import Columns
+from imucalib.parameter import Parameter
+
+Array = NDArray[np.float64]
+SMALLEST, LARGEST = 0.1, 10.0  # believable sizes of an effect, in its typical ones
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect with its estimate.
+
+    name : of the effect, with "@imu3" when it acts on one IMU only; only : that IMU or None
+    live : (p, q) its parameters per unit of the q coordinates that the data can determine; the
+        others are held at zero
+    value, sd : (q,) the coordinates and their prior standard deviations
+    found : whether the loop accepted it; otherwise it stands for what the rests left open
+    """
+
+    name: str
+    effect: ArrayEffect
+    only: int | None
+    live: Array
+    value: Array
+    sd: Array
+    found: bool = True
+
+    @property
+    def theta(self) -> Array:
+        """(p,) in the parameters' units."""
+        return np.asarray(self.live @ self.value)
+
+    def parameters(self, imus: Sequence[str]) -> tuple[Parameter, ...]:
+        chosen = imus if self.only is None else [imus[self.only]]
+        return self.effect.parameters(chosen)
+
+    def columns(self, motion: ArrayMotion) -> Columns:
+        return columns_of(self.effect, motion, self.only)
+
+    def reading(self, columns: Columns) -> Array:
+        """(T, K, 3) what it adds to the readings of its sensors."""
+        if columns.shared:
+            return np.asarray(columns.basis @ self.theta)
+        table = self.theta.reshape(columns.basis.shape[1], columns.basis.shape[3], 1)
+        return np.asarray(np.matmul(columns.basis, table)[..., 0])
+
+    def moved(self, step: Array, covariance: Array) -> Term:
+        """After a step of its coordinates; the size of a found effect is learned along."""
+        value = self.value + step
+        sd = self.sd
+        if self.found:
+            size = np.sqrt(np.mean(value**2 + np.diag(covariance)))
+            sd = np.full_like(self.sd, np.clip(size, SMALLEST, LARGEST))
+        return replace(self, value=value, sd=sd)
+
+
+def columns_of(effect: ArrayEffect, motion: ArrayMotion, only: int | None = None) -> Columns:
+    """Columns of an effect, per unit of its parameters."""
+    basis = effect.basis(motion)
+    gyro = effect.sensor == "gyroscope"
+    if only is None:
+        return Columns(np.ascontiguousarray(basis), gyro, effect.shared)
+    alone = np.zeros_like(basis)
+    alone[:, only] = basis[:, only]
+    return Columns(alone, gyro, shared=True)
+
+
+def _gain(motion: ArrayMotion) -> Array:
+    out = np.zeros((*motion.shape, 3, 9))
+    for i in range(3):
+        out[:, :, i, 3 * i : 3 * i + 3] = motion.force
+    return out
+
+
+def _offset(motion: ArrayMotion) -> Array:
+    return np.broadcast_to(np.eye(3), (*motion.shape, 3, 3))
+
+
+def _rest(name: str, gyro: bool, each: int, gain: bool) -> ArrayEffect:
+    parameters = tuple(Parameter(f"{name}_{k}", "SI", 1.0, np.inf) for k in range(each))
+    return ArrayEffect(
+        name, "gyroscope" if gyro else "accelerometer", "What the rests left open.", "", "", "",
+        parameters, _gain if gain else _offset,
+    )  # fmt: skip
+
+
+def rest_terms(static: StaticFit) -> tuple[Term, ...]:
+    """Errors of gains and offsets within the standard deviations that the rests left."""
+    kinds = (
+        (_rest("rest_gain", False, 9, True), static.gain_sd),
+        (_rest("rest_bias", False, 3, False), static.bias_sd),
+        (_rest("rest_gyro_bias", True, 3, False), static.gyro_bias_sd),
+    )
+    return tuple(
+        Term(effect.name, effect, None, np.diag(sd.ravel()), np.zeros(sd.size), np.ones(sd.size),
+             found=False)
+        for effect, sd in kinds
+    )  # fmt: skip

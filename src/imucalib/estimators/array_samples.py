@@ -1,0 +1,123 @@
+"""The motion of each sample given positions, with every reading weighted by itself.
+
+Nine unknowns a sample: s (specific force of the first triad), dω/dt and ω, by Gauss-Newton. What is
+kept of it (`Sampled`) is all that a score test needs to take the motion out of any column.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_ROUNDS = 12
+_EXACT = 1e-10  # rad/s, step at which the rates are final
+
+
+@dataclass(frozen=True)
+class Readings:
+    """acceleration (m/s²) and rate (rad/s) : (T, K, 3), board axes."""
+
+    acceleration: Array
+    rate: Array
+
+    def take(self, rows: NDArray[np.intp]) -> Readings:
+        return Readings(self.acceleration[rows], self.rate[rows])
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Inverse variances (T, K) of each triad's axes: (m/s²)^-2 and (rad/s)^-2."""
+
+    acceleration: Array
+    rate: Array
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Positions' best motion and what it leaves.
+
+    rate, spin, origin : (T, 3) ω, dω/dt and s; force : (T, K, 3) predicted specific force
+    turn : (T, 3, 3) W, the derivative of a force by its position
+    off : residuals; weights : what they were weighted by
+    arms : (T, K, 3, 9) derivative of the forces by s, dω/dt, ω; root : (T, 9, 9) with
+        root rootᵀ the covariance of the nine
+    """
+
+    rate: Array
+    spin: Array
+    origin: Array
+    force: Array
+    turn: Array
+    off: Readings
+    weights: Weights
+    arms: Array
+    root: Array
+
+    @property
+    def left(self) -> tuple[Array, Array]:
+        """(T, K) shares of the variance of a triad's axis that its residual keeps."""
+        inner = np.matmul(self.arms, self.root[:, None])
+        acceleration = np.einsum("tkij,tkij->tk", inner, inner) * self.weights.acceleration / 3.0
+        own = np.einsum("tij,tij->t", self.root[:, 6:], self.root[:, 6:])
+        rate = own[:, None] * self.weights.rate / 3.0
+        floor = 0.02
+        return np.maximum(1.0 - acceleration, floor), np.maximum(1.0 - rate, floor)
+
+
+def _skew(v: Array) -> Array:
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., i, j], out[..., j, i] = -v[..., k], v[..., k]
+    return out
+
+
+def turning(rate: Array, spin: Array) -> Array:
+    """(T, 3, 3) W = Ω(ω)² + Ω(dω/dt)."""
+    square = rate[:, :, None] * rate[:, None]
+    trace = np.sum(rate * rate, axis=1)[:, None, None] * np.eye(3)
+    return np.asarray(square - trace + _skew(spin))
+
+
+def _arms(rate: Array, r: Array) -> Array:
+    """(T, K, 3, 9) derivative of s + W r by s, dω/dt and ω."""
+    t, k = len(rate), len(r)
+    out = np.zeros((t, k, 3, 9))
+    out[..., :3] = np.eye(3)
+    out[..., 3:6] = -_skew(r)
+    along = (rate @ r.T)[..., None, None] * np.eye(3)
+    outer = rate[:, None, :, None] * r[:, None, :]
+    out[..., 6:] = along + outer - 2.0 * outer.swapaxes(2, 3)
+    return out
+
+
+def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array) -> Sampled:
+    """Best motion of every sample; start : (T, 3) rad/s."""
+    rate = start
+    count = readings.acceleration.shape[1]
+    own = weights.rate.sum(axis=1)
+    unknown = np.zeros((len(rate), 9))
+    for _ in range(_ROUNDS):
+        arms = _arms(rate, r)
+        turn = turning(rate, unknown[:, 3:6])
+        force = unknown[:, None, :3] + np.einsum("tij,kj->tki", turn, r)
+        off = Readings(readings.acceleration - force, readings.rate - rate[:, None])
+        flat = arms.reshape(len(rate), 3 * count, 9)
+        heavy = (arms * weights.acceleration[..., None, None]).reshape(flat.shape)
+        normal = np.matmul(heavy.transpose(0, 2, 1), flat)
+        normal[:, range(6, 9), range(6, 9)] += own[:, None]
+        right = np.matmul(heavy.transpose(0, 2, 1), off.acceleration.reshape(len(rate), -1, 1))
+        right[:, 6:, 0] += np.einsum("tk,tki->ti", weights.rate, off.rate)
+        step = np.linalg.solve(normal, right)[:, :, 0]
+        if float(np.abs(step[:, 6:]).max(initial=0.0)) < _EXACT and unknown.any():
+            break
+        unknown = unknown + step
+        rate = rate + step[:, 6:]
+    scale = 1.0 / np.sqrt(np.einsum("tii->ti", normal))
+    unit = normal * scale[:, :, None] * scale[:, None]
+    root = np.linalg.inv(np.linalg.cholesky(unit)).transpose(0, 2, 1) * scale[:, :, None]
+    return Sampled(
+        rate, unknown[:, 3:6], unknown[:, :3], force, turn, off, weights, arms, root
+    )
