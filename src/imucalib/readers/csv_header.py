@@ -65,7 +65,7 @@ def _refuse_epochs(text: str, where: str) -> None:
         raise UnreadableInput(
             f"this ActiGraph file holds activity counts per epoch of {period}, not acceleration",
             where=where,
-            remedy="export it again as raw data",
+            remedy="give the .gt3x file itself, or export raw data (RAW CSV) instead of epochs",
         )
 
 
