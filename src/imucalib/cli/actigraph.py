@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucalib.cli.gravity_options import gravity_of, gravity_options, limits_of
 from imucalib.cli.output import (
     color,
     emit_json,
@@ -30,9 +31,7 @@ _LIMITS = ("max-error", "max-worst-error")
 @click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False),
               help="Folder for calibration.yaml, report.html and report.json.")  # fmt: skip
 @click.option("--triad", help="Which accelerometer, when the recording has several.")
-@click.option("--gravity", type=float, help="Local gravity, m/s²; default: standard gravity.")
-@click.option("--latitude", type=float, help="Latitude in degrees, for normal gravity.")
-@click.option("--height", type=float, default=0.0, help="Height in m, with --latitude.")
+@gravity_options
 @click.option("--declare", multiple=True, metavar="EFFECT", help="Put an effect into the model.")
 @click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects.")
 @click.option("--without", multiple=True, metavar="EFFECT", help="Leave effects out of the search.")
@@ -130,12 +129,10 @@ def _as_published(
 def request_of(options: dict[str, Any]) -> ActigraphRequest:
     """The request that the options state; raises click's usage errors."""
     from imucalib.calibrators.actigraph_request import ActigraphRequest
-    from imucalib.cli.lab_options import gravity_of
     from imucalib.effects import load_file
     from imucalib.loop import LoopSettings
 
     gravity, source = gravity_of(options)
-    limits = {name: options[name.replace("-", "_")] for name in _LIMITS}
     return ActigraphRequest(
         gravity=gravity,
         gravity_source=source,
@@ -149,7 +146,7 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         loop=not options["no_loop"],
         rules=LoopSettings(draws=options["draws"]),
         extra_effects=load_file(options["effects_file"]) if options["effects_file"] else {},
-        limits={name: limit for name, limit in limits.items() if limit is not None},
+        limits=limits_of(options, _LIMITS),
         seed=options["seed"],
     )
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucalib.cli.gravity_options import gravity_of, gravity_options
 from imucalib.cli.output import (
     color,
     emit_json,
@@ -27,9 +28,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder for the results.")
 @click.option("--board", "--layout", "board", required=True, help="Board file (YAML), or a name: "
               "mimu4444, mimu4444_corners.")  # fmt: skip
-@click.option("--gravity", type=float, help="Local gravity, m/s².")
-@click.option("--latitude", type=float, help="Latitude, degrees, instead of the gravity.")
-@click.option("--height", default=0.0, show_default=True, help="Height, m, with --latitude.")
+@gravity_options
 @click.option("--sampler", type=click.Choice(["hmc", "pmmh"]), default="hmc", show_default=True,
               help="pmmh: Algorithm 1 of the paper.")  # fmt: skip
 @click.option("--samples", default=2000, show_default=True, help="Moving samples, at most.")
@@ -96,7 +95,6 @@ def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
     from imucalib.calibrators.array_request import ArrayRequest
     from imucalib.errors import UsageError
     from imucalib.estimators.hmc import Stop
-    from imucalib.units import STANDARD_GRAVITY, local_gravity
 
     sigma: Any = options["acc_sigma"]
     if sigma not in ("estimate", "nonlinearity"):
@@ -108,12 +106,7 @@ def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
             raise UsageError("--acc-sigma is estimate, nonlinearity or a positive number of m/s²")
     if logs > 1 and options["checkpoint"]:
         raise UsageError("--checkpoint goes with one log")
-    gravity, source = STANDARD_GRAVITY, "standard gravity; give --gravity or --latitude"
-    if options["latitude"] is not None:
-        gravity = local_gravity(options["latitude"], options["height"])
-        source = f"latitude {options['latitude']:g}"
-    if options["gravity"] is not None:
-        gravity, source = options["gravity"], "as given"
+    gravity, source = gravity_of(options)
     return ArrayRequest(
         read_board(options["board"]), gravity, source, options["sampler"], options["samples"],
         motion=options["motion_prior"], exponent=float(options["det_exponent"]),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from imucalib.cli.gravity_options import gravity_of, gravity_options, limits_of
 from imucalib.cli.output import numbers
 
 if TYPE_CHECKING:
@@ -54,14 +55,6 @@ _OPTIONS = (
         "--unit", help="Unit of raw x, y, z: g, mg, ug, m/s2, counts. Default: by the norm at rest."
     ),
     click.option("--lsb-per-g", type=float, help="Counts a g, with --unit counts."),
-    click.option("--gravity", type=float, help="Local gravity, m/s²."),
-    click.option("--latitude", type=float, help="Latitude in degrees, for normal gravity."),
-    click.option(
-        "--height",
-        type=float,
-        default=0.0,
-        help="Height above the ellipsoid in m, with --latitude.",
-    ),
     click.option(
         "--convention",
         default="paper",
@@ -161,7 +154,7 @@ def lab_options(command: Command) -> Command:
     """Add the options; `request_of` turns their values into a LabRequest."""
     for option in reversed(_OPTIONS):
         command = option(command)
-    return command
+    return gravity_options(command)
 
 
 def request_of(options: dict[str, Any]) -> LabRequest:
@@ -169,7 +162,6 @@ def request_of(options: dict[str, Any]) -> LabRequest:
     from imucalib.calibrators.lab_request import LabRequest, as_published
 
     settings = _settings(options)
-    limits = {name: options[name.replace("-", "_")] for name in _LIMITS}
     gravity, source = gravity_of(options)
     request = LabRequest(
         unit=options["unit"],
@@ -183,7 +175,7 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         swap_angles=options["swap_angles"],
         keep_angles=options["keep_angles"],
         train=numbers(options["train"], "--train"),
-        limits={name: limit for name, limit in limits.items() if limit is not None},
+        limits=limits_of(options, _LIMITS),
         settings=settings,
         seed=options["seed"],
     )
@@ -225,23 +217,3 @@ def _fix(text: str) -> tuple[int, str, float]:
         raise click.BadParameter(
             f"'{text}' is not ROW:COLUMN=VALUE, for example 10:y=-58593", param_hint="--fix"
         ) from None
-
-
-def gravity_of(options: dict[str, Any]) -> tuple[float, str]:
-    from imucalib.units import STANDARD_GRAVITY, local_gravity
-
-    if options["gravity"] is not None and options["latitude"] is not None:
-        raise click.UsageError("--gravity and --latitude exclude each other")
-    if options["gravity"] is not None:
-        if not 9.7 < options["gravity"] < 9.9:
-            raise click.BadParameter(
-                "local gravity is between 9.7 and 9.9 m/s²", param_hint="--gravity"
-            )
-        return options["gravity"], "as given"
-    if options["latitude"] is not None:
-        value = local_gravity(options["latitude"], options["height"])
-        return (
-            value,
-            f"normal gravity at latitude {options['latitude']:g}, height {options['height']:g} m",
-        )
-    return STANDARD_GRAVITY, "standard gravity; --gravity or --latitude gives the local value"
