@@ -29,7 +29,7 @@ from imucalib.candidates import (
 )
 from imucalib.effects import catalogue, named
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.evidence import Candidate, Score, collinearity, score
+from imucalib.evidence import Candidate, Score, apart, score
 from imucalib.fit import Fit
 from imucalib.held_out import errors, fitted, held_out
 from imucalib.observations import Observations
@@ -210,15 +210,19 @@ def test_effects_that_cannot_be_tested_say_why() -> None:
     assert names | set(missing) | set(BASE) == set(catalogue())
 
 
-def test_aliases_are_collinear_and_others_are_not() -> None:
-    fit = _one_clean()
+def test_an_alias_is_not_apart_and_others_are() -> None:
+    fit = _planted("bias_drift", 61)
     every = {c.name: c for c in _everything(fit)}
     drift, warm = every["bias_drift"], every["temperature_bias"]
-    assert collinearity(fit, drift, drift) == pytest.approx(1.0, abs=1e-9)
-    assert collinearity(fit, drift, warm) < 0.9
-    # Half of one and half of the other: a cosine between.
+    strength = apart(fit, drift, Candidate("nothing", "effect", 0.0 * drift.columns))
+    assert strength > 5.0
+    assert apart(fit, drift, drift) < 1e-6 * strength
+    turned = Candidate("turned", "effect", drift.columns @ np.diag([2.0, -1.0, 0.5]))
+    assert apart(fit, drift, turned) < 1e-6 * strength
+    assert apart(fit, drift, warm) > 0.5 * strength
+    # Half of one and half of the other: at an angle between.
     mixed = Candidate("mixed", "effect", drift.columns / 2.0 + warm.columns / 2.0)
-    assert 0.5 < collinearity(fit, drift, mixed) < 1.0
+    assert 0.05 * strength < apart(fit, drift, mixed) < apart(fit, drift, warm)
 
 
 @pytest.mark.parametrize(("row", "axis"), [(5, "x"), (11, "z")])

@@ -64,7 +64,9 @@ FLOORS: dict[str, int] = {
     "loop": 9,  # what the closed loop is asked for and finds; loop_records: the wrong records
     "loop_records": 9,
     "loop_search": 9,
+    "noise_checks": 9,
     "closed_loop": 9,
+    "cross_fit": 9,
     "calibration": 10,
     "calibration_file": 10,
     "calibration_series": 10,

@@ -96,7 +96,7 @@ def probes(fit: Fit) -> tuple[Candidate, ...]:
     directions = reference.directions(fit.eta)
     n, k, _ = prediction.reading.shape
     found = []
-    fine = int(np.clip(n // 25, _TERMS, _MOST_TERMS))
+    fine = int(np.clip(2 * n // 5, _TERMS, _MOST_TERMS))
     for axis, letter in enumerate("xyz"):
         curves = _cosines(prediction.force[:, :, axis].ravel(), fine).reshape(n, k, fine)
         block = np.zeros((n, k, 3, fine))

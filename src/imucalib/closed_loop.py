@@ -1,12 +1,14 @@
 """The closed loop: residual -> evidence -> add the effect -> refit -> held-out -> stop.
 
-Gross record errors first, since one wrong row hides real physics; then catalogue effects, best
-first, each accepted only when its chance under "nothing missing" is small for the whole family of
-candidates and the held-out density agrees; then what is left is named as what it is.
+Wrong records and catalogue effects compete, since each can look like the other: what explains most
+goes first. Each is accepted only when its chance under "nothing missing" is small for the whole
+family of candidates, an effect only when the held-out density agrees, and a record comes back when
+an effect explains it. What is left is named as what it is.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -19,7 +21,6 @@ from imucalib.effect import Effect, Family
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.evidence import Score, score
 from imucalib.fit import Fit
-from imucalib.held_out import log_predictive
 from imucalib.loop import Loop, LoopSettings, Step
 from imucalib.loop_records import (
     extended,
@@ -31,14 +32,21 @@ from imucalib.loop_records import (
     row_of,
     set_aside,
 )
-from imucalib.loop_search import choose, effect_named, refined, search, unexplained
+from imucalib.loop_search import (
+    aliases,
+    choose,
+    effect_named,
+    objection,
+    refined,
+    search,
+    unexplained,
+)
 from imucalib.model import Model
+from imucalib.noise_checks import noise_doubts
 from imucalib.observations import Observations
 
 Array = NDArray[np.float64]
 
-#: An effect must gain at least this on held-out data, in log density.
-_HELD_OUT_NATS = 1.0
 #: Suspect records that are set aside on trial when nothing stands out by itself.
 _SUSPECTS = 3
 
@@ -59,27 +67,10 @@ def close_loop(
     """
     rules = settings or LoopSettings()
     plain = fit_model(model, observations, start=start)
-    state = _State(plain, (), (), rng, rules, families).without_wrong_records()
-    rejected: dict[str, str] = {}
-    first: tuple[Score, ...] = ()
-    while True:
-        scores, missing = search(state.fit, effects, rng, rules, rejected, families)
-        first = first or scores
-        chosen = choose(scores, rules) if len(state.steps) < rules.most_effects else None
-        if chosen is None:
-            freed = state.behind_a_record(effects, rejected)
-            if freed is None:
-                break
-            state = freed
-            continue
-        chosen = refined(state.fit, chosen, families, rng, rules)
-        trial = extended(state.fit, effect_named(effects, chosen.name))
-        reason = _why_not(state.fit, trial)
-        if reason:
-            rejected[chosen.candidate.family or chosen.name] = reason
-            continue
-        state = state.accept(trial, _step(state.fit, trial, chosen, scores))
-    final, steps = _eliminate(state, effects)
+    state = _State(plain, (), (), effects, rng, rules, families)
+    end = _settled(state)
+    state, rejected, scores = end.state, end.rejected, end.scores
+    final, steps = _eliminate(state)
     return Loop(
         base=reduce(set_aside, (row for _, row in state.records), plain),
         final=final,
@@ -88,11 +79,48 @@ def close_loop(
         records=named_records(final, state.records),
         steps=steps,
         rejected=tuple(rejected.items()),
-        unexplained=unexplained(scores, rules),
+        unexplained=(*unexplained(scores, rules), *noise_doubts(final, rng, rules)),
         scores=scores,
-        first_scores=first,
-        missing=missing,
+        first_scores=end.first,
+        missing=end.missing,
+        bar=end.first[0].bar if end.first else math.inf,
     )
+
+
+@dataclass(frozen=True)
+class _End:
+    """Where the search ended: its first and last scores, and why effects were not taken."""
+
+    state: _State
+    rejected: Mapping[str, str]
+    first: tuple[Score, ...]
+    scores: tuple[Score, ...]
+    missing: Mapping[str, str]
+
+
+def _settled(state: _State) -> _End:
+    rules, effects, families = state.rules, state.effects, state.families
+    rejected: dict[str, str] = {}
+    first: tuple[Score, ...] = ()
+    while True:
+        scores, missing = search(state.fit, effects, state.rng, rules, rejected, families)
+        first = first if state.steps else scores
+        chosen = choose(scores, rules) if len(state.steps) < rules.most_effects else None
+        cleaner = state.without_the_worst_record(chosen) or (
+            None if chosen else state.behind_a_record(rejected)
+        )
+        if cleaner is not None:
+            state = cleaner
+            continue
+        if chosen is None:
+            return _End(state, rejected, first, scores, missing)
+        chosen = refined(state.fit, chosen, families, state.rng, rules)
+        trial = extended(state.fit, effect_named(effects, chosen.name))
+        reason = objection(state.fit, trial)
+        if reason:
+            rejected[chosen.candidate.family or chosen.name] = reason
+            continue
+        state = state.accept(trial, chosen, scores)
 
 
 @dataclass(frozen=True)
@@ -102,40 +130,61 @@ class _State:
     fit: Fit
     records: tuple[tuple[Score, int], ...]
     steps: tuple[Step, ...]
+    effects: Mapping[str, Effect]
     rng: np.random.Generator
     rules: LoopSettings
     families: tuple[Family, ...] = ()
 
-    def without_wrong_records(self) -> _State:
-        """Set aside every record that cannot belong to the rest, one at a time, worst first."""
-        state = self
-        if self.fit.observations.n > self.rules.searchable:
-            return state
-        while len(state.records) < state.rules.most_records:
-            best = state.scored_records()[:1]
-            if not best or best[0].p > state.rules.record_alpha:
-                break
-            row = row_of(best[0].name)
-            trial = set_aside(state.fit, row)
-            if not trial.converged:
-                break
-            state = replace(state, fit=trial, records=(*state.records, (best[0], row)))
-        return state
+    def without_the_worst_record(self, rival: Score | None) -> _State | None:
+        """Set aside the record that belongs least to the rest, if it stands out by itself and more
+        than the best effect does: positions that carry an effect look like wrong records, and a
+        wrong record looks like an effect."""
+        if len(self.records) >= self.rules.most_records:
+            return None
+        best = self.scored_records()[:1]
+        if not best or best[0].p > self.rules.record_alpha:
+            return None
+        if rival is not None and rival.evidence > best[0].evidence:
+            return None
+        row = row_of(best[0].name)
+        trial = set_aside(self.fit, row)
+        return (
+            replace(self, fit=trial, records=(*self.records, (best[0], row)))
+            if (trial.converged)
+            else None
+        )
 
     def scored_records(self) -> tuple[Score, ...]:
         return self._records_of(self.fit, {row for _, row in self.records})
 
     def _records_of(self, fit: Fit, taken: set[int]) -> tuple[Score, ...]:
         rules = self.rules
+        if fit.observations.n > rules.searchable:
+            return ()
         return record_scores(fit, taken, self.rng, draws=rules.draws, alpha=rules.record_alpha)
 
-    def accept(self, fit: Fit, step: Step) -> _State:
-        """Take an effect in, and look at the records again: it may have hidden one."""
-        return replace(self, fit=fit, steps=(*self.steps, step)).without_wrong_records()
+    def accept(self, fit: Fit, chosen: Score, scores: tuple[Score, ...]) -> _State:
+        """Take an effect in, and give records back that it explains."""
+        step = Step(
+            chosen.name,
+            chosen.p,
+            chosen.draws,
+            chosen.evidence,
+            held_out_rms(self.fit),
+            held_out_rms(fit),
+            aliases(self.fit, self.effects, chosen, scores, self.rules),
+        )
+        state = replace(self, fit=fit, steps=(*self.steps, step))
+        for found, row in self.records:
+            without = reduced(state.fit, record_names(state.fit, row))
+            others = {r for _, r in state.records if r != row}
+            worst = state._records_of(without, others)[:1]
+            if not worst or row_of(worst[0].name) != row or worst[0].p > self.rules.record_alpha:
+                kept = tuple(r for r in state.records if r != (found, row))
+                state = replace(state, fit=without, records=kept)
+        return state
 
-    def behind_a_record(
-        self, effects: Mapping[str, Effect], rejected: Mapping[str, str]
-    ) -> _State | None:
+    def behind_a_record(self, rejected: Mapping[str, str]) -> _State | None:
         """Where neither a record nor an effect stands out, each may hide the other.
 
         The most suspect records are set aside on trial. Only a pair counts: the effect must pass
@@ -143,70 +192,29 @@ class _State:
         """
         if len(self.records) >= self.rules.most_records or self.steps:
             return None
-        if self.fit.observations.n > self.rules.searchable:
-            return None
         strict = replace(self.rules, alpha=self.rules.alpha / _SUSPECTS)
         for suspect in self.scored_records()[:_SUSPECTS]:
             if suspect.evidence < 1.0:
                 break
             row = row_of(suspect.name)
             aside = set_aside(self.fit, row)
-            scores, _ = search(aside, effects, self.rng, strict, rejected, self.families)
+            scores, _ = search(aside, self.effects, self.rng, strict, rejected, self.families)
             chosen = choose(scores, strict)
             if chosen is None:
                 continue
-            beside = extended(self.fit, effect_named(effects, chosen.name))
+            beside = extended(self.fit, effect_named(self.effects, chosen.name))
             again = self._records_of(beside, set())[:1]
             if again and row_of(again[0].name) == row and again[0].p <= self.rules.record_alpha:
                 return replace(self, fit=aside, records=(*self.records, (again[0], row)))
         return None
 
 
-def _why_not(before: Fit, after: Fit) -> str:
-    """Empty when the refit realises the gain and the held-out density agrees."""
-    if not after.converged:
-        return "its refit did not converge"
-    if len(after.null_directions) > len(before.null_directions):
-        return f"the data cannot determine it: {after.null_directions[-1]}"
-    implausible = [
-        f"{p.name} = {v:.3g} {p.unit}"
-        for p, v in zip(after.parameters, after.theta, strict=True)
-        if abs(v) > p.plausible
-    ]
-    if implausible:
-        return f"implausible size ({', '.join(implausible)})"
-    if len(after.theta) * 1.5 > after.at.residual.size:
-        return "too few numbers for its parameters"
-    gain = log_predictive(after) - log_predictive(before)
-    if gain < _HELD_OUT_NATS or held_out_rms(after) >= held_out_rms(before):
-        return f"it does not hold out: {gain:+.1f} nats on data that it was not fitted to"
-    return ""
-
-
-def _step(before: Fit, after: Fit, chosen: Score, scores: tuple[Score, ...]) -> Step:
-    near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
-    rivals = [
-        s.name
-        for s in scores
-        if s.candidate.kind == "effect" and s.name != chosen.name and s.evidence >= near
-    ]
-    return Step(
-        chosen.name,
-        chosen.p,
-        chosen.draws,
-        chosen.evidence,
-        held_out_rms(before),
-        held_out_rms(after),
-        tuple(rivals),
-    )
-
-
-def _eliminate(state: _State, effects: Mapping[str, Effect]) -> tuple[Fit, tuple[Step, ...]]:
+def _eliminate(state: _State) -> tuple[Fit, tuple[Step, ...]]:
     """Drop an earlier effect that a later one has made unnecessary (less than 1 nat)."""
     current, steps = state.fit, state.steps
     for step in steps[:-1]:
         without = reduced(current, (step.effect,))
-        candidates, _ = effect_candidates(without, [effect_named(effects, step.effect)])
+        candidates, _ = effect_candidates(without, [effect_named(state.effects, step.effect)])
         if score(without, candidates, state.rng, draws=1)[0].evidence < 1.0:
             current, steps = without, tuple(s for s in steps if s.effect != step.effect)
     return current, steps

@@ -58,6 +58,8 @@ class Score:
     strength : λ, the length of its projected columns at typical size, in noise units: 4.7 gives
         an 80 % chance of detection
     share : of the weighted residual power that it explains, adjusted for its freedom (0..1)
+    bar : evidence that the best of all candidates exceeds by chance in a share alpha of data sets
+        that lack nothing (infinite without draws)
     """
 
     candidate: Candidate
@@ -67,6 +69,7 @@ class Score:
     left: float
     strength: float
     share: float
+    bar: float = np.inf
 
     @property
     def name(self) -> str:
@@ -112,12 +115,12 @@ def _score_few(
     alone = _each_alone(fit, candidates)
     live = [k for k, (left, _, _) in enumerate(alone) if left >= _ABSORBED]
     evidence, p, done = np.zeros(len(candidates)), np.ones(len(candidates)), 0
+    null = np.zeros(0)
     if live:
         grid = EvidenceGrid(
             at.jacobian, at.settings, fitted, [candidates[k].columns / noise.factor for k in live]
         )
         found = grid.evidence(at.residual[:, None] / noise.factor)
-        null = np.zeros(0)
         for part in (*_PARTS, draws):
             size = min(part, draws) - done
             if size <= 0:
@@ -129,10 +132,14 @@ def _score_few(
                 break
         evidence[live] = found[:, 0]
     scores = [
-        Score(c, float(e), float(q), done, *numbers)
+        Score(c, float(e), float(q), done, *numbers, _bar(null, alpha))
         for c, e, q, numbers in zip(candidates, evidence, p, alone, strict=True)
     ]
     return tuple(sorted(scores, key=lambda s: -s.evidence))
+
+
+def _bar(null: Array, alpha: float) -> float:
+    return float(np.quantile(null, 1.0 - alpha)) if null.size else np.inf
 
 
 def _score_many(
@@ -150,8 +157,9 @@ def _score_many(
         absorbed = found.left[i] < _ABSORBED
         value = 0.0 if absorbed else float(found.evidence[i])
         p = 1.0 if absorbed else (1 + int((found.best >= value).sum())) / (draws + 1)
-        numbers = map(float, (found.left[i], found.strength[i], found.share[i]))
-        scores.append(Score(bare[k], value, p, draws, *numbers))
+        left, strength, share = (float(v[i]) for v in (found.left, found.strength, found.share))
+        bar = _bar(found.best, alpha)
+        scores.append(Score(bare[k], value, p, draws, left, strength, share, bar))
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 
@@ -199,15 +207,18 @@ def _null_data(fit: Fit, rng: np.random.Generator, draws: int) -> Array:
     return data
 
 
-def collinearity(fit: Fit, one: Candidate, other: Candidate) -> float:
-    """Largest cosine between two candidates after projection: 1 means that they are aliases."""
+def apart(fit: Fit, found: Candidate, rival: Candidate) -> float:
+    """λ sin(angle): how much of what a candidate explains a rival cannot, in noise units.
+
+    Below about 2 nothing in the data tells the two apart, whichever scores higher.
+    """
     white, basis = _base(fit)
 
-    def span(columns: Array) -> Array:
+    def projected(columns: Array) -> Array:
         rest = white(columns)
-        return _span(rest - basis @ (basis.T @ rest))
+        return rest - basis @ (basis.T @ rest)
 
-    a, b = span(one.columns), span(other.columns)
-    if not a.size or not b.size:
-        return 0.0
-    return float(np.linalg.svd(a.T @ b, compute_uv=False)[0])
+    span, other = _span(projected(found.columns)), _span(projected(rival.columns))
+    explained = span @ (span.T @ white(fit.at.residual))
+    left = explained - other @ (other.T @ explained)
+    return float(np.linalg.norm(left)) / fit.noise.factor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -9,15 +10,22 @@ from imucalib.evidence import Score
 from imucalib.fit import Fit
 from imucalib.record_errors import RecordError
 
+_CERTAIN = 0.01  # family-wise p from which on an effect without aliases is called certain
+
 
 @dataclass(frozen=True)
 class LoopSettings:
     """alpha : family-wise false-alarm rate of the physics search; record_alpha : of the record
-    search; margin : nats by which a probe must beat the best catalogue effect; draws : simulated
-    data sets per search"""
+    search; noise_alpha : of each doubt about the noise; margin : nats by which a probe must beat
+    the best catalogue effect; draws : simulated data sets per search; declared : whether the
+    observations' sigma is a noise that the user stands for; bar : evidence in nats that decides
+    instead of simulated data, where a search of the whole data has set it"""
 
-    alpha: float = 0.04
+    alpha: float = 0.035
     record_alpha: float = 0.01
+    noise_alpha: float = 0.005
+    declared: bool = False
+    bar: float | None = None
     margin: float = 3.0
     draws: int = 1000
     most_effects: int = 4
@@ -30,15 +38,23 @@ class LoopSettings:
 
 @dataclass(frozen=True)
 class Step:
-    """One accepted effect. Held-out errors are rms in m/s²."""
+    """One accepted effect.
+
+    checked_before, checked_after : leave-one-out errors, rms in m/s², which took part in the choice
+    """
 
     effect: str
     p: float
     draws: int
     evidence: float
-    held_out_before: float
-    held_out_after: float
+    checked_before: float
+    checked_after: float
     aliases: tuple[str, ...]
+
+    @property
+    def certain(self) -> bool:
+        """Nothing else would do as well, and chance would not do it in a hundred searches."""
+        return not self.aliases and self.p <= _CERTAIN
 
 
 @dataclass(frozen=True)
@@ -60,6 +76,7 @@ class Loop:
     base, final : fits before and after; records are free in both once they are set aside
     plain, as_recorded : the base and the final model with every record taken as it stands
     scores : the last search's table; missing : why effects could not be tested
+    bar : nats that the best candidate of the first search had to reach
     """
 
     base: Fit
@@ -73,6 +90,7 @@ class Loop:
     scores: tuple[Score, ...] = ()
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
+    bar: float = math.inf
 
     @property
     def verdict(self) -> str:

@@ -57,9 +57,10 @@ def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[Recor
     return tuple(diagnose(fit, row, s.name.partition(":")[2], s.p, s.evidence) for s, row in found)
 
 
-def record_names(fit: Fit) -> tuple[str, ...]:
-    """Names of the record errors in a fit's model."""
-    return tuple(name for name in fit.model.names if is_record_error(name))
+def record_names(fit: Fit, row: int | None = None) -> tuple[str, ...]:
+    """Names of the record errors in a fit's model, of one row or of all."""
+    every = [name for name in fit.model.names if is_record_error(name)]
+    return tuple(n for n in every if row is None or int(n.split("_")[2]) == row)
 
 
 def held_out_rms(fit: Fit) -> float:

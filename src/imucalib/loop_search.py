@@ -1,4 +1,4 @@
-"""One search of the closed loop: what is scored, what is chosen, what stays unexplained."""
+"""One search of the closed loop: what is scored, what is chosen, what speaks against it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,16 @@ import numpy as np
 from imucalib.candidates import correlated_noise, effect_candidates, family_candidates, probes
 from imucalib.effect import Effect, Family
 from imucalib.effects import known
-from imucalib.evidence import Score, score
+from imucalib.evidence import Candidate, Score, apart, score
 from imucalib.fit import Fit
+from imucalib.held_out import log_predictive
 from imucalib.loop import LoopSettings, Unexplained
+from imucalib.loop_records import held_out_rms
+
+#: An effect must gain at least this on held-out data, in log density.
+_HELD_OUT_NATS = 1.0
+#: λ sin(angle) below which two effects are not told apart.
+_APART = 2.0
 
 
 def search(
@@ -35,7 +42,8 @@ def search(
             values = family.values(current.observations.context)
             catalogue += family_candidates(current, family, values)
     everything = catalogue + probes(current) + correlated_noise(current)
-    scores = score(current, everything, rng, draws=rules.draws, alpha=rules.alpha)
+    draws = rules.draws if rules.bar is None else 0
+    scores = score(current, everything, rng, draws=draws, alpha=rules.alpha)
     seen: set[str] = set()
     best = []
     for found in scores:
@@ -97,11 +105,18 @@ def effect_named(effects: Mapping[str, Effect], name: str) -> Effect:
 
 def choose(scores: tuple[Score, ...], rules: LoopSettings) -> Score | None:
     """The best catalogue effect, unless a probe or noise beats it by the margin."""
-    passing = [s for s in scores if s.p <= rules.alpha]
+    passing = [s for s in scores if passes(s, rules)]
     physical = [s for s in passing if s.candidate.kind == "effect"]
     if not physical or physical[0].evidence < passing[0].evidence - rules.margin:
         return None
     return physical[0]
+
+
+def passes(found: Score, rules: LoopSettings) -> bool:
+    """By the family-wise p, or by the bar of an earlier search of the whole data."""
+    if rules.bar is not None:
+        return found.evidence >= rules.bar
+    return found.p <= rules.alpha
 
 
 def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexplained, ...]:
@@ -110,3 +125,51 @@ def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexpla
         Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
         for s in left[:3]
     )
+
+
+def objection(before: Fit, after: Fit) -> str:
+    """Why an effect must not be taken in; empty when the refit realises the gain and what it
+    predicts for data that it was not fitted to is better."""
+    if not after.converged:
+        return "its refit did not converge"
+    if len(after.null_directions) > len(before.null_directions):
+        return f"the data cannot determine it: {after.null_directions[-1]}"
+    implausible = [
+        f"{p.name} = {v:.3g} {p.unit}"
+        for p, v in zip(after.parameters, after.theta, strict=True)
+        if abs(v) > p.plausible
+    ]
+    if implausible:
+        return f"implausible size ({', '.join(implausible)})"
+    if len(after.theta) * 1.5 > after.at.residual.size:
+        return "too few numbers for its parameters"
+    gain = log_predictive(after) - log_predictive(before)
+    if gain < _HELD_OUT_NATS or held_out_rms(after) >= held_out_rms(before):
+        return f"it does not hold out: {gain:+.1f} nats on data that it was not fitted to"
+    return ""
+
+
+def aliases(
+    current: Fit,
+    effects: Mapping[str, Effect],
+    chosen: Score,
+    scores: tuple[Score, ...],
+    rules: LoopSettings,
+) -> tuple[str, ...]:
+    """Effects that would do as well: nearly the same evidence, or too small an angle between."""
+    near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
+    thin = thinned(current, rules.most_scored)
+
+    def columns(name: str) -> Candidate:
+        return effect_candidates(thin, [effect_named(effects, name)])[0][0]
+
+    def beside(rival: Score) -> bool:
+        own = rival.candidate.family and rival.candidate.family == chosen.candidate.family
+        if rival.candidate.kind != "effect" or rival.name == chosen.name or own:
+            return False
+        if rival.evidence >= near:
+            return True
+        alike = rival.evidence >= chosen.evidence / 2.0
+        return alike and apart(thin, columns(chosen.name), columns(rival.name)) < _APART
+
+    return tuple(s.name for s in scores if beside(s))

@@ -6,7 +6,7 @@ Also its second reference: the same sensor at rest in unknown attitudes, by the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -103,7 +103,8 @@ def calibrate(
         base = fit_corrected(model, data, settings.objective, start)
         loop, final = None, base
     elif settings.loop:
-        loop = close_loop(model, data, searched, rng, settings.rules, start)
+        rules = replace(settings.rules, declared=settings.sigma is not None)
+        loop = close_loop(model, data, searched, rng, rules, start)
         base, final = loop.plain, loop.as_recorded
     else:
         loop, base = None, fit_model(model, data, start=start)

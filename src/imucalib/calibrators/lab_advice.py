@@ -18,6 +18,7 @@ from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.fit import Fit
 from imucalib.model import Model
+from imucalib.noise_checks import beyond_declared
 from imucalib.outcome import Limit
 from imucalib.record_errors import RecordError
 from imucalib.references import KnownVector, angles_of, unit_vector
@@ -48,19 +49,9 @@ def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
             f"objective '{result.settings.objective}' leaves open on these rows: "
             + "; ".join(result.final.null_directions)
         )
-    if result.settings.sigma is not None and noise_conflict(result.final) < 0.01:
+    if result.settings.sigma is not None and beyond_declared(result.final) < 0.01:
         found.append(f"noise not as declared: {result.final.noise.factor:.2f} times --sigma")
     return tuple(found)
-
-
-def noise_conflict(fit: Fit) -> float:
-    """Chance of a noise factor this far above 1 if the declared noise were true.
-
-    Within the settings' covariance, chi-square with the fit's degrees of freedom (upper tail).
-    """
-    from scipy.special import chdtrc
-
-    return float(chdtrc(fit.dof, fit.dof * fit.noise.factor**2))
 
 
 def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:

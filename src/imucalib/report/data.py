@@ -94,7 +94,7 @@ def _found(loop: Loop) -> dict[str, Any]:
         ],
         "steps": [
             {"effect": s.effect, "p_value": s.p, "draws": s.draws, "evidence_nats": s.evidence,
-             "held_out_before": s.held_out_before, "held_out_after": s.held_out_after,
+             "checked_before": s.checked_before, "checked_after": s.checked_after,
              "held_out_unit": "m/s2", "aliases": list(s.aliases),
              "parameters": [
                  {"name": final.parameters[k].name, "value": float(final.theta[k]),

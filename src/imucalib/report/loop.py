@@ -60,14 +60,17 @@ def loop_section(outcome: Outcome) -> Section:
             (
                 s.effect,
                 probability(s.p, s.draws),
-                f"{s.held_out_before / unit:.2f}",
-                f"{s.held_out_after / unit:.2f}",
+                f"{s.checked_before / unit:.2f}",
+                f"{s.checked_after / unit:.2f}",
                 ", ".join(s.aliases) or "-",
             )
             for s in loop.steps
         )
         header = ("effect added", "p", "before", "after", "cannot be told from")
-        note = f"Held-out error in {outcome.error.unit} rms; p is the chance in the whole search."
+        note = (
+            f"Leave-one-out error in {outcome.error.unit} rms, which took part in the choice; p is "
+            "the chance in the whole search."
+        )
         blocks.append(Table("Steps of the loop", header, rows, "lrrrl", note))
     blocks.append(error_table(outcome.error, outcome.calibrator))
     return Section("Closed loop", tuple(blocks))

@@ -1,0 +1,95 @@
+"""Before and after on data that took no part in the choice: the search itself is repeated.
+
+An effect that was chosen on all data has seen what a leave-one-out error calls held out. Here each
+fold is predicted by a model that was searched for and fitted without it. The evidence that a
+candidate must reach is that of the whole search, so no new data need to be simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.effect import Effect, Family
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.fit import Fit
+from imucalib.held_out import Held, errors, theta_without
+from imucalib.loop import Loop, LoopSettings
+from imucalib.loop_records import extended, record_names, reduced, set_aside
+from imucalib.loop_search import choose, effect_named, objection, refined, search
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+FOLDS = 4
+
+
+def cross_fitted(
+    loop: Loop,
+    effects: Mapping[str, Effect],
+    rng: np.random.Generator,
+    settings: LoopSettings,
+    families: tuple[Family, ...] = (),
+    folds: int = FOLDS,
+) -> tuple[Held, Held]:
+    """Held-out predictions of the base model and of the searched one, every group once.
+
+    Groups are dealt to the folds in turn, so that every fold spans the whole recording.
+    """
+    data = loop.plain.observations
+    keys = np.unique(data.group, return_inverse=True)[1] % folds
+    rules = replace(settings, bar=loop.bar)
+    wrong = tuple(r.row for r in loop.records)
+    parts: list[tuple[Index, Held, Held]] = []
+    for fold in range(folds):
+        rows = np.flatnonzero(keys == fold)
+        if not rows.size:
+            continue
+        held = data.take(rows)
+        rest = np.setdiff1d(np.arange(data.n), rows)
+        chosen = _searched(loop.plain, rest, wrong, effects, rng, rules, families)
+        before = errors(loop.plain, theta_without(loop.plain, rows), held)
+        parts.append((rows, before, errors(chosen, chosen.theta, held)))
+    order = np.argsort(np.concatenate([rows for rows, _, _ in parts]))
+    return _joined([a for _, a, _ in parts], order), _joined([b for _, _, b in parts], order)
+
+
+def _searched(
+    plain: Fit,
+    rest: Index,
+    wrong: tuple[int, ...],
+    effects: Mapping[str, Effect],
+    rng: np.random.Generator,
+    rules: LoopSettings,
+    families: tuple[Family, ...],
+) -> Fit:
+    """The loop on a part of the data; records count as they stand in what is returned, as in the
+    calibration itself."""
+    fit = fit_model(plain.model, plain.observations.take(rest), start=plain.theta)
+    for row in np.flatnonzero(np.isin(rest, wrong)):
+        fit = set_aside(fit, int(row))
+    rejected: dict[str, str] = {}
+    for _ in range(3 * rules.most_effects):
+        if len(fit.model.names) >= len(plain.model.names) + rules.most_effects + len(wrong):
+            break
+        scores, _ = search(fit, effects, rng, rules, rejected, families)
+        best = choose(scores, rules)
+        if best is None:
+            break
+        best = refined(fit, best, families, rng, rules)
+        trial = extended(fit, effect_named(effects, best.name))
+        if reason := objection(fit, trial):
+            rejected[best.candidate.family or best.name] = reason
+        else:
+            fit = trial
+    return reduced(fit, record_names(fit)) if wrong else fit
+
+
+def _joined(parts: list[Held], order: Index) -> Held:
+    def each(name: str) -> Array:
+        return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])
+
+    return Held(each("corrected"), each("expected"), each("error"))

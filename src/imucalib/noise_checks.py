@@ -1,0 +1,61 @@
+"""Whether the noise is what the model takes it for: its size as declared, its tails as normal."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.balance import whitener
+from imucalib.fit import Fit
+from imucalib.loop import LoopSettings, Unexplained
+
+Array = NDArray[np.float64]
+
+_MOST_DRAWN = 2000  # numbers on which tails are judged by simulation
+
+
+def noise_doubts(
+    fit: Fit, rng: np.random.Generator, rules: LoopSettings
+) -> tuple[Unexplained, ...]:
+    """What speaks against the noise model, most serious first; no effect is claimed by it."""
+    found = []
+    if rules.declared and (p := beyond_declared(fit)) < rules.noise_alpha:
+        name = f"scatter {fit.noise.factor:.2g} times the declared noise"
+        found.append(Unexplained(name, "", "noise", p, 0.0, 1.0 - fit.noise.factor**-2.0))
+    if (p := heavy_tails(fit, rng, round(2.0 / rules.noise_alpha))) < rules.noise_alpha:
+        found.append(Unexplained("heavy tails", "", "noise", p, 0.0, 0.0))
+    return tuple(found)
+
+
+def beyond_declared(fit: Fit) -> float:
+    """Chance of a noise factor this far above 1 if the declared noise were true.
+
+    Within the settings' covariance, chi-square with the fit's degrees of freedom (upper tail).
+    """
+    from scipy.special import chdtrc
+
+    return float(chdtrc(fit.dof, fit.dof * fit.noise.factor**2))
+
+
+def heavy_tails(fit: Fit, rng: np.random.Generator, draws: int) -> float:
+    """Chance of a kurtosis this large in normal noise that went through the same projection."""
+    white = whitener(fit.at.settings, tuple(sd / fit.noise.factor for sd in fit.noise.sd))
+    basis = np.linalg.qr(white(fit.at.jacobian))[0]
+    left = np.sqrt(np.maximum(1.0 - np.einsum("ij,ij->i", basis, basis), 0.0))
+    use = left > 1e-4  # a number that the fit takes over says nothing
+    if use.sum() < 8:
+        return 1.0
+
+    def kurtosis(data: Array) -> Array:
+        rest = data - basis @ (basis.T @ data)
+        square = (rest[use] / left[use, None]) ** 2
+        return np.asarray(np.mean(square**2, axis=0) / np.mean(square, axis=0) ** 2)
+
+    own = float(kurtosis(white(fit.at.residual)[:, None])[0])
+    size = len(left)
+    if size > _MOST_DRAWN:
+        from scipy.special import ndtr
+
+        return float(ndtr(-(own - 3.0) / np.sqrt(24.0 / size)))
+    null = kurtosis(rng.standard_normal((size, draws)))
+    return float(1 + (null >= own).sum()) / (draws + 1)
