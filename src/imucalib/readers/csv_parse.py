@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
+from imucalib.readers import csv_arrow
 from imucalib.readers.csv_dialect import cells_of, is_blank, is_number
 from imucalib.readers.csv_source import Lines
 from imucalib.readers.csv_time import MISSING
@@ -84,6 +85,11 @@ def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | N
     if count == 0:
         empty = np.empty(0, dtype=fields[0][1] if used else np.int64)  # type: ignore[call-overload]
         return Rows(empty, np.empty((0, len(layout.values))))
+    if csv_arrow.available():
+        time = (layout.time, kind) if used else None
+        found = csv_arrow.columns_of(text, delimiter, layout.width, time, layout.values)
+        if found is not None and len(found[1]) == count and _fits(found[0], kind, layout):
+            return Rows(found[0], _known(found[1]))
     dtype = np.dtype([(n, *t) if isinstance(t, tuple) else (n, t) for n, t in fields])
     try:
         table = np.loadtxt(
@@ -100,7 +106,18 @@ def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | N
         return None
     stamps = np.ascontiguousarray(table["t"]) if used else np.empty(0, dtype=np.int64)
     values: Array = table["v"].reshape(count, len(layout.values))
-    return Rows(stamps, np.where(np.isfinite(values), values, np.nan))
+    return Rows(stamps, _known(values))
+
+
+def _fits(stamps: NDArray[np.generic], kind: str, layout: Layout) -> bool:
+    """Whether no stamp as text would be cut to the width that is kept."""
+    return kind != "text" or stamps.dtype.itemsize <= layout.text_width
+
+
+def _known(values: Array) -> Array:
+    """Infinite values are none."""
+    finite = np.isfinite(values)
+    return values if finite.all() else np.where(finite, values, np.nan)
 
 
 def _complete(text: bytes, delimiter: str, width: int, count: int) -> bool:
