@@ -223,14 +223,19 @@ def _channels(
     gaps: dict[tuple[float, float], Gap] = {}
     missing = np.zeros(t.shape, dtype=np.bool_)
     for signal in plan.signals:
-        raw = values[:, signal.at]
-        usable = keep & np.isfinite(raw).all(axis=1)
+        whole = signal.at == tuple(range(values.shape[1]))
+        raw = values if whole else values[:, signal.at]
+        finite = np.isfinite(raw)
+        usable = keep if finite.all() else keep & finite.all(axis=1)
+        at, known, rows = t, raw, numbers
+        if not usable.all():
+            at, known, rows = t[usable], raw[usable], numbers[usable]
         if signal.quantity != "temperature":
             missing |= ~usable & keep
-            for gap in _gaps_of(signal, t[usable], numbers[usable], position):
+            for gap in _gaps_of(signal, at, rows, position):
                 gaps.setdefault((gap.start, gap.stop), gap)
-        if usable.any():
-            channels[signal.name] = _channel(signal, t[usable], raw[usable])
+        if at.size:
+            channels[signal.name] = _channel(signal, at, known)
     position.missing_rows += int(missing.sum())
     return (channels, tuple(gaps.values())) if channels else None
 

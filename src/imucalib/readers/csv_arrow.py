@@ -32,7 +32,8 @@ def columns_of(
     None comes back when anything in the columns is not plainly of its kind, and for stamps as text
     of differing length.
     """
-    if delimiter == " " or b"x" in text or b"X" in text:  # pyarrow reads hexadecimal integers
+    # pyarrow reads hexadecimal integers, and takes a carriage return for the end of a line.
+    if delimiter == " " or not text or any(code in text for code in (b"x", b"X", b"\r")):
         return None
     import pyarrow as pa
 

@@ -73,10 +73,15 @@ def parse(lines: Lines, layout: Layout, where: str) -> Rows:
 
 def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | None:
     """The C parser's result if every line has all its cells and all wanted cells are numbers."""
+    used = [layout.time] if layout.time >= 0 else []
+    if csv_arrow.available():
+        time = (layout.time, kind) if used else None
+        found = csv_arrow.columns_of(text, delimiter, layout.width, time, layout.values)
+        if found is not None and _fits(found[0], kind, layout):
+            return Rows(found[0], _known(found[1]))
     count = text.count(b"\n")
     if not _complete(text, delimiter, layout.width, count):
         return None
-    used = [layout.time] if layout.time >= 0 else []
     fields: list[tuple[str, object]] = []
     if used:
         of_kind = {"int": "i8", "float": "f8", "text": f"S{layout.text_width}"}
@@ -85,11 +90,6 @@ def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | N
     if count == 0:
         empty = np.empty(0, dtype=fields[0][1] if used else np.int64)  # type: ignore[call-overload]
         return Rows(empty, np.empty((0, len(layout.values))))
-    if csv_arrow.available():
-        time = (layout.time, kind) if used else None
-        found = csv_arrow.columns_of(text, delimiter, layout.width, time, layout.values)
-        if found is not None and len(found[1]) == count and _fits(found[0], kind, layout):
-            return Rows(found[0], _known(found[1]))
     dtype = np.dtype([(n, *t) if isinstance(t, tuple) else (n, t) for n, t in fields])
     try:
         table = np.loadtxt(

