@@ -12,7 +12,7 @@ CREATE = $(PYTHON) -m venv $(VENV)
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 endif
 
-.PHONY: demo test check docs benchmark clean
+.PHONY: demo test check docs benchmark benchmark-worn clean
 
 $(BIN)/imucal: pyproject.toml
 	test -x $(BIN)/python || $(CREATE)
@@ -40,6 +40,10 @@ docs: $(VENV)/.dev ## write the pages that are generated from the code
 
 benchmark: $(VENV)/.dev ## measure the marks of docs/lab.md on simulated benches and on real data
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/lab_benches.py
+
+benchmark-worn: $(VENV)/.dev ## measure actigraph beside its peers, on generated days and weeks
+	$(BIN)/python benchmarks/actigraph_peers.py
+	$(BIN)/python benchmarks/actigraph_week.py --days 7,28 --rate 25
 
 clean:
 	rm -rf $(VENV) demo dist .pytest_cache .mypy_cache .ruff_cache
