@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from imucalib import cli
 from imucalib.calibration_file import read as read_calibration
-from imucalib.calibrators.actigraph_observations import observations_of
+from imucalib.calibrators.actigraph_observations import observations_of, quantisation
 from imucalib.calibrators.actigraph_request import ActigraphRequest
 from imucalib.calibrators.actigraph_run import run_of
 from imucalib.calibrators.actigraph_simulation import Week, WeekPlan, simulated_week
@@ -23,7 +23,9 @@ from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.estimators.least_squares import fit
 from imucalib.held_out import errors, held_out
 from imucalib.model import Model
-from imucalib.units import STANDARD_GRAVITY
+from imucalib.report.actigraph import actigraph_document
+from imucalib.report.text import render_text
+from imucalib.units import MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 DATA = Path(__file__).parents[1].parent / "shared" / "data" / "actigraph"
@@ -142,3 +144,52 @@ def test_nothing_at_rest_is_refused(tmp_path: Path) -> None:
     arguments = ["actigraph", str(path), "--acc-unit", "g"]
     result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
     assert isinstance(result.exception, Undetermined | UnreadableInput)
+
+
+def test_a_coarse_resolution_is_in_the_uncertainty() -> None:
+    step = 15.6 * MG  # a quarter of a hundredth of the range, as old loggers have it
+    z: dict[bool, list[Array]] = {True: [], False: []}
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        week, truth = short(rng, 20)
+        coarse = np.round(week.runs.mean / step) * step
+        quiet = np.full(3, step / np.sqrt(12.0))
+        for known, found_z in z.items():
+            resolution = np.full(3, step if known else 0.0)
+            runs = replace(week.runs, mean=coarse, noise=quiet, resolution=resolution)
+            found, _ = base_fit(MODEL, observations_of(runs, week.scanned, G), runs)
+            found_z.append((found.theta - truth) / found.sd)
+    assert 0.75 < np.std(z[True]) < 1.1
+    assert np.std(z[False]) > 1.2 * np.std(z[True])
+
+
+def test_a_coarse_resolution_is_said_so() -> None:
+    week = simulated_week(WeekPlan(days=1.0), 3)
+    step = 12.0 * MG
+    coarse = np.round(week.runs.mean / step) * step
+    runs = replace(
+        week.runs, mean=coarse, noise=np.full(3, 0.29 * step), resolution=np.full(3, step)
+    )
+    run = run_of(runs, week.scanned, ActigraphRequest(), lambda text: None)
+    assert run.outcome.loop is not None
+    assert "3.5 mg" in run.outcome.loop.missing["quantisation"]
+    words = " ".join(render_text(actigraph_document(run), 200, color=False).split())
+    assert "the smallest step, 12 mg, does not average out: 3.5 mg a posture" in words
+    fine = replace(runs, noise=np.full(3, 0.6 * step))
+    assert quantisation(fine) == 0.0
+
+
+def test_clipped_rests_are_left_out_and_said_so() -> None:
+    from imucalib.recording import Channel, Recording
+    from imucalib.runs import posture_runs, scan
+
+    rng = np.random.default_rng(1)
+    values = G * np.repeat([[0.0, 0.6, 0.8], [0.9, 0.3, 0.3]], 1200, axis=0)
+    values += 4.0 * MG * rng.standard_normal(values.shape)
+    values[1200:, 0] = 0.85 * G  # the end of its range
+    channel = Channel(np.arange(2400) / 20.0, values, "m/s2", "acceleration", "imu0", 20.0)
+    scanned = scan([Recording({"imu0/acceleration": channel}, "made", "made", "")], 10.0)
+    runs = posture_runs(scanned)
+    assert runs.n == 1
+    run = run_of(runs, scanned, ActigraphRequest(), lambda text: None)
+    assert any("60 s of clipped samples left out" in note for note in run.outcome.notes)

@@ -65,6 +65,7 @@ class PostureRuns:
     mean : (n, 3) m/s²; windows : (n,) how many; time : (n,) s, of the middle
     temperature : (n,) °C, or NaN; window_noise : m/s², scatter of one window's norm in its run
     still, total : windows that are still, and all; noise : (3,) m/s², of one sample at rest
+    resolution : (3,) m/s², the smallest step between samples, 0 where it is not known
     """
 
     mean: Array
@@ -76,6 +77,7 @@ class PostureRuns:
     total: int
     noise: Array
     notes: tuple[str, ...] = ()
+    resolution: Array = field(default_factory=lambda: np.zeros(3))
 
     @property
     def n(self) -> int:
@@ -205,7 +207,7 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
     white = float(np.median(noise)) / np.sqrt(w.samples)
     return PostureRuns(
         mean(w.mean[chosen]), count, mean(middle), mean(warm), max(scatter, white),
-        chosen.size, w.start.size, noise, notes,
+        chosen.size, w.start.size, noise, notes, np.where(np.isfinite(w.finest), w.finest, 0.0),
     )  # fmt: skip
 
 

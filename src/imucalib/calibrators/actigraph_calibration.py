@@ -11,6 +11,7 @@ from imucalib.calibration import Calibration, from_fit
 from imucalib.calibration_series import series_facts
 from imucalib.calibrators.actigraph_advice import weakest
 from imucalib.calibrators.actigraph_errors import sphere_cells
+from imucalib.calibrators.actigraph_observations import quantisation
 from imucalib.calibrators.actigraph_run import ActigraphRun
 from imucalib.calibrators.actigraph_weak import from_data
 from imucalib.units import MG
@@ -84,6 +85,8 @@ def coverage_block(run: ActigraphRun) -> dict[str, Any]:
         "posture_runs": runs.n,
         "runs_that_count_less": run.result.light,
         "noise_of_a_sample_mg": (runs.noise / MG).tolist(),
+        "resolution_mg": (runs.resolution / MG).tolist(),
+        "quantisation_mg": quantisation(runs) / MG,
         "axis_range_g": {
             a: [float(reading[:, k].min()), float(reading[:, k].max())] for k, a in enumerate("xyz")
         },

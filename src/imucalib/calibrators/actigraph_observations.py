@@ -67,20 +67,30 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     return found
 
 
+def quantisation(runs: PostureRuns) -> float:
+    """m/s², what the resolution adds to a posture's error where the noise does not average it out.
+
+    Noise of half a step and more moves every sample to either side. Below that all samples of a
+    posture share one rounding error, which is uniform over a step: step / √12.
+    """
+    step = np.where(runs.noise < 0.5 * runs.resolution, runs.resolution, 0.0)
+    return float(np.sqrt(np.mean(step**2) / 12.0))
+
+
 def _sigma(between: float, runs: PostureRuns) -> Array:
-    size = np.sqrt(between**2 + runs.window_noise**2 / runs.windows)
+    size = np.sqrt(between**2 + quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows)
     return np.asarray(np.broadcast_to(size[:, None, None], (runs.n, 1, 3)).copy())
 
 
 def weighted(fit: Fit, runs: PostureRuns) -> tuple[Observations, int]:
     """The same observations with the scatter between runs as the fit's residual shows it.
 
-    A run's variance is between² + window noise² / windows; `between` makes the median square of
-    the residual what it should be. A run beyond 4 standard deviations counts as one at 4
-    (Huber's weight). Returns the observations and how many runs count less.
+    A run's variance is between² + quantisation² + window noise² / windows; `between` makes the
+    median square of the residual what it should be. A run beyond 4 standard deviations counts as
+    one at 4 (Huber's weight). Returns the observations and how many runs count less.
     """
     misfit = fit.at.residual * fit.at.sigma[:, 0]
-    noise = runs.window_noise**2 / runs.windows
+    noise = quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows
 
     def ratio(between: float) -> float:
         return float(np.median(misfit**2 / (between**2 + noise))) / _MEDIAN_SQUARE

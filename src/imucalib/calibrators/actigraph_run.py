@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,12 +13,15 @@ import numpy as np
 from imucalib import __version__
 from imucalib.calibrators.actigraph import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph_advice import advice, limits_of, reasons
+from imucalib.calibrators.actigraph_observations import quantisation
 from imucalib.calibrators.actigraph_request import ActigraphRequest
 from imucalib.calibrators.actigraph_series import Series, series
+from imucalib.loop import Loop
 from imucalib.mapping import FieldMapping
 from imucalib.outcome import Outcome, Provenance
 from imucalib.readers import stored_blocks
 from imucalib.runs import WORN, PostureRuns, Scan, posture_runs, scan
+from imucalib.units import MG
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ def run_of(
     for text in (*scanned.notes, *runs.notes):
         say(f"  {text}")
     result = calibrate(runs, scanned, request, np.random.default_rng(request.seed))
+    result = replace(result, loop=result.loop and with_untestable(result.loop, runs))
     declined = (result.declined,) if result.declined else ()
     outcome = Outcome(
         calibrator="actigraph",
@@ -72,6 +76,18 @@ def run_of(
     )
     parts = series(runs, scanned, request, say) if request.every else None
     return ActigraphRun(outcome, result, scanned, request, parts)
+
+
+def with_untestable(loop: Loop, runs: PostureRuns) -> Loop:
+    """The search with what it could not test on this sensor's readings, whatever the postures."""
+    size = quantisation(runs)
+    if size == 0.0:
+        return loop
+    why = (
+        f"a step of {float(runs.resolution.max()) / MG:.2g} mg hides the noise, so no curve of "
+        f"that period can be told from it: {size / MG:.2g} mg stays in each posture's uncertainty"
+    )
+    return replace(loop, missing={**loop.missing, "quantisation": why})
 
 
 def provenance_of(scanned: Scan, request: ActigraphRequest) -> Provenance:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from imucalib.calibrators.actigraph_advice import weakest
 from imucalib.calibrators.actigraph_calibration import actigraph_calibration, coverage_block
+from imucalib.calibrators.actigraph_observations import quantisation
 from imucalib.calibrators.actigraph_run import ActigraphRun
 from imucalib.calibrators.actigraph_weak import from_data
 from imucalib.outcome import Status
@@ -14,7 +15,9 @@ from imucalib.report.actigraph_series import series_section
 from imucalib.report.document import Document, Facts, Section, Table, Text, Tone
 from imucalib.report.linear import linear_blocks
 from imucalib.report.loop import advice_section, candidate_section, loop_section
+from imucalib.runs import PostureRuns
 from imucalib.significant_digits import with_sd
+from imucalib.units import MG
 
 _TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
 _MOST_ROWS = 12  # parameters of one effect that are shown in full
@@ -95,6 +98,7 @@ def _coverage(run: ActigraphRun) -> Section:
         ("seen of gravity", span),
         ("|a| is known to", f"{mean_sd:.2f} mg on average over all directions, "
                             f"{largest:.2f} mg in the worst"),
+        ("noise", f"{', '.join(f'{v:.2g}' for v in runs.noise / MG)} mg a sample{_steps(runs)}"),
         ("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})"),
     ]  # fmt: skip
     if "temperature_degC" in block:
@@ -104,6 +108,17 @@ def _coverage(run: ActigraphRun) -> Section:
         rows.append(("count less", f"{run.result.light} runs that nothing else is like"))
     rows += [("note", text) for text in run.outcome.notes]
     return Section("What was recorded", (Facts(tuple(rows)),))
+
+
+def _steps(runs: PostureRuns) -> str:
+    """The resolution, and whether the noise averages it out."""
+    step = float(runs.resolution.max()) / MG
+    if step == 0.0:
+        return ""
+    size = quantisation(runs) / MG
+    if size == 0.0:
+        return f"; the smallest step, {step:.2g} mg, averages out"
+    return f"; the smallest step, {step:.2g} mg, does not average out: {size:.2g} mg a posture"
 
 
 def _sensor(run: ActigraphRun) -> Section:
