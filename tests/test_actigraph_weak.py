@@ -184,12 +184,12 @@ def test_clipped_rests_are_left_out_and_said_so() -> None:
     from imucalib.runs import posture_runs, scan
 
     rng = np.random.default_rng(1)
-    values = G * np.repeat([[0.0, 0.6, 0.8], [0.9, 0.3, 0.3]], 1200, axis=0)
+    values = G * np.repeat([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [0.9, 0.3, 0.3]], 1200, axis=0)
     values += 4.0 * MG * rng.standard_normal(values.shape)
-    values[1200:, 0] = 0.85 * G  # the end of its range
-    channel = Channel(np.arange(2400) / 20.0, values, "m/s2", "acceleration", "imu0", 20.0)
+    values[2400:, 0] = 0.85 * G  # the end of its range
+    channel = Channel(np.arange(3600) / 20.0, values, "m/s2", "acceleration", "imu0", 20.0)
     scanned = scan([Recording({"imu0/acceleration": channel}, "made", "made", "")], 10.0)
     runs = posture_runs(scanned)
-    assert runs.n == 1
+    assert runs.n == 2
     run = run_of(runs, scanned, ActigraphRequest(), lambda text: None)
     assert any("60 s of clipped samples left out" in note for note in run.outcome.notes)
