@@ -147,8 +147,10 @@ def _score_many(
 ) -> tuple[Score, ...]:
     """The same without settings: all by Gram matrices, nothing of the size of the data squared."""
     factor, live = fit.noise.factor, [k for k, c in enumerate(candidates) if np.any(c.columns)]
-    blocks = [candidates[k].columns / factor for k in live]
-    found = gram_evidence(fit.at.residual / factor, fit.at.jacobian, blocks, TAU, rng, draws)
+    blocks = [candidates[k].columns for k in live]
+    found = gram_evidence(
+        fit.at.residual / factor, fit.at.jacobian, blocks, TAU, rng, draws, unit=factor
+    )
     # Scores outlive the search: thousands of numbers a column would stay with them.
     bare = [replace(c, columns=c.columns[:0].copy()) for c in candidates]
     dead = [k for k in range(len(candidates)) if k not in live]

@@ -38,12 +38,15 @@ def gram_evidence(
     tau: Array,
     rng: np.random.Generator,
     draws: int,
+    unit: float = 1.0,
 ) -> GramEvidence:
-    """residual (N,), jacobian (N, p) and blocks (N, m_k) in units of the noise; N > p."""
+    """residual (N,) and jacobian (N, p) in units of the noise, blocks (N, m_k) in units of which
+    the noise is `unit`; N > p."""
     basis = np.linalg.qr(jacobian)[0]
     rest = residual - basis @ (basis.T @ residual)
     starts = np.cumsum([0] + [b.shape[1] for b in blocks])
     columns = np.concatenate(blocks, axis=1)
+    columns /= unit
     whole = np.add.reduceat(np.einsum("ij,ij->j", columns, columns), starts[:-1])
     inside = basis.T @ columns
     for a in range(0, len(columns), 1024):  # in place: no second copy of all columns
