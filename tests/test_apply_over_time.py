@@ -200,3 +200,23 @@ def test_a_part_without_calibration_has_that_of_the_whole(
     parts = parts_of(replace(calibration, facts=facts))
     assert parts[0].calibration.parameters == calibration.parameters
     assert parts[1].calibration.parameters != calibration.parameters
+
+
+def test_parts_keep_what_the_search_found_in_the_whole(tmp_path: Path) -> None:
+    plant = {"temperature_bias": (1.5, -1.0, 2.0), "bias_step@86400s": (2.0, 0.0, -3.0)}
+    request = ActigraphRequest(every=86400.0, only=("temperature_bias",))
+    calibration = calibrated(WeekPlan(days=2.0, plant=plant), request, tmp_path)
+    assert "temperature_bias" in {p.effect for p in calibration.parameters}
+    assert len(parts_of(calibration)) == 2
+    t, warm = np.array([10.0, 86399.0, 86401.0, 170000.0]), np.array([24.0, 30.0, 27.0, 31.0])
+    force = G * np.tile([0.6, 0.0, 0.8], (4, 1))
+    reading = MODEL.predict(THETA, force[:, None], Context(4)).reading[:, 0]
+    reading += MG * np.array([1.5, -1.0, 2.0]) * (warm - 25.0)[:, None]
+    reading[2:] += MG * np.array([2.0, 0.0, -3.0])
+    channels = {
+        "imu0/acceleration": Channel(t, reading, "m/s2", "acceleration", "imu0", 1.0),
+        "imu0/temperature": Channel(t, warm[:, None], "degC", "temperature", "imu0", 1.0),
+    }
+    recording = Recording(channels, "made", "made", "", start_ns=0)
+    out = apply_to_recording(calibration, recording).channels["imu0/acceleration"].values
+    assert np.allclose(out, force, atol=1.0 * MG)

@@ -28,17 +28,26 @@ class CalibrationPart:
 
 
 def series_facts(
-    parts: Iterable[tuple[float, float, Fit | None]], *, differ: bool
+    whole: Calibration, parts: Iterable[tuple[float, float, Fit | None]], *, differ: bool
 ) -> dict[str, Any]:
-    """The block of parts (start s, stop s, fit or None); apply uses them where they differ."""
+    """The block of parts (start s, stop s, fit or None); apply uses them where they differ.
+
+    What a part's fit does not have, such as an effect that the search found, it has from `whole`.
+    """
     rows = []
+    names = [p.name for p in whole.parameters]
     for start, stop, fit in parts:
         row: dict[str, Any] = {"start_s": start, "stop_s": stop}
         if fit is not None:
             found = from_fit(fit, "", raw_unit="", raw_to_si=1.0, gravity=1.0, status="",
                              reasons=(), facts={})  # fmt: skip
-            row["parameters"] = [vars(p) for p in found.parameters]
-            row["covariance"] = found.covariance.tolist()
+            own = {p.name: p for p in found.parameters}
+            at = np.array([names.index(name) for name in own])
+            covariance = whole.covariance.copy()
+            covariance[at], covariance[:, at] = 0.0, 0.0
+            covariance[np.ix_(at, at)] = found.covariance
+            row["parameters"] = [vars(own.get(p.name, p)) for p in whole.parameters]
+            row["covariance"] = covariance.tolist()
         rows.append(row)
     return {BLOCK: {"use": "parts" if differ else "whole", "parts": rows}}
 

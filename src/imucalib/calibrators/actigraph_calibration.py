@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -39,10 +39,7 @@ def actigraph_calibration(run: ActigraphRun) -> Calibration:
             "time": origin.time,
         },
     }
-    if run.series is not None:
-        parts = [(part.start, part.stop, part.fit) for part in run.series.parts]
-        facts |= series_facts(parts, differ=run.series.differ)
-    return from_fit(
+    whole = from_fit(
         run.result.final,
         "actigraph",
         raw_unit="m/s2",
@@ -52,6 +49,10 @@ def actigraph_calibration(run: ActigraphRun) -> Calibration:
         reasons=run.outcome.reasons,
         facts=facts,
     )
+    if run.series is None:
+        return whole
+    parts = [(part.start, part.stop, part.fit) for part in run.series.parts]
+    return replace(whole, facts=facts | series_facts(whole, parts, differ=run.series.differ))
 
 
 def error_block(run: ActigraphRun) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from imucalib.calibrators.actigraph import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph_advice import advice, limits_of, reasons
 from imucalib.calibrators.actigraph_observations import quantisation
 from imucalib.calibrators.actigraph_request import ActigraphRequest
-from imucalib.calibrators.actigraph_series import Series, series
+from imucalib.calibrators.actigraph_series import Series, series, without_found
 from imucalib.loop import Loop
 from imucalib.mapping import FieldMapping
 from imucalib.outcome import Outcome, Provenance
@@ -74,7 +74,9 @@ def run_of(
         notes=(*scanned.notes, *runs.notes, *declined),
         weak=result.weak,
     )
-    parts = series(runs, scanned, request, say) if request.every else None
+    parts = None
+    if request.every:
+        parts = series(without_found(runs, result.final, request), scanned, request, say)
     return ActigraphRun(outcome, result, scanned, request, parts)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from imucalib.calibrators.actigraph import base_model
 from imucalib.calibrators.actigraph_observations import hours, observations_of
 from imucalib.calibrators.actigraph_request import ActigraphRequest
-from imucalib.calibrators.actigraph_weak import base_fit, is_weak, open_words
+from imucalib.calibrators.actigraph_weak import NINE, base_fit, is_weak, open_words
 from imucalib.errors import ImucalError, Undetermined
 from imucalib.fit import Fit
 from imucalib.parameter import Parameter
@@ -78,6 +78,19 @@ def series(
             remedy="choose longer parts with --every",
         )
     return _tested(tuple(parts), good)
+
+
+def without_found(runs: PostureRuns, final: Fit, request: ActigraphRequest) -> PostureRuns:
+    """The runs as they would read without the effects that the search found in the whole: these
+    belong to all parts, and what is left to differ are the parameters of the base model."""
+    data = final.observations
+    slices, found = final.model.slices(data.context), np.zeros_like(data.reading)
+    own = (*NINE, *request.declare)
+    force = final.model.correct(final.theta, data.reading, data.context)
+    for effect in final.model.effects:
+        if effect.name not in own:
+            found += effect.act(final.theta[slices[effect.name]], force, data.context).delta
+    return replace(runs, mean=runs.mean - found[:, 0])
 
 
 def _subset(runs: PostureRuns, rows: NDArray[np.intp]) -> PostureRuns:
