@@ -2,7 +2,7 @@
 
 Generates recordings of one wrist sensor (scale 1.03, 0.97, 1.015; misalignment 0.012, -0.018,
 0.009; offset 25, -40, 15 mg; noise 4 mg) and calibrates each with every program, one process a
-run. CPU seconds and peak memory are the process's own (getrusage). The error is that of |a| over
+run. CPU seconds and peak memory are the process's own. The error is that of |a| over
 a uniform sphere without noise, in mg. Programs that are not installed are left out.
 """
 
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from actigraph_week import environment, make
+from actigraph_week import environment, make, peak
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ def detection(path: Path, rate: float) -> dict[str, Any]:
     """Statistics and rests of an array in memory, and the time of one sum over it."""
     from imucalib.recording import Channel
     from imucalib.runs import WORN
-    from imucalib.stillness import Sensor, judge
+    from imucalib.stillness import Sensor, still_windows
     from imucalib.windows import WindowBuilder, window_statistics
 
     values = stored(path)
@@ -135,7 +135,7 @@ def detection(path: Path, rate: float) -> dict[str, Any]:
     builder.add(Channel(t, values, "m/s2", "acceleration", "imu0", rate), [])
     windows = builder.windows()
     assert windows is not None
-    decision = fastest(lambda: judge(Sensor("imu0", "acceleration", rate, windows), WORN))
+    decision = fastest(lambda: still_windows(Sensor("imu0", "acceleration", rate, windows), WORN))
     return {"once": once, "statistics": statistics, "decision": decision}
 
 
@@ -206,8 +206,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.run:
         found = RUNS[options.run[0]](Path(options.run[1]), options.rate)
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(json.dumps({"cpu": spent(), "peak": peak, **found}))
+        print(json.dumps({"cpu": spent(), "peak": peak(), **found}))
         return
     names = ["whole", "imucal", *(n for n in PACKAGES if find_spec(n))]
     for name in names[2:]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.recording import Array, Channel, Recording
-from imucalib.stillness import Sensor, StillSettings, judge
+from imucalib.stillness import Sensor, StillSettings, still_windows
 from imucalib.tails import TailBuilder, overlapping, with_tails
 from imucalib.units import MG, STANDARD_GRAVITY
 from imucalib.windows import WindowBuilder, Windows, in_order
@@ -166,7 +166,7 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
     UnreadableInput when the size of the readings at rest cannot be gravity."""
     w = scanned.windows
     sensor = Sensor(scanned.triad, "acceleration", scanned.rate, w)
-    _, still, notes = judge(sensor, settings)
+    still, notes = still_windows(sensor, settings)
     chosen = np.flatnonzero(still)
     chosen = np.setdiff1d(chosen, overlapping(w, chosen))
     if not chosen.size:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ class Sensor:
         the second and last. Quantisation, step²/12, is the floor.
         """
         # A constant axis is dead or clipped, unless the resolution hides the noise.
-        moving = np.all(self.windows.high > self.windows.low, axis=1)
+        moving = _every(self.windows.high > self.windows.low)
         chosen = moving if self.fine and moving.any() else np.ones_like(moving)
         return self._level(chosen)
 
@@ -84,13 +84,13 @@ class Sensor:
         """
         w = self.windows
         moving = w.high > w.low
-        some, whole = np.any(moving, axis=1), np.all(moving, axis=1)
+        some, whole = _some(moving), _every(moving)
         live = whole if 2 * whole.sum() > some.sum() else some
         noise = self._level(live if live.any() else np.ones_like(live))
         if np.all(noise > 2.0 * self._step):
             return True
-        quiet = np.all(w.variance <= (3.0 * self._step) ** 2, axis=1)
-        extreme = np.any(~moving & _at_extreme(w), axis=1)
+        quiet = _every(w.variance <= (3.0 * self._step) ** 2)
+        extreme = _some(~moving & _at_extreme(w))
         return bool((quiet & whole).sum() > (quiet & some & ~whole & ~extreme).sum())
 
     @property
@@ -104,7 +104,7 @@ class Sensor:
         level = np.median(variance[total <= np.quantile(total, _QUIETEST)], axis=0)
         for _ in range(3):
             level = np.maximum(level, floor)
-            inside = np.all(variance <= 3.0 * level, axis=1)
+            inside = _every(variance <= 3.0 * level)
             level = np.median(variance[inside], axis=0) if inside.any() else level
         return np.asarray(np.sqrt(np.maximum(level, floor)))
 
@@ -113,13 +113,22 @@ def judge(
     sensor: Sensor, settings: StillSettings
 ) -> tuple[list[tuple[float, float]], Flags, list[str]]:
     """Still spans (start, stop) in s, the still windows, and what was left out."""
-    w, noise = sensor.windows, sensor.noise
+    still, notes = still_windows(sensor, settings)
+    return _spans(sensor.windows, still, _allowed(sensor, settings), settings), still, notes
+
+
+def _allowed(sensor: Sensor, settings: StillSettings) -> Array:
+    """(3,) standard deviation that a sensor at rest may have."""
     if sensor.quantity == "angular_rate":
-        noise = np.maximum(noise, settings.turning / np.sqrt(settings.variance_ratio))
-    else:
-        noise = np.hypot(noise, settings.sway)
-    quiet = np.all(w.variance <= settings.variance_ratio * noise**2, axis=1)
-    quiet &= np.all(w.high - w.low <= settings.range_ratio * noise, axis=1)
+        return np.maximum(sensor.noise, settings.turning / np.sqrt(settings.variance_ratio))
+    return np.asarray(np.hypot(sensor.noise, settings.sway))
+
+
+def still_windows(sensor: Sensor, settings: StillSettings) -> tuple[Flags, list[str]]:
+    """The still windows, and what was left out."""
+    w, noise = sensor.windows, _allowed(sensor, settings)
+    quiet = _every(w.variance <= settings.variance_ratio * noise**2)
+    quiet &= _every(w.high - w.low <= settings.range_ratio * noise)
     frozen, clipped = _frozen(sensor), _clipped(sensor)
     name = f"{sensor.triad}/{sensor.quantity}"
     notes = []
@@ -127,8 +136,7 @@ def judge(
         if (flags & quiet).any():
             seconds = float((flags & quiet).sum()) * w.samples / sensor.rate
             notes.append(f"{name}: {seconds:.4g} s of {word} samples left out of the rests")
-    still = quiet & ~frozen & ~clipped
-    return _spans(w, still, noise, settings), still, notes
+    return quiet & ~frozen & ~clipped, notes
 
 
 def _frozen(sensor: Sensor) -> Flags:
@@ -138,13 +146,13 @@ def _frozen(sensor: Sensor) -> Flags:
     a constancy of a minute counts as a dead or sleeping sensor.
     """
     w = sensor.windows
-    constant = np.all(w.high == w.low, axis=1)
+    constant = _every(w.high == w.low)
     if sensor.fine:
         # The window before or after one that is frozen through and through is so in part.
         along = np.diff(w.run) == 0
         after = np.append(False, constant[:-1] & along)
         return np.asarray(constant | after | np.append(constant[1:] & along, False))
-    same = constant & np.append(False, np.all(w.mean[1:] == w.mean[:-1], axis=1))
+    same = constant & np.append(False, _every(w.mean[1:] == w.mean[:-1]))
     starts = np.flatnonzero(~same)
     lengths = np.diff(starts, append=same.size)
     needed = _FROZEN_SECONDS * sensor.rate / w.samples
@@ -157,8 +165,17 @@ def _clipped(sensor: Sensor) -> Flags:
     """Windows in which one axis stands at its extreme of the whole recording while others move."""
     w = sensor.windows
     constant = w.high == w.low
-    clipped = np.any(constant & _at_extreme(w), axis=1) & ~np.all(constant, axis=1)
+    clipped = _some(constant & _at_extreme(w)) & ~_every(constant)
     return np.asarray(clipped & sensor.fine)
+
+
+def _every(flags: Flags) -> Flags:
+    """All of each row, column by column: rows of three are slow to reduce."""
+    return np.asarray(reduce(np.logical_and, flags.T))
+
+
+def _some(flags: Flags) -> Flags:
+    return np.asarray(reduce(np.logical_or, flags.T))
 
 
 def _at_extreme(w: Windows) -> Flags:
@@ -175,7 +192,7 @@ def _spans(
     change = np.abs(np.diff(w.mean[chosen], axis=0))
     limit = settings.drift_ratio * noise + 6.0 * noise * np.sqrt(2.0 / w.samples)
     together = (np.diff(chosen) == 1) & (np.diff(w.run[chosen]) == 0)
-    together &= np.all(change <= limit, axis=1)
+    together &= _every(change <= limit)
     edges = np.flatnonzero(~together) + 1
     spans = []
     for group in np.split(chosen, edges):
