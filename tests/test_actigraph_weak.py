@@ -123,7 +123,7 @@ def test_a_recording_and_its_export_calibrate_alike(tmp_path: Path) -> None:
         found.append(read_calibration(out / "calibration.yaml"))
         pages.append(json.loads((out / "report.json").read_text(encoding="utf-8")))
         assert "never x up, y up, y down" in " ".join(result.output.split())
-        assert "from data" in (out / "report.html").read_text(encoding="utf-8")
+        assert "data, %" in (out / "report.html").read_text(encoding="utf-8")
     for one, two in zip(found[0].parameters, found[1].parameters, strict=True):
         assert abs(one.value - two.value) < 0.5 * np.hypot(one.sd, two.sd)
     assert found[0].status == pages[0]["status"] == "weak"

@@ -72,6 +72,8 @@ def advice(result: ActigraphResult) -> tuple[str, ...]:
         found.append(
             f"Rest the sensor for ten seconds with {', '.join(missing)}, or record more nights."
         )
+    elif weakest(result)[1] > _WELL_KNOWN and result.widened < 1.5:
+        found.append("More postures at rest, in new directions, make the parameters better known.")
     loop = result.loop
     in_time = loop and any(u.driver == "order" for u in loop.unexplained)
     if in_time and "temperature" not in result.final.observations.context:

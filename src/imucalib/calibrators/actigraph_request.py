@@ -23,7 +23,7 @@ class ActigraphRequest:
     """
 
     gravity: float = STANDARD_GRAVITY
-    gravity_source: str = "standard gravity (give --gravity or --latitude for the local value)"
+    gravity_source: str = "standard gravity; --gravity or --latitude gives the local value"
     triad: str | None = None
     window: float = 10.0
     as_published: bool = False

@@ -75,12 +75,12 @@ def _parameters(run: ActigraphRun) -> Section:
             value = with_sd(float(fit.theta[k]), float(fit.sd[k]))
             rows.append((p.name, name, *value, p.unit, f"{100.0 * share[k]:.0f}"))
     note = (
-        "Uncertainty by posture run: windows of one posture are not independent. From data: share "
+        "Uncertainty by posture run: windows of one posture are not independent. Data: the share "
         "of what is known that the recording has shown, 1 - (sd / typical size)²."
     )
     if hidden:
         note += f" In calibration.yaml only: {', '.join(hidden)}."
-    table = Table("Parameters", ("parameter", "effect", "value", "sd", "unit", "from data, %"),
+    table = Table("Parameters", ("parameter", "effect", "value", "sd", "unit", "data, %"),
                   tuple(rows), "llrrlr", note)  # fmt: skip
     return Section("Parameters", (table,))
 
@@ -113,7 +113,7 @@ def _coverage(run: ActigraphRun) -> Section:
 def _steps(runs: PostureRuns) -> str:
     """The resolution, and whether the noise averages it out."""
     step = float(runs.resolution.max()) / MG
-    if step == 0.0:
+    if step < 0.05 * float(runs.noise.min()) / MG:  # numbers as fine as their format
         return ""
     size = quantisation(runs) / MG
     if size == 0.0:

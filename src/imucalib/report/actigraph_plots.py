@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.actigraph_errors import sphere_cells
+from imucalib.calibrators.actigraph_errors import raw_errors, sphere_cells
 from imucalib.calibrators.actigraph_run import ActigraphRun
 from imucalib.held_out import fitted
 from imucalib.report.document import Block, Plot, Series, Table
@@ -18,19 +18,29 @@ _BINS = 60
 
 
 def residual_plots(run: ActigraphRun) -> tuple[Plot, ...]:
-    """Error of |a| of every posture run before and after the search."""
+    """Error of |a| of every posture run, raw, and before and after the search."""
     result = run.result
     before = fitted(result.base).error[:, 0, 0] / MG if result.loop and result.added else None
     after = run.result.fitted.error[:, 0, 0] / MG
     runs = run.runs
-    drivers = [("time", "time (h)", runs.time / 3600.0)]
+    unit, seconds = ("d", 86400.0) if runs.time[-1] > 3.0 * 86400.0 else ("h", 3600.0)
+    when = runs.time / seconds
+    drivers = [("time", f"time ({unit})", when)]
     if np.isfinite(runs.temperature).all() and np.ptp(runs.temperature) > 0.0:
         drivers.append(("temperature", "temperature (°C)", runs.temperature))
     drivers += [
         (f"the reading of {a}", f"{a} (g)", runs.mean[:, k] / run.request.gravity)
         for k, a in enumerate("xyz")
     ]
-    return tuple(_residuals(name, label, x, before, after) for name, label, x in drivers)
+    raw = raw_errors(result.base).error[:, 0, 0] / MG
+    first = Plot(
+        "Error of |a| raw and corrected",
+        f"time ({unit})",
+        "mg",
+        (Series("raw reading", when, raw, "points"), Series("final model", when, after, "points")),
+        "One point a posture run; the figures below show the corrected ones alone.",
+    )
+    return (first, *(_residuals(name, label, x, before, after) for name, label, x in drivers))
 
 
 def _residuals(name: str, label: str, x: Array, before: Array | None, after: Array) -> Plot:

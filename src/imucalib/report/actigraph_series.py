@@ -34,21 +34,26 @@ def series_section(found: Calibrations) -> Section:
         rows.append((hours(part.start), str(part.runs), *cells))
     table = Table(
         "Bias by part (mg)", ("from", "runs", "x", "y", "z"), tuple(rows), "lrrrr",
-        "All parameters with their uncertainty are in report.json.",
+        "`imucal apply` corrects each sample with "
+        + ("the part valid at its time." if found.differ else "the calibration of the whole.")
+        + " All parameters of the parts are in report.json.",
     )  # fmt: skip
     middle = np.array([0.5 * (p.start + p.stop) / 86400.0 for p in good])
     curves = tuple(
         Series(
             found.parameters[k].name,
             middle,
-            np.array([p.fit.theta[k] for p in good if p.fit]),
+            np.array([p.fit.theta[k] - found.common[k] for p in good if p.fit]),
             "bars",
-            np.array([p.fit.theta[k] - 2.0 * p.fit.sd[k] for p in good if p.fit]),
-            np.array([p.fit.theta[k] + 2.0 * p.fit.sd[k] for p in good if p.fit]),
+            np.array([p.fit.theta[k] - found.common[k] - 2.0 * p.fit.sd[k] for p in good if p.fit]),
+            np.array([p.fit.theta[k] - found.common[k] + 2.0 * p.fit.sd[k] for p in good if p.fit]),
         )
         for k in range(3)
     )
-    plot = Plot("Bias over time", "day", "mg", curves, "Bars: two standard deviations.")
+    plot = Plot(
+        "Bias over time", "day", "mg", curves,
+        "Change from what all parts have in common; whiskers: two standard deviations.",
+    )  # fmt: skip
     blocks: tuple[Block, ...] = (
         Text(f"{words}{moved}.", "warning" if found.differ else "ok"), table, plot,
     )  # fmt: skip
