@@ -40,27 +40,28 @@ def environment() -> dict[str, str]:
     """One BLAS thread, and bytecode kept between runs as in an installed package."""
     cache = str(Path(tempfile.gettempdir()) / "imucal_benchmark_bytecode")
     kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-    paths = os.pathsep.join(filter(None, (str(Path(__file__).parent), kept.get("PYTHONPATH"))))
-    own = {"OPENBLAS_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": cache, "PYTHONPATH": paths}
+    own = {"OPENBLAS_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": cache}
     return {**kept, **own}
 
 
+#: Not the peak of getrusage, which starts with that of the parent.
+_PEAK = "int(open('/proc/self/status').read().split('VmHWM:')[1].split()[0]) / 1024"
+
+
 def peak() -> float:
-    """Peak memory of this process, MB. Not getrusage's: that one starts with the parent's."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    """Peak memory of this process, MB; Linux only."""
+    return int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1024
 
 
 def measured(arguments: list[str]) -> tuple[float, float, float, int]:
     """CPU s, wall s, peak MB and exit code of a command of imucal."""
     code = (
-        "import resource, sys; from imucalib.cli import cli; from actigraph_week import peak\n"
+        "import resource, sys; from imucalib.cli import cli\n"
         "try: code = cli.main(sys.argv[1:], standalone_mode=False)\n"
         "finally:\n"
         "    use = resource.getrusage(resource.RUSAGE_SELF)\n"
-        "    print('USE', use.ru_utime + use.ru_stime, peak(), file=sys.stderr)\n"
+        f"    high = {_PEAK}\n"
+        "    print('USE', use.ru_utime + use.ru_stime, high, file=sys.stderr)\n"
         "sys.exit(code)"
     )
     start = time.perf_counter()

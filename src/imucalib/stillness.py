@@ -120,7 +120,8 @@ def judge(
 def _allowed(sensor: Sensor, settings: StillSettings) -> Array:
     """(3,) standard deviation that a sensor at rest may have."""
     if sensor.quantity == "angular_rate":
-        return np.maximum(sensor.noise, settings.turning / np.sqrt(settings.variance_ratio))
+        least = settings.turning / np.sqrt(settings.variance_ratio)
+        return np.asarray(np.maximum(sensor.noise, least))
     return np.asarray(np.hypot(sensor.noise, settings.sway))
 
 
