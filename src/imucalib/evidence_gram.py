@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+#: Squared size of a block's direction over its largest from which it is more than rounding.
+_OPEN = 1e-8
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def _directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array
     sizes, turns = [], []
     for block in blocks:
         values, vectors = np.linalg.eigh(gram[np.ix_(block, block)])
-        use = values > 1e-10 * max(float(values[-1]), 1e-300)
+        use = values > _OPEN * max(float(values[-1]), 1e-300)
         sizes.append(np.where(use, values, 0.0))
         turns.append(vectors * np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0))
     return np.concatenate(sizes), turns
@@ -118,7 +120,7 @@ def _null(
 
 def _root(correlation: Array) -> Array:
     """Cholesky factor; rounding and absorbed columns need a little on the diagonal."""
-    for jitter in (1e-12, 1e-10, 1e-8):
+    for jitter in (1e-13, 1e-11, 1e-10):
         try:
             return np.asarray(np.linalg.cholesky(correlation + jitter * np.eye(len(correlation))))
         except np.linalg.LinAlgError:

@@ -1,136 +1,265 @@
-"""What the array's model lacks, found in its own residuals and kept when held-out parts gain.
+"""The array's closed loop: residual -> evidence -> add the effect -> joint refit -> held out -> stop.
 
-Candidates, in the order in which they hide each other: chips on their own clocks (sample age), the
-gyros' common frame and delay against the accelerometers. Half of the motion, in blocks, decides.
+Everything that could be missing stands in one contest with one false-alarm rate. What wins must
+realise its gain in the joint fit of positions, effects and motion, and both held-out halves of the
+motion must agree. A curve without a name that explains much more than the best effect has to be
+matched by at most three effects together; otherwise they are put back and the curve is reported.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array_mean_gyro import (
-    DELAY,
-    FRAME,
-    common_gyro,
-    gyro_score,
-    with_common_gyro,
-)
-from imucalib.calibrators.array_moving import Moving, samples_of, spread_over
-from imucalib.calibrators.array_timing import (
-    deviations,
-    fit_sample_age,
-    rate_slope,
-    with_slope,
-    without_age,
-)
-from imucalib.estimators.array_mode import Frame, laplace_frame, start_prior
-from imucalib.estimators.array_problem import ArrayPrior
-from imucalib.units import DEG
+from imucalib.calibrators.array_ages import Ages, found_ages, kept_ages
+from imucalib.calibrators.array_held_out import Residuals, held_out_residuals
+from imucalib.calibrators.array_moving import Moving
+from imucalib.calibrators.array_noise_tests import shared_by_neighbours
+from imucalib.calibrators.array_search import Search, discounted, search
+from imucalib.calibrators.array_state import ArrayState, Setup, settled, start_state
+from imucalib.calibrators.array_terms import Term
+from imucalib.evidence import Score
+from imucalib.loop import LoopSettings, Unexplained
+from imucalib.loop_search import choose, unexplained
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-_BLOCK = 5.0  # s, parts of the motion that are fitted or held out together
-_GAIN = 4.0  # nats that a held-out half must gain
-_SAMPLES = 1200  # on which the accelerometers are asked
-_SHARE = 0.98  # of the gyros' held-out residual that a timing model must get below
-NORMAL_MAD = 1.4826
+ARRAY_RULES = LoopSettings(draws=499, most_effects=8)
+_HELD_OUT_NATS = 1.0
+_PATH = 3  # effects that together may take the place of a curve without a name
+_KEEP = 1.0  # nats that an earlier effect must still be worth at the end
 
 
 @dataclass(frozen=True)
 class ArrayStep:
-    """One candidate. value : in words; gain : nats, or the share by which a held-out residual
-    falls; accepted : whether it was kept."""
+    """One accepted effect. value : its size in words; held_out : nats that the two halves gain;
+    before, after : held-out residuals"""
 
-    name: str
+    effect: str
     value: str
-    held_out: str
-    accepted: bool
+    p: float
+    draws: int
+    evidence: float
+    held_out: tuple[float, float]
+    before: Residuals
+    after: Residuals
+    aliases: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class ArrayLoop:
-    """steps tried; moving : corrected by those accepted; gyro : deg/s, held-out residual of the
-    gyros about their mean before and after (1.4826 times the median absolute deviation)"""
+    """The whole search.
 
+    base, final : fitted states before and after; ages : clocks of the gyros, or None
+    before, after : held-out residuals; scores : of the last search; absorbed : what cannot be seen,
+    with the m rms by which its typical size moves the positions; dispersion : how many times fewer
+    accelerometer samples the noise that neighbours share leaves
+    """
+
+    base: ArrayState
+    final: ArrayState
+    ages: Ages | None
+    before: Residuals
+    after: Residuals
     steps: tuple[ArrayStep, ...]
-    moving: Moving
-    gyro: tuple[float, float]
+    rejected: tuple[tuple[str, str], ...]
+    unexplained: tuple[Unexplained, ...]
+    scores: tuple[Score, ...]
+    first_scores: tuple[Score, ...]
+    absorbed: dict[str, float]
+    dispersion: float
+    missing: dict[str, str] = field(default_factory=dict)
 
     @property
-    def accepted(self) -> tuple[ArrayStep, ...]:
-        return tuple(step for step in self.steps if step.accepted)
+    def verdict(self) -> str:
+        if self.steps:
+            return "explained in part" if self.unexplained else "explained"
+        return "unexplained" if self.unexplained else "nothing missing"
 
 
-def close_array_loop(moving: Moving, prior: ArrayPrior, sigma: Array) -> ArrayLoop | None:
-    """Search, accept on held-out parts, correct. None when the motion is too broken up."""
-    slope = rate_slope(moving)
-    rows = with_slope(moving, slope)
-    if len(rows) < 200:
+@dataclass(frozen=True)
+class _Path:
+    """Where the search stands. debt : nats that effects still have to explain because a curve
+    explained them, since `safe`; taken : how many effects tried to."""
+
+    state: ArrayState
+    steps: tuple[ArrayStep, ...] = ()
+    rejected: tuple[tuple[str, str], ...] = ()
+    debt: float = 0.0
+    taken: int = 0
+    safe: _Path | None = None
+
+    @property
+    def left_out(self) -> frozenset[str]:
+        return frozenset(name for name, _ in self.rejected)
+
+
+def close_array_loop(
+    setup: Setup, terms: tuple[Term, ...], moving: Moving, rng: np.random.Generator,
+    rules: LoopSettings = ARRAY_RULES,
+) -> ArrayLoop:  # fmt: skip
+    """Search, accept, refit, until nothing passes."""
+    base = start_state(setup, terms)
+    ages = found_ages(base, moving)
+    path = _Path(base if ages is None else kept_ages(base, ages, voting=True))
+    first: Search | None = None
+    while True:
+        found = search(path.state, path.left_out, rng, rules.draws)
+        first = first or found
+        chosen = _chosen(path, found, rules)
+        if chosen is None:
+            if path.safe is None:
+                break
+            path = replace(path.safe, debt=-1.0)
+            found = search(path.state, path.left_out, rng, rules.draws)
+            break
+        path = _tried(path, found, chosen, rules, ages)
+    path = _eliminated(path)
+    final, ages = _with_final_ages(path.state, ages, moving)
+    curves = tuple(s for s in found.scores if s.candidate.kind != "effect" or s.p > rules.alpha)
+    return ArrayLoop(
+        base, final, ages, held_out_residuals(base), held_out_residuals(final), path.steps,
+        path.rejected, unexplained(curves, rules), found.scores, first.scores,
+        _absorbed(first, found), shared_by_neighbours(final, gyro=False), found.missing,
+    )  # fmt: skip
+
+
+def _chosen(path: _Path, found: Search, rules: LoopSettings) -> Score | None:
+    """The best effect; where a curve leads by more than the margin, still the best effect."""
+    if len(path.steps) >= rules.most_effects or path.taken >= _PATH:
         return None
-    # Neighbouring samples share the beat's phase, so every second one is held out for it.
-    before = gyro_residual(moving, rows[1::2])
-    steps = [_sample_age(moving, rows)]
-    current = steps[0][1]
-    for name, part in (("gyro_frame", FRAME), ("gyro_delay", DELAY)):
-        steps.append(_common(name, part, current, prior, sigma, rows))
-        current = steps[-1][1]
-    if steps[1][0].accepted and steps[2][0].accepted:
-        # Each was estimated while the other was still there.
-        current = _common("gyro_frame", FRAME, current, prior, sigma, rows)[1]
-    after = gyro_residual(current, rows[1::2])
-    return ArrayLoop(tuple(step for step, _ in steps), current, (before, after))
+    means = tuple(s for s in found.scores if s.candidate.kind != "noise")
+    return choose(means, rules) or next(
+        (s for s in means if s.candidate.kind == "effect" and s.p <= rules.alpha), None
+    )
 
 
-def gyro_residual(moving: Moving, rows: Index) -> float:
-    """deg/s: 1.4826 times the median absolute deviation about the mean of the triads."""
-    return float(NORMAL_MAD * np.median(np.abs(deviations(moving)[rows])) / DEG)
+def _tried(
+    path: _Path, found: Search, chosen: Score, rules: LoopSettings, ages: Ages | None
+) -> _Path:
+    """The path with the effect, or with the reason why not."""
+    term = found.term(chosen.name)
+    trial = settled(replace(path.state, terms=(*path.state.terms, term)))
+    gains = found.held_out(chosen.name)
+    reason = _why_not(path.state, trial, gains)
+    if not reason:
+        factor = shared_by_neighbours(trial, gyro=term.effect.sensor == "gyroscope")
+        late = discounted(chosen, factor, found.null)
+        if late.p > rules.alpha:
+            reason = f"noise that neighbours share explains it as well (p {late.p:.2g})"
+    if reason:
+        return replace(path, rejected=(*path.rejected, (chosen.name, reason)))
+    step = _step(path.state, trial, found, chosen, gains)
+    leader = next(s for s in found.scores if s.candidate.kind != "noise")
+    gained = trial.density - path.state.density
+    grown = replace(path, state=trial, steps=(*path.steps, step))
+    if path.safe is None:
+        if leader.candidate.kind == "effect" or leader.evidence <= chosen.evidence + rules.margin:
+            return grown
+        grown = replace(grown, safe=path, debt=leader.evidence - rules.margin)
+    debt = grown.debt - gained
+    if debt <= 0.0:
+        return replace(grown, safe=None, debt=0.0, taken=0)
+    return replace(grown, debt=debt, taken=grown.taken + 1)
 
 
-def _sample_age(moving: Moving, rows: Index) -> tuple[ArrayStep, Moving]:
-    trial = fit_sample_age(moving, rows[::2])
-    held = rows[1::2]
-    old = gyro_residual(moving, held)
-    new = gyro_residual(without_age(moving, trial.age, rows[::2]), held)
-    seen = int(np.isfinite(trial.frequency).sum())
-    accepted = seen > 0 and trial.span > 0.0 and new < _SHARE * old
-    words = "no beat line"
-    if seen:
-        beats = ", ".join(f"{f:.2f}" for f in trial.frequency)
-        words = f"span {1e3 * trial.span:.2f} ms, beats {beats} Hz"
-    step = ArrayStep("gyro_sample_age", words, f"{old:.2f} -> {new:.2f} deg/s", accepted)
-    if not accepted:
-        return step, moving
-    return step, without_age(moving, fit_sample_age(moving, rows).age, rows)
+def _why_not(before: ArrayState, after: ArrayState, gains: tuple[float, float]) -> str:
+    if len(after.terms[-1].value) == 0:
+        return "these data determine none of its parameters"
+    if not after.converged:
+        return "its refit did not converge"
+    term = after.terms[-1]
+    implausible = [
+        f"{p.name} = {v:.3g} {p.unit}"
+        for p, v in zip(term.parameters(after.setup.imus), term.theta, strict=True)
+        if abs(v) > p.plausible
+    ]
+    if implausible:
+        return f"implausible size ({', '.join(implausible)})"
+    if after.density <= before.density:
+        return "the joint fit is not better with it"
+    if min(gains) <= 0.0 or sum(gains) < _HELD_OUT_NATS:
+        return f"it does not hold out: {gains[0]:+.1f} and {gains[1]:+.1f} nats on the other half"
+    return ""
 
 
-def _common(
-    name: str, part: slice, moving: Moving, prior: ArrayPrior, sigma: Array, rows: Index
-) -> tuple[ArrayStep, Moving]:
-    slope = rate_slope(moving)
-    used = spread_over(rows, _SAMPLES)
-    score = gyro_score(_frame(moving, prior, sigma, used), slope[used])
-    first = ((moving.t[used] - moving.t[used[0]]) / _BLOCK).astype(np.intp) % 2 == 0
-    one, two = np.flatnonzero(first), np.flatnonzero(~first)
-    if min(len(one), len(two)) < 30:
-        return ArrayStep(name, "too little motion to hold out a part", "", False), moving
-    # Both ways round: each half is predicted by the other.
-    gain = score.gain(two, part, score.solved(one, part)[0])
-    gain += score.gain(one, part, score.solved(two, part)[0])
-    found = common_gyro(score, part)
-    if part == DELAY:
-        words = f"{1e3 * found.delay:.3f} ± {1e3 * found.delay_sd:.3f} ms"
-        words += " that the gyros are early" if found.delay < 0.0 else " that the gyros are late"
-    else:
-        words = f"largest entry {1e3 * float(np.abs(found.gain).max()):.1f}e-3"
-    step = ArrayStep(name, words, f"{gain:+.1f} nats", gain > _GAIN)
-    if not step.accepted:
-        return step, moving
-    return step, with_common_gyro(moving, slope, found, rows)
+def _step(
+    before: ArrayState, after: ArrayState, found: Search, chosen: Score, gains: tuple[float, float]
+) -> ArrayStep:
+    near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
+    aliases = tuple(
+        s.name for s in found.scores
+        if s.candidate.kind == "effect" and s.name != chosen.name and s.evidence >= near
+    )  # fmt: skip
+    return ArrayStep(
+        chosen.name, size_in_words(after, after.terms[-1]), chosen.p, chosen.draws,
+        chosen.evidence, gains, held_out_residuals(before), held_out_residuals(after), aliases,
+    )  # fmt: skip
 
 
-def _frame(moving: Moving, prior: ArrayPrior, sigma: Array, rows: Index) -> Frame:
-    data = samples_of(moving, rows, sigma)
-    return laplace_frame(data, start_prior(data, prior))
+def size_in_words(state: ArrayState, term: Term) -> str:
+    """The one value with its deviation, or the rms of many."""
+    from imucalib.significant_digits import plus_minus
+
+    parameters = term.parameters(state.setup.imus)
+    sd = state.sd_of(term)
+    units = {p.unit for p in parameters}
+    if len(parameters) == 1:
+        return plus_minus(float(term.theta[0]), float(sd[0]), parameters[0].unit)
+    if len(parameters) <= 3:
+        values = ", ".join(f"{v:.3g}" for v in term.theta)
+        return f"{values} {parameters[0].unit}"
+    rms = float(np.sqrt(np.mean(term.theta**2)))
+    return f"{rms:.2g} {units.pop()} rms, {term.live.shape[1]} of {len(parameters)} determined"
+
+
+def _eliminated(path: _Path) -> _Path:
+    """Without earlier effects that later ones have made unnecessary."""
+    for step in path.steps[:-1]:
+        term = next(t for t in path.state.terms if t.name == step.effect)
+        if worth(path.state, term) >= _KEEP:
+            continue
+        left = tuple(t for t in path.state.terms if t.name != step.effect)
+        state = settled(replace(path.state, terms=left))
+        steps = tuple(s for s in path.steps if s.effect != step.effect)
+        reason = "made unnecessary by later effects"
+        path = replace(
+            path, state=state, steps=steps, rejected=(*path.rejected, (step.effect, reason))
+        )
+    return path
+
+
+def worth(state: ArrayState, term: Term) -> float:
+    """Evidence (nats) of a term beside all others, from the joint covariance."""
+    at = state.positions
+    for other in state.terms:
+        if other.name == term.name:
+            break
+        at += len(other.value)
+    part = slice(at, at + len(term.value))
+    precision = np.linalg.inv(state.covariance[part, part])
+    log_ratio = np.linalg.slogdet(precision * np.outer(term.sd, term.sd))[1]
+    return float(0.5 * term.value @ precision @ term.value - 0.5 * log_ratio)
+
+
+def _with_final_ages(
+    state: ArrayState, ages: Ages | None, moving: Moving
+) -> tuple[ArrayState, Ages | None]:
+    """Once the clocks are accepted, their phases from all samples."""
+    if not any(term.effect.needs_age for term in state.terms):
+        return state, None
+    again = found_ages(state, moving, all_rows=True)
+    if again is None:
+        return state, ages
+    return settled(kept_ages(state, again, voting=False)), again
+
+
+def _absorbed(first: Search, last: Search) -> dict[str, float]:
+    """What no motion shows, and by how much its typical size moves the positions."""
+    found: dict[str, float] = {}
+    for one in (first, last):
+        for score in one.scores:
+            if score.candidate.kind == "effect" and score.absorbed and "@" not in score.name:
+                found[score.name] = one.impact[score.name]
+    return found

@@ -19,7 +19,7 @@ FEWEST = 60
 def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> Setup | None:
     """At most `samples` informative samples whose neighbours are informative too; None when
     there are too few."""
-    near = _with_neighbours(moving)
+    near = with_neighbours(moving)
     if len(near) < FEWEST:
         return None
     chosen = _stretches(near, samples)
@@ -35,7 +35,7 @@ def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> 
     )  # fmt: skip
 
 
-def _with_neighbours(moving: Moving) -> Index:
+def with_neighbours(moving: Moving) -> Index:
     """Informative samples whose two neighbours are informative and at the usual interval."""
     flag = np.zeros(len(moving.t) + 2, dtype=np.bool_)
     flag[1 + moving.good] = True

@@ -21,7 +21,7 @@ from imucalib.estimators.array_samples import Readings, Sampled, Weights, fit_sa
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_ROUNDS, _CLOSE = 15, 1e-3  # Gauss-Newton steps at most; squared step at which a fit is settled
+_ROUNDS, _CLOSE = 12, 1e-2  # Gauss-Newton steps at most; squared step at which a fit is settled
 
 
 @dataclass(frozen=True)

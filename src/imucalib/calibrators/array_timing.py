@@ -7,84 +7,40 @@ others show it: the deviation of one gyro from their mean, along dω/dt, over |d
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from imucalib.calibrators.array_gyros import relative_gyros
-from imucalib.calibrators.array_moving import Moving
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 _BLOCK = 3.0  # s over which a beat's phase is held to be steady
 _LINE = 30.0  # power of a spectral line over the spectrum's median from which it counts
-_ROUNDS = 4
 
 
 @dataclass(frozen=True)
 class SampleAge:
-    """age : (N, K) s about its mean; frequency : (K,) Hz of the beat, negative when the age falls
-    with time, NaN for a gyro without one; span : s, of the sawtooth; line : (K,) power of
-    the line over the spectrum's median"""
+    """wave : (N, K) sawtooths of unit span about zero, zero for a gyro without a beat;
+    frequency : (K,) Hz of the beat, negative when the age falls with time, NaN without one;
+    line : (K,) power of the line over the spectrum's median"""
 
-    age: Array
+    wave: Array
     frequency: Array
-    span: float
     line: Array
 
 
-def rate_slope(moving: Moving) -> Array:
-    """(N, 3) rad/s², central difference of the gyros' mean; NaN beside a gap."""
-    slope = np.full_like(moving.gyros.mean, np.nan)
-    step = moving.t[2:] - moving.t[:-2]
-    inner = (moving.gyros.mean[2:] - moving.gyros.mean[:-2]) / step[:, None]
-    inner[step > 2.2 * moving.interval] = np.nan
-    slope[1:-1] = inner
-    return slope
+def fit_sample_age(t: Array, off: Array, slope: Array, rows: Index) -> SampleAge:
+    """Sawtooth ages for all samples, from the samples `rows`.
 
-
-def with_slope(moving: Moving, slope: Array) -> Index:
-    """The informative samples whose two neighbours are informative as well."""
-    flag = np.zeros(len(moving.t), dtype=np.bool_)
-    flag[moving.good] = True
-    near = flag & np.roll(flag, 1) & np.roll(flag, -1) & np.isfinite(slope).all(axis=1)
-    return np.flatnonzero(near)
-
-
-def deviations(moving: Moving) -> Array:
-    """(N, K, 3) rad/s, corrected gyros less their mean."""
-    inverse = np.linalg.inv(moving.gyros.gain)
-    return np.asarray(np.einsum("kij,nkj->nki", inverse, moving.rate) - moving.gyros.mean[:, None])
-
-
-def fit_sample_age(moving: Moving, rows: Index) -> SampleAge:
-    """Sawtooth ages from the samples `rows`, for all samples."""
-    triads, current = moving.gyros.triads, moving
-    age = np.zeros((len(moving.t), triads))
-    frequency, line, span = np.full(triads, np.nan), np.zeros(triads), 0.0
-    for _ in range(_ROUNDS):
-        slope = rate_slope(current)
-        off = deviations(current) + age[:, :, None] * np.nan_to_num(slope)[:, None]
-        waves = np.zeros_like(age)
-        for k in range(triads):
-            waves[:, k], frequency[k], line[k] = _wave(current.t, off[:, k], slope, rows)
-        flat = np.nan_to_num(slope)[rows]
-        basis = waves[rows] - waves[rows].mean(axis=1, keepdims=True)
-        along = np.einsum("nki,ni->nk", off[rows] - off[rows].mean(axis=1, keepdims=True), flat)
-        power = np.sum(flat**2, axis=1)
-        span = float(np.sum(along * basis) / max(np.sum(power[:, None] * basis**2), 1e-300))
-        age = span * waves
-        current = without_age(moving, age, rows)
-    return SampleAge(age, frequency, span, line)
-
-
-def without_age(moving: Moving, age: Array, rows: Index) -> Moving:
-    """The moving part with the gyros moved to one instant, and their comparison redone."""
-    slope = np.nan_to_num(rate_slope(moving))
-    moved = np.einsum("kij,nj->nki", moving.gyros.gain, slope) * age[:, :, None]
-    rate = moving.rate - moved
-    return replace(moving, rate=rate, gyros=relative_gyros(rate, rows))
+    off : (N, K, 3) rad/s, gyros less their mean; slope : (N, 3) dω/dt, rad/s²
+    """
+    triads = off.shape[1]
+    waves = np.zeros(off.shape[:2])
+    frequency, line = np.full(triads, np.nan), np.zeros(triads)
+    for k in range(triads):
+        # A reading of age a is off by -a dω/dt.
+        waves[:, k], frequency[k], line[k] = _wave(t, -off[:, k], slope, rows)
+    return SampleAge(waves, frequency, line)
 
 
 def _wave(t: Array, off: Array, slope: Array, rows: Index) -> tuple[Array, float, float]:

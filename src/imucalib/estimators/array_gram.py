@@ -72,7 +72,8 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
     starts = starts_of(blocks)
     total, k = int(starts[-1]), sampled.force.shape[1]
     matrix, along = np.zeros((total, total)), np.zeros(total)
-    motion = np.zeros((len(rows), 9, total))
+    # Gyros see ω only, and the root is upper triangular: of the nine rows a sample they have three.
+    upper, lower = np.zeros((len(rows), 6, total)), np.zeros((len(rows), 3, total))
     root = sampled.root[rows]
     power, residual = 0.0, np.zeros((len(rows), 9))
     for gyro in (False, True):
@@ -80,32 +81,44 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
         off = (sampled.off.rate if gyro else sampled.off.acceleration)[rows] * weight[..., None]
         power += float(np.sum(off * off))
         chosen = [b for b in range(len(blocks)) if blocks[b].gyro is gyro]
-        widths = [blocks[b].basis.shape[3] for b in chosen]
-        x = np.empty((k, len(rows), 3, sum(widths)))
-        at = 0
-        for b, width in zip(chosen, widths, strict=True):
-            part = blocks[b].basis[rows].transpose(1, 0, 2, 3)
-            np.multiply(part, weight.T[:, :, None, None], out=x[..., at : at + width])
-            at += width
+        x = _side_by_side([blocks[b].basis for b in chosen], rows, weight)
         for triad in range(k):
             index = _places(blocks, starts, chosen, triad)
             one = x[triad].reshape(-1, x.shape[3])
             matrix[np.ix_(index, index)] += one.T @ one
             along[index] += one.T @ off[:, triad].ravel()
-            if gyro:
-                arms = np.zeros((len(rows), 3, 9))
-                arms[:, :, 6:] = np.eye(3)
-            else:
-                arms = sampled.arms[rows, triad]
-            arms = np.matmul(arms, root) * weight[:, triad, None, None]
-            motion[:, :, index] += np.matmul(arms.transpose(0, 2, 1), x[triad])
+            arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
+            arms = arms * weight[:, triad, None, None]
+            taken = np.matmul(arms.transpose(0, 2, 1), x[triad])
+            lower[:, :, index] += taken[:, 6:]
+            if not gyro:
+                upper[:, :, index] += taken[:, :6]
             residual += np.einsum("tij,ti->tj", arms, off[:, triad])
-    flat = motion.reshape(-1, total)
     whole = np.diag(matrix).copy()
+    forces = np.concatenate(
+        [np.arange(starts[b], starts[b + 1]) for b in range(len(blocks)) if not blocks[b].gyro]
+    )
+    flat = np.ascontiguousarray(upper[:, :, forces]).reshape(-1, len(forces))
+    matrix[np.ix_(forces, forces)] -= flat.T @ flat
+    along[forces] -= flat.T @ residual[:, :6].ravel()
+    flat = lower.reshape(-1, total)
     matrix -= flat.T @ flat
-    along -= flat.T @ residual.ravel()
+    along -= flat.T @ residual[:, 6:].ravel()
     power -= float(np.sum(residual * residual))
     return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole)
+
+
+def _side_by_side(bases: list[Array], rows: Index, weight: Array) -> Array:
+    """(K, rows, 3, all columns of a triad), whitened."""
+    k = weight.shape[1]
+    x = np.empty((k, len(rows), 3, sum(b.shape[3] for b in bases)))
+    at = 0
+    for basis in bases:
+        width = basis.shape[3]
+        part = basis[rows].transpose(1, 0, 2, 3)
+        np.multiply(part, weight.T[:, :, None, None], out=x[..., at : at + width])
+        at += width
+    return x
 
 
 def _places(blocks: Sequence[Columns], starts: Index, chosen: list[int], triad: int) -> Index:
@@ -139,9 +152,7 @@ def reduced(found: Gram, base: Index, prior: Array, pull: Array, others: Index) 
     """
     inner = found.matrix[np.ix_(base, base)] + np.diag(prior)
     size = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    values, vectors = np.linalg.eigh(inner * size[:, None] * size)
-    use = values > 1e-11 * max(float(values[-1]), 1e-300)
-    half = size[:, None] * vectors[:, use] / np.sqrt(values[use])
+    half = size[:, None] * _half(inner * size[:, None] * size)
     across = half.T @ found.matrix[np.ix_(base, others)]
     right = half.T @ (found.along[base] - pull)
     return Reduced(
@@ -152,3 +163,17 @@ def reduced(found: Gram, base: Index, prior: Array, pull: Array, others: Index) 
         half @ half.T,
         half @ across,
     )
+
+
+def _half(unit: Array) -> Array:
+    """(b, q) with half halfᵀ the inverse of a matrix of unit diagonal, its open directions left
+    out."""
+    try:
+        lower = np.linalg.cholesky(unit)
+        if float(np.diag(lower).min(initial=1.0)) > 1e-4:
+            return np.asarray(np.linalg.inv(lower).T)
+    except np.linalg.LinAlgError:
+        pass
+    values, vectors = np.linalg.eigh(unit)
+    use = values > 1e-11 * max(float(values[-1]), 1e-300)
+    return np.asarray(vectors[:, use] / np.sqrt(values[use]))
