@@ -17,7 +17,7 @@ from imucalib.calibrators.lab_request import LabRequest, as_published
 from imucalib.calibrators.lab_run import LabRun, run_lab
 from imucalib.mapping import FieldMapping
 from imucalib.position_table import read_position_table
-from imucalib.units import DEG
+from imucalib.units import DEG, MG
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the measured data are not here")
@@ -98,8 +98,9 @@ def test_swapped_headings_are_said_not_swapped() -> None:
         run_lab(table, LabRequest(gravity=9.8061))
 
 
-@pytest.mark.parametrize(("name", "gains"), [("ab", True), ("ai", True)])
-def test_cave_instruments_at_rest(tmp_path: Path, name: str, gains: bool) -> None:
+@pytest.mark.parametrize("name", ["ab", "ai"])
+def test_cave_instruments_at_rest(tmp_path: Path, name: str) -> None:
+    """Leave-one-out took part in the choice and flatters it: 24 shots prove less than it says."""
     shots = json.loads((DATA / "cave_accel" / f"{name}.json").read_text())["shots"]["grav"]
     path = tmp_path / f"{name}.csv"
     np.savetxt(
@@ -108,8 +109,13 @@ def test_cave_instruments_at_rest(tmp_path: Path, name: str, gains: bool) -> Non
     run = calibrate_files(LabFiles(path), LabRequest(reference="norm"), lambda text: None)
     error = run.outcome.error.held_out
     assert run.result.loop is not None
-    assert bool(run.result.loop.steps) is gains
-    assert error.final < 0.75 * error.base < 0.1 * error.raw
+    assert run.result.loop.steps
+    chosen_with, anew = run.result.splits
+    assert chosen_with.final.rms() < 0.75 * chosen_with.base.rms()
+    assert anew.name == "searched anew"
+    assert anew.final.rms() > 1.1 * chosen_with.final.rms()
+    assert error.final == pytest.approx(anew.final.rms() / MG)
+    assert error.final < error.base < 0.1 * error.raw
 
 
 @pytest.mark.parametrize("name", ["imu0.log", "imu1.log"])

@@ -156,7 +156,9 @@ class _Bench:
         if name == "local_sine":
             return np.asarray(size * MG * np.sin(2.0 * np.pi * g / 0.35 + self.phase))
         if name == "soft_saturation":
-            return np.asarray(-40.0 * size * MG * np.sign(g) * np.maximum(np.abs(g) - 0.8, 0.0) ** 2)
+            return np.asarray(
+                -40.0 * size * MG * np.sign(g) * np.maximum(np.abs(g) - 0.8, 0.0) ** 2
+            )
         if name == "step_in_order":
             return 2.0 * size * MG * (rows >= self.at)[:, None] * np.sin(self.phase)
         if name == "random_walk":
@@ -218,8 +220,13 @@ def _faulty(columns: dict[str, Array], fault: str, rng: np.random.Generator) -> 
         i, t = columns["inclination"], columns["tool_face"]
         columns |= {"inclination": t, "tool_face": i}
     elif fault == "swapped labels":
-        far = [k for k in range(N) if abs(columns["tool_face"][k] - columns["tool_face"][row]) > 20
-               and abs(columns["inclination"][k]) < 80 and abs(columns["inclination"][row]) < 80]
+        far = [
+            k
+            for k in range(N)
+            if abs(columns["tool_face"][k] - columns["tool_face"][row]) > 20
+            and abs(columns["inclination"][k]) < 80
+            and abs(columns["inclination"][row]) < 80
+        ]
         other = int(rng.choice(far)) if far else (row + 1) % N
         for role in ("inclination", "tool_face"):
             columns[role][[row, other]] = columns[role][[other, row]]
@@ -231,5 +238,3 @@ def _faulty(columns: dict[str, Array], fault: str, rng: np.random.Generator) -> 
         columns["tool_face"] = columns["tool_face"] * DEG
         columns["inclination"] = columns["inclination"] * DEG
     return columns
-
-

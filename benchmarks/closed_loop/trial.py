@@ -40,7 +40,8 @@ class Trial:
     """What came of a job.
 
     strength : λ of each planted effect; apart : λ times the sine of its angle to its nearest alias
-    sets : of each accepted effect, itself and its aliases; unexplained : (kind, driver)
+    sets : of each accepted effect, itself and its aliases; certain : those that are stated so;
+        unexplained : (kind, driver)
     before, after, oracle : true error of the base calibration, of the final one and of one that
         knows the planted effects; covered : of `intervals` 95 % intervals
     refused : the error that the command stopped with, if it did
@@ -49,6 +50,7 @@ class Trial:
     job: Job
     verdict: str = ""
     sets: tuple[tuple[str, ...], ...] = ()
+    certain: tuple[str, ...] = ()
     records: tuple[str, ...] = ()
     unexplained: tuple[tuple[str, str], ...] = ()
     strength: tuple[float, ...] = ()
@@ -68,8 +70,8 @@ class Trial:
 
     @property
     def named(self) -> bool:
-        """A single effect was stated as certain: alone in its set, and all explained by it."""
-        return self.verdict == "explained" and any(len(s) == 1 for s in self.sets)
+        """A single effect was stated as certain, and the residual as explained."""
+        return self.verdict == "explained" and bool(self.certain)
 
     @property
     def first(self) -> bool:
@@ -87,8 +89,7 @@ class Trial:
     def wrong(self) -> bool:
         """An effect that was not planted is stated as certain."""
         planted = {name for name, _ in self.job.effects}
-        certain = {s[0] for s in self.sets if len(s) == 1}
-        return self.verdict == "explained" and bool(certain - planted)
+        return self.verdict == "explained" and bool(set(self.certain) - planted)
 
 
 def said(trial: Trial, loop: Loop) -> Trial:
@@ -97,13 +98,12 @@ def said(trial: Trial, loop: Loop) -> Trial:
     def plain(name: str) -> str:
         return name.partition("@")[0]
 
-    sets = tuple(
-        tuple(dict.fromkeys(plain(n) for n in (s.effect, *s.aliases))) for s in loop.steps
-    )
+    sets = tuple(tuple(dict.fromkeys(plain(n) for n in (s.effect, *s.aliases))) for s in loop.steps)
     return replace(
         trial,
         verdict=loop.verdict,
         sets=sets,
+        certain=tuple(plain(s.effect) for s in loop.steps if s.certain),
         records=tuple(f"{r.row}:{r.channel}" for r in loop.records),
         unexplained=tuple((u.kind, u.driver) for u in loop.unexplained),
         absorbed=tuple(plain(s.name) for s in loop.first_scores if s.absorbed),

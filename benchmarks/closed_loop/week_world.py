@@ -100,9 +100,7 @@ class _Week:
         self.walk = np.cumsum(steps, axis=0)
         force = clean.force
         reading = self._sensed(force, self.context, np.arange(blank.n))
-        self.runs: PostureRuns = replace(
-            blank, mean=reading + MG * self._noise(force, blank, rng)
-        )
+        self.runs: PostureRuns = replace(blank, mean=reading + MG * self._noise(force, blank, rng))
 
     def _noise(self, force: Array, runs: PostureRuns, rng: np.random.Generator) -> Array:
         """(n, 3) mg: white noise of the windows, and what all windows of a run share, along the
@@ -113,7 +111,9 @@ class _Week:
             bout = (runs.time / 3600.0).astype(int)
             shared = shared + 0.7 * rng.standard_normal(bout.max() + 1)[bout]
         along = force / np.linalg.norm(force, axis=1, keepdims=True)
-        return np.asarray(shared[:, None] * along + white[:, None] * rng.standard_normal((runs.n, 3)))
+        return np.asarray(
+            shared[:, None] * along + white[:, None] * rng.standard_normal((runs.n, 3))
+        )
 
     def _sensed(self, force: Array, context: Context, rows: Array) -> Array:
         theta, slices = self.model.start(context), self.model.slices(context)

@@ -24,7 +24,8 @@ from imucalib.loop_search import choose, effect_named, objection, refined, searc
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-FOLDS = 4
+_FOLDS, _BLOCKS = 10, 4  # of single positions, and of blocks of time, of which there are a dozen
+_FEW = 16
 
 
 def cross_fitted(
@@ -33,14 +34,16 @@ def cross_fitted(
     rng: np.random.Generator,
     settings: LoopSettings,
     families: tuple[Family, ...] = (),
-    folds: int = FOLDS,
 ) -> tuple[Held, Held]:
     """Held-out predictions of the base model and of the searched one, every group once.
 
-    Groups are dealt to the folds in turn, so that every fold spans the whole recording.
+    Groups are dealt to the folds by chance: dealt in turn, a fold would take whole rings of a
+    bench that repeats itself.
     """
     data = loop.plain.observations
-    keys = np.unique(data.group, return_inverse=True)[1] % folds
+    groups, group = np.unique(data.group, return_inverse=True)
+    folds = min(groups.size, _BLOCKS if groups.size <= _FEW else _FOLDS)
+    keys = rng.permutation(np.arange(groups.size) % folds)[group]
     rules = replace(settings, bar=loop.bar)
     wrong = tuple(r.row for r in loop.records)
     parts: list[tuple[Index, Held, Held]] = []

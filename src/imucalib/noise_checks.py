@@ -30,11 +30,14 @@ def noise_doubts(
 def beyond_declared(fit: Fit) -> float:
     """Chance of a noise factor this far above 1 if the declared noise were true.
 
-    Within the settings' covariance, chi-square with the fit's degrees of freedom (upper tail).
+    Chi-square (upper tail), with as many degrees of freedom as the estimate of the factor is worth:
+    settings that scatter take some away.
     """
     from scipy.special import chdtrc
 
-    return float(chdtrc(fit.dof, fit.dof * fit.noise.factor**2))
+    spread = float(fit.noise_covariance[0, 0])
+    dof = 0.5 / spread if spread > 0.0 else float(fit.dof)
+    return float(chdtrc(dof, dof * fit.noise.factor**2))
 
 
 def heavy_tails(fit: Fit, rng: np.random.Generator, draws: int) -> float:

@@ -12,7 +12,8 @@ from imucalib.calibrators.actigraph_observations import observations_of, weighte
 from imucalib.calibrators.actigraph_request import ActigraphRequest
 from imucalib.calibrators.actigraph_weak import NINE, base_fit, is_weak
 from imucalib.closed_loop import close_loop
-from imucalib.effect import Effect
+from imucalib.cross_fit import cross_fitted
+from imucalib.effect import Effect, Family
 from imucalib.effects import catalogue, families, named
 from imucalib.errors import NotConverged, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
@@ -32,7 +33,8 @@ class ActigraphResult:
     """What the reports of `actigraph` show.
 
     base, final : the nine parameters, and with what the loop added
-    base_held, final_held : predictions of each run by fits without its block of time
+    base_held, final_held : predictions of each run by fits without its block of time; where the
+        search found something, by searches and fits without a quarter of the blocks
     light : runs that count less, because nothing else is like them
     declined : why the loop's model was not taken, or empty
     widened : factor by which unexplained structure has widened all standard deviations
@@ -86,6 +88,9 @@ def calibrate(
         names = ", ".join(s.effect for s in loop.steps)
         declined = f"{names} not taken: the held-out error is larger with it than without"
         final, final_held = base, base_held
+    elif loop and loop.steps:
+        effects, scans = searchable(request)
+        base_held, final_held = cross_fitted(loop, effects, rng, request.rules, scans)
     error = error_summary(base, final, base_held, final_held)
     widened = 1.0
     if loop and loop.unexplained:
@@ -135,22 +140,22 @@ def searched(
 
 
 def search(base: Fit, request: ActigraphRequest, rng: np.random.Generator) -> Loop:
-    """The closed loop over the catalogue and its scans, as `only` and `without` leave them."""
+    """The closed loop over the catalogue and its scans."""
+    effects, scans = searchable(request)
+    return close_loop(base.model, base.observations, effects, rng, request.rules, base.theta, scans)
+
+
+def searchable(request: ActigraphRequest) -> tuple[dict[str, Effect], tuple[Family, ...]]:
+    """Sensor effects and scans, as `only` and `without` leave them; UsageError for a name that is
+    not there."""
     chosen = request.only or (*catalogue(), *request.extra_effects, *families())
     every: dict[str, Effect] = {**catalogue(), **request.extra_effects}
     for name in (*request.only, *request.without):
         if name not in every and name not in families():
             named(name)
     wanted = [n for n in chosen if n not in request.without]
-    return close_loop(
-        base.model,
-        base.observations,
-        {n: every[n] for n in wanted if n in every and every[n].stage == "sensor"},
-        rng,
-        request.rules,
-        base.theta,
-        tuple(families()[n] for n in wanted if n in families()),
-    )
+    effects = {n: every[n] for n in wanted if n in every and every[n].stage == "sensor"}
+    return effects, tuple(families()[n] for n in wanted if n in families())
 
 
 def unseen(runs: PostureRuns) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from imucalib.attitude import AttitudeErrors, attitude_errors
 from imucalib.calibrators.lab_errors import Split, error_summary, held_out_splits
 from imucalib.closed_loop import close_loop
 from imucalib.conventions import Conventions
+from imucalib.cross_fit import cross_fitted
 from imucalib.effect import Effect
 from imucalib.effects import catalogue, named
 from imucalib.errors import NotConverged, Undetermined, UsageError
@@ -70,7 +71,7 @@ class LabResult:
     """Everything that the reports of `lab` show.
 
     observations : all rows; used : the rows that were fitted
-    splits : leave-one-out, and the test set of `train` when there is one
+    splits : leave-one-out, folds searched anew, and the test set of `train`, where there are any
     angles : the final fit's errors in degrees and mg on the fitted rows (KnownVector only)
     """
 
@@ -99,11 +100,11 @@ def calibrate(
     data = observations.take(used)
     demand_enough(model, data)
     start = full_matrix_start(model, data)
+    rules = replace(settings.rules, declared=settings.sigma is not None)
     if settings.objective in OBJECTIVES:
         base = fit_corrected(model, data, settings.objective, start)
         loop, final = None, base
     elif settings.loop:
-        rules = replace(settings.rules, declared=settings.sigma is not None)
         loop = close_loop(model, data, searched, rng, rules, start)
         base, final = loop.plain, loop.as_recorded
     else:
@@ -115,7 +116,8 @@ def calibrate(
         raise undetermined(judged)
     if not final.converged:
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
-    splits = held_out_splits(base, final, observations, used, settings.objective)
+    anew = cross_fitted(loop, searched, rng, rules) if loop and loop.steps else None
+    splits = held_out_splits(base, final, observations, used, settings.objective, anew)
     gravity = gravity_of(data)
     known = isinstance(data.reference, KnownVector)
     angles = attitude_errors(fitted(final), gravity) if known else None

@@ -32,15 +32,22 @@ class Split:
 
 
 def held_out_splits(
-    base: Fit, final: Fit, whole: Observations, used: Index, objective: str
+    base: Fit,
+    final: Fit,
+    whole: Observations,
+    used: Index,
+    objective: str,
+    anew: tuple[Held, Held] | None = None,
 ) -> tuple[Split, ...]:
-    """Each fitted row in turn, and the rows that were kept apart when there are any."""
+    """Each fitted row in turn; folds for which the search was repeated without them, where it had
+    found something; and the rows that were kept apart when there are any."""
     found: list[Split] = []
     if objective in OBJECTIVES:
         left = refitted(final, objective)
         found += [Split("leave one out", used, left, left)] if left else []
     else:
         found = [Split("leave one out", used, held_out(base), held_out(final))]
+        found += [Split("searched anew", used, *anew)] if anew else []
     rest = np.setdiff1d(np.arange(whole.n), used)
     if rest.size:
         test = whole.take(rest)
@@ -75,8 +82,8 @@ def error_summary(
 ) -> ErrorSummary:
     """The one metric of the loop: length of the vector error, or error of the norm, rms in mg.
 
-    Held out are the rows of the test set when there is one, else each row in turn; NaN where
-    neither exists.
+    Held out are the rows of the test set when there is one, else folds that took no part in the
+    choice, else each row in turn; NaN where none exists.
     """
     base_out, final_out = (
         (splits[-1].base.rms() / MG, splits[-1].final.rms() / MG) if splits else (np.nan, np.nan)

@@ -9,12 +9,19 @@ from imucalib.outcome import ErrorSummary, Outcome
 from imucalib.report.document import Block, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, probability
 
-#: What is left out at a time, by calibrator.
-_HELD_OUT = {"actigraph": "Held out: each block of time predicted by a fit without it."}
+_HELD_OUT = {
+    "actigraph": "Held out: each block of time predicted by a fit without it.",
+    "": "Held out: each position predicted by a fit without it, or the test rows.",
+}
+_ANEW = (
+    "Held out: a quarter at a time, predicted by a model that was searched for and fitted without "
+    "it, or the test rows."
+)
 
 
-def error_table(error: ErrorSummary, calibrator: str = "") -> Table:
+def error_table(error: ErrorSummary, calibrator: str = "", loop: Loop | None = None) -> Table:
     """Error before and after, fitted and on data that was not fitted, with the floor."""
+    note = _HELD_OUT.get(calibrator, _HELD_OUT[""])
 
     def number(value: float) -> str:
         return "-" if math.isnan(value) else f"{value:.2f}"  # there was no held-out part
@@ -30,9 +37,7 @@ def error_table(error: ErrorSummary, calibrator: str = "") -> Table:
         ("", "fitted", "held out"),
         rows,
         "lrr",
-        _HELD_OUT.get(
-            calibrator, "Held out: each position predicted by a fit without it, or the test rows."
-        ),
+        _ANEW if loop and loop.steps else note,
     )
 
 
@@ -72,7 +77,7 @@ def loop_section(outcome: Outcome) -> Section:
             "the chance in the whole search."
         )
         blocks.append(Table("Steps of the loop", header, rows, "lrrrl", note))
-    blocks.append(error_table(outcome.error, outcome.calibrator))
+    blocks.append(error_table(outcome.error, outcome.calibrator, loop))
     return Section("Closed loop", tuple(blocks))
 
 
