@@ -1,9 +1,9 @@
 """An effect of an array: what an undeclared error of its sensors adds to their readings.
 
-The shared `Effect` acts on the specific force of a triad. In an array an error may act on the gyros,
-or depend on how the board turns, so an array effect is given the whole fitted motion. It is
-linear in its parameters: reading = truth + Σ basis(motion)·θ, and every basis comes from the fitted
-motion, never from differences of noisy readings.
+The shared `Effect` acts on the specific force of a triad. In an array an error may act on the
+gyros, or depend on how the board turns, so an array effect is given the whole fitted motion. It is
+linear in its parameters: reading = truth + Σ basis(motion)·θ, and every basis comes from the
+fitted motion, never from differences of noisy readings.
 """
 
 from __future__ import annotations

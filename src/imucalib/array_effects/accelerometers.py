@@ -75,9 +75,7 @@ EFFECTS = (
         "y_i = a_i + Σ_j m_ij a_j,  j ≠ i",
         "5 mrad after calibration at rest",
         "More rests, in more attitudes.",
-        tuple(
-            Parameter(f"misalignment_{'xyz'[i]}{'xyz'[j]}", "%", 0.3, 10.0) for i, j in _CROSS
-        ),
+        tuple(Parameter(f"misalignment_{'xyz'[i]}{'xyz'[j]}", "%", 0.3, 10.0) for i, j in _CROSS),
         _misalignment,
         scan=True,
     ),

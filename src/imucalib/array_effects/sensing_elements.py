@@ -31,9 +31,7 @@ EFFECTS = (
         "a_i taken at r_k + R_k d_i",
         "0.3-1 mm in a 4 x 4 x 1 mm package; the size effect of Kalibr",
         "Packages in two or more attitudes on the board; their common part is the position.",
-        tuple(
-            Parameter(f"element_{i}_at_{j}", "mm", 0.5, 5.0) for i in "xyz" for j in "xyz"
-        ),
+        tuple(Parameter(f"element_{i}_at_{j}", "mm", 0.5, 5.0) for i in "xyz" for j in "xyz"),
         _columns,
         shared=True,
     ),

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array_board import Board
+from imucalib.calibrators.array_corrected import corrected_samples, widened
 from imucalib.calibrators.array_log import array_log
 from imucalib.calibrators.array_loop import ArrayLoop, close_array_loop
 from imucalib.calibrators.array_moving import Moving, moving_part, samples_of, spread_over
 from imucalib.calibrators.array_request import NON_LINEARITY, ArrayRequest
+from imucalib.calibrators.array_setup import array_setup
 from imucalib.calibrators.array_static import StaticFit, fit_static
+from imucalib.calibrators.array_terms import rest_terms
 from imucalib.convergence import convergence
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, NotConverged, Undetermined
 from imucalib.estimators.array_problem import ArrayData, ArrayPrior
@@ -29,6 +32,7 @@ from imucalib.segments import Segments, still_segments
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
+LOOP_SAMPLES = 1200  # moving samples that the loop looks at, at most
 _FIRST = 250  # samples of the first look, from which the number needed is told
 _UNEXPLAINED = 3.0  # accelerometer sigma in motion over that at rest
 
@@ -55,12 +59,16 @@ class ArrayRun:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the result is not as good as the noise at rest allows; empty when it is."""
-        if self.noise_ratio <= _UNEXPLAINED:
-            return ()
-        return (
-            f"in motion the accelerometers scatter {self.final.noise:.2f} m/s², "
-            f"{self.noise_ratio:.0f} times their noise at rest, and what stays is not explained",
-        )
+        found = []
+        if self.noise_ratio > _UNEXPLAINED:
+            found.append(
+                f"in motion the accelerometers scatter {self.final.noise:.2f} m/s², "
+                f"{self.noise_ratio:.0f} times their noise at rest, and what stays is not explained"
+            )
+        if self.loop is not None and self.loop.unexplained:
+            names = "; ".join(u.name for u in self.loop.unexplained)
+            found.append(f"structure that no effect of the catalogue explains: {names}")
+        return tuple(found)
 
     @property
     def exit_code(self) -> int:
@@ -83,12 +91,13 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
     loop = _loop(moving, static, board, request) if request.loop else None
     if loop is not None:
-        moving = loop.moving
-        say("found: " + (", ".join(f"{s.name} ({s.value})" for s in loop.accepted) or "nothing"))
+        say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
     rng = np.random.default_rng(request.seed)
-    final = _sampled(moving, static, board, request, rng)
+    final = _sampled(moving, static, board, request, rng, loop)
     say(f"{final.data.samples} samples: {final.convergence.sentence}")
     notes = (*recording.notes, *segments.notes, *log.notes, *final.notes)
+    if request.loop and loop is None:
+        notes += ("the motion is too broken up for the search of the loop",)
     return ArrayRun(recording, board, request, segments, static, moving, final, loop, notes)
 
 
@@ -106,26 +115,44 @@ def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
 def _loop(
     moving: Moving, static: StaticFit, board: Board, request: ArrayRequest
 ) -> ArrayLoop | None:
-    sigma, estimate = _sigma(static, board, request)
-    prior = ArrayPrior(board.drawn, board.prior_sd, estimate_noise=estimate)
-    return close_array_loop(moving, prior, sigma)
+    robust = request.accelerometer_sigma == "estimate"
+    setup = array_setup(moving, board, min(request.samples, LOOP_SAMPLES), robust=robust)
+    if setup is None:
+        return None
+    return close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(request.seed))
 
 
 def _sampled(
-    moving: Moving, static: StaticFit, board: Board, request: ArrayRequest, rng: np.random.Generator
-) -> ArrayPositions:
+    moving: Moving, static: StaticFit, board: Board, request: ArrayRequest,
+    rng: np.random.Generator, loop: ArrayLoop | None,
+) -> ArrayPositions:  # fmt: skip
     sigma, estimate = _sigma(static, board, request)
     prior = ArrayPrior(
-        board.drawn, board.prior_sd, request.motion, request.exponent, estimate_noise=estimate
-    )
+        board.drawn, board.prior_sd, request.motion, request.exponent,
+        estimate_noise=estimate and loop is None,
+    )  # fmt: skip
+    if loop is not None:
+        data = corrected_samples(loop.final)
+        if not estimate:
+            data = replace(data, sigma=sigma)
+        return widened(_drawn(lambda count: data, prior, request, rng), loop, rng)
 
     def data_of(count: int) -> ArrayData:
         rows = spread_over(moving.good, count)
         return samples_of(moving, rows, sigma, request.gyro_covariance)
 
+    return _drawn(data_of, prior, request, rng, len(moving.good))
+
+
+def _drawn(
+    data_of: Callable[[int], ArrayData], prior: ArrayPrior, request: ArrayRequest,
+    rng: np.random.Generator, available: int | None = None,
+) -> ArrayPositions:  # fmt: skip
     if request.sampler == "pmmh":
         return _by_pmmh(data_of(request.samples), prior, request, rng)
-    few = sample_count(data_of, prior, request, len(moving.good))
+    few = request.samples
+    if available is not None:
+        few = sample_count(data_of, prior, request, available)
     return sample_positions(
         data_of(few), prior, rng, chains=request.chains, stop=request.stop,
         checkpoint=request.checkpoint,

@@ -58,9 +58,7 @@ def kept_ages(state: ArrayState, ages: Ages, *, voting: bool) -> ArrayState:
     return replace(state, motion=replace(state.motion, age=wave))
 
 
-def _everywhere(
-    state: ArrayState, moving: Moving, rows: NDArray[np.intp]
-) -> tuple[Array, Array]:
+def _everywhere(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> tuple[Array, Array]:
     """(N, K, 3) gyro residuals and (N, 3) dω/dt at all informative samples, the clocks not yet
     taken out; zero elsewhere."""
     n, k = len(moving.t), state.setup.triads

@@ -14,13 +14,16 @@ import numpy as np
 
 from imucalib import __version__
 from imucalib.calibrators.array import ArrayRun
+from imucalib.calibrators.array_corrected import gyro_gains
+from imucalib.calibrators.array_loop import ArrayLoop
 from imucalib.units import DEG
 
 SCHEMA = "imucal/array-calibration"
 VERSION = 1
 FORMULA = (
     "In board axes (axes of the board file applied): force = inv(gain) (reading - bias), "
-    "rate = inv(gyro_gain) (reading - gyro_bias); force_k = s + (Ω(ω)² + Ω(dω/dt)) position_k"
+    "rate = inv(gyro_gain) (reading - gyro_bias); force_k = s + (Ω(ω)² + Ω(dω/dt)) position_k. "
+    "Every effect listed adds what its equation says; gyro_gain holds the gain effects already"
 )
 
 
@@ -46,9 +49,29 @@ def array_calibration(run: ArrayRun) -> dict[str, Any]:
         },
         "triads": _triads(run),
         "accelerometer_sigma_in_motion_m_per_s2": run.final.noise,
+        "effects": effect_list(run.loop) if run.loop else [],
         "diagnostics": diagnostics(run),
         "provenance": provenance(run),
     }
+
+
+def effect_list(loop: ArrayLoop) -> list[dict[str, Any]]:
+    """Accepted effects with values and standard deviations, plain types."""
+    state = loop.final
+    return [
+        {
+            "effect": term.name,
+            "sensor": term.effect.sensor,
+            "equation": term.effect.equation,
+            "parameters": [
+                {"name": p.name, "unit": p.unit, "value": float(v), "sd": float(s)}
+                for p, v, s in zip(
+                    term.parameters(state.setup.imus), term.theta, state.sd_of(term), strict=True
+                )
+            ],
+        }
+        for term in state.found
+    ]
 
 
 def _positions(run: ArrayRun) -> list[dict[str, Any]]:
@@ -61,7 +84,8 @@ def _positions(run: ArrayRun) -> list[dict[str, Any]]:
 
 
 def _triads(run: ArrayRun) -> list[dict[str, Any]]:
-    static, gyros = run.static, run.moving.gyros
+    static = run.static
+    gains = run.moving.gyros.gain if run.loop is None else gyro_gains(run.loop.final)
     return [
         {
             "imu": name,
@@ -69,7 +93,7 @@ def _triads(run: ArrayRun) -> list[dict[str, Any]]:
             "gain_sd": static.gain_sd[k].tolist(),
             "bias_m_per_s2": static.bias[0, k].tolist(),
             "noise_m_per_s2": float(static.noise[k]),
-            "gyro_gain": gyros.gain[k].tolist(),
+            "gyro_gain": gains[k].tolist(),
             "gyro_bias_deg_per_s": (static.gyro_bias[0, k] / DEG).tolist(),
             "gyro_noise_deg_per_s": float(static.gyro_noise[k] / DEG),
         }

@@ -1,4 +1,4 @@
-"""Residuals of an array's sensors on parts of the motion that positions and effects have not seen."""
+"""Residuals of an array on parts of the motion that positions and effects have not seen."""
 
 from __future__ import annotations
 

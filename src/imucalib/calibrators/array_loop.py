@@ -1,4 +1,4 @@
-"""The array's closed loop: residual -> evidence -> add the effect -> joint refit -> held out -> stop.
+"""The array's closed loop: residual -> evidence -> add the effect -> joint refit -> held out.
 
 Everything that could be missing stands in one contest with one false-alarm rate. What wins must
 realise its gain in the joint fit of positions, effects and motion, and both held-out halves of the
@@ -20,9 +20,9 @@ from imucalib.calibrators.array_noise_tests import shared_by_neighbours
 from imucalib.calibrators.array_search import Search, discounted, search
 from imucalib.calibrators.array_state import ArrayState, Setup, settled, start_state
 from imucalib.calibrators.array_terms import Term
+from imucalib.calibrators.array_worth import size_in_words, worth
 from imucalib.evidence import Score
 from imucalib.loop import LoopSettings, Unexplained
-from imucalib.loop_search import choose, unexplained
 
 Array = NDArray[np.float64]
 ARRAY_RULES = LoopSettings(draws=499, most_effects=8)
@@ -117,10 +117,14 @@ def close_array_loop(
         path = _tried(path, found, chosen, rules, ages)
     path = _eliminated(path)
     final, ages = _with_final_ages(path.state, ages, moving)
-    curves = tuple(s for s in found.scores if s.candidate.kind != "effect" or s.p > rules.alpha)
+    left = tuple(
+        Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
+        for s in found.scores
+        if s.candidate.kind != "effect" and s.p <= rules.alpha
+    )
     return ArrayLoop(
         base, final, ages, held_out_residuals(base), held_out_residuals(final), path.steps,
-        path.rejected, unexplained(curves, rules), found.scores, first.scores,
+        path.rejected, left[:3], found.scores, first.scores,
         _absorbed(first, found), shared_by_neighbours(final, gyro=False), found.missing,
     )  # fmt: skip
 
@@ -129,10 +133,8 @@ def _chosen(path: _Path, found: Search, rules: LoopSettings) -> Score | None:
     """The best effect; where a curve leads by more than the margin, still the best effect."""
     if len(path.steps) >= rules.most_effects or path.taken >= _PATH:
         return None
-    means = tuple(s for s in found.scores if s.candidate.kind != "noise")
-    return choose(means, rules) or next(
-        (s for s in means if s.candidate.kind == "effect" and s.p <= rules.alpha), None
-    )
+    passing = (s for s in found.scores if s.candidate.kind == "effect" and s.p <= rules.alpha)
+    return next(passing, None)
 
 
 def _tried(
@@ -198,22 +200,6 @@ def _step(
     )  # fmt: skip
 
 
-def size_in_words(state: ArrayState, term: Term) -> str:
-    """The one value with its deviation, or the rms of many."""
-    from imucalib.significant_digits import plus_minus
-
-    parameters = term.parameters(state.setup.imus)
-    sd = state.sd_of(term)
-    units = {p.unit for p in parameters}
-    if len(parameters) == 1:
-        return plus_minus(float(term.theta[0]), float(sd[0]), parameters[0].unit)
-    if len(parameters) <= 3:
-        values = ", ".join(f"{v:.3g}" for v in term.theta)
-        return f"{values} {parameters[0].unit}"
-    rms = float(np.sqrt(np.mean(term.theta**2)))
-    return f"{rms:.2g} {units.pop()} rms, {term.live.shape[1]} of {len(parameters)} determined"
-
-
 def _eliminated(path: _Path) -> _Path:
     """Without earlier effects that later ones have made unnecessary."""
     for step in path.steps[:-1]:
@@ -228,19 +214,6 @@ def _eliminated(path: _Path) -> _Path:
             path, state=state, steps=steps, rejected=(*path.rejected, (step.effect, reason))
         )
     return path
-
-
-def worth(state: ArrayState, term: Term) -> float:
-    """Evidence (nats) of a term beside all others, from the joint covariance."""
-    at = state.positions
-    for other in state.terms:
-        if other.name == term.name:
-            break
-        at += len(other.value)
-    part = slice(at, at + len(term.value))
-    precision = np.linalg.inv(state.covariance[part, part])
-    log_ratio = np.linalg.slogdet(precision * np.outer(term.sd, term.sd))[1]
-    return float(0.5 * term.value @ precision @ term.value - 0.5 * log_ratio)
 
 
 def _with_final_ages(

@@ -42,7 +42,9 @@ def noise_tests(state: ArrayState, rng: np.random.Generator, draws: int) -> Nois
         tests += _shapes(sensor, square, speed, noise)
         tests += _each(sensor, square, speed, noise, state.setup.imus)
         rho, n = memory(state, gyro=sensor == "gyroscope")
-        tests.append(_test(f"{sensor} noise correlated in time", "time", 0.5 * n * max(rho, 0.0)**2))
+        tests.append(
+            _test(f"{sensor} noise correlated in time", "time", 0.5 * n * max(rho, 0.0) ** 2)
+        )
     half = np.maximum(rng.standard_normal((len(tests), draws)), 0.0)
     return NoiseTests(tuple(tests), 0.5 * (half**2).max(axis=0))
 

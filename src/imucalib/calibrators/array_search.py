@@ -1,9 +1,9 @@
 """One search of the array's loop: everything that could be missing, scored in one contest.
 
-The engine is the shared one (`evidence_gram`), fed with Gram matrices from which the motion of every
-sample, the positions and the terms are taken out. Noise of another kind stands in the same contest:
-its likelihood ratio against white noise of one size, under which its root is half a standard
-normal.
+The engine is the shared one (`evidence_gram`), fed with Gram matrices from which the motion of
+every sample, the positions and the terms are taken out. Noise of another kind stands in the same
+contest: its likelihood ratio against white noise of one size, under which its root is half a
+standard normal.
 """
 
 from __future__ import annotations

@@ -1,19 +1,50 @@
-"""Which samples the array's loop looks at: stretches of consecutive ones, spread over the motion."""
+"""The samples that the array's loop looks at: stretches of consecutive ones over the motion."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.array_effect import ArrayMotion
 from imucalib.calibrators.array_board import Board
 from imucalib.calibrators.array_moving import Moving
-from imucalib.calibrators.array_state import Setup
-from imucalib.estimators.array_samples import Readings
+from imucalib.estimators.array_samples import Readings, Sampled
 
+Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 _STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
 _BLOCK = 5.0  # s, parts of the motion that are held out together
 FEWEST = 60
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What does not change in the search.
+
+    readings : calibrated by the rests, at T samples and their neighbours; t : (T,) s
+    inner : samples that have both neighbours; first : (inner,) whether in the first held-out half
+    order : (T,) 0..1 over the motion; nominal : (K, 3) m, the drawing; spread : m, its sd
+    robust : whether tails and growth of the noise may be taken in
+    rows : (T,) of the moving part
+    """
+
+    readings: Readings
+    t: Array
+    order: Array
+    inner: Index
+    first: NDArray[np.bool_]
+    imus: tuple[str, ...]
+    rotations: Array
+    nominal: Array
+    spread: float
+    robust: bool
+    rows: Index
+
+    @property
+    def triads(self) -> int:
+        return len(self.imus)
 
 
 def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> Setup | None:
@@ -53,3 +84,15 @@ def _stretches(near: Index, samples: int) -> Index:
     size = samples // count
     starts = np.linspace(0, len(near) - size, count).astype(np.intp)
     return near[np.unique(starts[:, None] + np.arange(size))]
+
+
+def motion_at(setup: Setup, sampled: Sampled, age: Array | None) -> ArrayMotion:
+    """The fitted motion as effects take it; its jerk by the fitted forces of the neighbours."""
+    jerk = np.zeros_like(sampled.force)
+    inner = setup.inner
+    step = (setup.t[inner + 1] - setup.t[inner - 1])[:, None, None]
+    jerk[inner] = (sampled.force[inner + 1] - sampled.force[inner - 1]) / step
+    return ArrayMotion(
+        setup.imus, setup.t, setup.order, sampled.rate, sampled.spin, sampled.force, jerk,
+        setup.rotations, age,
+    )  # fmt: skip

@@ -93,7 +93,7 @@ def simulated_log(board: Board, plan: LogPlan, rng: np.random.Generator) -> Simu
         raise UsageError(f"cannot plant {', '.join(sorted(unknown))}")
     true = board.positions + rng.normal(size=(board.count, 3)) * plan.scatter
     true -= true[0]
-    t, w, delayed, force = _motion(plan, rng)
+    t, w, delayed, force = simulated_motion(plan, rng)
     spin = np.gradient(w, t, axis=0)
     felt = lever_arm(w, spin, true) + force[:, None]
     channels = {}
@@ -114,7 +114,7 @@ def simulated_log(board: Board, plan: LogPlan, rng: np.random.Generator) -> Simu
     return SimulatedLog(Recording(channels, "simulated", "simulated", ""), true)
 
 
-def _motion(plan: LogPlan, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+def simulated_motion(plan: LogPlan, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
     """Times, ω (rad/s), ω as late gyros see it, and the specific force of the origin (m/s²)."""
     still = plan.poses * plan.pose_seconds
     t = np.arange(round((still + plan.seconds) * plan.rate)) / plan.rate

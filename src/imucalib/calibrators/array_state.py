@@ -14,42 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.array_effect import ArrayMotion
+from imucalib.calibrators.array_setup import Setup, motion_at
 from imucalib.calibrators.array_terms import Term
-from imucalib.estimators.array_gram import Columns, Gram, Reduced, gram, reduced, starts_of
+from imucalib.estimators.array_gram import (
+    Columns,
+    Gram,
+    Reduced,
+    gradient,
+    gram,
+    reduced,
+    starts_of,
+)
 from imucalib.estimators.array_noise import SensorNoise, chosen_noise, log_density, scaled
 from imucalib.estimators.array_samples import Readings, Sampled, Weights, fit_samples
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_ROUNDS, _CLOSE = 12, 1e-2  # Gauss-Newton steps at most; squared step at which a fit is settled
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What does not change in the search.
-
-    readings : calibrated by the rests, at T samples and their neighbours; t : (T,) s
-    inner : samples that have both neighbours; first : (inner,) whether in the first held-out half
-    order : (T,) 0..1 over the motion; nominal : (K, 3) m, the drawing; spread : m, its sd
-    robust : whether tails and growth of the noise may be taken in
-    rows : (T,) of the moving part
-    """
-
-    readings: Readings
-    t: Array
-    order: Array
-    inner: Index
-    first: NDArray[np.bool_]
-    imus: tuple[str, ...]
-    rotations: Array
-    nominal: Array
-    spread: float
-    robust: bool
-    rows: Index
-
-    @property
-    def triads(self) -> int:
-        return len(self.imus)
+#: Newton steps at most, those before which the matrix is made again, and the squared step at
+#: which a fit is settled.
+_ROUNDS, _AGAIN, _CLOSE = 14, (0, 2, 6, 10), 2e-2
 
 
 @dataclass(frozen=True)
@@ -133,6 +116,12 @@ class Base:
         whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
         return Gram(matrix, along, found.power, found.numbers, whole)
 
+    def along(self, raw: Array) -> Array:
+        """Products with the raw columns as those with the free coordinates."""
+        ends = np.cumsum([live.shape[0] for live in self.lives])[:-1]
+        parts = zip(self.lives, np.split(raw, ends), strict=True)
+        return np.concatenate([live.T @ part for live, part in parts])
+
     def solved(self, found: Gram) -> Reduced:
         """One Gauss-Newton step of the base alone, from its free coordinates."""
         every = np.arange(len(self.prior))
@@ -146,9 +135,9 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     noise = SensorNoise(0.2, 0.0, np.inf, one), SensorNoise(5e-3, 0.0, np.inf, one)
     rate = np.median(setup.readings.rate, axis=1)
     ones = np.ones(setup.readings.rate.shape[:2])
-    weights = Weights(ones / noise[0].sigma**2, ones / noise[1].sigma**2)
+    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
     sampled = fit_samples(setup.readings, weights, setup.nominal, rate)
-    motion = _motion(setup, sampled, None)
+    motion = motion_at(setup, sampled, None)
     state = ArrayState(
         setup, setup.nominal, terms, noise, sampled, motion, np.empty((0, 0)), -np.inf, False
     )
@@ -163,10 +152,11 @@ def settled(state: ArrayState) -> ArrayState:
         for _ in range(2):
             noise = _shaped(state)
             same = all(_alike(a, b) for a, b in zip(noise, state.noise, strict=True))
-            state = _climbed(replace(state, noise=noise))
+            state = replace(state, noise=noise)
             if same:
                 break
-    return state
+            state = _climbed(state)
+    return _measured(state)
 
 
 def _alike(one: SensorNoise, two: SensorNoise) -> bool:
@@ -188,38 +178,47 @@ def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
 
 
 def _climbed(state: ArrayState) -> ArrayState:
-    converged = False
-    for _ in range(_ROUNDS):
+    """Newton with the matrix of the start: what changes on the way is the residual."""
+    converged, matrix = False, np.empty((0, 0))
+    for k in range(_ROUNDS):
         state = _sampled(state)
-        base = Base(state)
-        found = base.free(gram(state.sampled, base.blocks, state.setup.inner))
-        solved = base.solved(found)
-        inner = found.matrix + np.diag(base.prior)
-        length = float(solved.step @ inner @ solved.step)
-        state = _moved(state, solved)
-        converged = length < _CLOSE
+        base = state.base
+        if k in _AGAIN:
+            matrix = base.free(gram(state.sampled, base.blocks, state.setup.inner)).matrix
+        along = base.along(gradient(state.sampled, base.blocks, state.setup.inner))
+        inner = matrix + np.diag(base.prior)
+        covariance = np.asarray(np.linalg.inv(inner), np.float64)
+        step = covariance @ (along - base.pull)
+        state = _moved(state, step, covariance)
+        converged = float(step @ inner @ step) < _CLOSE
         if converged:
             break
         state = _with_scale(state)
-    state = _sampled(state)
+    return replace(_sampled(state), converged=converged)
+
+
+def _measured(state: ArrayState) -> ArrayState:
+    """With the covariance and the density of where it is."""
+    found = state.base.free(gram(state.sampled, state.base.blocks, state.setup.inner))
+    covariance = state.base.solved(found).covariance
     a, g, speed = state.squares()
     density = float(log_density(state.noise[0], a, speed).sum())
     density += float(log_density(state.noise[1], g, speed).sum())
     for term in state.terms:
         density -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
-    return replace(state, density=density, converged=converged)
+    return replace(state, density=density, covariance=covariance)
 
 
-def _moved(state: ArrayState, solved: Reduced) -> ArrayState:
+def _moved(state: ArrayState, step: Array, covariance: Array) -> ArrayState:
     at = state.positions
     r = state.r.copy()
-    r[1:] += solved.step[:at].reshape(-1, 3)
+    r[1:] += step[:at].reshape(-1, 3)
     terms = []
     for term in state.terms:
         part = slice(at, at + len(term.value))
-        terms.append(term.moved(solved.step[part], solved.covariance[part, part]))
+        terms.append(term.moved(step[part], covariance[part, part]))
         at = part.stop
-    return replace(state, r=r, terms=tuple(terms), covariance=solved.covariance)
+    return replace(state, r=r, terms=tuple(terms))
 
 
 def _sampled(state: ArrayState) -> ArrayState:
@@ -233,7 +232,7 @@ def _sampled(state: ArrayState) -> ArrayState:
         state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
     )
     sampled = fit_samples(readings, weights, state.r, state.sampled.rate)
-    motion = _motion(setup, sampled, state.motion.age)
+    motion = motion_at(setup, sampled, state.motion.age)
     return replace(state, sampled=sampled, motion=motion)
 
 
@@ -246,14 +245,3 @@ def corrected(state: ArrayState) -> Readings:
         target = rate if columns.gyro else acceleration
         target -= term.reading(columns)
     return Readings(acceleration, rate)
-
-
-def _motion(setup: Setup, sampled: Sampled, age: Array | None) -> ArrayMotion:
-    jerk = np.zeros_like(sampled.force)
-    inner = setup.inner
-    step = (setup.t[inner + 1] - setup.t[inner - 1])[:, None, None]
-    jerk[inner] = (sampled.force[inner + 1] - sampled.force[inner - 1]) / step
-    return ArrayMotion(
-        setup.imus, setup.t, setup.order, sampled.rate, sampled.spin, sampled.force, jerk,
-        setup.rotations, age,
-    )  # fmt: skip

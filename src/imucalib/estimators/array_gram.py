@@ -30,7 +30,7 @@ class Columns:
 
     @property
     def size(self) -> int:
-        return self.basis.shape[3] * (1 if self.shared else self.basis.shape[1])
+        return int(self.basis.shape[3] * (1 if self.shared else self.basis.shape[1]))
 
     def take(self, rows: Index) -> Columns:
         return Columns(self.basis[rows], self.gyro, self.shared)
@@ -106,6 +106,21 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
     along -= flat.T @ residual[:, 6:].ravel()
     power -= float(np.sum(residual * residual))
     return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole)
+
+
+def gradient(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
+    """(M,) products of the columns with the residual alone; at the samples' best motion, which
+    leaves nothing along it, the same as `Gram.along`."""
+    parts = []
+    for block in blocks:
+        weight = sampled.weights.rate if block.gyro else sampled.weights.acceleration
+        off = sampled.off.rate if block.gyro else sampled.off.acceleration
+        heavy = (off * weight[..., None])[rows]
+        each = np.matmul(block.basis[rows].transpose(1, 3, 0, 2).reshape(
+            heavy.shape[1], block.basis.shape[3], -1
+        ), heavy.transpose(1, 0, 2).reshape(heavy.shape[1], -1, 1))[:, :, 0]  # fmt: skip
+        parts.append(each.sum(axis=0) if block.shared else each.ravel())
+    return np.concatenate(parts)
 
 
 def _side_by_side(bases: list[Array], rows: Index, weight: Array) -> Array:

@@ -1,8 +1,8 @@
 """How the noise of an array's sensors is distributed: its size, growth with the rate, and tails.
 
 A triad's residual of one sample is a three-dimensional Student t of scale σ(ω), with
-σ(ω)² = σ² f_k² (1 + (c |ω|)²) and ν degrees of freedom (infinite: Gaussian). Growth, tails and a factor
-of one IMU are taken in only when held-out blocks of time gain by them. The t acts as weights
+σ(ω)² = σ² f_k² (1 + (c |ω|)²) and ν degrees of freedom (infinite: Gaussian). Growth, tails and a
+factor of one IMU are taken in only when held-out blocks of time gain by them. The t acts as weights
 (ν + 3)/(ν + d²) on the samples (Lange, Little, Taylor 1989, JASA 84).
 """
 
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-_NU = (3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 30.0)
-_GROWTH = (0.3, 0.6, 1.0, 1.6, 2.5, 4.0, 7.0)
+_NU = (3.0, 4.0, 6.0, 10.0, 25.0)
+_GROWTH = (0.3, 0.7, 1.5, 3.0, 7.0, 20.0)
 HELD_OUT_NATS = 4.0
 
 
@@ -64,11 +64,11 @@ def log_density(noise: SensorNoise, square: Array, speed: Array) -> Array:
 
 def scaled(noise: SensorNoise, square: Array, speed: Array) -> SensorNoise:
     """The same with its most likely scale: a few steps of expectation maximisation."""
-    for _ in range(60 if np.isfinite(noise.freedom) else 1):
+    for _ in range(12 if np.isfinite(noise.freedom) else 1):
         shape = noise.variance(speed) / noise.sigma**2
         weight = noise.weight(square, speed) * noise.variance(speed)
         sigma = float(np.sqrt(np.mean(weight * square / shape) / 3.0))
-        near = abs(sigma / noise.sigma - 1.0) < 1e-4
+        near = abs(sigma / noise.sigma - 1.0) < 1e-3
         noise = replace(noise, sigma=sigma)
         if near:
             break

@@ -118,6 +118,4 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array) ->
     scale = 1.0 / np.sqrt(np.einsum("tii->ti", normal))
     unit = normal * scale[:, :, None] * scale[:, None]
     root = np.linalg.inv(np.linalg.cholesky(unit)).transpose(0, 2, 1) * scale[:, :, None]
-    return Sampled(
-        rate, unknown[:, 3:6], unknown[:, :3], force, turn, off, weights, arms, root
-    )
+    return Sampled(rate, unknown[:, 3:6], unknown[:, :3], force, turn, off, weights, arms, root)

@@ -7,6 +7,7 @@ import numpy as np
 from imucalib.calibrators.array import ArrayRun
 from imucalib.calibrators.array_calibration import provenance
 from imucalib.calibrators.array_logs import Repeatability
+from imucalib.report.array_loop import array_candidate_section, array_loop_section
 from imucalib.report.array_plots import board_plots, chain_plots, deviation_plot
 from imucalib.report.document import Document, Facts, Section, Table, Text
 from imucalib.significant_digits import plus_minus, with_sd
@@ -18,10 +19,11 @@ def array_document(run: ArrayRun) -> Document:
     sections = (
         Section("Positions", (_position_table(run), _size(run))),
         Section("The board", (*board_plots(run), deviation_plot(run)), brief=False),
-        _loop_section(run),
+        array_loop_section(run.loop),
         _motion_section(run),
         _static_section(run),
         Section("Observability", _observability(run)),
+        *((array_candidate_section(run.loop),) if run.loop else ()),
         _chain_section(run),
         Section("Notes", tuple(Text(n) for n in run.notes), brief=False),
     )
@@ -78,23 +80,6 @@ def _size(run: ArrayRun) -> Facts:
             ("its gyro part", f"± {gyro:.4f}: the gyros' mean scale carries it, within tolerance"),
         )
     )
-
-
-def _loop_section(run: ArrayRun) -> Section:
-    """What the search found in the residuals, on parts of the motion that were held out."""
-    if run.loop is None:
-        return Section("Closed loop", (Text("The search was not run."),))
-    rows = tuple(
-        (step.name, step.value, step.held_out, "kept" if step.accepted else "left out")
-        for step in run.loop.steps
-    )
-    before, after = run.loop.gyro
-    note = (
-        f"Gyros about their mean, held out: {before:.2f} -> {after:.2f} deg/s "
-        "(1.4826 x median absolute deviation). nats: log likelihood of the other half."
-    )
-    table = Table("Candidates", ("effect", "value", "held out", ""), rows, "llrl", note)
-    return Section("Closed loop", (table,))
 
 
 def _motion_section(run: ArrayRun) -> Section:

@@ -13,6 +13,7 @@ from imucalib.calibrators.array import ArrayRun
 from imucalib.calibrators.array_calibration import array_calibration
 from imucalib.calibrators.array_logs import Repeatability
 from imucalib.report.array import array_document
+from imucalib.report.array_loop import loop_dict
 from imucalib.report.html import render_html
 from imucalib.writers import replaced_atomically
 from imucalib.yaml_text import dump
@@ -41,11 +42,7 @@ def array_dict(run: ArrayRun) -> dict[str, Any]:
             "drift_order": static.order,
         },
         "moving": dict(run.moving.counts),
-        "loop": [
-            {"effect": s.name, "value": s.value, "held_out": s.held_out, "accepted": s.accepted}
-            for s in (run.loop.steps if run.loop else ())
-        ],
-        "gyro_residual_deg_per_s": list(run.loop.gyro) if run.loop else [],
+        "loop": loop_dict(run.loop) if run.loop else {"verdict": "not run"},
         "notes": list(run.notes),
     }
 
