@@ -1,4 +1,4 @@
-"""Whole blocks of rows to numbers with pyarrow's parser, several times as fast as numpy's.
+"""Whole blocks of rows to numbers with pyarrow's parser, which is faster than numpy's.
 
 pyarrow is optional, so its numbers must be numpy's to the last bit: both round correctly. Where the
 two could differ in what they accept, nothing is returned and numpy's parser decides.
