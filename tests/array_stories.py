@@ -22,7 +22,9 @@ from imucalib.units import DEG
 
 Array = NDArray[np.float64]
 BOARD = read_board("mimu4444_corners")
-PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=14.0, gyro_gain=0.0, gain=0.005, scatter=2e-4)
+PLAN = LogPlan(
+    poses=14, pose_seconds=3.0, seconds=14.0, twist=800.0, force=20.0, gyro_gain=0.0, gain=0.005
+)
 #: name of the story -> the effect planted, and the size of each parameter in its unit
 STORIES: dict[str, tuple[str, float | Array]] = {
     "clean": ("", 0.0),
@@ -48,7 +50,9 @@ def planted_log(name: str, seed: int, plan: LogPlan = PLAN, board: Board = BOARD
     t, w, _, force = simulated_motion(plan, rng)
     spin = np.gradient(w, t, axis=0)
     felt = lever_arm(w, spin, true) + force[:, None]
-    gain = np.eye(3) + rng.normal(size=(k, 3, 3)) * plan.gain
+    # The triads' mean is the board's frame: a mean error would turn it against the gyros.
+    gain = rng.normal(size=(k, 3, 3)) * plan.gain
+    gain += np.eye(3) - gain.mean(axis=0)
     jerk = np.gradient(felt, t, axis=0)
     beats = rng.uniform(0.3, 3.0, k) * rng.choice([-1.0, 1.0], k)
     turns = t[:, None] * beats + rng.uniform(size=k)
@@ -68,7 +72,7 @@ def planted_log(name: str, seed: int, plan: LogPlan = PLAN, board: Board = BOARD
     channels = {}
     for i, name_ in enumerate(board.imus):
         turn = board.rotations[i].T
-        x = felt[:, i] @ (gain[i] @ turn).T + rng.normal(size=3) * plan.bias
+        x = felt[:, i] @ (turn @ gain[i]).T + rng.normal(size=3) * plan.bias
         y = rate[:, i] @ turn.T + rng.normal(size=3) * plan.gyro_bias * DEG
         x += rng.normal(size=x.shape) * plan.sigma
         y += rng.normal(size=y.shape) * plan.sigma_gyro * DEG
@@ -89,7 +93,9 @@ def planted(effect: str, size: float | Array, motion: ArrayMotion, rng: np.rando
         if basis.shape[3] > 1:
             theta = rng.normal(size=basis.shape[3]) * size
         return np.asarray(basis @ theta)
+    # A mean over all gyros' scales is the array's size, which no motion shows.
     theta = rng.normal(size=(len(motion.imus), basis.shape[3])) * size
+    theta -= theta.mean()
     if only:
         theta[:] = 0.0
         theta[motion.imus.index(only)] = size

@@ -84,6 +84,7 @@ class _Path:
     explained them, since `safe`; taken : how many effects tried to."""
 
     state: ArrayState
+    residuals: Residuals
     steps: tuple[ArrayStep, ...] = ()
     rejected: tuple[tuple[str, str], ...] = ()
     debt: float = 0.0
@@ -102,7 +103,8 @@ def close_array_loop(
     """Search, accept, refit, until nothing passes."""
     base = start_state(setup, terms)
     ages = found_ages(base, moving)
-    path = _Path(base if ages is None else kept_ages(base, ages, voting=True))
+    before = held_out_residuals(base)
+    path = _Path(base if ages is None else kept_ages(base, ages, voting=True), before)
     first: Search | None = None
     while True:
         found = search(path.state, path.left_out, rng, rules.draws)
@@ -123,7 +125,7 @@ def close_array_loop(
         if s.candidate.kind != "effect" and s.p <= rules.alpha
     )
     return ArrayLoop(
-        base, final, ages, held_out_residuals(base), held_out_residuals(final), path.steps,
+        base, final, ages, before, held_out_residuals(final) if path.steps else before, path.steps,
         path.rejected, left[:3], found.scores, first.scores,
         _absorbed(first, found), shared_by_neighbours(final, gyro=False), found.missing,
     )  # fmt: skip
@@ -152,10 +154,10 @@ def _tried(
             reason = f"noise that neighbours share explains it as well (p {late.p:.2g})"
     if reason:
         return replace(path, rejected=(*path.rejected, (chosen.name, reason)))
-    step = _step(path.state, trial, found, chosen, gains)
+    step = _step(path, trial, found, chosen, gains)
     leader = next(s for s in found.scores if s.candidate.kind != "noise")
     gained = trial.density - path.state.density
-    grown = replace(path, state=trial, steps=(*path.steps, step))
+    grown = replace(path, state=trial, residuals=step.after, steps=(*path.steps, step))
     if path.safe is None:
         if leader.candidate.kind == "effect" or leader.evidence <= chosen.evidence + rules.margin:
             return grown
@@ -187,7 +189,7 @@ def _why_not(before: ArrayState, after: ArrayState, gains: tuple[float, float]) 
 
 
 def _step(
-    before: ArrayState, after: ArrayState, found: Search, chosen: Score, gains: tuple[float, float]
+    path: _Path, after: ArrayState, found: Search, chosen: Score, gains: tuple[float, float]
 ) -> ArrayStep:
     near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
     aliases = tuple(
@@ -196,7 +198,7 @@ def _step(
     )  # fmt: skip
     return ArrayStep(
         chosen.name, size_in_words(after, after.terms[-1]), chosen.p, chosen.draws,
-        chosen.evidence, gains, held_out_residuals(before), held_out_residuals(after), aliases,
+        chosen.evidence, gains, path.residuals, held_out_residuals(after), aliases,
     )  # fmt: skip
 
 

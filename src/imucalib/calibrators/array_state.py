@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 #: Newton steps at most, those before which the matrix is made again, and the squared step at
 #: which a fit is settled.
-_ROUNDS, _AGAIN, _CLOSE = 14, (0, 2, 6, 10), 2e-2
+_ROUNDS, _AGAIN, _CLOSE = 30, (0, 2, 6, 12, 20), 2e-2
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,9 @@ class StaticFit:
         (t - origin) / span, t kept within the rests; gyro_bias : the same, rad/s
     residual : m/s², rms per degree of freedom; before : without drift
     noise : (K,) m/s² of one sample; gyro_noise : (K,) rad/s
-    bias_sd : (K, 3) m/s² and gyro_bias_sd : (K, 3) rad/s, of the offsets at the end of the rests
+    covariance : (K, 12, K, 12) of every triad's gain (9, rows first) and offset at the end of the
+        rests (3, m/s²): errors of the gravity directions are shared by all triads
+    gyro_bias_sd : (K, 3) rad/s, of the offsets at the end of the rests
     poses : number; gravity : m/s²; order : of the drift
     """
 
@@ -48,7 +50,7 @@ class StaticFit:
     gyro_noise: Array
     poses: int
     gravity: float
-    bias_sd: Array
+    covariance: Array
     gyro_bias_sd: Array
 
     @property
@@ -110,7 +112,7 @@ def fit_static(segments: Segments, board: Board, order: list[int], gravity: floa
     gyro_noise = np.sqrt(np.mean(segments.rate_noise[order] ** 2, axis=1))
     return StaticFit(
         chosen.gain, chosen.gain_sd, chosen.bias, drift.reshape(-1, board.count, 3), origin, span,
-        chosen.rms, fits[0].rms, noise, gyro_noise, segments.n, gravity, chosen.bias_sd,
+        chosen.rms, fits[0].rms, noise, gyro_noise, segments.n, gravity, chosen.covariance,
         rate_sd.reshape(board.count, 3),
     )  # fmt: skip
 
@@ -126,7 +128,7 @@ def _offset_sd(powers: Array, residual: Array) -> Array:
 class _Attempt:
     gain: Array
     gain_sd: Array
-    bias_sd: Array
+    covariance: Array
     bias: Array
     rms: float
     criterion: float
@@ -166,14 +168,19 @@ def _fit(y: Array, late: Array, order: int, gravity: float) -> _Attempt:
             break
     dof = max(y.size - _unknowns(poses, triads, order), 1)
     variance = float(np.sum(residual**2)) / dof
-    sd = np.sqrt(np.maximum(np.diag(covariance)[: 12 * triads] * variance, 0.0))
+    sd = np.sqrt(np.maximum(np.diag(covariance)[: 9 * triads] * variance, 0.0))
+    own = [
+        np.concatenate([np.arange(9 * k, 9 * k + 9), 9 * triads + 3 * k + np.arange(3)])
+        for k in range(triads)
+    ]
+    at = np.concatenate(own)
+    joint = (covariance[np.ix_(at, at)] * variance).reshape(triads, 12, triads, 12)
     criterion = y.size * np.log(float(np.mean(residual**2))) + np.log(y.size) * _unknowns(
         poses, triads, order
     )
     return _Attempt(
-        gain, sd[: 9 * triads].reshape(triads, 3, 3), sd[9 * triads :].reshape(triads, 3), bias,
-        float(np.sqrt(variance)), criterion, order,
-    )  # fmt: skip
+        gain, sd.reshape(triads, 3, 3), joint, bias, float(np.sqrt(variance)), criterion, order
+    )
 
 
 def _tangents(u: Array) -> Array:

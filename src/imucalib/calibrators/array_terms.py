@@ -76,10 +76,11 @@ def columns_of(effect: ArrayEffect, motion: ArrayMotion, only: int | None = None
     return Columns(alone, gyro, shared=True)
 
 
-def _gain(motion: ArrayMotion) -> Array:
-    out = np.zeros((*motion.shape, 3, 9))
+def _gain_and_offset(motion: ArrayMotion) -> Array:
+    out = np.zeros((*motion.shape, 3, 12))
     for i in range(3):
         out[:, :, i, 3 * i : 3 * i + 3] = motion.force
+        out[:, :, i, 9 + i] = 1.0
     return out
 
 
@@ -87,23 +88,24 @@ def _offset(motion: ArrayMotion) -> Array:
     return np.broadcast_to(np.eye(3), (*motion.shape, 3, 3))
 
 
-def _rest(name: str, gyro: bool, each: int, gain: bool) -> ArrayEffect:
+def _rest(name: str, gyro: bool, each: int) -> ArrayEffect:
     parameters = tuple(Parameter(f"{name}_{k}", "SI", 1.0, np.inf) for k in range(each))
     return ArrayEffect(
         name, "gyroscope" if gyro else "accelerometer", "What the rests left open.", "", "", "",
-        parameters, _gain if gain else _offset,
+        parameters, _offset if gyro else _gain_and_offset,
     )  # fmt: skip
 
 
 def rest_terms(static: StaticFit) -> tuple[Term, ...]:
-    """Errors of gains and offsets within the standard deviations that the rests left."""
-    kinds = (
-        (_rest("rest_gain", False, 9, True), static.gain_sd),
-        (_rest("rest_bias", False, 3, False), static.bias_sd),
-        (_rest("rest_gyro_bias", True, 3, False), static.gyro_bias_sd),
-    )
-    return tuple(
-        Term(effect.name, effect, None, np.diag(sd.ravel()), np.zeros(sd.size), np.ones(sd.size),
-             found=False)
-        for effect, sd in kinds
-    )  # fmt: skip
+    """Errors of gains and offsets with the covariance that the rests left."""
+    size = static.covariance.shape[0] * 12
+    values, vectors = np.linalg.eigh(static.covariance.reshape(size, size))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    terms = []
+    for effect, live in (
+        (_rest("rests", False, 12), root),
+        (_rest("rests_gyro", True, 3), np.diag(static.gyro_bias_sd.ravel())),
+    ):
+        n = live.shape[1]
+        terms.append(Term(effect.name, effect, None, live, np.zeros(n), np.ones(n), found=False))
+    return tuple(terms)
