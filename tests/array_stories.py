@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from imucalib.array_effect import ArrayMotion
 from imucalib.array_effects import array_catalogue
 from imucalib.calibrators.array_board import Board, read_board
+from imucalib.calibrators.array_log import array_log
 from imucalib.calibrators.array_loop import ArrayLoop, close_array_loop
 from imucalib.calibrators.array_moving import Moving, moving_part
-from imucalib.calibrators.array_log import array_log
 from imucalib.calibrators.array_setup import array_setup
 from imucalib.calibrators.array_simulation import LogPlan, lever_arm, simulated_motion
 from imucalib.calibrators.array_static import StaticFit, fit_static
@@ -83,8 +83,10 @@ def planted_log(name: str, seed: int, plan: LogPlan = PLAN, board: Board = BOARD
     return Recording(channels, "simulated", "simulated", ""), true
 
 
-def planted(effect: str, size: float | Array, motion: ArrayMotion, rng: np.random.Generator) -> Array:
-    """(T, K, 3) what the effect adds: shared ones as given, one IMU's as given, others at random."""
+def planted(
+    effect: str, size: float | Array, motion: ArrayMotion, rng: np.random.Generator
+) -> Array:
+    """(T, K, 3) what the effect adds: one number as given, several at random of that size."""
     name, _, only = effect.partition("@")
     found = array_catalogue()[name]
     basis = found.basis(motion)

@@ -2,87 +2,249 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array_board import read_board
-from imucalib.calibrators.array_log import array_log
+from array_stories import BOARD, PLAN, STORIES, closed, named, planted_log, positions_z
+from array_world import corners, skew
+from imucalib.array_effect import ArrayMotion
+from imucalib.array_effects import array_catalogue
+from imucalib.calibrators.array_corrected import corrected_samples, gyro_gains
 from imucalib.calibrators.array_loop import ArrayLoop, close_array_loop
-from imucalib.calibrators.array_moving import Moving, moving_part
-from imucalib.calibrators.array_simulation import LogPlan, simulated_log
-from imucalib.calibrators.array_static import fit_static
-from imucalib.calibrators.array_timing import rate_slope, with_slope
-from imucalib.estimators.array_problem import ArrayPrior
-from imucalib.readers import read
-from imucalib.recording import Recording
-from imucalib.segments import still_segments
+from imucalib.calibrators.array_setup import array_setup
+from imucalib.calibrators.array_terms import rest_terms
+from imucalib.calibrators.array_worth import worth
+from imucalib.estimators.array_gram import Columns, gram
+from imucalib.estimators.array_noise import SensorNoise, chosen_noise, fitted_noise
+from imucalib.estimators.array_samples import Readings, Weights, fit_samples
+from imucalib.recording import Channel
+from imucalib.report.array_loop import array_candidate_section, array_loop_section, loop_dict
+from imucalib.report.document import Document, Text
+from imucalib.report.html import render_html
+from imucalib.report.text import render_text
+from imucalib.units import DEG
 
-BOARD = read_board("mimu4444_corners")
-PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=40.0)
 DATA = Path(__file__).parents[1].parent / "shared" / "data" / "mimu4444"
+each_effect = pytest.mark.parametrize(
+    "effect", array_catalogue().values(), ids=list(array_catalogue())
+)
 
 
-def moving_of(recording: Recording) -> Moving:
-    segments = still_segments(recording)
-    log, board = array_log(recording, BOARD)
-    order = [segments.triads.index(name) for name in board.imus]
-    return moving_part(log, fit_static(segments, board, order, 9.80665))
+@pytest.fixture(scope="module")
+def clean() -> ArrayLoop:
+    return closed(planted_log("clean", 5)[0], 150)
 
 
-def closed(moving: Moving) -> ArrayLoop:
-    prior = ArrayPrior(BOARD.drawn, BOARD.prior_sd, estimate_noise=True)
-    found = close_array_loop(moving, prior, np.full(8, 0.2))
-    assert found is not None
-    return found
+@pytest.mark.parametrize("name", [n for n in STORIES if n != "clean"])
+def test_a_planted_error_is_named(name: str) -> None:
+    recording, true = planted_log(name, 11)
+    found = closed(recording, 200)
+    assert STORIES[name][0] in named(found), [s.effect for s in found.steps]
+    if STORIES[name][0] != "sensing_elements":  # they share directions with the positions
+        assert np.sqrt(np.mean(positions_z(found, true) ** 2)) < 1.6
+    assert found.after.acceleration <= found.before.acceleration * 1.05
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_common_delay_is_found_and_undone(seed: int) -> None:
-    plan = replace(PLAN, planted={"gyro_delay": 1e-3}, gyro_gain=0.0)
-    moving = moving_of(simulated_log(BOARD, plan, np.random.default_rng(seed)).recording)
-    found = closed(moving)
-    delay = next(step for step in found.steps if step.name == "gyro_delay")
-    assert delay.accepted
-    assert delay.value.endswith("late")
-    assert float(delay.value.split()[0]) == pytest.approx(1.0, abs=0.15)
-    again = closed(found.moving)
-    assert "gyro_delay" not in {step.name for step in again.accepted}
+def test_a_clean_log_is_left_alone(clean: ArrayLoop) -> None:
+    assert clean.verdict == "nothing missing"
+    assert clean.base.noise[0].sigma == pytest.approx(PLAN.sigma, rel=0.05)
+    assert clean.base.noise[1].sigma == pytest.approx(PLAN.sigma_gyro * DEG, rel=0.05)
+    again = [closed(planted_log("clean", seed)[0], 150) for seed in range(20, 26)]
+    assert sum(bool(found.steps) for found in again) <= 1
 
 
-def test_a_clean_log_is_left_alone() -> None:
-    for seed in range(4):
-        plan = replace(PLAN, gyro_gain=0.0, gain=0.0)
-        found = closed(moving_of(simulated_log(BOARD, plan, np.random.default_rng(seed)).recording))
-        assert not found.accepted, found.accepted
+def test_sizes_come_with_their_uncertainty() -> None:
+    found = closed(planted_log("common gyro delay, 1 ms", 3)[0], 200)
+    term = next(t for t in found.final.found if t.name == "gyro_delay")
+    sd = float(found.final.sd_of(term)[0])
+    assert sd < 0.05
+    assert abs(float(term.theta[0]) - 1.0) < 4.0 * sd
+    assert worth(found.final, term) > 50.0
 
 
-def test_chips_on_their_own_clocks_are_found() -> None:
-    """Ages planted into gyros of a clean log: the beats come back, and so does the span."""
-    plan = replace(PLAN, gyro_gain=0.0, gain=0.0)
-    moving = moving_of(simulated_log(BOARD, plan, np.random.default_rng(3)).recording)
-    beats = np.array([2.5, -1.1, 0.7, 3.3, -0.4, 1.9, 0.3, -2.2])
-    turns = moving.t[:, None] * beats + np.linspace(0.0, 0.9, 8)
-    age = 1e-3 * (turns - np.floor(turns) - 0.5)
-    slope = np.nan_to_num(rate_slope(moving))
-    aged = replace(moving, rate=moving.rate + age[:, :, None] * slope[:, None])
-    rows = with_slope(aged, rate_slope(aged))
-    assert len(rows) > 1000
-    found = closed(aged)
-    first = found.steps[0]
-    assert first.accepted
-    words = first.value.replace(",", " ").split()
-    assert float(words[1]) == pytest.approx(1.0, abs=0.1)
-    seen = np.array([float(w) for w in words[4:12]])
-    assert seen == pytest.approx(beats, abs=0.05)
-    assert found.gyro[1] < 0.5 * found.gyro[0]
+def test_what_no_motion_shows_is_listed_with_its_weight(clean: ArrayLoop) -> None:
+    """1 % of common gyro scale is 2 % of the array's size, however it is computed."""
+    size = 0.02 * np.sqrt(np.mean(clean.final.r[1:] ** 2))
+    assert clean.absorbed["common_gyro_scale"] == pytest.approx(size, rel=0.02)
+    assert {"common_accelerometer_scale", "common_accelerometer_bias"} <= set(clean.absorbed)
+    assert clean.missing["gyro_sample_age"] == "no gyro shows a beat line"
+
+
+def test_unexplained_structure_is_said_and_not_named() -> None:
+    """An accelerometer error that follows |ω| in a wave is in no catalogue."""
+    recording, _ = planted_log("clean", 8)
+    t = recording.channels["imu0/angular_rate"].t
+    speed = np.linalg.norm(recording.channels["imu0/angular_rate"].values, axis=1)
+    wave = 0.3 * np.sin(speed / speed.max() * 9.0)[:, None] * np.array([1.0, -0.6, 0.4])
+    moving = t > PLAN.poses * PLAN.pose_seconds
+    channels = dict(recording.channels)
+    for imu in BOARD.imus:
+        channel = channels[f"{imu}/acceleration"]
+        values = channel.values + wave * moving[:, None]
+        channels[f"{imu}/acceleration"] = replace(channel, values=values)
+    found = closed(replace(recording, channels=channels), 200)
+    assert any("accelerometer error against" in u.name for u in found.unexplained)
+    assert found.verdict in ("unexplained", "explained in part")
+
+
+def test_heavy_tails_are_taken_in() -> None:
+    rng = np.random.default_rng(2)
+    tails = rng.standard_t(4.0, size=(400, 8, 3))
+    plain = rng.standard_normal((400, 8, 3))
+    speed, first = rng.uniform(5.0, 30.0, 400), np.arange(400) % 2 == 0
+    square = np.sum(plain**2, axis=2)
+    assert chosen_noise(square, speed, first, robust=True).plain
+    # Independent tails on three axes are lighter than those of one vector.
+    found = chosen_noise(np.sum(tails**2, axis=2), speed, first, robust=True)
+    assert found.freedom <= 10.0
+    grown = square * (1.0 + (speed / 10.0) ** 2)[:, None]
+    noise = chosen_noise(grown, speed, first, robust=True)
+    assert noise.growth > 0.0
+    assert not np.isfinite(noise.freedom)
+    assert noise.variance(np.array([20.0]))[0, 0] == pytest.approx(5.0, rel=0.3)
+    assert fitted_noise(square, speed, growth=False, tails=False).sigma == pytest.approx(
+        1.0, rel=0.03
+    )
+
+
+def test_the_motion_is_taken_out_exactly() -> None:
+    """Gram matrices against columns projected sample by sample by a dense QR."""
+    rng = np.random.default_rng(4)
+    r = corners(5)
+    t, k = 7, 5
+    w, spin = rng.normal(size=(t, 3)) * 15.0, rng.normal(size=(t, 3)) * 300.0
+    turn = skew(w) @ skew(w) + skew(spin)
+    y = np.einsum("tij,kj->tki", turn, r) + rng.normal(size=(t, 1, 3)) * 9.0
+    y += rng.normal(size=y.shape) * 0.1
+    g = w[:, None] + rng.normal(size=(t, k, 3)) * 0.01
+    weights = Weights(rng.uniform(50.0, 150.0, (t, k)), rng.uniform(5e3, 2e4, (t, k)))
+    sampled = fit_samples(Readings(y, g), weights, r, w)
+    blocks = [
+        Columns(rng.normal(size=(t, k, 3, 2)), False, False),
+        Columns(rng.normal(size=(t, k, 3, 3)), True, True),
+    ]
+    found = gram(sampled, blocks, np.arange(t))
+    dense = np.zeros((t, 6 * k, 2 * k + 3))
+    residual, motion = np.zeros((t, 6 * k)), np.zeros((t, 6 * k, 9))
+    for i in range(k):
+        a, b = slice(3 * i, 3 * i + 3), slice(3 * (k + i), 3 * (k + i) + 3)
+        root = np.sqrt(weights.acceleration[:, i])[:, None], np.sqrt(weights.rate[:, i])[:, None]
+        dense[:, a, 2 * i : 2 * i + 2] = blocks[0].basis[:, i] * root[0][..., None]
+        dense[:, b, 2 * k :] = blocks[1].basis[:, i] * root[1][..., None]
+        residual[:, a] = sampled.off.acceleration[:, i] * root[0]
+        residual[:, b] = sampled.off.rate[:, i] * root[1]
+        motion[:, a] = sampled.arms[:, i] * root[0][..., None]
+        motion[:, b, 6:] = np.eye(3) * root[1][..., None]
+    q = np.linalg.qr(motion)[0]
+    dense -= q @ (q.transpose(0, 2, 1) @ dense)
+    residual -= (q @ (q.transpose(0, 2, 1) @ residual[..., None]))[..., 0]
+    flat = dense.reshape(-1, dense.shape[2])
+    assert found.matrix == pytest.approx(flat.T @ flat, rel=1e-8, abs=1e-6)
+    assert found.along == pytest.approx(flat.T @ residual.ravel(), rel=1e-6, abs=1e-5)
+    assert found.power == pytest.approx(float(np.sum(residual**2)), rel=1e-8)
+
+
+def _motion(k: int = 3) -> ArrayMotion:
+    rng = np.random.default_rng(6)
+    turns = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(k)])
+    return ArrayMotion(
+        tuple(f"imu{i}" for i in range(k)), np.arange(4.0), np.linspace(0.0, 1.0, 4),
+        rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, k, 3)),
+        rng.normal(size=(4, k, 3)), turns, rng.uniform(-0.5, 0.5, (4, k)),
+    )  # fmt: skip
+
+
+@each_effect
+def test_every_array_effect_says_what_it_is(effect: object) -> None:
+    from imucalib.array_effect import ArrayEffect
+
+    assert isinstance(effect, ArrayEffect)
+    motion = _motion()
+    basis = effect.basis(motion)
+    assert basis.shape == (4, 3, 3, len(effect.each))
+    assert np.isfinite(basis).all()
+    assert np.abs(basis).max() > 0.0
+    count = len(effect.each) * (1 if effect.shared else 3)
+    assert len(effect.parameters(motion.imus)) == count
+    for text in (effect.sentence, effect.equation, effect.source, effect.identify):
+        assert text
+    for parameter in effect.each:
+        assert parameter.unit
+        assert 0.0 < parameter.typical < parameter.plausible
+
+
+def test_the_catalogue_knows_the_chip_axes() -> None:
+    """A scale acts on the package's own axis, wherever it points on the board."""
+    motion = _motion()
+    basis = array_catalogue()["gyro_scale"].basis(motion)
+    for k in range(3):
+        turn = motion.rotations[k]
+        expected = 0.01 * turn @ np.diag([2.0, 0.0, -1.0]) @ turn.T @ motion.rate[1]
+        assert basis[1, k] @ np.array([2.0, 0.0, -1.0]) == pytest.approx(expected)
+
+
+def test_corrected_readings_hold_no_effect(clean: ArrayLoop) -> None:
+    data = corrected_samples(clean.final)
+    assert data.samples == len(clean.final.setup.inner)
+    assert gyro_gains(clean.final) == pytest.approx(np.broadcast_to(np.eye(3), (8, 3, 3)))
+    found = closed(planted_log("gyro scale of each IMU, 2 %", 2)[0], 150)
+    assert np.abs(gyro_gains(found.final) - np.eye(3)).max() == pytest.approx(0.045, abs=0.03)
+
+
+def test_reports_carry_the_loop(clean: ArrayLoop) -> None:
+    for found in (clean, closed(planted_log("bad accelerometer, 1 %", 4)[0], 150)):
+        sections = array_loop_section(found), array_candidate_section(found)
+        document = Document("array", Text("done", "ok"), sections)
+        assert "Residuals before and after" in render_text(document, 100, color=False)
+        assert "common_gyro_scale" in render_html(document)
+        content = json.loads(json.dumps(loop_dict(found), allow_nan=False))
+        assert content["verdict"] == found.verdict
+        assert len(content["steps"]) == len(found.steps)
+        assert {c["name"] for c in content["candidates"]} >= {"gyro_delay", "accelerometer_cubic"}
+
+
+def test_too_broken_a_motion_is_not_searched() -> None:
+    from array_stories import moving_of
+
+    moving, _ = moving_of(planted_log("clean", 1)[0])
+    holes = replace(moving, good=moving.good[::2])
+    assert array_setup(holes, BOARD, 150, robust=True) is None
+
+
+def test_a_plain_noise_is_plain() -> None:
+    noise = SensorNoise(0.1, 0.0, np.inf, np.ones(4))
+    assert noise.plain
+    assert not replace(noise, freedom=4.0).plain
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="real data folder absent")
-def test_a_measured_boards_clocks_and_delay() -> None:
-    found = closed(moving_of(read(DATA / "exp_1.h5")))
-    names = {step.name for step in found.accepted}
-    assert {"gyro_sample_age", "gyro_delay"} <= names
-    assert found.gyro[1] < 0.5 * found.gyro[0]
+def test_a_measured_boards_clocks_delay_and_elements() -> None:
+    from array_stories import moving_of
+    from imucalib.readers import read
+
+    moving, static = moving_of(read(DATA / "exp_1.h5"))
+    setup = array_setup(moving, BOARD, 400, robust=True)
+    assert setup is not None
+    found = close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(0))
+    names = {step.effect for step in found.steps}
+    assert {"gyro_sample_age", "gyro_scale", "gyro_misalignment", "gyro_delay",
+            "sensing_elements"} <= names  # fmt: skip
+    assert found.after.rate < 2.0
+    assert found.after.acceleration < 0.25
+    assert found.final.noise[0].freedom < 10.0
+    span = next(t for t in found.final.found if t.name == "gyro_sample_age")
+    assert float(span.theta[0]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_channels_stay_what_they_are() -> None:
+    """The loop must not write into the recording."""
+    recording, _ = planted_log("bad accelerometer, 1 %", 9)
+    kept = {n: c.values.copy() for n, c in recording.channels.items()}
+    closed(recording, 120)
+    for name, channel in recording.channels.items():
+        assert isinstance(channel, Channel)
+        assert np.array_equal(channel.values, kept[name])

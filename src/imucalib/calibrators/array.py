@@ -32,7 +32,8 @@ from imucalib.segments import Segments, still_segments
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
-LOOP_SAMPLES = 1200  # moving samples that the loop looks at, at most
+SEARCH_SAMPLES = 600  # moving samples on which effects are searched
+LOOP_SAMPLES = 1200  # moving samples of the final fit, at most
 _FIRST = 250  # samples of the first look, from which the number needed is told
 _UNEXPLAINED = 3.0  # accelerometer sigma in motion over that at rest
 
@@ -116,10 +117,13 @@ def _loop(
     moving: Moving, static: StaticFit, board: Board, request: ArrayRequest
 ) -> ArrayLoop | None:
     robust = request.accelerometer_sigma == "estimate"
-    setup = array_setup(moving, board, min(request.samples, LOOP_SAMPLES), robust=robust)
+    most = min(request.samples, LOOP_SAMPLES)
+    setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
     if setup is None:
         return None
-    return close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(request.seed))
+    whole = array_setup(moving, board, most, robust=robust) if most > SEARCH_SAMPLES else None
+    rng = np.random.default_rng(request.seed)
+    return close_array_loop(setup, rest_terms(static), moving, rng, whole=whole)
 
 
 def _sampled(

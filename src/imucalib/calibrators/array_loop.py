@@ -18,7 +18,8 @@ from imucalib.calibrators.array_held_out import Residuals, held_out_residuals
 from imucalib.calibrators.array_moving import Moving
 from imucalib.calibrators.array_noise_tests import shared_by_neighbours
 from imucalib.calibrators.array_search import Search, discounted, search
-from imucalib.calibrators.array_state import ArrayState, Setup, settled, start_state
+from imucalib.calibrators.array_setup import Setup
+from imucalib.calibrators.array_state import ArrayState, settled, start_state, transferred
 from imucalib.calibrators.array_terms import Term
 from imucalib.calibrators.array_worth import size_in_words, worth
 from imucalib.evidence import Score
@@ -98,9 +99,12 @@ class _Path:
 
 def close_array_loop(
     setup: Setup, terms: tuple[Term, ...], moving: Moving, rng: np.random.Generator,
-    rules: LoopSettings = ARRAY_RULES,
+    rules: LoopSettings = ARRAY_RULES, whole: Setup | None = None,
 ) -> ArrayLoop:  # fmt: skip
-    """Search, accept, refit, until nothing passes."""
+    """Search, accept, refit, until nothing passes.
+
+    whole : more samples, for the final fit alone
+    """
     base = start_state(setup, terms)
     ages = found_ages(base, moving)
     before = held_out_residuals(base)
@@ -118,7 +122,7 @@ def close_array_loop(
             break
         path = _tried(path, found, chosen, rules, ages)
     path = _eliminated(path)
-    final, ages = _with_final_ages(path.state, ages, moving)
+    final, ages = _on_all(path, ages, moving, whole)
     left = tuple(
         Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
         for s in found.scores
@@ -218,16 +222,21 @@ def _eliminated(path: _Path) -> _Path:
     return path
 
 
-def _with_final_ages(
-    state: ArrayState, ages: Ages | None, moving: Moving
+def _on_all(
+    path: _Path, ages: Ages | None, moving: Moving, whole: Setup | None
 ) -> tuple[ArrayState, Ages | None]:
-    """Once the clocks are accepted, their phases from all samples."""
-    if not any(term.effect.needs_age for term in state.terms):
+    """The final fit on all samples; accepted clocks with their phases from all of the motion."""
+    state = path.state
+    aged = any(term.effect.needs_age for term in state.terms)
+    if whole is None and not aged:
         return state, None
-    again = found_ages(state, moving, all_rows=True)
+    moved = state if whole is None else transferred(state, whole)
+    if not aged:
+        return settled(moved), None
+    again = found_ages(moved, moving, all_rows=True)
     if again is None:
         return state, ages
-    return settled(kept_ages(state, again, voting=False)), again
+    return settled(kept_ages(moved, again, voting=False)), again
 
 
 def _absorbed(first: Search, last: Search) -> dict[str, float]:

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 #: Newton steps at most, those before which the matrix is made again, and the squared step at
 #: which a fit is settled.
-_ROUNDS, _AGAIN, _CLOSE = 30, (0, 2, 6, 12, 20), 2e-2
+_ROUNDS, _AGAIN, _CLOSE = 30, (0, 2, 6, 12, 20), 0.1
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,15 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     return settled(state)
 
 
+def transferred(state: ArrayState, setup: Setup) -> ArrayState:
+    """What was found, at other samples; to be settled there."""
+    ones = np.ones(setup.readings.rate.shape[:2])
+    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
+    rate = np.median(setup.readings.rate, axis=1)
+    sampled = fit_samples(setup.readings, weights, state.r, rate)
+    return replace(state, setup=setup, sampled=sampled, motion=motion_at(setup, sampled, None))
+
+
 def settled(state: ArrayState) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for."""
     state = _climbed(_with_scale(state))
@@ -171,7 +180,7 @@ def _with_scale(state: ArrayState) -> ArrayState:
 
 def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
     a, g, speed = state.squares()
-    some = np.linspace(0, len(speed) - 1, min(len(speed), 400)).astype(np.intp)
+    some = np.linspace(0, len(speed) - 1, min(len(speed), 250)).astype(np.intp)
     first = state.setup.first[some]
     found = [chosen_noise(x[some], speed[some], first, robust=True) for x in (a, g)]
     return scaled(found[0], a, speed), scaled(found[1], g, speed)
@@ -231,7 +240,7 @@ def _sampled(state: ArrayState) -> ArrayState:
         state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
         state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
     )
-    sampled = fit_samples(readings, weights, state.r, state.sampled.rate)
+    sampled = fit_samples(readings, weights, state.r, state.sampled)
     motion = motion_at(setup, sampled, state.motion.age)
     return replace(state, sampled=sampled, motion=motion)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _ROUNDS = 12
-_EXACT = 1e-10  # rad/s, step at which the rates are final
+_EXACT = 1e-8  # rad/s, step at which the rates are final
 
 
 @dataclass(frozen=True)
@@ -93,12 +93,16 @@ def _arms(rate: Array, r: Array) -> Array:
     return out
 
 
-def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array) -> Sampled:
-    """Best motion of every sample; start : (T, 3) rad/s."""
-    rate = start
+def fit_samples(
+    readings: Readings, weights: Weights, r: Array, start: Array | Sampled
+) -> Sampled:
+    """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby."""
+    rate = start.rate if isinstance(start, Sampled) else start
     count = readings.acceleration.shape[1]
     own = weights.rate.sum(axis=1)
     unknown = np.zeros((len(rate), 9))
+    if isinstance(start, Sampled):
+        unknown[:, :3], unknown[:, 3:6] = start.origin, start.spin
     for _ in range(_ROUNDS):
         arms = _arms(rate, r)
         turn = turning(rate, unknown[:, 3:6])
@@ -111,7 +115,8 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array) ->
         right = np.matmul(heavy.transpose(0, 2, 1), off.acceleration.reshape(len(rate), -1, 1))
         right[:, 6:, 0] += np.einsum("tk,tki->ti", weights.rate, off.rate)
         step = np.linalg.solve(normal, right)[:, :, 0]
-        if float(np.abs(step[:, 6:]).max(initial=0.0)) < _EXACT and unknown.any():
+        small = float(np.abs(step[:, 6:]).max(initial=0.0)) < _EXACT
+        if small and float(np.abs(step[:, :6]).max(initial=0.0)) < 1e-6:
             break
         unknown = unknown + step
         rate = rate + step[:, 6:]
