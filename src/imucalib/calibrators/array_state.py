@@ -16,23 +16,17 @@ from numpy.typing import NDArray
 from imucalib.array_effect import ArrayMotion
 from imucalib.calibrators.array_setup import Setup, motion_at
 from imucalib.calibrators.array_terms import Term
-from imucalib.estimators.array_gram import (
-    Columns,
-    Gram,
-    Reduced,
-    gradient,
-    gram,
-    reduced,
-    starts_of,
-)
+from imucalib.estimators.array_gram import Columns, Gram, Reduced, gradient, gram, reduced
 from imucalib.estimators.array_noise import SensorNoise, chosen_noise, log_density, scaled
 from imucalib.estimators.array_samples import Readings, Sampled, Weights, fit_samples
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-#: Newton steps at most, those before which the matrix is made again, and the squared step at
-#: which a fit is settled.
-_ROUNDS, _AGAIN, _CLOSE = 30, (0, 2, 6, 12, 20), 0.1
+#: Newton steps at most, those before which the matrix is made again in any case, and the squared
+#: step at which a fit is settled.
+_ROUNDS, _AGAIN, _CLOSE = 30, (0, 8, 16, 24), 0.05
+#: Change of the noise from which the matrix no longer serves.
+_STALE = 0.1
 
 
 @dataclass(frozen=True)
@@ -93,7 +87,7 @@ class Base:
         blocks = [Columns(np.asarray(turn), False, False)]
         blocks += [term.columns(state.motion) for term in state.terms]
         self.blocks: Sequence[Columns] = blocks
-        self.raw = int(starts_of(blocks)[-1])
+        self.raw = sum(block.size for block in blocks)
         self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in state.terms)]
         off = (state.r - state.setup.nominal)[1:].ravel()
         flat = np.full(off.size, state.setup.spread**-2.0)
@@ -158,7 +152,7 @@ def settled(state: ArrayState) -> ArrayState:
     state = _climbed(_with_scale(state))
     if state.setup.robust:
         # Which shape only shows once the fit is near; the fit then moves a little with it.
-        for _ in range(2):
+        for _ in range(3):
             noise = _shaped(state)
             same = all(_alike(a, b) for a, b in zip(noise, state.noise, strict=True))
             state = replace(state, noise=noise)
@@ -169,7 +163,8 @@ def settled(state: ArrayState) -> ArrayState:
 
 
 def _alike(one: SensorNoise, two: SensorNoise) -> bool:
-    return one.growth == two.growth and one.freedom == two.freedom
+    same = one.growth == two.growth and one.freedom == two.freedom
+    return same and bool(np.all(np.abs(one.factor / two.factor - 1.0) < _STALE))
 
 
 def _with_scale(state: ArrayState) -> ArrayState:
@@ -188,21 +183,24 @@ def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
 
 def _climbed(state: ArrayState) -> ArrayState:
     """Newton with the matrix of the start: what changes on the way is the residual."""
-    converged, matrix = False, np.empty((0, 0))
+    converged, matrix, made = False, np.empty((0, 0)), np.zeros(2)
     for k in range(_ROUNDS):
         state = _sampled(state)
         base = state.base
-        if k in _AGAIN:
+        sigma = np.array([noise.sigma for noise in state.noise])
+        if k in _AGAIN or np.any(np.abs(made / sigma - 1.0) > _STALE):
+            made = sigma
             matrix = base.free(gram(state.sampled, base.blocks, state.setup.inner)).matrix
         along = base.along(gradient(state.sampled, base.blocks, state.setup.inner))
         inner = matrix + np.diag(base.prior)
         covariance = np.asarray(np.linalg.inv(inner), np.float64)
         step = covariance @ (along - base.pull)
         state = _moved(state, step, covariance)
-        converged = float(step @ inner @ step) < _CLOSE
+        state = _with_scale(state)
+        moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
+        converged = float(step @ inner @ step) < _CLOSE and float(np.abs(moved).max()) < _STALE
         if converged:
             break
-        state = _with_scale(state)
     return replace(_sampled(state), converged=converged)
 
 
