@@ -177,6 +177,11 @@ def test_every_array_effect_says_what_it_is(effect: object) -> None:
         assert 0.0 < parameter.typical < parameter.plausible
 
 
+def test_every_array_effect_is_documented() -> None:
+    text = (Path(__file__).parents[1] / "docs" / "array.md").read_text(encoding="utf-8")
+    assert not [name for name in array_catalogue() if f"`{name}`" not in text]
+
+
 def test_the_catalogue_knows_the_chip_axes() -> None:
     """A scale acts on the package's own axis, wherever it points on the board."""
     motion = _motion()
