@@ -26,6 +26,17 @@ EFFECTS: dict[str, Effect] = {
     **catalogue(),
     "record_error": record_error(7, "row 8"),
     "record_error_y": record_error(7, "row 8", "y"),
+    **{
+        name: named(name)
+        for name in (
+            "bias_step@2000s",
+            "curve@bias:order:0:1:4",
+            "curve@bias:tool_face:0:6.2832:4",
+            "curve@response:y:-1:1:6",
+            "curve@inclination:temperature:10:40:3",
+            "curve@tool_face:tool_face:0:6.2832:4",
+        )
+    },
 }
 UNITS = {"mg", "deg", "1", "mg/g", "mg/g2", "mg/g3", "mg/degC", "mg/g/degC", "deg per 90 deg"}
 each_effect = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)

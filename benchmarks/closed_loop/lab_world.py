@@ -18,6 +18,7 @@ from imucalib.context import Context
 from imucalib.conventions import Conventions
 from imucalib.effects import catalogue, named
 from imucalib.errors import ImucalError
+from imucalib.loop import LoopSettings
 from imucalib.model import Model
 from imucalib.position_table import PositionTable
 from imucalib.uncertainty import correcting
@@ -66,7 +67,7 @@ def trial(job: Job) -> Trial:
     rng = np.random.default_rng(job.seed)
     bench = _Bench(job, rng)
     table = bench.table(rng)
-    settings = LabSettings(sigma=SIGMA * MG)
+    settings = LabSettings(sigma=SIGMA * MG, rules=LoopSettings(curves=job.outside is not None))
     request = LabRequest(unit="mg", settings=settings, seed=job.seed)
     started = time.process_time()
     try:

@@ -15,6 +15,7 @@ from imucalib.calibrators.actigraph_request import ActigraphRequest
 from imucalib.calibrators.actigraph_simulation import SENSOR, WeekPlan, simulated_week
 from imucalib.context import Context
 from imucalib.effects import catalogue, named
+from imucalib.loop import LoopSettings
 from imucalib.model import Model
 from imucalib.runs import PostureRuns
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -55,7 +56,7 @@ def trial(job: Job) -> Trial:
     """Simulate a week, calibrate it, and judge."""
     rng = np.random.default_rng(job.seed)
     week = _Week(job, rng)
-    request = ActigraphRequest()
+    request = ActigraphRequest(rules=LoopSettings(curves=job.outside is not None))
     started = time.process_time()
     result = calibrate(week.runs, week.scanned, request, rng)
     seconds = time.process_time() - started

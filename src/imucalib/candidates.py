@@ -101,7 +101,8 @@ def probes(fit: Fit) -> tuple[Candidate, ...]:
         curves = _cosines(prediction.force[:, :, axis].ravel(), fine).reshape(n, k, fine)
         block = np.zeros((n, k, 3, fine))
         block[:, :, axis] = curves * _CURVE_MG * MG
-        found.append(_probe(fit, f"response of {letter} against its own input", block, letter))
+        name = f"response of {letter} against its own input"
+        found.append(_probe(fit, name, block, letter, f"response:{letter}:-1:1"))
     for name in ("order", "temperature", "inclination", "tool_face"):
         if name not in context or np.ptp(context[name]) <= 0.0:
             continue
@@ -111,19 +112,22 @@ def probes(fit: Fit) -> tuple[Candidate, ...]:
         words = name.replace("_", "-")
         block = np.einsum("nt,ij->nijt", curves, np.eye(3))[:, None]
         wide = np.broadcast_to(block, (n, k, 3, 3, curves.shape[1])).reshape(n, k, 3, -1)
-        found.append(_probe(fit, f"bias against {words}", wide * _CURVE_MG * MG, words))
+        span = f"{name}:{np.min(context[name]):.10g}:{np.max(context[name]):.10g}"
+        wide = wide * _CURVE_MG * MG
+        found.append(_probe(fit, f"bias against {words}", wide, words, f"bias:{span}"))
         for column, component in enumerate(directions.component):
             if component is None:
                 continue
             angle = prediction.d_truth @ directions.derivative[..., column, None]
             block = angle * curves[:, None, None, :] * _CURVE_DEG * DEG
             what = component.replace(" setting", "")
-            found.append(_probe(fit, f"{what} error against {words}", block, words))
+            curve = f"{what.replace('-', '_')}:{span}"
+            found.append(_probe(fit, f"{what} error against {words}", block, words, curve))
     return tuple(found)
 
 
-def _probe(fit: Fit, name: str, block: Array, driver: str) -> Candidate:
-    return Candidate(name, "probe", fit.at.columns(block), driver)
+def _probe(fit: Fit, name: str, block: Array, driver: str, curve: str) -> Candidate:
+    return Candidate(name, "probe", fit.at.columns(block), driver, curve=curve)
 
 
 def correlated_noise(fit: Fit) -> tuple[Candidate, ...]:

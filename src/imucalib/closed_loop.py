@@ -35,6 +35,7 @@ from imucalib.loop_records import (
 from imucalib.loop_search import (
     aliases,
     choose,
+    curve_of,
     effect_named,
     objection,
     refined,
@@ -105,7 +106,10 @@ def _settled(state: _State) -> _End:
     while True:
         scores, missing = search(state.fit, effects, state.rng, rules, rejected, families)
         first = first if state.steps else scores
-        chosen = choose(scores, rules) if len(state.steps) < rules.most_effects else None
+        # What is left beside a curve is not physics any more.
+        curved = any(step.curve for step in state.steps)
+        room = len(state.steps) < rules.most_effects and not curved
+        chosen = choose(scores, rules) if room else None
         cleaner = state.without_the_worst_record(chosen) or (
             None if chosen else state.behind_a_record(rejected)
         )
@@ -113,7 +117,11 @@ def _settled(state: _State) -> _End:
             state = cleaner
             continue
         if chosen is None:
-            return _End(state, rejected, first, scores, missing)
+            smooth = curve_of(state.fit, scores, rules) if rules.curves and room else None
+            if smooth is None:
+                return _End(state, rejected, first, scores, missing)
+            state = state.accept(smooth[1], smooth[0], ())
+            continue
         chosen = refined(state.fit, chosen, families, state.rng, rules)
         trial = extended(state.fit, effect_named(effects, chosen.name))
         reason = objection(state.fit, trial)

@@ -19,12 +19,12 @@ from imucalib.fit import Fit
 from imucalib.held_out import Held, errors, theta_without
 from imucalib.loop import Loop, LoopSettings
 from imucalib.loop_records import extended, record_names, reduced, set_aside
-from imucalib.loop_search import choose, effect_named, objection, refined, search
+from imucalib.loop_search import choose, curve_of, effect_named, objection, refined, search
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-_FOLDS, _BLOCKS = 10, 4  # of single positions, and of blocks of time, of which there are a dozen
+_FOLDS, _QUARTERS = 10, 4  # folds of single positions, and of long recordings
 _FEW = 16
 
 
@@ -42,8 +42,14 @@ def cross_fitted(
     """
     data = loop.plain.observations
     groups, group = np.unique(data.group, return_inverse=True)
-    folds = min(groups.size, _BLOCKS if groups.size <= _FEW else _FOLDS)
-    keys = rng.permutation(np.arange(groups.size) % folds)[group]
+    folds = min(groups.size, _FOLDS)
+    if groups.size <= _FEW < data.n // 10:
+        # Blocks of time in quarters: where a step falls into a block, half a day is too coarse.
+        first = np.searchsorted(group, np.arange(groups.size))
+        size = np.bincount(group)
+        group = 4 * group + 4 * (np.arange(data.n) - first[group]) // size[group]
+        groups, folds = np.unique(group), _QUARTERS
+    keys = rng.permutation(np.arange(groups.size) % folds)[np.unique(group, return_inverse=True)[1]]
     rules = replace(settings, bar=loop.bar)
     wrong = tuple(r.row for r in loop.records)
     parts: list[tuple[Index, Held, Held]] = []
@@ -53,7 +59,7 @@ def cross_fitted(
             continue
         held = data.take(rows)
         rest = np.setdiff1d(np.arange(data.n), rows)
-        chosen = _searched(loop.plain, rest, wrong, effects, rng, rules, families)
+        chosen = _searched(loop, rest, wrong, effects, rng, rules, families)
         before = errors(loop.plain, theta_without(loop.plain, rows), held)
         parts.append((rows, before, errors(chosen, chosen.theta, held)))
     order = np.argsort(np.concatenate([rows for rows, _, _ in parts]))
@@ -61,7 +67,7 @@ def cross_fitted(
 
 
 def _searched(
-    plain: Fit,
+    loop: Loop,
     rest: Index,
     wrong: tuple[int, ...],
     effects: Mapping[str, Effect],
@@ -70,8 +76,11 @@ def _searched(
     families: tuple[Family, ...],
 ) -> Fit:
     """The loop on a part of the data; records count as they stand in what is returned, as in the
-    calibration itself."""
-    fit = fit_model(plain.model, plain.observations.take(rest), start=plain.theta)
+    calibration itself. The noise is that of the whole, before and after: a nuisance that costs
+    most of the time and tells nothing about the choice."""
+    plain, noise = loop.plain, loop.final.noise
+    data = plain.observations.take(rest)
+    fit = fit_model(plain.model, data, start=plain.theta, noise=loop.base.noise)
     for row in np.flatnonzero(np.isin(rest, wrong)):
         fit = set_aside(fit, int(row))
     rejected: dict[str, str] = {}
@@ -81,9 +90,11 @@ def _searched(
         scores, _ = search(fit, effects, rng, rules, rejected, families)
         best = choose(scores, rules)
         if best is None:
+            smooth = curve_of(fit, scores, rules) if rules.curves else None
+            fit = smooth[1] if smooth else fit
             break
         best = refined(fit, best, families, rng, rules)
-        trial = extended(fit, effect_named(effects, best.name))
+        trial = extended(fit, effect_named(effects, best.name), noise=noise)
         if reason := objection(fit, trial):
             rejected[best.candidate.family or best.name] = reason
         else:

@@ -38,7 +38,8 @@ _MANY = 300
 class Candidate:
     """One block. columns : (N, m) in the balance's units, scaled by the typical size.
 
-    family : the scan that it is one value of, or empty
+    family : the scan that it is one value of, or empty; curve : of a probe, what could correct it
+    (a value of the family "curve", without the number of terms)
     """
 
     name: str
@@ -46,6 +47,7 @@ class Candidate:
     columns: Array
     driver: str = ""
     family: str = ""
+    curve: str = ""
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,15 @@ class LoopSettings:
     search; noise_alpha : of each doubt about the noise; margin : nats by which a probe must beat
     the best catalogue effect; draws : simulated data sets per search; declared : whether the
     observations' sigma is a noise that the user stands for; bar : evidence in nats that decides
-    instead of simulated data, where a search of the whole data has set it"""
+    instead of simulated data, where a search of the whole data has set it; curves : whether
+    structure without a name is corrected by a smooth curve, where that holds out"""
 
     alpha: float = 0.035
     record_alpha: float = 0.01
     noise_alpha: float = 0.005
     declared: bool = False
     bar: float | None = None
+    curves: bool = False
     margin: float = 3.0
     draws: int = 1000
     most_effects: int = 4
@@ -52,9 +54,14 @@ class Step:
     aliases: tuple[str, ...]
 
     @property
+    def curve(self) -> bool:
+        """Whether it is a smooth correction of structure that has no name."""
+        return self.effect.startswith("curve@")
+
+    @property
     def certain(self) -> bool:
         """Nothing else would do as well, and chance would not do it in a hundred searches."""
-        return not self.aliases and self.p <= _CERTAIN
+        return not self.aliases and not self.curve and self.p <= _CERTAIN
 
 
 @dataclass(frozen=True)
@@ -93,7 +100,18 @@ class Loop:
     bar: float = math.inf
 
     @property
+    def named(self) -> tuple[Step, ...]:
+        """Steps that name a cause."""
+        return tuple(step for step in self.steps if not step.curve)
+
+    @property
+    def curves(self) -> tuple[Step, ...]:
+        """Steps that correct structure without a name."""
+        return tuple(step for step in self.steps if step.curve)
+
+    @property
     def verdict(self) -> str:
-        if self.steps or self.records:
-            return "explained in part" if self.unexplained else "explained"
-        return "unexplained" if self.unexplained else "nothing missing"
+        open_end = bool(self.unexplained or self.curves)
+        if self.named or self.records:
+            return "explained in part" if open_end else "explained"
+        return "unexplained" if open_end else "nothing missing"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.balance import Noise
 from imucalib.candidates import record_candidates
 from imucalib.effect import Effect
 from imucalib.effects.record_error import is_record_error, record_error
@@ -70,9 +71,12 @@ def held_out_rms(fit: Fit) -> float:
     return held_out(fit).rms(rows)
 
 
-def extended(fit: Fit, effect: Effect, start: Array | None = None) -> Fit:
-    """Refit with one more effect, from where the fit is; `start` for the effect's parameters."""
-    return _refit(fit, fit.model.plus(effect), effect.name, start)
+def extended(
+    fit: Fit, effect: Effect, start: Array | None = None, noise: Noise | None = None
+) -> Fit:
+    """Refit with one more effect, from where the fit is; `start` for the effect's parameters,
+    `noise` to hold it at."""
+    return _refit(fit, fit.model.plus(effect), effect.name, start, noise)
 
 
 def reduced(fit: Fit, names: tuple[str, ...]) -> Fit:
@@ -80,7 +84,13 @@ def reduced(fit: Fit, names: tuple[str, ...]) -> Fit:
     return _refit(fit, Model(tuple(e for e in fit.model.effects if e.name not in names)))
 
 
-def _refit(fit: Fit, model: Model, fresh: str = "", values: Array | None = None) -> Fit:
+def _refit(
+    fit: Fit,
+    model: Model,
+    fresh: str = "",
+    values: Array | None = None,
+    noise: Noise | None = None,
+) -> Fit:
     context = fit.observations.context
     start, own = model.start(context), model.slices(context)
     for name, part in fit.model.slices(context).items():
@@ -88,4 +98,4 @@ def _refit(fit: Fit, model: Model, fresh: str = "", values: Array | None = None)
             start[own[name]] = fit.theta[part]
     if values is not None:
         start[own[fresh]] = values
-    return fit_model(model, fit.observations, start=start)
+    return fit_model(model, fit.observations, start=start, noise=noise)

@@ -14,12 +14,15 @@ from imucalib.evidence import Candidate, Score, apart, score
 from imucalib.fit import Fit
 from imucalib.held_out import log_predictive
 from imucalib.loop import LoopSettings, Unexplained
-from imucalib.loop_records import held_out_rms
+from imucalib.loop_records import extended, held_out_rms
 
 #: An effect must gain at least this on held-out data, in log density.
 _HELD_OUT_NATS = 1.0
 #: λ sin(angle) below which two effects are not told apart.
 _APART = 2.0
+#: Terms of a correction without a name that are tried, and what it must gain on held-out data.
+_TERMS = (3, 6, 12)
+_CURVE_NATS, _CURVE_RMS = 5.0, 0.97
 
 
 def search(
@@ -110,6 +113,33 @@ def choose(scores: tuple[Score, ...], rules: LoopSettings) -> Score | None:
     if not physical or physical[0].evidence < passing[0].evidence - rules.margin:
         return None
     return physical[0]
+
+
+def curve_of(
+    current: Fit, scores: tuple[Score, ...], rules: LoopSettings
+) -> tuple[Score, Fit] | None:
+    """The strongest probe as a correction without a name, its terms chosen by what holds out.
+
+    It has to gain more than an effect has to: nothing but the data speak for it.
+    """
+    passing = [s for s in scores if passes(s, rules) and s.candidate.curve]
+    if not passing:
+        return None
+    found, best, most = passing[0], None, log_predictive(current) + _CURVE_NATS
+    for terms in _TERMS:
+        effect = known(f"curve@{found.candidate.curve}:{terms}")
+        assert effect is not None, found.candidate.curve
+        if effect.name in current.model.names or effect.missing(current.observations.context):
+            continue
+        trial = extended(current, effect)
+        if objection(current, trial) or held_out_rms(trial) > _CURVE_RMS * held_out_rms(current):
+            continue
+        gain = log_predictive(trial)
+        if gain > most:
+            best, most = (effect.name, trial), gain
+    if best is None:
+        return None
+    return replace(found, candidate=replace(found.candidate, name=best[0])), best[1]
 
 
 def passes(found: Score, rules: LoopSettings) -> bool:

@@ -95,7 +95,8 @@ class Outcome:
 
     @property
     def unexplained(self) -> bool:
-        return bool(self.undecided) or bool(self.loop and self.loop.unexplained)
+        open_end = self.loop is not None and (self.loop.unexplained or self.loop.curves)
+        return bool(self.undecided) or bool(open_end)
 
     @property
     def status(self) -> Status:

@@ -134,6 +134,8 @@ _OPTIONS = (
         help="Python file with effects of your own.",
     ),
     click.option("--no-loop", is_flag=True, help="Fit the base model only."),
+    click.option("--curves", is_flag=True,
+                 help="Correct structure without a name by a smooth curve, where that holds out."),
     click.option(
         "--draws", default=1000, show_default=True, help="Simulated data sets behind each p-value."
     ),
@@ -200,7 +202,7 @@ def _settings(options: dict[str, Any]) -> LabSettings:
         without=options["without"],
         loop=not options["no_loop"],
         sigma=None if options["sigma"] is None else options["sigma"] * MG,
-        rules=LoopSettings(draws=options["draws"]),
+        rules=LoopSettings(draws=options["draws"], curves=options["curves"]),
         extra_effects=load_file(options["effects_file"]) if options["effects_file"] else {},
         conventions=replace(preset(options["convention"]), **stated),
     )

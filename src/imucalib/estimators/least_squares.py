@@ -64,7 +64,8 @@ def fit(
         else:
             away = state.theta - model.start(context)
             estimate = estimate_with_prior(at, current, prior, away)
-        settled = _same(estimate.noise, current)
+        # Without settings and prior the noise is one factor, which moves nothing.
+        settled = _same(estimate.noise, current) or not (names or prior is not None)
         current = estimate.noise
         if settled:
             converged = solution.converged

@@ -95,7 +95,7 @@ def estimate_with_prior(at: Balanced, start: Noise, prior: Array, away: Array) -
         if abs(square - before) <= 1e-10 * before:
             break
     factor = float(np.sqrt(square))
-    covariance = np.linalg.inv(information / square + precision)
+    covariance = np.asarray(np.linalg.inv(information / square + precision), np.float64)
     log_det = float(np.linalg.slogdet(np.eye(prior.size) + information / square * prior**2)[1])
     likelihood = -0.5 * (chi2 / square + float(np.sum((away / prior) ** 2)) + log_det)
     return NoiseEstimate(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+from imucalib.evidence import Score
 from imucalib.loop import Loop
 from imucalib.outcome import ErrorSummary, Outcome
 from imucalib.report.document import Block, Section, Table, Text, Tone
@@ -14,7 +16,7 @@ _HELD_OUT = {
     "": "Held out: each position predicted by a fit without it, or the test rows.",
 }
 _ANEW = (
-    "Held out: a quarter at a time, predicted by a model that was searched for and fitted without "
+    "Held out: a part at a time, predicted by a model that was searched for and fitted without "
     "it, or the test rows."
 )
 
@@ -82,12 +84,16 @@ def loop_section(outcome: Outcome) -> Section:
 
 
 def _verdict(loop: Loop) -> Text:
-    names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.steps)
+    names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.named)
     records = ", ".join(r.where for r in loop.records)
     cause = " and ".join(
         part for part in (f"a wrong record ({records})" if records else "", names) if part
     )
-    unknown = ", ".join(f"{u.name} (driven by {u.driver})" for u in loop.unexplained)
+    parts = [f"{u.name} (driven by {u.driver})" if u.driver else u.name for u in loop.unexplained]
+    for step in loop.curves:
+        what, against = step.effect.removeprefix("curve@").split(":")[:2]
+        parts.append(f"{what} against {against}, corrected by a curve".replace("_", "-"))
+    unknown = ", ".join(parts)
     return {
         "nothing missing": Text("Nothing is missing: no candidate passes the search.", "ok"),
         "explained": Text(f"The residual is explained by {cause}.", "ok"),
@@ -100,10 +106,9 @@ def _verdict(loop: Loop) -> Text:
     }[loop.verdict]
 
 
-def candidate_section(loop: Loop) -> Section:
-    """Every candidate of the last search with its numbers, and why not."""
-    rejected = dict(loop.rejected)
-    rows = [
+def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
+    """Name, kind, evidence, p, share left and strength of every candidate."""
+    return [
         (
             s.name,
             s.candidate.kind,
@@ -112,8 +117,14 @@ def candidate_section(loop: Loop) -> Section:
             f"{100.0 * s.left:.1f}",
             f"{s.strength:.1f}",
         )
-        for s in loop.scores
+        for s in scores
     ]
+
+
+def candidate_section(loop: Loop) -> Section:
+    """Every candidate of the last search with its numbers, and why not."""
+    rejected = dict(loop.rejected)
+    rows = candidate_rows(loop.scores)
     rows += [(name, "effect", "rejected", "-", "-", "-") for name in rejected]
     rows += [(name, "effect", "not tested", "-", "-", "-") for name in loop.missing]
     header = ("candidate", "kind", "evidence (nats)", "p", "left (%)", "λ at typical size")
