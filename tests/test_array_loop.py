@@ -232,7 +232,7 @@ def test_a_measured_boards_clocks_delay_and_elements() -> None:
     from imucalib.readers import read
 
     moving, static = moving_of(read(DATA / "exp_1.h5"))
-    setup = array_setup(moving, BOARD, 400, robust=True)
+    setup = array_setup(moving, BOARD, 240, robust=True)
     assert setup is not None
     found = close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(0))
     names = {step.effect for step in found.steps}
