@@ -93,9 +93,7 @@ def _arms(rate: Array, r: Array) -> Array:
     return out
 
 
-def fit_samples(
-    readings: Readings, weights: Weights, r: Array, start: Array | Sampled
-) -> Sampled:
+def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | Sampled) -> Sampled:
     """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby."""
     rate = start.rate if isinstance(start, Sampled) else start
     count = readings.acceleration.shape[1]
