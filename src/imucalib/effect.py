@@ -120,19 +120,29 @@ class Response(Described):
     def act(self, theta: Array, x: Array, context: Context) -> Action:
         table = theta.reshape(len(context.triads), len(self.each))
         basis = self.basis(x, context)
-        n, k, _, m = basis.shape
+        if not theta.any():  # a candidate: its columns are all that is asked for
+            rest = np.zeros(x.shape), np.zeros((*x.shape, 3))
+            return Action(rest[0], _side_by_side(basis), rest[1])
         slope = self.basis_dx(x, context)
-        if k == 1:
+        if x.shape[1] == 1:
             turned = slope[:, 0].transpose(0, 1, 3, 2) @ table[0]
             return Action((basis[:, 0] @ table[0])[:, None], basis, turned[:, None])
-        d_theta = np.zeros((n, k, 3, k, m))
-        for triad in range(k):
-            d_theta[:, triad, :, triad] = basis[:, triad]
         return Action(
             np.asarray(np.einsum("nkim,km->nki", basis, table)),
-            d_theta.reshape(n, k, 3, k * m),
+            _side_by_side(basis),
             np.asarray(np.einsum("nkimj,km->nkij", slope, table)),
         )
+
+
+def _side_by_side(basis: Array) -> Array:
+    """(n, K, 3, K m): each triad's parameters act on that triad only."""
+    n, k, _, m = basis.shape
+    if k == 1:
+        return basis
+    d_theta = np.zeros((n, k, 3, k, m))
+    for triad in range(k):
+        d_theta[:, triad, :, triad] = basis[:, triad]
+    return d_theta.reshape(n, k, 3, k * m)
 
 
 @dataclass(frozen=True)

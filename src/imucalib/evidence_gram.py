@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 #: Squared size of a block's direction over its largest from which it is more than rounding.
 _OPEN = 1e-8
+_ROWS = 1024  # observations whose columns are worked on at a time
 
 
 @dataclass(frozen=True)
@@ -47,13 +48,17 @@ def gram_evidence(
     basis = np.linalg.qr(jacobian)[0]
     rest = residual - basis @ (basis.T @ residual)
     starts = np.cumsum([0] + [b.shape[1] for b in blocks])
-    columns = np.concatenate(blocks, axis=1)
-    columns /= unit
-    whole = np.add.reduceat(np.einsum("ij,ij->j", columns, columns), starts[:-1])
-    inside = basis.T @ columns
-    for a in range(0, len(columns), 1024):  # in place: no second copy of all columns
-        columns[a : a + 1024] -= basis[a : a + 1024] @ inside
-    gram, along = columns.T @ columns, columns.T @ rest
+    inside = np.concatenate([basis.T @ b for b in blocks], axis=1) / unit
+    size, gram, along = np.zeros(starts[-1]), np.zeros((starts[-1],) * 2), np.zeros(starts[-1])
+    for a in range(0, len(residual), _ROWS):  # in parts: no second copy of all columns
+        part = slice(a, a + _ROWS)
+        columns = np.concatenate([b[part] for b in blocks], axis=1)
+        columns /= unit
+        size += np.einsum("ij,ij->j", columns, columns)
+        columns -= basis[part] @ inside
+        gram += columns.T @ columns
+        along += columns.T @ rest[part]
+    whole = np.add.reduceat(size, starts[:-1])
     freedom, power = residual.size - basis.shape[1], float(rest @ rest)
     indices = [np.arange(first, last) for first, last in pairwise(starts)]
     return block_evidence(gram, along, power, freedom, whole, indices, tau, rng, draws)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,8 +59,6 @@ def heavy_tails(fit: Fit, rng: np.random.Generator, draws: int) -> float:
     own = float(kurtosis(white(fit.at.residual)[:, None])[0])
     size = len(left)
     if size > _MOST_DRAWN:
-        from scipy.special import ndtr
-
-        return float(ndtr(-(own - 3.0) / np.sqrt(24.0 / size)))
+        return 0.5 * math.erfc((own - 3.0) / math.sqrt(48.0 / size))
     null = kurtosis(rng.standard_normal((size, draws)))
     return float(1 + (null >= own).sum()) / (draws + 1)
