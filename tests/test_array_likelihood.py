@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from imucalib.errors import UsageError
 from imucalib.estimators.array_audit import importance_gain, quadrature_gain
 from imucalib.estimators.array_likelihood import ArrayPosterior, conditionals
 from imucalib.estimators.array_problem import ArrayData, ArrayPrior, MotionPrior
-from imucalib.estimators.array_rotation import local, modes
+from imucalib.estimators.array_rates import modes
+from imucalib.estimators.array_rotation import full, local
 
 
 def posterior_of(
@@ -67,8 +70,8 @@ def test_learned_motion_equals_the_joint_gaussian_given_the_rate(noise: bool) ->
 
 def _laplace(posterior: ArrayPosterior, x: np.ndarray) -> float:
     given, _ = conditionals(posterior.data, posterior.prior, x[None])
-    _, here = modes(given, posterior.start)
-    h = here.hessian[0].transpose(2, 0, 1)
+    here = modes(given, posterior.start).here
+    h = full(here.hessian[0]).transpose(2, 0, 1)
     return float(-here.value.sum() - 0.5 * np.linalg.slogdet(h)[1].sum())
 
 
@@ -116,11 +119,12 @@ def test_modes_are_found_from_a_bad_start_with_poor_gyros() -> None:
     data, w = data_of(corners(), 40, rng, sigma=0.3, sigma_gyro=150.0)
     posterior = posterior_of(data)
     x = posterior.prior.mean_vector[None]
-    far = posterior.at(1.5 * data.rate.T, moments=True)
+    far = replace(posterior, start=1.5 * data.rate.T)
     given, _ = conditionals(data, posterior.prior, x)
-    near, here = modes(given, data.rate.T)
+    found = modes(given, data.rate.T)
+    near, here = found.rate, found.here
     assert np.abs(here.gradient).max() < 1e-3 * np.abs(here.hessian).max()
-    assert np.linalg.eigvalsh(here.hessian[0].transpose(2, 0, 1)).min() > 0.0
+    assert np.linalg.eigvalsh(full(here.hessian[0]).transpose(2, 0, 1)).min() > 0.0
     assert far.modes(x)[0] == pytest.approx(near[0], abs=1e-5)
     assert np.sqrt(np.mean((near[0].T - w) ** 2)) < np.sqrt(np.mean((data.rate - w) ** 2))
 

@@ -65,13 +65,21 @@ def rank_normalised(draws: Array) -> Array:
     from scipy.special import ndtri
 
     m, n, d = draws.shape
-    flat = draws.reshape(m * n, d)
-    ordered = np.sort(flat, axis=0)
-    ranks = np.empty_like(flat)
-    for k in range(d):
-        below = np.searchsorted(ordered[:, k], flat[:, k], side="left")
-        ranks[:, k] = 0.5 * (below + 1 + np.searchsorted(ordered[:, k], flat[:, k], side="right"))
-    return np.asarray(ndtri((ranks - 0.375) / (m * n + 0.25))).reshape(m, n, d)
+    flat = draws.reshape(m * n, d).T
+    order = np.argsort(flat, axis=1)
+    ordered = np.take_along_axis(flat, order, axis=1)
+    place = np.arange(m * n)
+    new = np.ones(ordered.shape, bool)
+    new[:, 1:] = ordered[:, 1:] != ordered[:, :-1]
+    first = np.maximum.accumulate(np.where(new, place, 0), axis=1)
+    ends = np.ones(ordered.shape, bool)
+    ends[:, :-1] = new[:, 1:]
+    last = np.where(ends, place, m * n)[:, ::-1]
+    last = np.minimum.accumulate(last, axis=1)[:, ::-1]
+    scores = ndtri((np.arange(2, 2 * m * n + 1) * 0.5 - 0.375) / (m * n + 0.25))
+    out = np.empty_like(flat)
+    np.put_along_axis(out, order, scores[first + last], axis=1)
+    return np.asarray(out.T.reshape(m, n, d))
 
 
 def potential_scale_reduction(draws: Array) -> Array:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.estimators.array_likelihood import ArrayPosterior, cholesky_last, conditionals
-from imucalib.estimators.array_rotation import inverse, local, modes
+from imucalib.estimators.array_rates import modes
+from imucalib.estimators.array_rotation import local
 
 Array = NDArray[np.float64]
 
@@ -45,8 +46,9 @@ def _gain(posterior: ArrayPosterior, x: Array, points: Array, log_mass: Array) -
     from scipy.special import logsumexp
 
     given, _ = conditionals(posterior.data, posterior.prior, x)
-    w, here = modes(given, posterior.start)
-    root = cholesky_last(inverse(here.hessian)[0])
+    mode = modes(given, posterior.start)
+    w, here = mode.rate, mode.here
+    root = cholesky_last(mode.covariance)
     u = points if points.ndim == 3 else np.repeat(points[:, None], w.shape[-1], axis=1)
     spread = np.einsum("ijt,ntj->nit", root[0], u)
     value = local(given, w + spread, curvature=False).value

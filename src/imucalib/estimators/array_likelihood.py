@@ -14,18 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.estimators.array_problem import ArrayData, ArrayPrior
+from imucalib.estimators.array_rates import Mode, modes
 from imucalib.estimators.array_rotation import (
     CYCLES,
+    SIX,
     Conditionals,
     Prepared,
     cross,
-    inverse,
     local,
-    modes,
+    products,
+    times,
 )
 
 Array = NDArray[np.float64]
-_CHUNK = 8192  # (geometry, sample) pairs worked on at a time: what fits the cache
+_CHUNK = 4096  # (geometry, sample) pairs worked on at a time: what fits the cache
 
 
 @dataclass(frozen=True)
@@ -50,16 +52,19 @@ class ArrayPosterior:
     start : (3, T) rad/s where the search for the conditional modes begins; keeping it fixed makes
         the density a deterministic function
     moments : whether the gradient includes that of the Laplace determinant, exactly, by cubature
+    metric : (6, T) conditional covariances near the start, where they are known
     """
 
     data: ArrayData
     prior: ArrayPrior
     start: Array
     moments: bool = True
+    metric: Array | None = None
 
-    def at(self, start: Array, *, moments: bool) -> ArrayPosterior:
-        """The same density with other conditional starts and gradient."""
-        return replace(self, start=start, moments=moments)
+    def at(self, x: Array) -> ArrayPosterior:
+        """The same density with the conditional search beginning at the modes of x (size,)."""
+        mode = self._mode(x[None])
+        return replace(self, start=mode.rate[0], metric=mode.covariance[0])
 
     def value(self, x: Array) -> Array:
         """(B,) log posterior of unknowns (B, size)."""
@@ -71,8 +76,10 @@ class ArrayPosterior:
 
     def modes(self, x: Array) -> Array:
         """(B, 3, T) conditional modes of ω, rad/s."""
-        given, _ = conditionals(self.data, self.prior, x)
-        return modes(given, self.start)[0]
+        return self._mode(x).rate
+
+    def _mode(self, x: Array) -> Mode:
+        return modes(conditionals(self.data, self.prior, x)[0], self.start, self.metric)
 
     def _all(self, x: Array, *, slope: bool) -> tuple[Array, Array]:
         size = max(1, _CHUNK // max(self.data.samples, 1))
@@ -85,18 +92,17 @@ class ArrayPosterior:
 
     def _chunk(self, x: Array, *, slope: bool) -> tuple[Array, Array]:
         given, geometry = conditionals(self.data, self.prior, x)
-        w, here = modes(given, self.start)
-        covariance, det, positive = inverse(here.hessian)
+        mode = modes(given, self.start, self.metric)
         with np.errstate(invalid="ignore", divide="ignore"):
-            value = -np.sum(here.value + 0.5 * np.log(det), axis=1)
-        value = np.where(positive.all(axis=1), value, -np.inf)
+            value = -np.sum(mode.here.value + 0.5 * np.log(mode.det), axis=1)
+        value = np.where(mode.positive.all(axis=1), value, -np.inf)
         value = value + constants(self.data, self.prior, geometry)
         if not slope:
             return value, np.empty((len(x), 0))
         if self.moments:
-            turn, square, spin = _averaged(given, w, covariance)
+            turn, square, spin = _averaged(given, mode)
         else:
-            turn, square, spin = _moments(w, here.spin)
+            turn, square, spin = _moments(mode.rate, mode.here.spin)
         return value, _gradient(self.data, self.prior, given, geometry, turn, square, spin)
 
 
@@ -104,16 +110,17 @@ def conditionals(data: ArrayData, prior: ArrayPrior, x: Array) -> tuple[Prepared
     """What the samples' conditionals need, for unknowns (B, size)."""
     r = prior.geometry(x)
     lam = data.weight
-    centred = r - (np.einsum("baj,a->bj", r, lam) / lam.sum())[:, None]
+    centred = r - (lam / lam.sum() @ r)[:, None]
     weight = prior.noise_weight(x)
-    spread = np.einsum("bai,baj,a->bij", centred, centred, lam) * weight[:, None, None]
+    heavy = centred * weight[:, None, None]
+    spread = (heavy * lam[:, None]).transpose(0, 2, 1) @ centred
     inertia = np.trace(spread, axis1=1, axis2=2)[:, None, None] * np.eye(3) - spread
     factor = prior.factor(x)
     stiff = inertia + factor @ factor.transpose(0, 2, 1)
     sign, log_inertia = np.linalg.slogdet(stiff)
     b, a, t = len(x), data.triads, data.samples
-    flat = centred.transpose(0, 2, 1).reshape(3 * b, a) @ data.weighted.reshape(a, 3 * t)
-    moment = flat.reshape(b, 3, 3, t).transpose(0, 2, 1, 3) * weight[:, None, None, None]
+    flat = heavy.transpose(0, 2, 1).reshape(3 * b, a) @ data.weighted.reshape(a, 3 * t)
+    moment = flat.reshape(b, 3, 3, t).transpose(0, 2, 1, 3)
     given = Conditionals(
         moment, inertia, np.linalg.inv(stiff), data.power * weight[:, None], data.rate.T,
         data.precision,
@@ -138,18 +145,21 @@ def constants(data: ArrayData, prior: ArrayPrior, geometry: Geometry) -> Array:
 
 def _moments(w: Array, spin: Array) -> tuple[Array, Array, Array]:
     """W = Ω(ω)² + Ω(ω̇) (B, 3, 3, T), Σ WᵀW (B, 3, 3) and Σ ω̇ω̇ᵀ (B, 3, 3) over the samples."""
-    turn = w[:, :, None] * w[:, None]
-    ww = turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2]
+    b, _, t = w.shape
+    ww = products(w)
+    turn = np.empty((b, 3, 3, t))  # [.., j, i, ..] is element (i, j)
     for i, j, k in CYCLES:
-        turn[:, i, i] -= ww
-        turn[:, i, j] -= spin[:, k]
-        turn[:, j, i] += spin[:, k]
-    b = len(w)
-    columns = turn.transpose(0, 2, 1, 3).reshape(b, 3, -1)
+        np.add(ww[:, i], ww[:, j], out=turn[:, k, k])
+        np.negative(turn[:, k, k], out=turn[:, k, k])
+    for s, (i, j) in enumerate(SIX[3:], 3):
+        k, up = 3 - i - j, (j - i) % 3 == 1
+        np.add(ww[:, s], spin[:, k], out=turn[:, i if up else j, j if up else i])
+        np.subtract(ww[:, s], spin[:, k], out=turn[:, j if up else i, i if up else j])
+    columns = turn.reshape(b, 3, -1)
     return turn, columns @ columns.transpose(0, 2, 1), spin @ spin.transpose(0, 2, 1)
 
 
-def _averaged(given: Prepared, w: Array, covariance: Array) -> tuple[Array, Array, Array]:
+def _averaged(given: Prepared, mode: Mode) -> tuple[Array, Array, Array]:
     """The same, averaged over six points so that the Laplace determinant's slope is included.
 
     Points c ± √3 l_i, with l_i the columns of a root of the conditional covariance M and c the mode
@@ -157,33 +167,34 @@ def _averaged(given: Prepared, w: Array, covariance: Array) -> tuple[Array, Arra
     g + ½ tr(M ∇²g) - ½ uᵀM∇g at the mode, which is the derivative of f + ½ log|H| when g is that of
     f. f is of fourth degree, so ½ u is the mean of ∇f over the same points about the mode.
     """
-    root = cholesky_last(covariance) * np.sqrt(3.0)
-    six = given.repeated(6)
-    offsets = np.concatenate([s * root[:, :, k] for k in range(3) for s in (1.0, -1.0)])
-    about = local(six, np.concatenate([w] * 6) + offsets, curvature=False)
-    half_u = about.gradient.reshape(6, *w.shape).mean(axis=0)
-    centre = w - np.einsum("bijt,bjt->bit", covariance, half_u)
-    points = np.concatenate([centre] * 6) + offsets
-    jw = six.inertia @ points
-    spin = six.gain @ (six.torque - cross(points, jw))
-    turn, square, spins = _moments(points, spin)
-    b = len(w)
-
-    def mean(values: Array) -> Array:
-        return np.asarray(values.reshape(6, b, *values.shape[1:]).mean(axis=0))
-
-    return mean(turn), mean(square), mean(spins)
+    w = mode.rate
+    root = cholesky_last(mode.covariance) * np.sqrt(3.0)
+    offsets = [s * root[:, :, k] for k in range(3) for s in (1.0, -1.0)]
+    half_u = np.zeros_like(w)
+    for offset in offsets:
+        half_u += local(given, w + offset, curvature=False).gradient
+    centre = w - times(mode.covariance, half_u / 6.0)
+    total: tuple[Array, Array, Array] | None = None
+    for offset in offsets:
+        point = centre + offset
+        spin = given.gain @ (given.torque - cross(point, given.inertia @ point))
+        here = _moments(point, spin)
+        total = here if total is None else (
+            total[0] + here[0], total[1] + here[1], total[2] + here[2]
+        )  # fmt: skip
+    assert total is not None
+    return total[0] / 6.0, total[1] / 6.0, total[2] / 6.0
 
 
 def cholesky_last(m: Array) -> Array:
-    """Cholesky factor (B, 3, 3, T) of positive matrices, samples last."""
-    out = np.zeros_like(m)
+    """Lower Cholesky factor (B, 3, 3, T) of positive matrices (B, 6, T)."""
+    out = np.zeros((len(m), 3, 3, m.shape[2]))
     with np.errstate(invalid="ignore"):
-        out[:, 0, 0] = np.sqrt(m[:, 0, 0])
-        out[:, 1, 0], out[:, 2, 0] = m[:, 1, 0] / out[:, 0, 0], m[:, 2, 0] / out[:, 0, 0]
-        out[:, 1, 1] = np.sqrt(m[:, 1, 1] - out[:, 1, 0] ** 2)
-        out[:, 2, 1] = (m[:, 2, 1] - out[:, 2, 0] * out[:, 1, 0]) / out[:, 1, 1]
-        out[:, 2, 2] = np.sqrt(m[:, 2, 2] - out[:, 2, 0] ** 2 - out[:, 2, 1] ** 2)
+        out[:, 0, 0] = np.sqrt(m[:, 0])
+        out[:, 1, 0], out[:, 2, 0] = m[:, 3] / out[:, 0, 0], m[:, 4] / out[:, 0, 0]
+        out[:, 1, 1] = np.sqrt(m[:, 1] - out[:, 1, 0] ** 2)
+        out[:, 2, 1] = (m[:, 5] - out[:, 2, 0] * out[:, 1, 0]) / out[:, 1, 1]
+        out[:, 2, 2] = np.sqrt(m[:, 2] - out[:, 2, 0] ** 2 - out[:, 2, 1] ** 2)
     return out
 
 
@@ -193,7 +204,7 @@ def _gradient(
 ) -> Array:  # fmt: skip
     """(B, size) gradient of the log likelihood from the averaged moments."""
     b, a, t = len(turn), data.triads, data.samples
-    flat = turn.transpose(0, 2, 1, 3).reshape(3 * b, 3 * t)
+    flat = turn.reshape(3 * b, 3 * t)
     first = (flat @ data.weighted.reshape(a, 3 * t).T).reshape(b, 3, a).transpose(0, 2, 1)
     lam = data.weight[:, None] * geometry.weight[:, None, None]
     gain = geometry.gain

@@ -21,6 +21,7 @@ _FEW = 300  # samples on which the first steps are taken
 _REFRESHES = 25
 _LONGEST = 1.0  # prior standard deviations of a step
 _NOTICED = 0.1  # whitened slope of the Laplace determinant that costs acceptance
+_TOLD = 0.05  # of three, what the accelerometers add to the gyros' knowledge of the rate
 _CLOSE = 0.05  # Newton decrement at which a point counts as the mode
 
 
@@ -59,21 +60,29 @@ def laplace_frame(data: ArrayData, prior: ArrayPrior) -> Frame:
     few = data
     if data.samples > 2 * _FEW:
         few = data.take(np.linspace(0, data.samples - 1, _FEW).astype(np.intp))
-        x, root = _climb(_posterior(few, prior), x, root)
+        x, root = _climb(_posterior(few, prior, x), x, root)
         root = root * np.sqrt(few.samples / data.samples)
-    posterior = _posterior(data, prior)
+    posterior = _posterior(data, prior, x)
     x, root = _climb(posterior, x, root, fresh=few is data)
-    start = posterior.modes(x[None])[0]
-    exact = posterior.at(start, moments=True)
-    root = _touching(exact, x, root)
-    cheap = posterior.at(start, moments=False)
-    missed = exact.value_and_gradient(x[None])[1] - cheap.value_and_gradient(x[None])[1]
+    exact = replace(posterior.at(x), moments=True)
+    cheap = replace(exact, moments=False)
+    value, slope = exact.value_and_gradient(x[None])
+    missed = slope - cheap.value_and_gradient(x[None])[1]
     chosen = exact if float(np.abs(missed @ root).max()) > _NOTICED else cheap
-    return Frame(chosen, x, root, float(exact.value(x[None])[0]))
+    if chosen.moments and not posterior.moments:
+        x, root = _climb(chosen, x, root, fresh=False)
+        value = chosen.value(x[None])
+    return Frame(chosen, x, _touching(chosen, x, root), float(value[0]))
 
 
-def _posterior(data: ArrayData, prior: ArrayPrior) -> ArrayPosterior:
-    return ArrayPosterior(data, prior, np.ascontiguousarray(data.rate.T), moments=True)
+def _posterior(data: ArrayData, prior: ArrayPrior, x: Array) -> ArrayPosterior:
+    """With the conditional search from what x implies, and the exact gradient where the
+    accelerometers say enough about the rate for it to matter."""
+    found = ArrayPosterior(data, prior, np.ascontiguousarray(data.rate.T)).at(x)
+    assert found.metric is not None
+    inner = found.metric * data.precision
+    determined = inner[:3].sum(axis=0) + 2.0 * inner[3:].sum(axis=0)
+    return replace(found, moments=float(np.mean(3.0 - determined)) > _TOLD)
 
 
 def _climb(
@@ -112,12 +121,18 @@ def _climb(
 
 
 def _touching(posterior: ArrayPosterior, x: Array, root: Array) -> Array:
-    """Root of the inverse Hessian at x, by central differences along the columns of `root`."""
-    d = len(x)
+    """Root of the inverse Hessian at x, by differences along the columns of `root`: central for
+    few samples, where the posterior is skewed."""
     step = 0.1
-    points = np.concatenate([x + step * root.T, x - step * root.T])
-    slopes = posterior.value_and_gradient(points)[1]
-    curvature = -(slopes[:d] - slopes[d:]) @ root / (2.0 * step)
+    if posterior.data.samples < _FEW:
+        d = len(x)
+        points = np.concatenate([x + step * root.T, x - step * root.T])
+        slopes = posterior.value_and_gradient(points)[1]
+        rise = 0.5 * (slopes[:d] - slopes[d:])
+    else:
+        slopes = posterior.value_and_gradient(np.vstack([x, x + step * root.T]))[1]
+        rise = slopes[1:] - slopes[0]
+    curvature = -rise @ root / step
     values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
     floor = 1e-6 * max(float(values[-1]), 1e-300)
     whitened = vectors / np.sqrt(np.maximum(np.abs(values), floor))

@@ -84,10 +84,9 @@ class ArrayData:
 
     @cached_property
     def precision(self) -> Array:
-        """(3, 3, T or 1), samples last."""
-        if self.rate_precision.ndim == 2:
-            return self.rate_precision[:, :, None]
-        return np.ascontiguousarray(self.rate_precision.transpose(1, 2, 0))
+        """(6, T or 1): xx, yy, zz, xy, xz, yz of the precision, samples last."""
+        whole = self.rate_precision.reshape(-1, 9)
+        return np.ascontiguousarray(whole[:, (0, 4, 8, 1, 2, 5)].T)
 
     @cached_property
     def log_precision(self) -> float:

@@ -56,7 +56,7 @@ class MonteCarloLikelihood:
 
         given, geometry = conditionals(self.data, self.prior, x)
         b, t, n = len(x), self.data.samples, self.count
-        free = replace(given, precision=np.zeros((3, 3, 1))).repeated(n)
+        free = replace(given, precision=np.zeros((6, 1))).repeated(n)
         u = rng.standard_normal((b * n, 3, t))
         value = local(free, self._rates(u), curvature=False).value.reshape(n, b, t)
         total = (logsumexp(-value, axis=0) - np.log(n)).sum(axis=1)
