@@ -56,9 +56,10 @@ class Balanced:
     def columns(self, block: Array) -> Array:
         """Bring columns (n, K, 3, m) of a candidate effect, m/s² per unit, to the balance."""
         n, k, _, m = block.shape
+        if self.keep.shape[2] == 1:  # without a scaled copy of what may be a large block
+            weight = self.keep[..., 0] / self.sigma
+            return np.asarray(np.einsum("nij,ni->nj", block.reshape(n, 3 * k, m), weight))
         scaled = block.reshape(n, 3 * k, m) / self.sigma[..., None]
-        if self.keep.shape[2] == 1:
-            return np.asarray(np.einsum("nij,ni->nj", scaled, self.keep[..., 0]))
         return np.asarray((self.keep.transpose(0, 2, 1) @ scaled).reshape(-1, m))
 
 

@@ -33,7 +33,8 @@ def effect_columns(fit: Fit, effect: Effect, prediction: Prediction | None = Non
         context = fit.observations.context
         start = np.array([p.start for p in effect.parameters(context)])
         size = np.array([p.typical for p in effect.parameters(context)])
-        return fit.at.columns(effect.act(start, prediction.force, context).d_theta * size)
+        columns = fit.at.columns(effect.act(start, prediction.force, context).d_theta)
+        return np.asarray(columns * size)
     extended = fit.model.plus(effect)
     context, reference = fit.observations.context, fit.observations.reference
     slices = extended.slices(context)

@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 #: Squared size of a block's direction over its largest from which it is more than rounding.
 _OPEN = 1e-8
-_ROWS = 1024  # observations whose columns are worked on at a time
+#: Observations, and simulated data sets, that are worked on at a time.
+_ROWS, _DRAWS = 512, 256
 
 
 @dataclass(frozen=True)
@@ -80,22 +81,22 @@ def block_evidence(
     and the squared size (k,) of each block before anything was taken out of it."""
     starts = np.cumsum([0] + [len(b) for b in blocks])
     size, turns = _directions(gram, blocks)
-    own = np.concatenate([turn.T @ along[b] for b, turn in zip(blocks, turns, strict=True)])
+    own = np.concatenate([turn.T @ along[b] for b, turn in zip(blocks, turns, strict=True)]) ** 2
+    found = _best(own[:, None], np.array([power]), size, starts[:-1], freedom, tau)[:, 0]
     white, root, null_power = _null(gram, freedom, rng, draws)
-    null = np.concatenate(
-        [turn.T @ (root[b] @ white) for b, turn in zip(blocks, turns, strict=True)]
-    )
-    explained = np.column_stack([own**2, null**2])
-    powers = np.concatenate([[power], null_power])
-    found = _best(explained, powers, size, starts[:-1], freedom, tau)
+    best = np.zeros(draws)
+    for a in range(0, draws, _DRAWS):
+        part = slice(a, a + _DRAWS)
+        data = root @ white[:, part]
+        null = [turn.T @ data[b] for b, turn in zip(blocks, turns, strict=True)]
+        square = np.square(np.concatenate(null))
+        best[part] = _best(square, null_power[part], size, starts[:-1], freedom, tau).max(axis=0)
     kept = np.add.reduceat(size, starts[:-1])
     left = kept / np.maximum(whole, 1e-300)
     rank = np.add.reduceat((size > 0.0).astype(float), starts[:-1])
-    gone = np.add.reduceat(explained[:, 0], starts[:-1]) / max(power, 1e-300)
+    gone = np.add.reduceat(own, starts[:-1]) / max(power, 1e-300)
     share = 1.0 - (1.0 - gone) * freedom / np.maximum(freedom - rank, 1.0)
-    return GramEvidence(
-        found[:, 0], left, np.sqrt(kept), np.maximum(share, 0.0), found[:, 1:].max(axis=0)
-    )
+    return GramEvidence(found, left, np.sqrt(kept), np.maximum(share, 0.0), best)
 
 
 def _directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array]]:
@@ -137,7 +138,7 @@ def _root(correlation: Array) -> Array:
 def _best(
     explained: Array, power: Array, size: Array, starts: NDArray[np.intp], freedom: int, tau: Array
 ) -> Array:
-    """(k, 1 + draws) evidence, the maximum over τ."""
+    """(k, draws) evidence, the maximum over τ."""
     base = -0.5 * freedom * np.log(power)
     best: Array = np.full((len(starts), explained.shape[1]), -np.inf)
     for factor in tau:

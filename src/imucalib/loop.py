@@ -35,7 +35,7 @@ class LoopSettings:
     #: records are searched one by one up to so many observations
     searchable: int = 500
     #: candidates are scored on at most so many observations
-    most_scored: int = 4000
+    most_scored: int = 3000
 
 
 @dataclass(frozen=True)

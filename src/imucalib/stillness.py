@@ -99,13 +99,16 @@ class Sensor:
 
     def _level(self, chosen: Flags) -> Array:
         """Standard deviation at rest, from the quietest of the chosen windows."""
-        variance, floor = self.windows.variance[chosen], self._step**2 / 12.0
-        total = variance.sum(axis=1)
-        level = np.median(variance[total <= np.quantile(total, _QUIETEST)], axis=0)
-        for _ in range(3):
-            level = np.maximum(level, floor)
-            inside = _every(variance <= 3.0 * level)
-            level = np.median(variance[inside], axis=0) if inside.any() else level
+        variance, floor = self.windows.variance, self._step**2 / 12.0
+        total = np.where(chosen, variance.sum(axis=1), np.inf)
+        inside = total <= np.quantile(total[chosen], _QUIETEST)
+        level = np.zeros(variance.shape[1])
+        for turn in range(4):
+            if turn:
+                level = np.maximum(level, floor)
+                inside = chosen & _every(variance <= 3.0 * level)
+            if inside.any():  # axis by axis: the windows of weeks are large
+                level = np.array([np.median(axis[inside]) for axis in variance.T])
         return np.asarray(np.sqrt(np.maximum(level, floor)))
 
 

@@ -7,6 +7,7 @@ Only these statistics are kept, so memory is the recording's size over the windo
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -19,6 +20,7 @@ from imucalib.recording import Array, Channel, Gap, Pending
 Index = NDArray[np.intp]
 _COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
 _CACHE = 1 << 19  # bytes that are worked on at a time
+_ROOM = 1 << 19  # windows that there is room for at first: two months of ten seconds
 _EVERY = 8  # one in so many pieces is looked at for the resolution
 
 
@@ -132,35 +134,30 @@ class WindowBuilder:
 
 
 class _Table:
-    """Rows of numbers that grow in place, so that the windows of weeks are never there twice."""
+    """Rows of numbers that grow, in pages of their own: these are taken when they are written, so
+    that room costs nothing, and go back to the system as soon as nothing refers to them."""
 
     def __init__(self) -> None:
-        self._held: Array | None = None
+        self._held: Array = np.empty((0, 0))
         self._used = 0
-        self._given = False
 
     def extend(self, rows: Array) -> None:
-        if self._held is None:
-            self._held = np.empty((0, rows.shape[1]))
-        elif self._given:  # what was given away must not move
-            self._held, self._given = self._held.copy(), False
         needed = self._used + len(rows)
         if needed > len(self._held):
-            self._resize(needed + needed // 8)
+            more = _pages(max(_ROOM, 2 * needed), rows.shape[1])
+            if self._used:
+                more[: self._used] = self._held[: self._used]
+            self._held = more
         self._held[self._used : needed] = rows
         self._used = needed
 
     def rows(self) -> Array:
-        """The rows so far."""
-        if not self._given:
-            self._resize(self._used)
-        assert self._held is not None
-        self._given = True
-        return self._held
+        """The rows so far; later ones come after them."""
+        return self._held[: self._used]
 
-    def _resize(self, rows: int) -> None:
-        assert self._held is not None
-        self._held.resize((rows, self._held.shape[1]), refcheck=False)
+
+def _pages(rows: int, columns: int) -> Array:
+    return np.frombuffer(mmap.mmap(-1, 8 * rows * columns)).reshape(rows, columns)
 
 
 def converted(windows: Windows, how: Pending | None) -> Windows:
