@@ -99,6 +99,30 @@ def test_geneactiv(tmp_path: Path) -> None:
     assert found.start_ns == 1_335_866_400_000_000_000
 
 
+@pytest.mark.parametrize(
+    ("name", "reading", "triad"),
+    [
+        ("temperature_degC", 25.5, "imu0"),
+        ("temp_C", 25.5, "imu0"),
+        ("tempC", 25.5, "imu0"),
+        ("temperature (degC)", 25.5, "imu0"),
+        ("temp deg C", 25.5, "imu0"),
+        ("acc_temperature_celsius", 25.5, "imu0"),
+        ("Temp_F", 77.9, "imu0"),
+        ("temperature_K", 298.65, "imu0"),
+        ("wrist_temp_C", 25.5, "wrist"),
+    ],
+)
+def test_a_temperature_may_have_its_unit_in_its_name(
+    name: str, reading: float, triad: str, tmp_path: Path
+) -> None:
+    lines = [f"{k / 100:.2f},{row},{reading}" for k, row in enumerate(rows(at_rest(300)))]
+    axes = ",".join(f"{triad}_acc_{a}" if triad != "imu0" else f"acc_{a}" for a in "xyz")
+    found = readers.read(put(tmp_path, f"time,{axes},{name}\n" + "\n".join(lines) + "\n"))
+    assert set(found.channels) == {f"{triad}/acceleration", f"{triad}/temperature"}
+    np.testing.assert_allclose(found.channels[f"{triad}/temperature"].values, 25.5, rtol=1e-12)
+
+
 @pytest.mark.parametrize("stamp", ["unix", "text"])
 def test_axivity(stamp: str, tmp_path: Path) -> None:
     values = at_rest(300)

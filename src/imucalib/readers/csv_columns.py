@@ -35,6 +35,10 @@ _UNIT_WORDS = {
     "counts": "counts", "lsb": "counts", "nanoseconds": "ns", "microseconds": "us",
     "milliseconds": "ms", "seconds": "s", "sec": "s", "secs": "s", "nanosec": "ns",
 }  # fmt: skip
+# Last words of a temperature's name, joined; "tempC" and "temp_degC" are split before the C.
+_TEMPERATURE_UNITS = {"c": "degC", "degc": "degC", "celsius": "degC", "degreesc": "degC",
+                      "f": "degF", "degf": "degF", "fahrenheit": "degF", "degreesf": "degF",
+                      "k": "K", "kelvin": "K", "degk": "K"}  # fmt: skip
 _TIME_UNIT_TEXT = {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "µs": "us",
                    "usec": "us", "msec": "ms", "nsec": "ns", "nanoseconds": "ns",
                    "microseconds": "us", "milliseconds": "ms", "unix": "s"}  # fmt: skip
@@ -93,10 +97,21 @@ def _column(index: int, text: str) -> Column:
     if column is not None:
         return column
     if name == "T" or _TEMPERATURE & set(words):
+        words, unit = (words, unit) if unit else _with_unit(words)
+        words = [w for w in words if w not in _ACC | _GYRO]
         return Column(index, name, "temperature", triad=_triad(words), unit=unit)
     if _TIME & set(words) or (unit in TIME_UNITS and not _OTHER & set(words)):
         return Column(index, name, "time", unit=_TIME_UNIT_TEXT.get(unit.lower(), unit))
     return Column(index, name, unit=unit)
+
+
+def _with_unit(words: list[str]) -> tuple[list[str], str]:
+    """The words of a temperature without its unit, and the unit: one last word, or two."""
+    for last in (2, 1):
+        unit = _TEMPERATURE_UNITS.get("".join(words[-last:])) if len(words) > last else None
+        if unit:
+            return words[:-last], unit
+    return words, ""
 
 
 def _vector(index: int, name: str, words: list[str], unit: str) -> Column | None:
