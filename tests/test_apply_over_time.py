@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from imucalib import cli
-from imucalib.application import apply_to_recording
+from imucalib.application import apply_to_recording, correct_file
 from imucalib.calibration import Calibration
 from imucalib.calibration_file import read as read_calibration
 from imucalib.calibration_file import write as write_calibration
@@ -28,7 +33,13 @@ from imucalib.mapping import FieldMapping
 from imucalib.model import Model
 from imucalib.readers import read
 from imucalib.recording import Channel, Recording
-from imucalib.thermal_history import ThermalHistory, thermal_history
+from imucalib.thermal_history import (
+    ThermalHistory,
+    temperature_at,
+    thermal_history,
+    thermometer_of,
+    with_thermometer,
+)
 from imucalib.units import MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -134,6 +145,113 @@ def test_a_lag_is_undone_in_blocks_as_in_memory(
         assert result.exception is None
         got = read(target, SECONDS).channels["imu0/acceleration"].values
         assert np.allclose(got, whole, rtol=0.0, atol=1e-6)
+
+
+def _blocks_of(
+    t: Array, thermometer: tuple[Array, Array], cuts: Array
+) -> tuple[Recording, list[Recording]]:
+    """A recording, and the same in blocks; a block has the readings up to its last sample."""
+    values = np.zeros((t.size, 3))
+    edges = [0, *cuts.tolist(), t.size]
+    whole, parts, until = Recording({}, "made", "made", ""), [], -np.inf
+    for a, b in [(0, t.size), *pairwise(edges)]:
+        end = np.inf if b == t.size else float(t[b - 1])
+        here = (thermometer[0] > (-np.inf if a == 0 else until)) & (thermometer[0] <= end)
+        channels = {"acc": Channel(t[a:b], values[a:b], "m/s2", "acceleration", "imu0", 1.0)}
+        if here.any():
+            warm = thermometer[1][here, None]
+            channels["temp"] = Channel(
+                thermometer[0][here], warm, "degC", "temperature", "imu0", 0.1
+            )
+        parts.append(replace(whole, channels=channels))
+        until = end
+    return parts[0], parts[1:]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(0.5, 5000.0),
+    st.floats(0.0, 900.0),
+    st.integers(1, 30),
+    st.booleans(),
+    st.integers(0, 2**32),
+)
+def test_a_slow_thermometer_reads_the_same_in_blocks_of_any_size(
+    period: float, first: float, blocks: int, hole: bool, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    t = 10.0 * np.arange(3000)
+    read = np.arange(first, t[-1], period)
+    read = read[(read < 9000.0) | (read > 17_000.0)] if hole else read
+    cuts = np.unique(rng.integers(1, t.size, blocks))
+    thermometer = read, 20.0 + rng.standard_normal(read.size).cumsum()
+    whole, parts = _blocks_of(t, thermometer, cuts)
+    channel = thermometer_of(whole, "imu0")
+    assert channel is not None
+    expected = temperature_at(channel, t)
+    found = [
+        temperature_at(warm, block.channels["acc"].t)
+        for block, warm in with_thermometer(iter(parts), "imu0")
+        if warm is not None
+    ]
+    assert np.allclose(np.concatenate(found), expected, rtol=0.0, atol=1e-12)
+
+
+def test_a_thermometer_that_is_silent_for_an_hour_holds_its_last_reading() -> None:
+    t = np.array([0.0, 3000.0, 7000.0, 8000.0])
+    channel = Channel(t, t[:, None] / 100.0, "degC", "temperature", "", 1.0)
+    found = temperature_at(channel, np.array([1500.0, 3500.0, 6999.0, 7000.0, 7500.0, 9000.0]))
+    assert np.allclose(found, [15.0, 30.0, 30.0, 70.0, 75.0, 80.0])
+
+
+def test_blocks_do_not_wait_for_a_thermometer_that_has_stopped() -> None:
+    t = 10.0 * np.arange(100_000)
+    stopped = np.array([0.0, 60.0]), np.array([20.0, 21.0])
+    _, parts = _blocks_of(t, stopped, np.arange(1000, t.size, 1000))
+    taken = 0
+
+    def counted() -> Iterator[Recording]:
+        nonlocal taken
+        for part in parts:
+            taken += 1
+            yield part
+
+    for given_out, _ in enumerate(with_thermometer(counted(), "imu0"), 1):
+        assert taken - given_out <= 1
+
+
+def test_a_temperature_effect_is_undone_alike_in_blocks_of_any_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lagging: tuple[Path, Calibration]
+) -> None:
+    plain = lagging[1].parameters[:9]
+    named_effect = named("temperature_bias")
+    size = named_effect.parameters(Context(2, {"temperature": np.array([20.0, 30.0])}))
+    extra = tuple(
+        replace(plain[k], effect="temperature_bias", name=p.name, value=v, unit=p.unit)
+        for k, (p, v) in enumerate(zip(size, (1.5, -2.0, 1.0), strict=True))
+    )
+    covariance = np.eye(12) * 1e-6
+    calibration = replace(lagging[1], parameters=(*plain, *extra), covariance=covariance)
+    path = tmp_path / "slow.h5"
+    with h5py.File(path, "w") as file:
+        force = np.tile([0.0, 0.6, 0.8], (20_000, 1))
+        acceleration = file.create_dataset("imu0/acceleration", data=force)
+        acceleration.attrs.update(unit="g", sample_rate=10.0)
+        warm = file.create_dataset("imu0/temperature", data=25.0 + 4.0 * np.sin(np.arange(67.0)))
+        warm.attrs.update(unit="degC", sample_rate=1.0 / 30.0)
+    whole = apply_to_recording(calibration, read(path)).channels["imu0/acceleration"].values
+    assert np.ptp(whole[:, 0]) > 5.0 * MG
+
+    from imucalib import application
+    from imucalib.readers import blocks
+
+    for rows in (170, 4096):
+        monkeypatch.setattr(
+            application, "blocks", lambda *a, s=rows, **k: blocks(*a, block_samples=s, **k)
+        )
+        correct_file(calibration, path, tmp_path / f"out{rows}.h5", FieldMapping())
+        got = read(tmp_path / f"out{rows}.h5").channels["imu0/acceleration"].values
+        assert np.allclose(got, whole, rtol=0.0, atol=1e-9)
 
 
 def test_a_lag_without_a_thermometer_is_refused(lagging: tuple[Path, Calibration]) -> None:

@@ -18,7 +18,13 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.mapping import FieldMapping
 from imucalib.readers import blocks, read, reader_for
 from imucalib.recording import Channel, Recording
-from imucalib.thermal_history import ThermalHistory, thermal_history
+from imucalib.thermal_history import (
+    ThermalHistory,
+    temperature_at,
+    thermal_history,
+    thermometer_of,
+    with_thermometer,
+)
 from imucalib.writers import write, write_blocks
 
 Array = NDArray[np.float64]
@@ -33,12 +39,14 @@ def apply_to_recording(
     *,
     use: str | None = None,
     history: ThermalHistory | None = None,
+    thermometer: Channel | None = None,
 ) -> Recording:
     """A recording whose acceleration of one triad is corrected specific force in m/s².
 
     triad : which sensor, when there are several
     use : "parts" or "whole", of a calibration in parts; by default what it says itself
     history : temperature of the whole recording when this is a block of it
+    thermometer : then, its temperature channel with the readings beside this block
     Raises UsageError when it is not clear which sensor, and UnreadableInput when a covariate is
     missing or leaves the range that was calibrated.
     """
@@ -61,7 +69,8 @@ def apply_to_recording(
     parts = parts_of(calibration, use)
     if history is None and _lags(calibration, parts):
         history = thermal_history([recording], channel.triad)
-    context = _context(calibration, parts, recording, channel, history)
+    thermometer = thermometer or thermometer_of(recording, channel.triad)
+    context = _context(calibration, parts, recording, channel, (history, thermometer))
     corrected = _corrected(calibration, parts, channel, context)
     channels = {**recording.channels, chosen[0]: replace(channel, values=corrected)}
     note = f"{chosen[0]} corrected with a calibration by {calibration.calibrator}"
@@ -100,17 +109,13 @@ def _context(
     parts: tuple[CalibrationPart, ...],
     recording: Recording,
     channel: Channel,
-    history: ThermalHistory | None,
+    warmth: tuple[ThermalHistory | None, Channel | None],
 ) -> Context:
     needed = _needs(calibration, parts) | ({"time"} if parts else set())
     known = _clock(calibration, recording, channel)
-    warm = [
-        c
-        for c in recording.channels.values()
-        if c.quantity == "temperature" and c.triad in (channel.triad, "")
-    ]
-    if warm:
-        known["temperature"] = np.interp(channel.t, warm[0].t, warm[0].values[:, 0])
+    history, thermometer = warmth
+    if thermometer is not None:
+        known["temperature"] = temperature_at(thermometer, channel.t)
     if history is not None:
         lags = _lags(calibration, parts)
         known |= {name: history.lagged(hours, channel.t) for name, hours in lags.items()}
@@ -187,13 +192,19 @@ def correct_file(
             write(corrected, target)
         return corrected.notes
     notes: dict[str, None] = {}
-    history = None
-    if _lags(calibration, parts_of(calibration, use)):
+    history, parts = None, parts_of(calibration, use)
+    if _lags(calibration, parts):
         history = _history(blocks(source, mapping, strict=strict), triad)
 
     def corrected_blocks() -> Iterator[Recording]:
-        for block in blocks(source, mapping, strict=strict):
-            corrected = apply_to_recording(calibration, block, triad, use=use, history=history)
+        found = blocks(source, mapping, strict=strict)
+        around = "temperature" in _needs(calibration, parts)
+        for block, warm in (
+            _with_thermometer(found, triad) if around else ((b, None) for b in found)
+        ):
+            corrected = apply_to_recording(
+                calibration, block, triad, use=use, history=history, thermometer=warm
+            )
             notes.update(dict.fromkeys(corrected.notes))
             yield corrected
 
@@ -203,8 +214,23 @@ def correct_file(
 
 def _history(found: Iterator[Recording], triad: str | None) -> ThermalHistory | None:
     """The temperature beside the accelerometer that is corrected."""
+    name, every = _corrected_triad(found, triad)
+    return thermal_history(every, name)
+
+
+def _with_thermometer(
+    found: Iterator[Recording], triad: str | None
+) -> Iterator[tuple[Recording, Channel | None]]:
+    name, every = _corrected_triad(found, triad)
+    return with_thermometer(every, name)
+
+
+def _corrected_triad(
+    found: Iterator[Recording], triad: str | None
+) -> tuple[str, Iterator[Recording]]:
+    """The accelerometer that is corrected, and the blocks."""
     first = next(found, None)
     if first is None:
-        return None
+        return "", iter(())
     names = [c.triad for c in first.channels.values() if c.quantity == "acceleration"]
-    return thermal_history(chain([first], found), triad or (names[0] if names else ""))
+    return triad or (names[0] if names else ""), chain([first], found)
