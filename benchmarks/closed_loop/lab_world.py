@@ -149,28 +149,22 @@ class _Bench:
         return replace(self.blank, columns=_faulty(columns, job.fault, rng))
 
     def _outside(self, force: Array, rows: Array) -> Array:
-        """What no catalogue effect does, (n, 3) m/s², at forces seen with the covariates of rows."""
-        if not self.job.outside:
-            return np.zeros_like(force)
-        name, size = self.job.outside
+        """What no catalogue effect does, (n, 3) m/s², at forces and with the covariates of rows."""
+        name, size = self.job.outside or ("nothing", 0.0)
         g = force / self.gravity
-        if name == "local_sine":
-            return np.asarray(size * MG * np.sin(2.0 * np.pi * g / 0.35 + self.phase))
-        if name == "soft_saturation":
-            return np.asarray(
-                -40.0 * size * MG * np.sign(g) * np.maximum(np.abs(g) - 0.8, 0.0) ** 2
-            )
-        if name == "step_in_order":
-            return 2.0 * size * MG * (rows >= self.at)[:, None] * np.sin(self.phase)
-        if name == "random_walk":
-            return np.asarray(3.0 * size * MG * self.walk[rows])
-        if name == "thermal_lag":
-            late = np.zeros(N)
-            warm = self.blank.columns["temperature"] - 25.0
-            for k in range(1, N):
-                late[k] = late[k - 1] + 0.3 * (warm[k] - late[k - 1])
-            return np.asarray(0.2 * size * MG * late[rows, None] * np.sin(self.phase))
-        return np.zeros_like(force)
+        steep = np.sign(g) * np.maximum(np.abs(g) - 0.8, 0.0) ** 2
+        late = np.zeros(N)
+        warm = self.blank.columns["temperature"] - 25.0
+        for k in range(1, N):
+            late[k] = late[k - 1] + 0.3 * (warm[k] - late[k - 1])
+        shapes = {
+            "local_sine": np.sin(2.0 * np.pi * g / 0.35 + self.phase),
+            "soft_saturation": -40.0 * steep,
+            "step_in_order": 2.0 * (rows >= self.at)[:, None] * np.sin(self.phase),
+            "random_walk": 3.0 * self.walk[rows],
+            "thermal_lag": 0.2 * late[rows, None] * np.sin(self.phase),
+        }
+        return np.asarray(size * MG * shapes.get(name, np.zeros_like(g)))
 
     def test(self, rng: np.random.Generator) -> tuple[Array, Array, Context]:
         """Noise-free readings of the sensor at directions and conditions that it may meet."""

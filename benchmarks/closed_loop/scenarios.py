@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from importlib import import_module
 from itertools import count
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from trial import Job
@@ -21,34 +22,30 @@ def world(calibrator: str) -> ModuleType:
 
 def jobs(calibrator: str, scale: float) -> Iterator[Job]:
     """All trials of a calibrator; `scale` multiplies their number (1 is the full benchmark)."""
-    of = world(calibrator)
     seeds = count(1_000_000 * (1 + list(WORLDS).index(calibrator)))
+    for scenario, number, recipes in _recipes(world(calibrator)):
+        for recipe in recipes:
+            for _ in range(max(1, round(number * scale))):
+                yield Job(calibrator, scenario, next(seeds), **recipe)
 
-    def many(number: int) -> range:
-        return range(max(1, round(number * scale)))
 
-    for _ in many(400):
-        yield Job(calibrator, "clean", next(seeds))
-    for kind in of.NOISE:
-        for _ in many(100):
-            yield Job(calibrator, f"noise: {kind}", next(seeds), noise=kind)
+Recipe = dict[str, Any]
+
+
+def _recipes(of: ModuleType) -> Iterator[tuple[str, int, list[Recipe]]]:
+    """Scenario, trials of each recipe at scale 1, and the recipes."""
     names = of.effects()
-    for name in names:
-        for size in SIZES:
-            for _ in many(300 // (len(names) * len(SIZES)) + 3):
-                yield Job(calibrator, "one effect", next(seeds), ((name, size),))
+    yield "clean", 400, [{}]
+    for kind in of.NOISE:
+        yield f"noise: {kind}", 100, [{"noise": kind}]
+    single = [{"effects": ((name, size),)} for name in names for size in SIZES]
+    yield "one effect", 300 // len(single) + 3, single
     draw = np.random.default_rng(5)
-    for _ in many(120):
-        pair = draw.choice(len(names), 2, replace=False)
-        planted = tuple((names[k], 1.0) for k in pair)
-        yield Job(calibrator, "two effects", next(seeds), planted)
-    for name in of.OUTSIDE:
-        for size, words in ((1.0, "weak"), (3.0, "strong")):
-            for _ in many(30):
-                yield Job(calibrator, f"outside, {words}", next(seeds), outside=(name, size))
-    for name, layout, size in of.CONFOUNDED:
-        for _ in many(40):
-            yield Job(calibrator, "confounded", next(seeds), ((name, size),), layout=layout)
+    pairs = [draw.choice(len(names), 2, replace=False) for _ in range(40)]
+    yield "two effects", 3, [{"effects": tuple((names[k], 1.0) for k in pair)} for pair in pairs]
+    for size, words in ((1.0, "weak"), (3.0, "strong")):
+        yield f"outside, {words}", 30, [{"outside": (name, size)} for name in of.OUTSIDE]
+    some = [{"effects": ((n, size),), "layout": layout} for n, layout, size in of.CONFOUNDED]
+    yield "confounded", 40, some
     for fault in of.FAULTS:
-        for _ in many(60):
-            yield Job(calibrator, f"fault: {fault}", next(seeds), fault=fault)
+        yield f"fault: {fault}", 60, [{"fault": fault}]

@@ -60,6 +60,8 @@ class Score:
     strength : λ, the length of its projected columns at typical size, in noise units: 4.7 gives
         an 80 % chance of detection
     share : of the weighted residual power that it explains, adjusted for its freedom (0..1)
+    size : m/s², rms of the whole block on an observation: what an absorbed effect of typical size
+        does to the answer without a trace in the residual
     bar : evidence that the best of all candidates exceeds by chance in a share alpha of data sets
         that lack nothing (infinite without draws)
     """
@@ -71,6 +73,7 @@ class Score:
     left: float
     strength: float
     share: float
+    size: float = 0.0
     bar: float = np.inf
 
     @property
@@ -134,10 +137,16 @@ def _score_few(
                 break
         evidence[live] = found[:, 0]
     scores = [
-        Score(c, float(e), float(q), done, *numbers, _bar(null, alpha))
+        Score(c, float(e), float(q), done, *numbers, _size(fit, c), _bar(null, alpha))
         for c, e, q, numbers in zip(candidates, evidence, p, alone, strict=True)
     ]
     return tuple(sorted(scores, key=lambda s: -s.evidence))
+
+
+def _size(fit: Fit, candidate: Candidate) -> float:
+    at = fit.at
+    scale = at.sigma.reshape(-1) if at.keep.shape[2] == at.sigma.shape[1] else at.sigma[at.owner, 0]
+    return float(np.linalg.norm(candidate.columns * scale[:, None]) / fit.observations.n**0.5)
 
 
 def _bar(null: Array, alpha: float) -> float:
@@ -163,7 +172,8 @@ def _score_many(
         p = 1.0 if absorbed else (1 + int((found.best >= value).sum())) / (draws + 1)
         left, strength, share = (float(v[i]) for v in (found.left, found.strength, found.share))
         bar = _bar(found.best, alpha)
-        scores.append(Score(bare[k], value, p, draws, left, strength, share, bar))
+        size = _size(fit, candidates[k])
+        scores.append(Score(bare[k], value, p, draws, left, strength, share, size, bar))
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 

@@ -61,4 +61,4 @@ def heavy_tails(fit: Fit, rng: np.random.Generator, draws: int) -> float:
     if size > _MOST_DRAWN:
         return 0.5 * math.erfc((own - 3.0) / math.sqrt(48.0 / size))
     null = kurtosis(rng.standard_normal((size, draws)))
-    return float(1 + (null >= own).sum()) / (draws + 1)
+    return (1 + int((null >= own).sum())) / (draws + 1)

@@ -123,7 +123,7 @@ def _candidates(loop: Loop) -> dict[str, Any]:
         "rejected": [{"effect": name, "reason": reason} for name, reason in reasons.items()],
         "candidates": [
             {"name": s.name, "kind": s.candidate.kind, "evidence_nats": s.evidence, "p_value": s.p,
-             "left": s.left, "lambda_at_typical_size": s.strength}
+             "left": s.left, "lambda_at_typical_size": s.strength, "size_m_per_s2": s.size}
             for s in loop.scores
         ],
     }  # fmt: skip

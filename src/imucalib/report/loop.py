@@ -10,6 +10,7 @@ from imucalib.loop import Loop
 from imucalib.outcome import ErrorSummary, Outcome
 from imucalib.report.document import Block, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, probability
+from imucalib.units import MG
 
 _HELD_OUT = {
     "actigraph": "Held out: each block of time predicted by a fit without it.",
@@ -124,19 +125,21 @@ def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
 def candidate_section(loop: Loop) -> Section:
     """Every candidate of the last search with its numbers, and why not."""
     rejected = dict(loop.rejected)
-    rows = candidate_rows(loop.scores)
-    rows += [(name, "effect", "rejected", "-", "-", "-") for name in rejected]
-    rows += [(name, "effect", "not tested", "-", "-", "-") for name in loop.missing]
-    header = ("candidate", "kind", "evidence (nats)", "p", "left (%)", "λ at typical size")
+    sizes = [f"{s.size / MG:.2g}" if s.size else "-" for s in loop.scores]
+    rows = [(*row, size) for row, size in zip(candidate_rows(loop.scores), sizes, strict=True)]
+    rows += [(name, "effect", "rejected", "-", "-", "-", "-") for name in rejected]
+    rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in loop.missing]
+    header = ("candidate", "kind", "evidence (nats)", "p", "left (%)", "λ", "size (mg)")
     note = (
         "Last search, after everything above was added. Left: share of the effect that the fitted "
-        "parameters do not absorb; absorbed effects cannot be tested on these data. λ of about 4.7 "
-        "gives an 80 % chance to find the effect at its typical size."
+        "parameters do not absorb. λ: strength at typical size; about 4.7 gives an 80 % chance to "
+        "find it. Size: what it does to a reading at typical size, rms; an absorbed effect cannot "
+        "be tested on these data and shifts the answer by so much."
     )
     why = "; ".join(
         f"{name}: {reason}" for name, reason in (*rejected.items(), *loop.missing.items())
     )
-    blocks: tuple[Block, ...] = (Table("All candidates", header, tuple(rows), "llrrrr", note),)
+    blocks: tuple[Block, ...] = (Table("All candidates", header, tuple(rows), "llrrrrr", note),)
     if why:
         blocks = (*blocks, Text(f"Rejected or not tested: {why}."))
     return Section("Candidates tried", blocks, brief=False)
