@@ -23,10 +23,13 @@ class File:
     where: str
     strict: bool
     lost: list[str] = field(default_factory=list)
+    nodes: dict[str, Any] = field(default_factory=dict)  # datasets in use: looking one up is slow
 
     def rows(self, place: Place, start: int, stop: int) -> NDArray[np.generic]:
         """Rows of one place; rows of a damaged chunk become NaN (or 0 in integers, see `lost`)."""
-        node = self.handle[place.path]
+        node = self.nodes.get(place.path)
+        if node is None:
+            node = self.nodes[place.path] = self.handle[place.path]
         try:
             return _slice(node, place, start, stop)
         except (OSError, RuntimeError) as error:
