@@ -38,8 +38,11 @@ _LIMITS = ("max-error", "max-worst-error")
 @click.option("--effects", "effects_file", type=click.Path(path_type=Path),
               help="Python file with effects of your own.")  # fmt: skip
 @click.option("--no-loop", is_flag=True, help="Fit the nine parameters only.")
-@click.option("--curves", is_flag=True,
-              help="Correct structure without a name by a smooth curve, where that holds out.")
+@click.option(
+    "--curves",
+    is_flag=True,
+    help="Correct structure without a name by a smooth curve, where that holds out.",
+)
 @click.option("--draws", default=1000, show_default=True,
               help="Simulated data sets behind each p-value.")  # fmt: skip
 @click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")
@@ -75,8 +78,6 @@ def command(recording: Path, **options: Any) -> int:
     if request.as_published:
         return _as_published(recording, mapping, request, options)
     from imucalib.calibrators.actigraph_run import calibrate_recording
-    from imucalib.report.actigraph import actigraph_document
-    from imucalib.report.text import render_text
 
     run = calibrate_recording(recording, mapping, request, lambda text: note(text, quiet))
     if options["output"] is not None:
@@ -93,6 +94,9 @@ def command(recording: Path, **options: Any) -> int:
 
         emit_json(actigraph_dict(run))
     elif not quiet:
+        from imucalib.report.actigraph import actigraph_document
+        from imucalib.report.text import render_text
+
         click.echo(render_text(actigraph_document(run), width(), color=color()), nl=False)
     return run.outcome.exit_code
 
