@@ -16,7 +16,8 @@ WORLDS = {"lab": "lab_world", "actigraph": "week_world", "array": "array_world"}
 
 
 def world(calibrator: str) -> ModuleType:
-    """The generator of a calibrator: effects(), OUTSIDE, NOISE, FAULTS, CONFOUNDED, trial(job)."""
+    """The generator of a calibrator: effects(), OUTSIDE, NOISE, FAULTS, CONFOUNDED, trial(job);
+    where it matters sizes(effect), in typical ones, and ABSORBED, what must be listed as such."""
     return import_module(WORLDS[calibrator])
 
 
@@ -38,7 +39,8 @@ def _recipes(of: ModuleType) -> Iterator[tuple[str, int, list[Recipe]]]:
     yield "clean", 400, [{}]
     for kind in of.NOISE:
         yield f"noise: {kind}", 100, [{"noise": kind}]
-    single = [{"effects": ((name, size),)} for name in names for size in SIZES]
+    sizes = getattr(of, "sizes", lambda name: SIZES)
+    single = [{"effects": ((name, size),)} for name in names for size in sizes(name)]
     yield "one effect", 300 // len(single) + 3, single
     draw = np.random.default_rng(5)
     pairs = [draw.choice(len(names), 2, replace=False) for _ in range(40)]

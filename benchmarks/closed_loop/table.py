@@ -44,6 +44,7 @@ def table(calibrator: str, trials: Trials) -> str:
         *_outside(calibrator, trials),
         *_confounded(trials),
         *_faults(trials),
+        *_absorbed(calibrator, trials),
         *_rest(trials),
     ]
     lines = [f"| {calibrator} | trials | measured | mark |", "|---|---|---|---|"]
@@ -179,6 +180,14 @@ def _faults(trials: Trials) -> list[Row]:
         false = share(clean, lambda t: bool(t.records or t.refused))
         rows.append(("fault: seen in clean data", len(clean), false, "<= 1 %"))
     return rows
+
+
+def _absorbed(calibrator: str, trials: Trials) -> list[Row]:
+    silent = set(getattr(world(calibrator), "ABSORBED", ()))
+    if not silent:
+        return []
+    said = share(trials, lambda t: silent <= set(t.absorbed))
+    return [("absorbed effects: all listed with what they would do", len(trials), said, "100 %")]
 
 
 def _rest(trials: Trials) -> list[Row]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.balance import whitener
+from imucalib.calibrators.array_loop import ArrayLoop
 from imucalib.context import Context
 from imucalib.fit import Fit
 from imucalib.loop import Loop
@@ -92,7 +93,7 @@ class Trial:
         return self.verdict == "explained" and bool(set(self.certain) - planted)
 
 
-def said(trial: Trial, loop: Loop) -> Trial:
+def said(trial: Trial, loop: Loop | ArrayLoop) -> Trial:
     """The trial with what the loop said; members of scans by the scan's name."""
 
     def plain(name: str) -> str:
@@ -104,7 +105,7 @@ def said(trial: Trial, loop: Loop) -> Trial:
         verdict=loop.verdict,
         sets=sets,
         certain=tuple(plain(s.effect) for s in loop.steps if s.certain),
-        records=tuple(f"{r.row}:{r.channel}" for r in loop.records),
+        records=tuple(f"{r.row}:{r.channel}" for r in getattr(loop, "records", ())),
         unexplained=tuple((u.kind, u.driver) for u in loop.unexplained),
         absorbed=tuple(plain(s.name) for s in loop.first_scores if s.absorbed),
     )

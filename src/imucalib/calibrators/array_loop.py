@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 ARRAY_RULES = LoopSettings(draws=499, most_effects=8)
 _HELD_OUT_NATS = 1.0
 _PATH = 3  # effects that together may take the place of a curve without a name
+_CERTAIN = 0.01  # family-wise p from which on an effect without aliases is called certain
 _KEEP = 1.0  # nats that an earlier effect must still be worth at the end
 
 
@@ -46,6 +47,11 @@ class ArrayStep:
     before: Residuals
     after: Residuals
     aliases: tuple[str, ...]
+
+    @property
+    def certain(self) -> bool:
+        """Nothing else would do as well, and chance would not do it in a hundred searches."""
+        return not self.aliases and self.p <= _CERTAIN
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.array_effect import ArrayEffect
 from imucalib.calibrators.array_candidates import Candidates, Entry, candidates
 from imucalib.calibrators.array_noise_tests import NoiseTest, noise_tests
 from imucalib.calibrators.array_state import ArrayState
-from imucalib.calibrators.array_terms import Term
+from imucalib.calibrators.array_terms import OPEN, Term, determined
 from imucalib.estimators.array_gram import Gram, Reduced, gram, reduced, starts_of
 from imucalib.evidence import Candidate, Score
 from imucalib.evidence_gram import block_evidence
@@ -27,7 +26,6 @@ Index = NDArray[np.intp]
 TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest must leave
 _READINGS, _FEWEST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
-_OPEN = 0.05  # λ at typical size below which a direction says nothing
 
 
 @dataclass(frozen=True)
@@ -66,18 +64,7 @@ class Search:
         """A candidate as a new term: the directions that the data can determine, at zero."""
         entry, at = self.entries[name], self.index[name]
         assert entry.effect is not None
-        values, vectors = np.linalg.eigh(self.whole.matrix[np.ix_(at, at)])
-        use = values > max(_OPEN**2, 1e-9 * float(values[-1]))
-        live = _typical(entry)[:, None] * vectors[:, use]
-        rank = int(use.sum())
-        return Term(name, entry.effect, entry.only, live, np.zeros(rank), np.ones(rank))
-
-
-def _typical(entry: Entry) -> Array:
-    effect: ArrayEffect | None = entry.effect
-    assert effect is not None
-    each = np.array([p.typical for p in effect.each])
-    return np.tile(each, len(entry.part) // len(each))
+        return determined(name, entry.effect, entry.only, self.whole.matrix[np.ix_(at, at)])
 
 
 def search(
@@ -88,7 +75,7 @@ def search(
     free = _grams(state, found)
     b = len(state.base.prior)
     base, others = np.arange(b), np.arange(b, free[0].matrix.shape[0])
-    prior = _flat_positions(state)
+    prior = state.base.rests
     total = free[0] + free[1]
     whole = reduced(total, base, prior, state.base.pull * (prior > 0.0), others)
     halves = [reduced(one, base, prior, 0.0 * prior, others) for one in free]
@@ -99,7 +86,7 @@ def search(
     left = {n: float(diagonal[1][at].sum() / max(diagonal[0][at].sum(), 1e-300))
             for n, at in index.items()}  # fmt: skip
     size = {n: float(np.sqrt(max(diagonal[1][at].sum(), 0.0))) for n, at in index.items()}
-    live = [e for e in found.entries if left[e.name] >= ABSORBED and size[e.name] >= _OPEN]
+    live = [e for e in found.entries if left[e.name] >= ABSORBED and size[e.name] >= OPEN]
     # Absorbed columns are rounding errors: they must not enter the simulation.
     sound = diagonal[1] > 1e-9 * diagonal[0]
     kept = [index[e.name][sound[index[e.name]]] for e in live]
@@ -125,18 +112,6 @@ def search(
         tuple(sorted(scores, key=lambda s: -s.evidence)), {e.name: e for e in found.entries},
         index, whole, (halves[0], halves[1]), null, impact, found.missing,
     )  # fmt: skip
-
-
-def _flat_positions(state: ArrayState) -> Array:
-    """Prior of the base without the drawing's: what positions absorb is absorbed for good."""
-    prior = state.base.prior.copy()
-    prior[: state.positions] = 0.0
-    at = state.positions
-    for term in state.terms:
-        if term.found:
-            prior[at : at + len(term.value)] = 0.0
-        at += len(term.value)
-    return prior
 
 
 def _grams(state: ArrayState, found: Candidates) -> tuple[Gram, Gram]:

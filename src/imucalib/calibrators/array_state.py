@@ -92,6 +92,9 @@ class Base:
         off = (state.r - state.setup.nominal)[1:].ravel()
         flat = np.full(off.size, state.setup.spread**-2.0)
         self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in state.terms)])
+        # Beside the rests nothing is held: what positions absorb is absorbed for good.
+        held = [term.sd**-2.0 * (not term.found) for term in state.terms]
+        self.rests = np.concatenate([0.0 * flat, *held])
         self.pull = self.prior * np.concatenate([off, *(term.value for term in state.terms)])
 
     def free(self, found: Gram) -> Gram:

@@ -15,6 +15,7 @@ from imucalib.parameter import Parameter
 
 Array = NDArray[np.float64]
 SMALLEST, LARGEST = 0.1, 10.0  # believable sizes of an effect, in its typical ones
+OPEN = 0.05  # λ at typical size below which a direction says nothing
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,24 @@ class Term:
             size = np.sqrt(np.mean(value**2 + np.diag(covariance)))
             sd = np.full_like(self.sd, np.clip(size, SMALLEST, LARGEST))
         return replace(self, value=value, sd=sd)
+
+
+def determined(name: str, effect: ArrayEffect, only: int | None, matrix: Array) -> Term:
+    """A new term at zero, with the directions that the data can determine.
+
+    matrix : (p, p) Gram of its columns in typical sizes, with all else that is fitted taken out
+    """
+    values, vectors = np.linalg.eigh(matrix)
+    use = values > max(OPEN**2, 1e-9 * float(values[-1]))
+    live = typical_of(effect, len(matrix))[:, None] * vectors[:, use]
+    rank = int(use.sum())
+    return Term(name, effect, only, live, np.zeros(rank), np.ones(rank))
+
+
+def typical_of(effect: ArrayEffect, count: int) -> Array:
+    """(count,) typical sizes of its columns."""
+    each = np.array([p.typical for p in effect.each])
+    return np.tile(each, count // len(each))
 
 
 def columns_of(effect: ArrayEffect, motion: ArrayMotion, only: int | None = None) -> Columns:
