@@ -12,7 +12,7 @@ CREATE = $(PYTHON) -m venv $(VENV)
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 endif
 
-.PHONY: demo test check docs benchmark benchmark-worn clean
+.PHONY: demo test check docs benchmark loop-benchmark stories benchmark-worn benchmark-array clean
 
 $(BIN)/imucal: pyproject.toml
 	test -x $(BIN)/python || $(CREATE)
@@ -44,6 +44,19 @@ benchmark: $(VENV)/.dev ## measure the marks of docs/lab.md on simulated benches
 benchmark-worn: $(VENV)/.dev ## measure actigraph beside its peers, on generated days and weeks
 	$(BIN)/python benchmarks/actigraph_peers.py
 	$(BIN)/python benchmarks/actigraph_week.py --days 7,28 --rate 25
+
+benchmark-array: $(VENV)/.dev ## measure the array's sampler beside its peers, and its reading of long logs
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/array_posterior.py accuracy
+	$(VENV)/peers/bin/python -c 'import numpyro, pymc' 2>/dev/null || \
+		($(PYTHON) -m venv $(VENV)/peers && $(VENV)/peers/bin/python -m pip install --quiet 'jax[cpu]' numpyro pymc)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/array_peers.py --python $(VENV)/peers/bin/python
+	$(BIN)/python benchmarks/array_log.py
+
+loop-benchmark: $(VENV)/.dev ## the acceptance benchmark of the closed loop; SCALE=0.1 for a quick look
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/closed_loop --scale $(or $(SCALE),1)
+
+stories: $(VENV)/.dev ## run the command on recorded data and write docs/closed_loop.md's stories
+	$(BIN)/python docs/stories.py
 
 clean:
 	rm -rf $(VENV) demo dist .pytest_cache .mypy_cache .ruff_cache
