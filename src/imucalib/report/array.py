@@ -7,8 +7,9 @@ import numpy as np
 from imucalib.calibrators.array import ArrayRun
 from imucalib.calibrators.array_calibration import provenance
 from imucalib.calibrators.array_logs import Repeatability
+from imucalib.report.array_growth import growth_plot
 from imucalib.report.array_loop import array_candidate_section, array_loop_section
-from imucalib.report.array_plots import board_plots, chain_plots, deviation_plot
+from imucalib.report.array_plots import board_plots, chain_plots, close_up, deviation_plot
 from imucalib.report.document import Document, Facts, Section, Table, Text
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import DEG
@@ -18,7 +19,7 @@ def array_document(run: ArrayRun) -> Document:
     """Everything that a reader of the positions must know, headline first."""
     sections = (
         Section("Positions", (_position_table(run), _size(run))),
-        Section("The board", (*board_plots(run), deviation_plot(run)), brief=False),
+        _board_section(run),
         array_loop_section(run.loop),
         _motion_section(run),
         _static_section(run),
@@ -40,6 +41,11 @@ def array_document(run: ArrayRun) -> Document:
         tuple(s for s in sections if s.blocks),
         footer,
     )
+
+
+def _board_section(run: ArrayRun) -> Section:
+    plots = (*board_plots(run), close_up(run), deviation_plot(run), *growth_plot(run))
+    return Section("The board", plots, brief=False)
 
 
 def _verdict(run: ArrayRun) -> Text:
