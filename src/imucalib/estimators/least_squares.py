@@ -37,7 +37,7 @@ def fit(
     start: Array | None = None,
     noise: Noise | None = None,
     prior: Array | None = None,
-    rounds: int = 25,
+    rounds: int = 60,
 ) -> Fit:
     """Fit θ, η and, unless `noise` is given, the noise.
 
