@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from imucalib.evidence import Score
 from imucalib.loop import Loop
 from imucalib.outcome import ErrorSummary, Outcome
 
@@ -112,11 +113,7 @@ def _found(loop: Loop) -> dict[str, Any]:
 
 
 def _candidates(loop: Loop) -> dict[str, Any]:
-    reasons = {
-        s.name: _why(s.evidence, s.p, s.absorbed)
-        for s in loop.scores
-        if s.candidate.kind == "effect"
-    }
+    reasons = {s.name: _why(s, loop) for s in loop.scores if s.candidate.kind == "effect"}
     reasons |= dict(loop.rejected)
     reasons |= {name: f"not tested: {why}" for name, why in loop.missing.items()}
     return {
@@ -129,10 +126,14 @@ def _candidates(loop: Loop) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _why(evidence: float, p: float, absorbed: bool) -> str:
-    if absorbed:
+def _why(found: Score, loop: Loop) -> str:
+    if found.absorbed:
         return "absorbed by the fitted parameters: these data cannot show it"
-    return f"no evidence: {evidence:.2f} nats, p {p:.2g} in the whole search"
+    numbers = f"{found.evidence:.2f} nats, p {found.p:.2g} in the whole search"
+    best = loop.scores[0]
+    if loop.unexplained and found.evidence < best.evidence and found.p <= loop.unexplained[0].p:
+        return f"{best.name} explains more: {numbers}"
+    return f"no evidence: {numbers}"
 
 
 def _plain(value: Any) -> Any:
