@@ -21,6 +21,7 @@ GyroCovariance = Literal["scatter", "sample"]
 SLOWEST = 60.0 * DEG  # rad/s below which a sample counts as not rotating
 WIDEST = 0.05  # gyro scatter over |ω| above which the rate is not known well enough
 FEWEST = 30
+_ODD = 1.5  # factor between one gyro and the others that no tolerance explains
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,15 @@ class Moving:
     counts: dict[str, int]
 
 
-def moving_part(log: ArrayLog, static: StaticFit) -> Moving:
-    """Correct, and find the informative samples. Raises Undetermined when there are too few."""
+def moving_part(log: ArrayLog, static: StaticFit, names: tuple[str, ...] = ()) -> Moving:
+    """Correct, and find the informative samples. Raises Undetermined when there are too few or a
+    gyro is in another unit than the others."""
     acceleration = static.corrected(log.acceleration, log.t)
     rate = static.without_bias(log.rate, log.t)
     speed = np.linalg.norm(np.median(rate, axis=1), axis=1)
     turning = speed > SLOWEST
+    if turning.any():
+        _refuse_odd(np.linalg.norm(rate[turning], axis=2) / speed[turning, None], names)
     usable = turning & ~log.clipped
     counts = {"rotating": int(turning.sum()), "clipped": int((turning & log.clipped).sum())}
     _refuse_few(counts, int(usable.sum()))
@@ -58,13 +62,26 @@ def moving_part(log: ArrayLog, static: StaticFit) -> Moving:
     return Moving(log.t, acceleration, rate, gyros, good, log.interval, counts)
 
 
+def _refuse_odd(ratio: Array, names: tuple[str, ...]) -> None:
+    """ratio : (n, K) each gyro's |ω| over that of their median."""
+    typical = np.median(ratio, axis=0)
+    worst = int(np.argmax(np.abs(np.log(np.maximum(typical, 1e-9)))))
+    if not 1.0 / _ODD < typical[worst] < _ODD:
+        name = names[worst] if names else f"IMU {worst + 1}"
+        raise Undetermined(
+            f"the gyro of {name} reads {typical[worst]:.2g} times what the others read",
+            remedy="check its unit (deg/s against rad/s: 57.3) and scale in the recording or its "
+            "mapping, or take the IMU off the board file",
+        )
+
+
 def _refuse_few(counts: dict[str, int], left: int) -> None:
     if left < FEWEST:
         words = ", ".join(f"{n} {name}" for name, n in counts.items())
         raise Undetermined(
             f"too little rotation: {left} informative samples ({words})",
             remedy=f"twist the array about all axes, faster than {SLOWEST / DEG:.0f} deg/s and "
-            "within the gyros' range, for half a minute",
+            "within the gyros' range, for half a minute; check the gyros' unit",
         )
 
 

@@ -87,6 +87,7 @@ def fit_static(segments: Segments, board: Board, order: list[int], gravity: floa
             "`imucal inspect` shows what counts as still",
         )
     y = np.einsum("kij,nkj->nki", board.rotations, segments.mean[:, order])
+    _refuse_other_unit(y, board, gravity)
     middle = 0.5 * (segments.start + segments.stop)
     origin, span = float(middle[-1]), float(max(np.ptp(middle), 1e-9))
     late = (middle - origin) / span
@@ -115,6 +116,17 @@ def fit_static(segments: Segments, board: Board, order: list[int], gravity: floa
         chosen.rms, fits[0].rms, noise, gyro_noise, segments.n, gravity, chosen.covariance,
         rate_sd.reshape(board.count, 3),
     )  # fmt: skip
+
+
+def _refuse_other_unit(y: Array, board: Board, gravity: float) -> None:
+    """y : (n, K, 3) readings at rest, whose size offsets do not double or halve."""
+    ratio = np.median(np.linalg.norm(y, axis=2), axis=0) / gravity
+    worst = int(np.argmax(np.abs(np.log(np.maximum(ratio, 1e-9)))))
+    if not 0.5 < ratio[worst] < 2.0:
+        raise Undetermined(
+            f"{board.imus[worst]} reads {ratio[worst]:.2g} times gravity at rest",
+            remedy="its unit is not what the recording or its mapping says (g against m/s²: 9.81)",
+        )
 
 
 def _offset_sd(powers: Array, residual: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from imucalib.calibration_file import write_whole
 from imucalib.calibrators.array import ArrayRun
-from imucalib.calibrators.array_calibration import array_calibration
+from imucalib.calibrators.array_calibration import array_calibration, provenance
 from imucalib.calibrators.array_logs import Repeatability
 from imucalib.report.array import array_document
 from imucalib.report.array_loop import loop_dict
@@ -68,6 +68,10 @@ def write_draws(run: ArrayRun, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced_atomically(path) as temporary, h5py.File(temporary, "w") as file:
         group = file.create_group("posterior")
+        made = provenance(run)
+        group.attrs["inference_library"] = "imucalib"
+        group.attrs["inference_library_version"] = made["versions"]["imucalib"]
+        group.attrs["created_at"] = made["time"]
         text = h5py.string_dtype()
         scales = {
             "chain": np.arange(c),
@@ -76,7 +80,7 @@ def write_draws(run: ArrayRun, path: Path) -> None:
             "axis": np.array(list("xyz"), dtype=object),
         }
         data = group.create_dataset("position_mm", data=draws, compression="gzip", shuffle=True)
-        data.attrs["unit"] = "mm"
+        data.attrs["units"] = "mm"
         for k, (name, values) in enumerate(scales.items()):
             kind = text if values.dtype == object else np.int64
             scale = group.create_dataset(name, data=values, dtype=kind)
