@@ -88,7 +88,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     order = _order(segments, board, recording)
     static = fit_static(segments, board, order, request.gravity)
     say(f"{segments.n} rests: triads fit gravity to {1e3 * static.residual:.2f} mm/s² rms")
-    moving = moving_part(log, static)
+    moving = moving_part(log, static, board.imus)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
     loop = _loop(moving, static, board, request) if request.loop else None
     if loop is not None:
