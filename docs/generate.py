@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from imucalib.array_effects import array_catalogue
 from imucalib.effects import catalogue
 from imucalib.report.catalogue import catalogue_markdown
 
@@ -12,7 +13,7 @@ HERE = Path(__file__).parent
 
 
 PAGES = {
-    "effects.md": lambda: catalogue_markdown(list(catalogue().values())),
+    "effects.md": lambda: catalogue_markdown([*catalogue().values(), *array_catalogue().values()]),
 }
 
 

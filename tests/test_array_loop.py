@@ -14,10 +14,12 @@ from array_world import corners, skew
 from imucalib.array_effect import ArrayMotion
 from imucalib.array_effects import array_catalogue
 from imucalib.calibrators.array_corrected import corrected_samples, gyro_gains
+from imucalib.calibrators.array_declared import Asked, named_effect, with_declared
 from imucalib.calibrators.array_loop import ArrayLoop, close_array_loop
 from imucalib.calibrators.array_setup import array_setup
 from imucalib.calibrators.array_terms import rest_terms
 from imucalib.calibrators.array_worth import worth
+from imucalib.errors import Undetermined, UsageError
 from imucalib.estimators.array_gram import Columns, gram
 from imucalib.estimators.array_noise import SensorNoise, chosen_noise, fitted_noise
 from imucalib.estimators.array_samples import Readings, Weights, fit_samples
@@ -253,3 +255,109 @@ def test_channels_stay_what_they_are() -> None:
     for name, channel in recording.channels.items():
         assert isinstance(channel, Channel)
         assert np.array_equal(channel.values, kept[name])
+
+
+def test_a_declared_effect_is_in_the_model_and_others_can_be_left_out() -> None:
+    from array_stories import moving_of
+
+    recording, true = planted_log("common gyro delay, 1 ms", 3)
+    moving, static = moving_of(recording)
+    setup = array_setup(moving, BOARD, 150, robust=True)
+    assert setup is not None
+
+    def loop(asked: Asked) -> ArrayLoop:
+        rng = np.random.default_rng(0)
+        return close_array_loop(setup, rest_terms(static), moving, rng, asked=asked)
+
+    declared = loop(Asked(declare=("gyro_delay",)))
+    term = next(t for t in declared.final.found if t.name == "gyro_delay")
+    assert abs(float(term.theta[0]) - 1.0) < 4.0 * float(declared.final.sd_of(term)[0])
+    assert "gyro_delay" not in named(declared)
+    assert np.sqrt(np.mean(positions_z(declared, true) ** 2)) < 1.6
+    assert loop_dict(declared)["declared"][0]["effect"] == "gyro_delay"
+    text = render_text(Document("a", Text("b"), (array_loop_section(declared),)), 100, color=False)
+    assert "Declared effects" in text
+    without = loop(Asked(without=("gyro_delay",)))
+    assert "gyro_delay" not in {s.effect for s in without.steps}
+    only = loop(Asked(only=("gyro_scale",)))
+    assert {s.effect.partition("@")[0] for s in only.steps} <= {"gyro_scale"}
+    quiet = loop(Asked(declare=("gyro_scale@imu3",), search=False))
+    assert not quiet.steps
+    assert not quiet.unexplained
+    assert [t.name for t in quiet.final.found] == ["gyro_scale@imu3"]
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("gyro_dela", "no array effect is called"),
+        ("gyro_scale@imu99", "has no IMU"),
+        ("gyro_delay@imu3", "acts on all IMUs alike"),
+    ],
+)
+def test_names_of_effects_are_checked(name: str, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        Asked(only=(name,)).skipped(BOARD.imus)
+    with pytest.raises(UsageError, match=says):
+        named_effect(name, BOARD.imus)
+
+
+def test_what_the_motion_does_not_show_cannot_be_declared(clean: ArrayLoop) -> None:
+    from array_stories import moving_of
+
+    moving, _ = moving_of(planted_log("clean", 5)[0])
+    with pytest.raises(Undetermined, match="beat line"):
+        with_declared(clean.base, ("gyro_sample_age",), moving)
+    with pytest.raises(Undetermined, match="common_gyro_scale was declared"):
+        with_declared(clean.base, ("common_gyro_scale",), moving)
+
+
+def test_a_drifting_delay_is_no_beat() -> None:
+    """One chip on a slow clock: said to be that IMU's, not named as something else."""
+    recording, _ = planted_log("clean", 12)
+    t = recording.channels["imu3/angular_rate"].t
+    rate = recording.channels["imu3/angular_rate"]
+    late = 2e-4 * (np.clip((t - 42.0) / 14.0, 0.0, 1.0) - 0.5)
+    values = rate.values - late[:, None] * np.gradient(rate.values, t, axis=0) * (t > 42.0)[:, None]
+    channels = {**recording.channels, "imu3/angular_rate": replace(rate, values=values)}
+    found = closed(replace(recording, channels=channels), 200)
+    assert found.missing["gyro_sample_age"] == "no gyro shows a beat line"
+    assert not found.steps
+    assert found.unexplained[0].name == "gyro delay of imu3 against time"
+
+
+def test_an_imu_that_moves_is_pointed_at() -> None:
+    recording, _ = planted_log("clean", 13)
+    t = recording.channels["imu5/angular_rate"].t
+    rate = BOARD.rotations[5] @ recording.channels["imu5/angular_rate"].values[..., None]
+    w = rate[..., 0]
+    spin = np.gradient(w, t, axis=0)
+    late = np.flatnonzero(t > 50.0)
+    channel = recording.channels["imu5/acceleration"]
+    values = channel.values.copy()
+    off = np.array([2e-4, -1e-4, 1e-4])
+    felt = np.cross(w, np.cross(w, off)) + np.cross(spin, off)
+    values[late] += felt[late] @ BOARD.rotations[5]
+    channels = {**recording.channels, "imu5/acceleration": replace(channel, values=values)}
+    found = closed(replace(recording, channels=channels), 200)
+    assert any(u.name == "position of imu5 against time" for u in found.unexplained)
+
+
+def test_the_command_lists_array_effects() -> None:
+    from click.testing import CliRunner
+
+    from imucalib import cli
+
+    shown = CliRunner().invoke(cli.cli, ["effects"], standalone_mode=False).output
+    assert "Effects of an array" in shown
+    assert "gyro_sample_age" in shown
+    one = CliRunner().invoke(cli.cli, ["effects", "gyro_delay"], standalone_mode=False).output
+    assert "y(t) = ω(t - τ)" in one
+    plain = CliRunner().invoke(cli.cli, ["effects", "gyro_cubic", "--json"], standalone_mode=False)
+    assert json.loads(plain.output)[0]["stage"] == "array: gyros"
+    refused = CliRunner().invoke(
+        cli.cli,
+        ["array", "log.h5", "--board", "mimu4444_corners", "--declare", "gyro_dela"],
+        standalone_mode=False,
+    )
+    assert isinstance(refused.exception, UsageError)

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from imucalib import cli
+from imucalib.array_effects import array_catalogue
 from imucalib.effects import catalogue
 
 ROOT = Path(__file__).parents[1]
@@ -54,4 +55,4 @@ def test_links_lead_somewhere() -> None:
 
 def test_effects_named_in_the_documentation_exist() -> None:
     text = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
-    assert set(re.findall(r"^## (\w+)$", text, flags=re.M)) == set(catalogue())
+    assert set(re.findall(r"^## (\w+)$", text, flags=re.M)) == {*catalogue(), *array_catalogue()}

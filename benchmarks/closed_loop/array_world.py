@@ -139,15 +139,15 @@ class _Log:
         at = rng.uniform(0.3, 0.7)
         if name == "gyro_rectification":
             square = np.sum(m.force**2, axis=2, keepdims=True) / STANDARD_GRAVITY**2
-            own = 3e-3 * DEG * size * signs * np.ones_like(m.force)
+            own = 6e-3 * DEG * size * signs * np.ones_like(m.force)
             rate = rate + square * np.einsum("kij,tkj->tki", m.rotations, own)
         elif name == "soft_saturation":
             own = m.seen(m.force)
             steep = np.sign(own) * np.maximum(np.abs(own) - 20.0, 0.0) ** 2
-            felt = felt - 5e-5 * size * np.einsum("kij,tkj->tki", m.rotations, steep)
+            felt = felt - 1e-4 * size * np.einsum("kij,tkj->tki", m.rotations, steep)
         elif name == "imu_shifts":
             shift = np.zeros((BOARD.count, 3))
-            shift[one] = 4e-5 * size * signs
+            shift[one] = 1e-4 * size * signs
             felt = felt + lever_arm(m.rate, m.spin, shift) * (m.order > at)[:, None, None]
             self.positions = self.positions + shift * (1.0 - at)  # the mean over the motion
         elif name == "slow clock":

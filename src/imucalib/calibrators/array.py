@@ -90,7 +90,8 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     say(f"{segments.n} rests: triads fit gravity to {1e3 * static.residual:.2f} mm/s² rms")
     moving = moving_part(log, static, board.imus)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
-    loop = _loop(moving, static, board, request) if request.loop else None
+    wanted = request.loop or request.asked.declare
+    loop = _loop(moving, static, board, request) if wanted else None
     if loop is not None:
         say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
     rng = np.random.default_rng(request.seed)
@@ -120,10 +121,18 @@ def _loop(
     most = min(request.samples, LOOP_SAMPLES)
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
     if setup is None:
+        if request.asked.declare:
+            raise Undetermined(
+                "the motion is too broken up to fit declared effects",
+                remedy="record longer stretches without gaps and clipping",
+            )
         return None
     whole = array_setup(moving, board, most, robust=robust) if most > SEARCH_SAMPLES else None
     rng = np.random.default_rng(request.seed)
-    return close_array_loop(setup, rest_terms(static), moving, rng, whole=whole)
+    return close_array_loop(
+        setup, rest_terms(static), moving, rng, whole=whole,
+        asked=replace(request.asked, search=request.loop),
+    )  # fmt: skip
 
 
 def _sampled(

@@ -61,6 +61,7 @@ def effect_list(loop: ArrayLoop) -> list[dict[str, Any]]:
     return [
         {
             "effect": term.name,
+            "declared": term.name in loop.asked.declare,
             "sensor": term.effect.sensor,
             "equation": term.effect.equation,
             "parameters": [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,20 +40,37 @@ def named_effect(name: str, imus: Sequence[str]) -> tuple[ArrayEffect, int | Non
     return effect, list(imus).index(imu)
 
 
-def left_out(only: Sequence[str], without: Sequence[str], imus: Sequence[str]) -> frozenset[str]:
-    """Names, members of scans included, that a search shall not try. Raises UsageError."""
-    for name in (*only, *without):
-        named_effect(name, imus)
-    every = {
-        name
-        for effect in array_catalogue().values()
-        for name in (effect.name, *(f"{effect.name}@{imu}" for imu in imus))
-    }
+@dataclass(frozen=True)
+class Asked:
+    """Names of effects, of one IMU with "@imu3". declare : in the model from the start; only : the
+    search tries no others; without : it does not try these; search : whether there is one"""
 
-    def meant(name: str, chosen: Sequence[str]) -> bool:
-        return name in chosen or name.partition("@")[0] in chosen
+    declare: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    search: bool = True
 
-    return frozenset(n for n in every if meant(n, without) or (only and not meant(n, only)))
+    def skipped(self, imus: Sequence[str]) -> frozenset[str]:
+        """All effects that the search shall not try. Raises UsageError for an unknown name."""
+        for name in (*self.only, *self.without):
+            named_effect(name, imus)
+        every = {
+            name
+            for effect in array_catalogue().values()
+            for name in (effect.name, *(f"{effect.name}@{imu}" for imu in imus))
+        }
+        if not self.search:
+            return frozenset(every)
+
+        def meant(name: str, chosen: Sequence[str]) -> bool:
+            return name in chosen or name.partition("@")[0] in chosen
+
+        return frozenset(
+            n for n in every if meant(n, self.without) or (self.only and not meant(n, self.only))
+        )
+
+
+NOTHING_ASKED = Asked()
 
 
 def with_declared(state: ArrayState, names: Sequence[str], moving: Moving) -> ArrayState:

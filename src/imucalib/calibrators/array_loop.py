@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array_ages import Ages, found_ages, kept_ages
+from imucalib.calibrators.array_declared import NOTHING_ASKED, Asked, with_declared
 from imucalib.calibrators.array_held_out import Residuals, held_out_residuals
 from imucalib.calibrators.array_moving import Moving
 from imucalib.calibrators.array_noise_tests import shared_by_neighbours
-from imucalib.calibrators.array_search import Search, discounted, search
+from imucalib.calibrators.array_search import Search, absorbed, discounted, search
 from imucalib.calibrators.array_setup import Setup
 from imucalib.calibrators.array_state import ArrayState, settled, start_state, transferred
 from imucalib.calibrators.array_terms import Term
@@ -27,7 +28,9 @@ from imucalib.loop import LoopSettings, Unexplained
 
 Array = NDArray[np.float64]
 ARRAY_RULES = LoopSettings(draws=499, most_effects=8)
-_HELD_OUT_NATS = 1.0
+#: Nats on held-out halves below which they contradict an effect: half of the data may be too few to
+#: confirm what all of them show.
+_ONE_HALF, _BOTH_HALVES = -3.0, -1.0
 _PATH = 3  # effects that together may take the place of a curve without a name
 _CERTAIN = 0.01  # family-wise p from which on an effect without aliases is called certain
 _KEEP = 1.0  # nats that an earlier effect must still be worth at the end
@@ -61,7 +64,7 @@ class ArrayLoop:
     base, final : fitted states before and after; ages : clocks of the gyros, or None
     before, after : held-out residuals; scores : of the last search; absorbed : what cannot be seen,
     with the m rms by which its typical size moves the positions; dispersion : how many times fewer
-    accelerometer samples the noise that neighbours share leaves
+    accelerometer samples the noise that neighbours share leaves; asked : what the user declared
     """
 
     base: ArrayState
@@ -77,6 +80,7 @@ class ArrayLoop:
     absorbed: dict[str, float]
     dispersion: float
     missing: dict[str, str] = field(default_factory=dict)
+    asked: Asked = NOTHING_ASKED
 
     @property
     def verdict(self) -> str:
@@ -88,7 +92,8 @@ class ArrayLoop:
 @dataclass(frozen=True)
 class _Path:
     """Where the search stands. debt : nats that effects still have to explain because a curve
-    explained them, since `safe`; taken : how many effects tried to."""
+    explained them, since `safe`; taken : how many effects tried to; skipped : what the user
+    keeps out of the search"""
 
     state: ArrayState
     residuals: Residuals
@@ -97,28 +102,29 @@ class _Path:
     debt: float = 0.0
     taken: int = 0
     safe: _Path | None = None
+    skipped: frozenset[str] = frozenset()
 
     @property
     def left_out(self) -> frozenset[str]:
-        return frozenset(name for name, _ in self.rejected)
+        return self.skipped.union(name for name, _ in self.rejected)
 
 
 def close_array_loop(
     setup: Setup, terms: tuple[Term, ...], moving: Moving, rng: np.random.Generator,
-    rules: LoopSettings = ARRAY_RULES, whole: Setup | None = None,
+    rules: LoopSettings = ARRAY_RULES, whole: Setup | None = None, asked: Asked = NOTHING_ASKED,
 ) -> ArrayLoop:  # fmt: skip
     """Search, accept, refit, until nothing passes.
 
-    whole : more samples, for the final fit alone
+    whole : more samples, for the final fit alone; asked : effects that the user declares, or keeps
+    out of the search
     """
-    base = start_state(setup, terms)
+    base = with_declared(start_state(setup, terms), asked.declare, moving)
     ages = found_ages(base, moving)
     before = held_out_residuals(base)
-    path = _Path(base if ages is None else kept_ages(base, ages, voting=True), before)
-    first: Search | None = None
+    started = base if ages is None else kept_ages(base, ages, voting=True)
+    path = _Path(started, before, skipped=asked.skipped(setup.imus))
+    first = found = search(path.state, path.left_out, rng, rules.draws)
     while True:
-        found = search(path.state, path.left_out, rng, rules.draws)
-        first = first or found
         chosen = _chosen(path, found, rules)
         if chosen is None:
             if path.safe is None:
@@ -126,18 +132,22 @@ def close_array_loop(
             path = replace(path.safe, debt=-1.0)
             found = search(path.state, path.left_out, rng, rules.draws)
             break
+        before_it = path.state
         path = _tried(path, found, chosen, rules, ages)
+        if path.state is not before_it:
+            found = search(path.state, path.left_out, rng, rules.draws)
     path = _eliminated(path)
     final, ages = _on_all(path, ages, moving, whole)
     left = tuple(
         Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
         for s in found.scores
-        if s.candidate.kind != "effect" and s.p <= rules.alpha
+        if asked.search and s.candidate.kind != "effect" and s.p <= rules.alpha
     )
+    moved = bool(path.steps or asked.declare)
     return ArrayLoop(
-        base, final, ages, before, held_out_residuals(final) if path.steps else before, path.steps,
+        base, final, ages, before, held_out_residuals(final) if moved else before, path.steps,
         path.rejected, left[:3], found.scores, first.scores,
-        _absorbed(first, found), shared_by_neighbours(final, gyro=False), found.missing,
+        absorbed((first, found)), shared_by_neighbours(final, gyro=False), found.missing, asked,
     )  # fmt: skip
 
 
@@ -145,7 +155,10 @@ def _chosen(path: _Path, found: Search, rules: LoopSettings) -> Score | None:
     """The best effect; where a curve leads by more than the margin, still the best effect."""
     if len(path.steps) >= rules.most_effects or path.taken >= _PATH:
         return None
-    passing = (s for s in found.scores if s.candidate.kind == "effect" and s.p <= rules.alpha)
+    passing = (
+        s for s in found.scores
+        if s.candidate.kind == "effect" and s.p <= rules.alpha and s.name not in path.left_out
+    )  # fmt: skip
     return next(passing, None)
 
 
@@ -193,7 +206,7 @@ def _why_not(before: ArrayState, after: ArrayState, gains: tuple[float, float]) 
         return f"implausible size ({', '.join(implausible)})"
     if after.density <= before.density:
         return "the joint fit is not better with it"
-    if min(gains) <= 0.0 or sum(gains) < _HELD_OUT_NATS:
+    if min(gains) < _ONE_HALF or sum(gains) < _BOTH_HALVES:
         return f"it does not hold out: {gains[0]:+.1f} and {gains[1]:+.1f} nats on the other half"
     return ""
 
@@ -243,13 +256,3 @@ def _on_all(
     if again is None:
         return state, ages
     return settled(kept_ages(moved, again, voting=False)), again
-
-
-def _absorbed(first: Search, last: Search) -> dict[str, float]:
-    """What no motion shows, and by how much its typical size moves the positions."""
-    found: dict[str, float] = {}
-    for one in (first, last):
-        for score in one.scores:
-            if score.candidate.kind == "effect" and score.absorbed and "@" not in score.name:
-                found[score.name] = one.impact[score.name]
-    return found

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from imucalib.calibrators.array_board import Board
+from imucalib.calibrators.array_declared import NOTHING_ASKED, Asked
 from imucalib.calibrators.array_moving import GyroCovariance
 from imucalib.estimators.array_problem import MotionPrior
 from imucalib.estimators.hmc import Stop
@@ -22,7 +23,8 @@ NON_LINEARITY = 0.005
 class ArrayRequest:
     """samples : moving samples used at most; target : m, the posterior sd at which more samples
     say nothing that matters; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
-    iterations : of `pmmh`"""
+    iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
+    of the search"""
 
     board: Board
     gravity: float = STANDARD_GRAVITY
@@ -38,5 +40,6 @@ class ArrayRequest:
     stop: Stop = field(default_factory=Stop)
     iterations: int = 100_000
     loop: bool = True
+    asked: Asked = NOTHING_ASKED
     checkpoint: Path | None = None
     seed: int = 0

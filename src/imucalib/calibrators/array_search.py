@@ -23,7 +23,7 @@ from imucalib.evidence_gram import block_evidence
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
+TAU = 10.0 ** np.arange(-3.0, 1.1, 0.5)
 ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest must leave
 _READINGS, _FEWEST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
 
@@ -49,12 +49,11 @@ class Search:
         return float((1 + (self.null >= evidence).sum()) / (len(self.null) + 1))
 
     def held_out(self, name: str) -> tuple[float, float]:
-        """Nats that each half gains when the other has estimated the candidate."""
+        """Nats that each half gains when the other has estimated the candidate and its size."""
         at = self.index[name]
         gains = []
         for one, two in (self.halves, self.halves[::-1]):
-            inner = one.matrix[np.ix_(at, at)] + np.eye(len(at))
-            value = np.linalg.solve(inner, one.along[at])
+            value = _most_likely(one.matrix[np.ix_(at, at)], one.along[at])
             gains.append(
                 float(two.along[at] @ value - 0.5 * value @ two.matrix[np.ix_(at, at)] @ value)
             )
@@ -65,6 +64,15 @@ class Search:
         entry, at = self.entries[name], self.index[name]
         assert entry.effect is not None
         return determined(name, entry.effect, entry.only, self.whole.matrix[np.ix_(at, at)])
+
+
+def _most_likely(matrix: Array, along: Array) -> Array:
+    """Estimate of a block of columns under the size that its own evidence prefers."""
+    values, vectors = np.linalg.eigh(matrix)
+    values, seen = np.maximum(values, 0.0), vectors.T @ along
+    shrunk = TAU[:, None] ** 2 / (1.0 + TAU[:, None] ** 2 * values)
+    evidence = np.sum(shrunk * seen**2 - np.log1p(TAU[:, None] ** 2 * values), axis=1)
+    return np.asarray(vectors @ (shrunk[np.argmax(evidence)] * seen))
 
 
 def search(
@@ -147,3 +155,13 @@ def discounted(score: Score, factor: float, null: Array) -> Score:
     value = score.evidence / factor
     p = float((1 + (null >= value).sum()) / (len(null) + 1))
     return replace(score, evidence=value, p=p)
+
+
+def absorbed(searches: tuple[Search, ...]) -> dict[str, float]:
+    """What no motion shows, and by how much its typical size moves the positions."""
+    found: dict[str, float] = {}
+    for one in searches:
+        for score in one.scores:
+            if score.candidate.kind == "effect" and score.absorbed and "@" not in score.name:
+                found[score.name] = one.impact[score.name]
+    return found

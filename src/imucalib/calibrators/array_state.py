@@ -33,7 +33,7 @@ _STALE = 0.1
 class ArrayState:
     """r : (K, 3) m, the first at zero; terms; noise of accelerometers and gyros; sampled : the
     fitted motion; motion : the same for effects; covariance : of positions and terms' coordinates;
-    density : nats, of the data and the terms' prior"""
+    density : nats, of the data with positions and terms integrated out (Laplace)"""
 
     setup: Setup
     r: Array
@@ -216,6 +216,9 @@ def _measured(state: ArrayState) -> ArrayState:
     density += float(log_density(state.noise[1], g, speed).sum())
     for term in state.terms:
         density -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
+    size = np.sqrt(np.diag(covariance))
+    density += float(0.5 * np.linalg.slogdet(covariance / size[:, None] / size)[1])
+    density += float(np.log(size).sum())
     return replace(state, density=density, covariance=covariance)
 
 

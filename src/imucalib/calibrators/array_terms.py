@@ -14,7 +14,7 @@ from imucalib.estimators.array_gram import Columns
 from imucalib.parameter import Parameter
 
 Array = NDArray[np.float64]
-SMALLEST, LARGEST = 0.1, 10.0  # believable sizes of an effect, in its typical ones
+SMALLEST, LARGEST = 1e-3, 10.0  # believable sizes of an effect, in its typical ones
 OPEN = 0.05  # λ at typical size below which a direction says nothing
 
 

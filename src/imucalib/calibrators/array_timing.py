@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 _BLOCK = 3.0  # s over which a beat's phase is held to be steady
+_CYCLES = 4.0  # of a beat over the motion, below which it is a delay that drifts
 _LINE = 30.0  # power of a spectral line over the spectrum's median from which it counts
 
 
@@ -48,18 +49,22 @@ def _wave(t: Array, off: Array, slope: Array, rows: Index) -> tuple[Array, float
     step = float(np.median(np.diff(t)))
     at = np.round((t[rows] - t[rows[0]]) / step).astype(np.intp)
     series = np.zeros(int(at[-1]) + 1)
-    series[at] = np.sum(off[rows] * slope[rows], axis=1)
+    power = np.sum(slope[rows] ** 2, axis=1)
+    # A delay of the gyro's own, even one that drifts, is no beat.
+    late = (t[rows] - t[rows].mean())[:, None] ** np.arange(2)
+    along = np.sum(off[rows] * slope[rows], axis=1)
+    delay = np.linalg.solve(late.T @ (late * power[:, None]), late.T @ along)
+    series[at] = along - power * (late @ delay)
     padded = 4 * len(series)
     spectrum = np.abs(np.fft.rfft(series, padded)) ** 2
     frequencies = np.fft.rfftfreq(padded, step)
-    spectrum[frequencies < 0.02] = 0.0
+    spectrum[frequencies < _CYCLES / (t[rows[-1]] - t[rows[0]])] = 0.0
     top = int(np.argmax(spectrum))
     line = float(spectrum[top] / max(float(np.median(spectrum)), 1e-300))
     if line < _LINE:
         return np.zeros(len(t)), float("nan"), line
     f = float(frequencies[top])
     turns = f * t + _phase(t, t[rows], series[at], f) / (2.0 * np.pi)
-    power = np.sum(slope[rows] ** 2, axis=1)
     best = (np.zeros(len(t)), f, -np.inf)
     for sign in (1.0, -1.0):
         # Both directions share the fundamental; the harmonics tell them apart.

@@ -45,6 +45,11 @@ if TYPE_CHECKING:
 @click.option("--iterations", default=100_000, show_default=True, help="Of --sampler pmmh.")
 @click.option("--loop/--no-loop", default=True, show_default=True,
               help="Search for what the model lacks.")  # fmt: skip
+@click.option("--declare", multiple=True, metavar="EFFECT", help="Put an effect into the base "
+              "model, for example gyro_delay; of one IMU: gyro_scale@imu3.")  # fmt: skip
+@click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects.")
+@click.option("--without", multiple=True, metavar="EFFECT",
+              help="Leave effects out of the search.")  # fmt: skip
 @click.option("--draws", type=click.Path(path_type=Path), help="Also write the draws: .h5 or .nc.")
 @click.option("--checkpoint", type=click.Path(path_type=Path),
               help="Keep the chains here after every block, and go on from there.")  # fmt: skip
@@ -63,6 +68,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     Examples:
       imucal array log.mcap --board board.yaml -o out
       imucal array exp_1.h5 exp_5.h5 --board mimu4444_corners --gravity 9.8189 -o out
+      imucal array log.mcap --board board.yaml --declare gyro_delay --without gyro_cubic -o out
     """
     from imucalib.calibrators.array import ArrayRun, calibrate_array
     from imucalib.readers import read
@@ -92,6 +98,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 
 def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
     from imucalib.calibrators.array_board import read_board
+    from imucalib.calibrators.array_declared import Asked, named_effect
     from imucalib.calibrators.array_request import ArrayRequest
     from imucalib.errors import UsageError
     from imucalib.estimators.hmc import Stop
@@ -107,12 +114,16 @@ def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
     if logs > 1 and options["checkpoint"]:
         raise UsageError("--checkpoint goes with one log")
     gravity, source = gravity_of(options)
+    board = read_board(options["board"])
+    asked = Asked(options["declare"], options["only"], options["without"])
+    for name in (*asked.declare, *asked.only, *asked.without):
+        named_effect(name.partition("@")[0], board.imus)  # the log may name its IMUs otherwise
     return ArrayRequest(
-        read_board(options["board"]), gravity, source, options["sampler"], options["samples"],
+        board, gravity, source, options["sampler"], options["samples"],
         motion=options["motion_prior"], exponent=float(options["det_exponent"]),
         accelerometer_sigma=sigma, gyro_covariance=options["gyro_covariance"],
         chains=options["chains"], stop=Stop(ess=options["ess"]), iterations=options["iterations"],
-        loop=options["loop"], checkpoint=options["checkpoint"], seed=options["seed"],
+        loop=options["loop"], asked=asked, checkpoint=options["checkpoint"], seed=options["seed"],
     )  # fmt: skip
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from imucalib.cli.output import emit_json, json_option, width
+
+if TYPE_CHECKING:
+    from imucalib.effect import Effect
 
 
 @click.command("effects", short_help="List the catalogue of effects.")
@@ -21,19 +25,40 @@ from imucalib.cli.output import emit_json, json_option, width
 def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     """List the effects that a calibration can hold and the search can find, or show one.
 
+    Effects of an array (`imucal array`) stand at the end.
+
     \b
-    Example: imucal effects inclination_zero
+    Examples:
+      imucal effects inclination_zero
+      imucal effects gyro_delay
     """
-    from imucalib.effects import catalogue, load_file, named
-    from imucalib.report.catalogue import catalogue_document, effect_dict
+    from imucalib.array_effects import array_catalogue
+    from imucalib.effects import catalogue, load_file
+    from imucalib.report.catalogue import Entry, catalogue_document, effect_dict
     from imucalib.report.text import render_text
 
-    effects = {**catalogue(), **(load_file(effects_file) if effects_file else {})}
+    own = load_file(effects_file) if effects_file else {}
+    effects: dict[str, Entry] = {**catalogue(), **own, **array_catalogue()}
     if name is not None and name not in effects:
-        named(name)
+        effects[name] = _scanned(name, list(effects))
     chosen = [effects[name]] if name else list(effects.values())
     if as_json:
         emit_json([effect_dict(effect) for effect in chosen])
     else:
         click.echo(render_text(catalogue_document(chosen), width(), color=False), nl=False)
     return 0
+
+
+def _scanned(name: str, names: list[str]) -> Effect:
+    """One value of a scan, such as bias_step@86400s; raises UsageError with the nearest names."""
+    import difflib
+
+    from imucalib.effects import known
+    from imucalib.errors import UsageError
+
+    found = known(name)
+    if found is None:
+        near = ", ".join(difflib.get_close_matches(name, names, 3))
+        remedy = f"did you mean: {near}" if near else "`imucal effects` lists them all"
+        raise UsageError(f"no effect is called '{name}'", remedy=remedy)
+    return found

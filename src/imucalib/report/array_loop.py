@@ -9,6 +9,8 @@ import numpy as np
 from imucalib.array_effects import array_catalogue
 from imucalib.calibrators.array_held_out import NORMAL_MAD
 from imucalib.calibrators.array_loop import ArrayLoop
+from imucalib.calibrators.array_terms import Term
+from imucalib.calibrators.array_worth import size_in_words
 from imucalib.estimators.array_noise import SensorNoise
 from imucalib.report.document import Block, Facts, Section, Table, Text
 from imucalib.report.loop import candidate_rows
@@ -21,6 +23,15 @@ def array_loop_section(loop: ArrayLoop | None) -> Section:
     if loop is None:
         return Section("Closed loop", (Text("The search was not run."),))
     blocks: list[Block] = [_verdict(loop)]
+    if loop.asked.declare:
+        facts = tuple((t.name, size_in_words(loop.final, t)) for t in declared_terms(loop))
+        blocks.append(Table("Declared effects", ("effect", "size"), facts, "ll"))
+    limits = [
+        f"{words} {', '.join(names)}"
+        for words, names in (("only", loop.asked.only), ("without", loop.asked.without)) if names
+    ]  # fmt: skip
+    if limits:
+        blocks.append(Text(f"The search was limited: {'; '.join(limits)}."))
     if loop.steps:
         rows = tuple(
             (
@@ -47,7 +58,14 @@ def array_loop_section(loop: ArrayLoop | None) -> Section:
     return Section("Closed loop", tuple(blocks))
 
 
+def declared_terms(loop: ArrayLoop) -> tuple[Term, ...]:
+    """Effects that the user put into the model, as finally fitted."""
+    return tuple(term for term in loop.final.found if term.name in loop.asked.declare)
+
+
 def _verdict(loop: ArrayLoop) -> Text:
+    if not loop.asked.search:
+        return Text("Fitted with the declared effects; the search was not run.")
     names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.steps)
     left = ", ".join(f"{u.name} ({u.driver})" if u.driver else u.name for u in loop.unexplained)
     return {
@@ -144,7 +162,12 @@ def absorbed_list(loop: ArrayLoop) -> list[dict[str, Any]]:
 def loop_dict(loop: ArrayLoop) -> dict[str, Any]:
     """The loop in report.json."""
     return {
-        "verdict": loop.verdict,
+        "verdict": loop.verdict if loop.asked.search else "not searched",
+        "declared": [
+            {"effect": t.name, "size": size_in_words(loop.final, t)} for t in declared_terms(loop)
+        ],
+        "only": list(loop.asked.only),
+        "without": list(loop.asked.without),
         "steps": [
             {"effect": s.effect, "size": s.value, "p_value": s.p, "draws": s.draws,
              "evidence_nats": s.evidence, "held_out_nats": list(s.held_out),
