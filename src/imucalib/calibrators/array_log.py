@@ -45,21 +45,21 @@ def array_log(recording: Recording, board: Board) -> tuple[ArrayLog, Board]:
     turns = board.rotations
     shape = (len(t), board.count, 3)
     acceleration, rate = np.empty(shape), np.empty(shape)
-    clipped = np.zeros(len(t), dtype=np.bool_)
+    clipped, finite = np.zeros(len(t), dtype=np.bool_), np.ones(len(t), dtype=np.bool_)
     for k, (acc, gyro) in enumerate(chosen):
         a, g = acc.values[indices[2 * k]], gyro.values[indices[2 * k + 1]]
         _refuse_dead(a, names[k], "acceleration", recording.path)
         _refuse_dead(g, names[k], "angular_rate", recording.path)
         clipped |= _at_range(a, board.accelerometer_range) | _at_range(g, board.gyroscope_range)
         acceleration[:, k], rate[:, k] = a @ turns[k].T, g @ turns[k].T
-    finite = np.isfinite(acceleration).all(axis=(1, 2)) & np.isfinite(rate).all(axis=(1, 2))
+        finite &= np.isfinite(a).all(axis=1) & np.isfinite(g).all(axis=1)
+    step = float(np.median(np.diff(t)))
+    # A copy of a long recording only where something is left out.
     if not finite.all():
         notes.append(f"{int((~finite).sum())} samples with missing values left out")
-    step = float(np.median(np.diff(t)))
-    log = ArrayLog(
-        t[finite], acceleration[finite], rate[finite], clipped[finite], step, tuple(notes)
-    )
-    return log, board
+        t, acceleration, rate = t[finite], acceleration[finite], rate[finite]
+        clipped = clipped[finite]
+    return ArrayLog(t, acceleration, rate, clipped, step, tuple(notes)), board
 
 
 def _matched_names(recording: Recording, board: Board) -> tuple[list[str], list[str]]:
