@@ -31,6 +31,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", default="50,500")
     parser.add_argument("--python", default=sys.executable, help="of the peers' environment")
+    parser.add_argument("--peers", default="numpyro,pymc")
+    parser.add_argument("--frames", default="prior,frame", help="coordinates of the peers")
     parser.add_argument("--limit", type=float, default=900.0, help="seconds a peer may take")
     parser.add_argument("--peer", nargs=3, metavar=("NAME", "FRAME", "FILE"), help="internal")
     options = parser.parse_args()
@@ -38,8 +40,9 @@ def main() -> None:
         run_peer(*options.peer)
         return
     print("| T | sampler | coordinates | CPU s (compiling) | draws | least bulk ESS | R-hat | "
-          "ESS / CPU s | mean, sd off, MC errors |")  # fmt: skip
-    print("|---|---|---|---|---|---|---|---|---|", flush=True)
+          "ESS / CPU s, without compiling | off in MC errors, largest (rms): means | "
+          "sds |")  # fmt: skip
+    print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
     for samples in options.samples.split(","):
         compare(int(samples), options)
 
@@ -75,11 +78,11 @@ def compare(samples: int, options: argparse.Namespace) -> None:
             motion_scale=chosen.motion_scale, mode=frame.mode, root=frame.root, probe=probe,
             level=frame.posterior.value(probe),
         )  # fmt: skip
-        for name in ("numpyro", "pymc"):
-            for coordinates in ("prior", "frame"):
+        for name in options.peers.split(","):
+            for coordinates in options.frames.split(","):
                 answer = peer(name, coordinates, path, options)
                 if isinstance(answer, str):
-                    print(f"| {samples} | {name} | {coordinates} | {answer} | | | | | |")
+                    print(f"| {samples} | {name} | {coordinates} | {answer} | | | | | | |")
                     continue
                 with np.load(path.with_suffix(f".{name}.npz")) as found:
                     u = found["draws"]
@@ -119,10 +122,17 @@ def row(
     sd = [d.std(axis=(0, 1)) for d in (draws, long)]
     spread = np.hypot(*(s.mcse / (2.0 * v) for s, v in zip(squares, sd, strict=True)))
     off = np.abs(sd[0] - sd[1]) / spread
+    # Compiling is told from a run of two draws: a rest much shorter than it is not known.
+    left = cpu - compiling
+    rest = f"{ess / left:.0f}" if left > 0.2 * cpu else "not told"
     print(f"| {samples} | {name} | {frame} | {cpu:.1f} ({compiling:.1f}) | "
           f"{draws.shape[0]} x {draws.shape[1]} | {ess:.0f} | {found.rhat.max():.4f} | "
-          f"{ess / max(cpu - compiling, 1e-9):.1f} | {mean.max():.1f}, {off.max():.1f} |",
-          flush=True)  # fmt: skip
+          f"{ess / cpu:.1f}, {rest} | {mean.max():.1f} ({rms(mean):.2f}) | "
+          f"{off.max():.1f} ({rms(off):.2f}) |", flush=True)  # fmt: skip
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def run_peer(name: str, frame: str, file: str) -> None:
