@@ -35,7 +35,8 @@ def search(
 ) -> tuple[tuple[Score, ...], dict[str, str]]:
     """Score everything that could be missing, and say what could not be tested.
 
-    Of a scan only the best value is kept; all its values take part in the family-wise p.
+    Of a scan only the best value is kept, at the evidence of the whole scan; all its values take
+    part in the family-wise p.
     """
     current = thinned(current, rules.most_scored)
     usable = [e for e in effects.values() if e.name not in rejected]
@@ -47,14 +48,21 @@ def search(
     everything = catalogue + probes(current) + correlated_noise(current)
     draws = rules.draws if rules.bar is None else 0
     scores = score(current, everything, rng, draws=draws, alpha=rules.alpha)
-    seen: set[str] = set()
-    best = []
+    return _one_a_scan(scores), missing
+
+
+def _one_a_scan(scores: tuple[Score, ...]) -> tuple[Score, ...]:
+    """Of each scan its best value, with the evidence of the whole scan: the mean over its values,
+    which pays for having looked at many."""
+    of: dict[str, list[Score]] = {}
     for found in scores:
-        family_name = found.candidate.family
-        if not family_name or family_name not in seen:
-            best.append(found)
-            seen.add(family_name)
-    return tuple(best), missing
+        of.setdefault(found.candidate.family, []).append(found)
+    best = of.pop("", [])
+    for members in of.values():
+        nats = np.array([m.evidence for m in members])
+        mean = float(nats.max() + np.log(np.mean(np.exp(nats - nats.max()))))
+        best.append(replace(members[0], evidence=max(mean, 0.0)))
+    return tuple(sorted(best, key=lambda s: -s.evidence))
 
 
 def thinned(fit: Fit, most: int) -> Fit:
@@ -88,7 +96,7 @@ def refined(
     rng: np.random.Generator,
     rules: LoopSettings,
 ) -> Score:
-    """The best value near the one that a scan found; the p of the scan stands."""
+    """The best value near the one that a scan found; the p and the evidence of the scan stand."""
     for family in families:
         if family.name == chosen.candidate.family:
             current = thinned(current, rules.most_scored)
@@ -96,7 +104,7 @@ def refined(
             near = family.nearby(context, chosen.name.partition("@")[2])
             if near:
                 found = score(current, family_candidates(current, family, near), rng, draws=1)[0]
-                return replace(chosen, candidate=found.candidate, evidence=found.evidence)
+                return replace(chosen, candidate=found.candidate)
     return chosen
 
 
