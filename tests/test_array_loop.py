@@ -15,7 +15,7 @@ from imucalib.array_effect import ArrayMotion
 from imucalib.array_effects import array_catalogue
 from imucalib.calibrators.array_corrected import corrected_samples, gyro_gains
 from imucalib.calibrators.array_declared import Asked, named_effect, with_declared
-from imucalib.calibrators.array_loop import ArrayLoop, close_array_loop
+from imucalib.calibrators.array_loop import ARRAY_RULES, ArrayLoop, close_array_loop
 from imucalib.calibrators.array_setup import array_setup
 from imucalib.calibrators.array_terms import rest_terms
 from imucalib.calibrators.array_worth import worth
@@ -361,3 +361,31 @@ def test_the_command_lists_array_effects() -> None:
         standalone_mode=False,
     )
     assert isinstance(refused.exception, UsageError)
+
+
+def test_curves_correct_what_has_no_name_where_it_helps() -> None:
+    """An IMU that moves: its mean position comes nearer, and no cause is claimed."""
+    from array_stories import moving_of
+
+    recording, true = planted_log("clean", 14)
+    rate = recording.channels["imu5/angular_rate"]
+    w = (BOARD.rotations[5] @ rate.values[..., None])[..., 0]
+    spin = np.gradient(w, rate.t, axis=0)
+    off = np.array([3e-4, -2e-4, 2e-4])
+    late = np.clip((rate.t - 42.0) / 14.0, 0.0, 1.0)[:, None] - 0.5
+    felt = late * (np.cross(w, np.cross(w, off)) + np.cross(spin, off))
+    channel = recording.channels["imu5/acceleration"]
+    values = channel.values + felt @ BOARD.rotations[5]
+    channels = {**recording.channels, "imu5/acceleration": replace(channel, values=values)}
+    moving, static = moving_of(replace(recording, channels=channels))
+    setup = array_setup(moving, BOARD, 200, robust=True)
+    assert setup is not None
+    rules = replace(ARRAY_RULES, curves=True)
+    found = close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(0), rules)
+    assert [s.effect for s in found.steps] == ["curve of position of imu5 against time"]
+    assert not found.steps[0].certain
+    assert found.verdict == "unexplained"
+    assert found.after.acceleration < found.before.acceleration
+    assert np.abs(found.final.r - true).max() < 5e-5
+    text = render_text(Document("a", Text("b"), (array_loop_section(found),)), 200, color=False)
+    assert "corrected by a curve: position of imu5 against time" in " ".join(text.split())

@@ -19,7 +19,7 @@ from imucalib.array_effects import array_catalogue
 from imucalib.calibrators.array_board import read_board
 from imucalib.calibrators.array_declared import beside_the_fit, declared_term, with_declared
 from imucalib.calibrators.array_log import array_log
-from imucalib.calibrators.array_loop import ArrayLoop, close_array_loop
+from imucalib.calibrators.array_loop import ARRAY_RULES, ArrayLoop, close_array_loop
 from imucalib.calibrators.array_moving import Moving, moving_part
 from imucalib.calibrators.array_setup import Setup, array_setup
 from imucalib.calibrators.array_simulation import LogPlan, lever_arm, simulated_motion
@@ -75,7 +75,8 @@ def trial(job: Job) -> Trial:
     log = _Log(job, np.random.default_rng(job.seed))
     setup, terms, moving = _ready(log.recording)
     started = time.process_time()
-    loop = close_array_loop(setup, terms, moving, np.random.default_rng(job.seed))
+    rules = replace(ARRAY_RULES, curves=job.outside is not None)
+    loop = close_array_loop(setup, terms, moving, np.random.default_rng(job.seed), rules)
     seconds = time.process_time() - started
     strength: tuple[float, ...] = ()
     oracle = loop.base
@@ -143,8 +144,8 @@ class _Log:
             rate = rate + square * np.einsum("kij,tkj->tki", m.rotations, own)
         elif name == "soft_saturation":
             own = m.seen(m.force)
-            steep = np.sign(own) * np.maximum(np.abs(own) - 20.0, 0.0) ** 2
-            felt = felt - 1e-4 * size * np.einsum("kij,tkj->tki", m.rotations, steep)
+            steep = np.sign(own) * np.maximum(np.abs(own) - 35.0, 0.0) ** 2
+            felt = felt - 5e-4 * size * np.einsum("kij,tkj->tki", m.rotations, steep)
         elif name == "imu_shifts":
             shift = np.zeros((BOARD.count, 3))
             shift[one] = 1e-4 * size * signs
@@ -229,20 +230,14 @@ def _strength(oracle: ArrayState, name: str, theta: Array) -> float:
     return float(np.sqrt(z @ beside_the_fit(rest, effect) @ z))
 
 
-def _away(state: ArrayState, positions: Array) -> Array:
-    """(K - 1, 3) m, errors in the frame that the triads share, which is a convention."""
-    left, _, right = np.linalg.svd(positions[1:].T @ state.r[1:])
-    return np.asarray(state.r[1:] - positions[1:] @ left @ right)
-
-
 def _error(state: ArrayState, positions: Array) -> float:
-    """mm rms of a coordinate."""
-    return float(1e3 * np.sqrt(np.mean(_away(state, positions) ** 2)))
+    """mm rms of a coordinate, in the frame that the triads share."""
+    return float(1e3 * np.sqrt(np.mean((state.r - positions)[1:] ** 2)))
 
 
 def _coverage(loop: ArrayLoop, positions: Array) -> tuple[int, int]:
     """95 % intervals of the coordinates that hold the truth, of how many."""
     n = loop.final.positions
     sd = np.sqrt(np.diag(loop.final.covariance)[:n] * loop.dispersion)
-    inside = np.abs(_away(loop.final, positions).ravel()) <= 1.96 * sd
+    inside = np.abs((loop.final.r - positions)[1:].ravel()) <= 1.96 * sd
     return int(inside.sum()), n

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from imucalib.calibrators.array_board import Board
 from imucalib.calibrators.array_corrected import corrected_samples, widened
 from imucalib.calibrators.array_log import array_log
-from imucalib.calibrators.array_loop import ArrayLoop, close_array_loop
+from imucalib.calibrators.array_loop import ARRAY_RULES, ArrayLoop, close_array_loop
 from imucalib.calibrators.array_moving import Moving, moving_part, samples_of, spread_over
 from imucalib.calibrators.array_request import NON_LINEARITY, ArrayRequest
 from imucalib.calibrators.array_setup import array_setup
@@ -130,7 +130,7 @@ def _loop(
     whole = array_setup(moving, board, most, robust=robust) if most > SEARCH_SAMPLES else None
     rng = np.random.default_rng(request.seed)
     return close_array_loop(
-        setup, rest_terms(static), moving, rng, whole=whole,
+        setup, rest_terms(static), moving, rng, replace(ARRAY_RULES, curves=request.curves), whole,
         asked=replace(request.asked, search=request.loop),
     )  # fmt: skip
 

@@ -52,6 +52,19 @@ def found_ages(state: ArrayState, moving: Moving, *, all_rows: bool = False) -> 
     return Ages(clock.wave[setup.rows], voting[setup.rows], clock)
 
 
+def ages_again(state: ArrayState, moving: Moving, before: Ages | None) -> Ages | None:
+    """Ages that other gyro effects had hidden; None where none are in the model yet, or where these
+    show no other beats than before."""
+    gyro = [term for term in state.found if term.effect.sensor == "gyroscope"]
+    if not gyro or any(term.effect.needs_age for term in gyro):
+        return None
+    again = found_ages(state, moving)
+    if again is None or before is None:
+        return again
+    same = np.allclose(again.clock.frequency, before.clock.frequency, equal_nan=True)
+    return None if same else again
+
+
 def kept_ages(state: ArrayState, ages: Ages, *, voting: bool) -> ArrayState:
     """The state with the ages; while voting, samples that they were learned from are silent."""
     wave = np.where(ages.voting[:, None], ages.wave, 0.0) if voting else ages.wave

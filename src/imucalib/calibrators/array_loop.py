@@ -8,13 +8,13 @@ matched by at most three effects together; otherwise they are put back and the c
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.calibrators.array_ages import Ages, found_ages, kept_ages
+from imucalib.calibrators.array_ages import Ages, ages_again, found_ages, kept_ages
 from imucalib.calibrators.array_declared import NOTHING_ASKED, Asked, with_declared
+from imucalib.calibrators.array_found import CURVE, ArrayLoop, ArrayStep
 from imucalib.calibrators.array_held_out import Residuals, held_out_residuals
 from imucalib.calibrators.array_moving import Moving
 from imucalib.calibrators.array_noise_tests import shared_by_neighbours
@@ -26,74 +26,22 @@ from imucalib.calibrators.array_worth import size_in_words, worth
 from imucalib.evidence import Score
 from imucalib.loop import LoopSettings, Unexplained
 
-Array = NDArray[np.float64]
+__all__ = ["ARRAY_RULES", "ArrayLoop", "ArrayStep", "close_array_loop"]
 ARRAY_RULES = LoopSettings(draws=499, most_effects=8)
 #: Nats on held-out halves below which they contradict an effect: half of the data may be too few to
 #: confirm what all of them show.
 _ONE_HALF, _BOTH_HALVES = -3.0, -1.0
+_CURVES = 3  # corrections without a name, at most
 _PATH = 3  # effects that together may take the place of a curve without a name
-_CERTAIN = 0.01  # family-wise p from which on an effect without aliases is called certain
 _KEEP = 1.0  # nats that an earlier effect must still be worth at the end
-
-
-@dataclass(frozen=True)
-class ArrayStep:
-    """One accepted effect. value : its size in words; held_out : nats that the two halves gain;
-    before, after : held-out residuals"""
-
-    effect: str
-    value: str
-    p: float
-    draws: int
-    evidence: float
-    held_out: tuple[float, float]
-    before: Residuals
-    after: Residuals
-    aliases: tuple[str, ...]
-
-    @property
-    def certain(self) -> bool:
-        """Nothing else would do as well, and chance would not do it in a hundred searches."""
-        return not self.aliases and self.p <= _CERTAIN
-
-
-@dataclass(frozen=True)
-class ArrayLoop:
-    """The whole search.
-
-    base, final : fitted states before and after; ages : clocks of the gyros, or None
-    before, after : held-out residuals; scores : of the last search; absorbed : what cannot be seen,
-    with the m rms by which its typical size moves the positions; dispersion : how many times fewer
-    accelerometer samples the noise that neighbours share leaves; asked : what the user declared
-    """
-
-    base: ArrayState
-    final: ArrayState
-    ages: Ages | None
-    before: Residuals
-    after: Residuals
-    steps: tuple[ArrayStep, ...]
-    rejected: tuple[tuple[str, str], ...]
-    unexplained: tuple[Unexplained, ...]
-    scores: tuple[Score, ...]
-    first_scores: tuple[Score, ...]
-    absorbed: dict[str, float]
-    dispersion: float
-    missing: dict[str, str] = field(default_factory=dict)
-    asked: Asked = NOTHING_ASKED
-
-    @property
-    def verdict(self) -> str:
-        if self.steps:
-            return "explained in part" if self.unexplained else "explained"
-        return "unexplained" if self.unexplained else "nothing missing"
 
 
 @dataclass(frozen=True)
 class _Path:
     """Where the search stands. debt : nats that effects still have to explain because a curve
     explained them, since `safe`; taken : how many effects tried to; skipped : what the user
-    keeps out of the search"""
+    keeps out of the search; matched : curves that effects took the place of, and the path before;
+    corrected : structure without a name that a curve takes out"""
 
     state: ArrayState
     residuals: Residuals
@@ -103,6 +51,8 @@ class _Path:
     taken: int = 0
     safe: _Path | None = None
     skipped: frozenset[str] = frozenset()
+    matched: tuple[tuple[str, _Path], ...] = ()
+    corrected: tuple[Unexplained, ...] = ()
 
     @property
     def left_out(self) -> frozenset[str]:
@@ -124,31 +74,46 @@ def close_array_loop(
     started = base if ages is None else kept_ages(base, ages, voting=True)
     path = _Path(started, before, skipped=asked.skipped(setup.imus))
     first = found = search(path.state, path.left_out, rng, rules.draws)
+    once = True
     while True:
         chosen = _chosen(path, found, rules)
         if chosen is None:
-            if path.safe is None:
+            again = ages_again(path.state, moving, ages) if once else None
+            once = False
+            if again is not None:
+                ages, path = again, replace(path, state=kept_ages(path.state, again, voting=True))
+                found = search(path.state, path.left_out, rng, rules.draws)
+                continue
+            back = path.safe or _matched_in_vain(path, found, rules.alpha)
+            if back is None:
                 break
-            path = replace(path.safe, debt=-1.0)
+            path = replace(back, debt=-1.0)
             found = search(path.state, path.left_out, rng, rules.draws)
             break
         before_it = path.state
         path = _tried(path, found, chosen, rules, ages)
         if path.state is not before_it:
             found = search(path.state, path.left_out, rng, rules.draws)
+    path, found = _with_curves(path, found, rules, rng) if rules.curves else (path, found)
     path = _eliminated(path)
     final, ages = _on_all(path, ages, moving, whole)
     left = tuple(
-        Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
+        _without_a_name(s)
         for s in found.scores
         if asked.search and s.candidate.kind != "effect" and s.p <= rules.alpha
     )
     moved = bool(path.steps or asked.declare)
     return ArrayLoop(
         base, final, ages, before, held_out_residuals(final) if moved else before, path.steps,
-        path.rejected, left[:3], found.scores, first.scores,
+        path.rejected, (*path.corrected, *left[:3]), found.scores, first.scores,
         absorbed((first, found)), shared_by_neighbours(final, gyro=False), found.missing, asked,
     )  # fmt: skip
+
+
+def _matched_in_vain(path: _Path, found: Search, alpha: float) -> _Path | None:
+    """Where the path stood before effects took the place of a curve that still stands out."""
+    passing = {s.name for s in found.scores if s.p <= alpha}
+    return next((before for curve, before in path.matched if curve in passing), None)
 
 
 def _chosen(path: _Path, found: Search, rules: LoopSettings) -> Score | None:
@@ -178,17 +143,52 @@ def _tried(
     if reason:
         return replace(path, rejected=(*path.rejected, (chosen.name, reason)))
     step = _step(path, trial, found, chosen, gains)
-    leader = next(s for s in found.scores if s.candidate.kind != "noise")
+    leader = next(
+        s for s in found.scores
+        if s.candidate.kind != "noise" and s.name not in path.left_out
+    )  # fmt: skip
     gained = trial.density - path.state.density
     grown = replace(path, state=trial, residuals=step.after, steps=(*path.steps, step))
     if path.safe is None:
-        if leader.candidate.kind == "effect" or leader.evidence <= chosen.evidence + rules.margin:
+        if leader.candidate.kind == "effect":
+            return grown
+        grown = replace(grown, matched=(*path.matched, (leader.name, path)))
+        if leader.evidence <= chosen.evidence + rules.margin:
             return grown
         grown = replace(grown, safe=path, debt=leader.evidence - rules.margin)
     debt = grown.debt - gained
     if debt <= 0.0:
         return replace(grown, safe=None, debt=0.0, taken=0)
     return replace(grown, debt=debt, taken=grown.taken + 1)
+
+
+def _with_curves(
+    path: _Path, found: Search, rules: LoopSettings, rng: np.random.Generator
+) -> tuple[_Path, Search]:
+    """The path with structure that has no name corrected by curves, where both halves gain."""
+    for _ in range(_CURVES):
+        probes = (s for s in found.scores if s.p <= rules.alpha and found.correctable(s.name))
+        chosen = next(probes, None)
+        if chosen is None:
+            break
+        gains = found.held_out(chosen.name)
+        term = found.term(chosen.name)
+        term = replace(term, name=CURVE + term.name)
+        trial = settled(replace(path.state, terms=(*path.state.terms, term)))
+        if min(gains) <= 0.0 or _why_not(path.state, trial, gains):
+            break
+        named = replace(chosen, candidate=replace(chosen.candidate, name=term.name))
+        step = replace(_step(path, trial, found, named, gains), aliases=())
+        path = replace(
+            path, state=trial, residuals=step.after, steps=(*path.steps, step),
+            corrected=(*path.corrected, _without_a_name(chosen)),
+        )  # fmt: skip
+        found = search(path.state, path.left_out, rng, rules.draws)
+    return path, found
+
+
+def _without_a_name(s: Score) -> Unexplained:
+    return Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
 
 
 def _why_not(before: ArrayState, after: ArrayState, gains: tuple[float, float]) -> str:

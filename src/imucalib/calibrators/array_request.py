@@ -24,7 +24,7 @@ class ArrayRequest:
     """samples : moving samples used at most; target : m, the posterior sd at which more samples
     say nothing that matters; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
     iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
-    of the search"""
+    of the search; curves : whether structure without a name is corrected by smooth curves"""
 
     board: Board
     gravity: float = STANDARD_GRAVITY
@@ -41,5 +41,6 @@ class ArrayRequest:
     iterations: int = 100_000
     loop: bool = True
     asked: Asked = NOTHING_ASKED
+    curves: bool = False
     checkpoint: Path | None = None
     seed: int = 0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from imucalib.calibrators.array_candidates import Candidates, Entry, candidates
 from imucalib.calibrators.array_noise_tests import NoiseTest, noise_tests
 from imucalib.calibrators.array_state import ArrayState
-from imucalib.calibrators.array_terms import OPEN, Term, determined
+from imucalib.calibrators.array_terms import OPEN, Term, determined, typical_of
 from imucalib.estimators.array_gram import Gram, Reduced, gram, reduced, starts_of
 from imucalib.evidence import Candidate, Score
 from imucalib.evidence_gram import block_evidence
@@ -26,19 +26,21 @@ Index = NDArray[np.intp]
 TAU = 10.0 ** np.arange(-3.0, 1.1, 0.5)
 ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest must leave
 _READINGS, _FEWEST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
+_APART = 0.2  # share of a curve's direction that the base must leave
 
 
 @dataclass(frozen=True)
 class Search:
     """scores, best first; entries by name; whole : columns of all candidates with the base taken
-    out; halves : the same of the two held-out halves; index : where a candidate's columns are;
-    null : the best evidences of simulated data; impact : m rms that a candidate's typical size
-    moves the positions; missing"""
+    out; total : their Gram matrix before that; halves : as whole, of the two held-out halves
+    index : where a candidate's columns are; null : the best evidences of simulated data
+    impact : m rms that a candidate's typical size moves the positions; missing"""
 
     scores: tuple[Score, ...]
     entries: dict[str, Entry]
     index: dict[str, Index]
     whole: Reduced
+    total: Array
     halves: tuple[Reduced, Reduced]
     null: Array
     impact: dict[str, float]
@@ -59,11 +61,39 @@ class Search:
             )
         return gains[0], gains[1]
 
+    def correctable(self, name: str) -> bool:
+        """Whether it is a curve that may be corrected. What all accelerometers share as a function
+        of the force bends the array's shape: there a curve is no better than the error."""
+        entry = self.entries.get(name)
+        if entry is None or entry.effect is None or entry.kind != "probe":
+            return False
+        return not (entry.effect.shared and entry.effect.sensor == "accelerometer")
+
     def term(self, name: str) -> Term:
         """A candidate as a new term: the directions that the data can determine, at zero."""
         entry, at = self.entries[name], self.index[name]
         assert entry.effect is not None
-        return determined(name, entry.effect, entry.only, self.whole.matrix[np.ix_(at, at)])
+        matrix = self.whole.matrix[np.ix_(at, at)]
+        if entry.kind == "effect":
+            return determined(name, entry.effect, entry.only, matrix)
+        kept = _apart(matrix, self.total[np.ix_(at, at)])
+        live = typical_of(entry.effect, len(at))[:, None] * kept
+        n = kept.shape[1]
+        return Term(name, entry.effect, entry.only, live, np.zeros(n), np.ones(n))
+
+
+def _apart(matrix: Array, total: Array) -> Array:
+    """(p, q) orthonormal directions of a curve of which the positions and terms take little: in the
+    others it would trade off against the answer, whatever its cause.
+
+    matrix, total : (p, p) Gram matrices with these taken out, and before
+    """
+    values, vectors = np.linalg.eigh(total)
+    seen = values > 1e-9 * float(values[-1])
+    white = vectors[:, seen] / np.sqrt(values[seen])
+    share, turn = np.linalg.eigh(white.T @ matrix @ white)
+    kept = white @ turn[:, share >= _APART]
+    return np.asarray(np.linalg.qr(kept)[0])
 
 
 def _most_likely(matrix: Array, along: Array) -> Array:
@@ -118,7 +148,7 @@ def search(
     impact = {e.name: float(np.linalg.norm(carry[index[e.name]])) for e in found.entries}
     return Search(
         tuple(sorted(scores, key=lambda s: -s.evidence)), {e.name: e for e in found.entries},
-        index, whole, (halves[0], halves[1]), null, impact, found.missing,
+        index, whole, total.matrix[b:, b:], (halves[0], halves[1]), null, impact, found.missing,
     )  # fmt: skip
 
 

@@ -50,6 +50,11 @@ if TYPE_CHECKING:
 @click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects.")
 @click.option("--without", multiple=True, metavar="EFFECT",
               help="Leave effects out of the search.")  # fmt: skip
+@click.option(
+    "--curves",
+    is_flag=True,
+    help="Correct structure without a name by a smooth curve, where that holds out.",
+)
 @click.option("--draws", type=click.Path(path_type=Path), help="Also write the draws: .h5 or .nc.")
 @click.option("--checkpoint", type=click.Path(path_type=Path),
               help="Keep the chains here after every block, and go on from there.")  # fmt: skip
@@ -123,7 +128,8 @@ def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
         motion=options["motion_prior"], exponent=float(options["det_exponent"]),
         accelerometer_sigma=sigma, gyro_covariance=options["gyro_covariance"],
         chains=options["chains"], stop=Stop(ess=options["ess"]), iterations=options["iterations"],
-        loop=options["loop"], asked=asked, checkpoint=options["checkpoint"], seed=options["seed"],
+        loop=options["loop"], asked=asked, curves=options["curves"],
+        checkpoint=options["checkpoint"], seed=options["seed"],
     )  # fmt: skip
 
 

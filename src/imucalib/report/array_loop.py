@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.array_effects import array_catalogue
+from imucalib.calibrators.array_found import CURVE
 from imucalib.calibrators.array_held_out import NORMAL_MAD
 from imucalib.calibrators.array_loop import ArrayLoop
 from imucalib.calibrators.array_terms import Term
@@ -66,8 +67,12 @@ def declared_terms(loop: ArrayLoop) -> tuple[Term, ...]:
 def _verdict(loop: ArrayLoop) -> Text:
     if not loop.asked.search:
         return Text("Fitted with the declared effects; the search was not run.")
-    names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.steps)
+    causes = [step for step in loop.steps if not step.curve]
+    names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in causes)
     left = ", ".join(f"{u.name} ({u.driver})" if u.driver else u.name for u in loop.unexplained)
+    if len(causes) < len(loop.steps):
+        left += "; corrected by a curve: "
+        left += ", ".join(s.effect.removeprefix(CURVE) for s in loop.steps if s.curve)
     return {
         "nothing missing": Text("Nothing is missing: no candidate passes the search.", "ok"),
         "explained": Text(f"The residual is explained by {names}.", "ok"),
