@@ -389,3 +389,21 @@ def test_curves_correct_what_has_no_name_where_it_helps() -> None:
     assert np.abs(found.final.r - true).max() < 5e-5
     text = render_text(Document("a", Text("b"), (array_loop_section(found),)), 200, color=False)
     assert "corrected by a curve: position of imu5 against time" in " ".join(text.split())
+
+
+def test_the_file_says_what_the_clocks_were() -> None:
+    from imucalib.calibrators.array_ages import beats
+    from imucalib.calibrators.array_calibration import effect_list
+
+    found = closed(planted_log("clock skew, 1 ms", 11)[0], 200)
+    assert found.ages is not None
+    entry = next(e for e in effect_list(found) if e["effect"] == "gyro_sample_age")
+    assert [b["imu"] for b in entry["beats"] if b] == list(BOARD.imus)
+    t = found.final.setup.t
+    for k, beat in enumerate(beats(found.ages, t)):
+        assert beat is not None
+        assert 0.3 < abs(beat.frequency) < 3.0
+        assert beat.wander < 0.1
+        line = beat.frequency * (t - beat.at) + beat.phase
+        away = (found.ages.wave[:, k] + 0.5 - line + 0.5) % 1.0 - 0.5
+        assert np.sqrt(np.mean(away**2)) == pytest.approx(beat.wander, abs=0.02)

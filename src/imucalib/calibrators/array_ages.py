@@ -30,6 +30,32 @@ class Ages:
     clock: SampleAge
 
 
+@dataclass(frozen=True)
+class Beat:
+    """Steady part of a sawtooth: φ(t) = frequency (t - at) + phase, in turns; Hz, negative when the
+    age falls with time; wander : rms turns by which the phase leaves that line"""
+
+    frequency: float
+    phase: float
+    at: float
+    wander: float
+
+
+def beats(ages: Ages, t: Array) -> tuple[Beat | None, ...]:
+    """The beat of each gyro at the times (T,) s of its sawtooth; None without one."""
+    at = float(t[0])
+    found: list[Beat | None] = []
+    for f, wave in zip(ages.clock.frequency, ages.wave.T, strict=True):
+        if not np.isfinite(f):
+            found.append(None)
+            continue
+        off = np.unwrap(2.0 * np.pi * (wave + 0.5 - f * (t - at))) / (2.0 * np.pi)
+        slope, start = np.polyfit(t - at, off, 1)
+        wander = float(np.sqrt(np.mean((off - start - slope * (t - at)) ** 2)))
+        found.append(Beat(float(f + slope), float(start % 1.0), at, wander))
+    return tuple(found)
+
+
 def found_ages(state: ArrayState, moving: Moving, *, all_rows: bool = False) -> Ages | None:
     """Sawtooth ages from the samples outside of the search; None where no gyro shows a line."""
     setup = state.setup

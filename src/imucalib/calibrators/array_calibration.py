@@ -14,6 +14,7 @@ import numpy as np
 
 from imucalib import __version__
 from imucalib.calibrators.array import ArrayRun
+from imucalib.calibrators.array_ages import beats
 from imucalib.calibrators.array_corrected import gyro_gains
 from imucalib.calibrators.array_loop import ArrayLoop
 from imucalib.units import DEG
@@ -60,6 +61,7 @@ def effect_list(loop: ArrayLoop) -> list[dict[str, Any]]:
     state = loop.final
     return [
         {
+            **_beats(loop, term.effect.needs_age),
             "effect": term.name,
             "declared": term.name in loop.asked.declare,
             "sensor": term.effect.sensor,
@@ -73,6 +75,22 @@ def effect_list(loop: ArrayLoop) -> list[dict[str, Any]]:
         }
         for term in state.found
     ]
+
+
+def _beats(loop: ArrayLoop, aged: bool) -> dict[str, Any]:
+    """Clocks of the gyros in this recording: they start anew with the power."""
+    if not aged or loop.ages is None:
+        return {}
+    state = loop.final.setup
+    return {
+        "beats": [
+            None if beat is None else {
+                "imu": imu, "hz": beat.frequency, "phase_turns": beat.phase, "at_s": beat.at,
+                "wander_turns": beat.wander,
+            }
+            for imu, beat in zip(state.imus, beats(loop.ages, state.t), strict=True)
+        ]
+    }  # fmt: skip
 
 
 def _positions(run: ArrayRun) -> list[dict[str, Any]]:
