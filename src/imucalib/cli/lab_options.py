@@ -134,8 +134,11 @@ _OPTIONS = (
         help="Python file with effects of your own.",
     ),
     click.option("--no-loop", is_flag=True, help="Fit the base model only."),
-    click.option("--curves", is_flag=True,
-                 help="Correct structure without a name by a smooth curve, where that holds out."),
+    click.option(
+        "--curves",
+        is_flag=True,
+        help="Correct structure without a name by a smooth curve, where that holds out.",
+    ),
     click.option(
         "--draws", default=1000, show_default=True, help="Simulated data sets behind each p-value."
     ),
