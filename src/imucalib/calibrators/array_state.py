@@ -92,7 +92,7 @@ class Base:
         off = (state.r - state.setup.nominal)[1:].ravel()
         flat = np.full(off.size, state.setup.spread**-2.0)
         self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in state.terms)])
-        # Beside the rests nothing is held: what positions absorb is absorbed for good.
+        # What positions absorb is absorbed for good.
         held = [term.sd**-2.0 * (not term.found) for term in state.terms]
         self.rests = np.concatenate([0.0 * flat, *held])
         self.pull = self.prior * np.concatenate([off, *(term.value for term in state.terms)])
@@ -166,8 +166,9 @@ def settled(state: ArrayState) -> ArrayState:
 
 
 def _alike(one: SensorNoise, two: SensorNoise) -> bool:
-    same = one.growth == two.growth and one.freedom == two.freedom
-    return same and bool(np.all(np.abs(one.factor / two.factor - 1.0) < _STALE))
+    # Growth is in units of the median speed, which moves a little with every fit.
+    a, b = ((x.growth, *x.factor) for x in (one, two))
+    return one.freedom == two.freedom and bool(np.allclose(a, b, rtol=_STALE, atol=0.0))
 
 
 def _with_scale(state: ArrayState) -> ArrayState:
@@ -216,9 +217,7 @@ def _measured(state: ArrayState) -> ArrayState:
     density += float(log_density(state.noise[1], g, speed).sum())
     for term in state.terms:
         density -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
-    size = np.sqrt(np.diag(covariance))
-    density += float(0.5 * np.linalg.slogdet(covariance / size[:, None] / size)[1])
-    density += float(np.log(size).sum())
+    density += 0.5 * float(np.linalg.slogdet(covariance)[1])
     return replace(state, density=density, covariance=covariance)
 
 

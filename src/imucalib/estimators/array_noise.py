@@ -64,15 +64,16 @@ def log_density(noise: SensorNoise, square: Array, speed: Array) -> Array:
 
 def scaled(noise: SensorNoise, square: Array, speed: Array) -> SensorNoise:
     """The same with its most likely scale: a few steps of expectation maximisation."""
-    for _ in range(12 if np.isfinite(noise.freedom) else 1):
-        shape = noise.variance(speed) / noise.sigma**2
-        weight = noise.weight(square, speed) * noise.variance(speed)
-        sigma = float(np.sqrt(np.mean(weight * square / shape) / 3.0))
-        near = abs(sigma / noise.sigma - 1.0) < 1e-3
-        noise = replace(noise, sigma=sigma)
-        if near:
+    unit = square / (noise.variance(speed) / noise.sigma**2)
+    if not np.isfinite(noise.freedom):
+        return replace(noise, sigma=float(np.sqrt(np.mean(unit) / 3.0)))
+    sigma, nu = noise.sigma, noise.freedom
+    for _ in range(12):
+        before, heavy = sigma, unit / (nu + unit / sigma**2)
+        sigma = float(np.sqrt((nu + 3.0) * np.mean(heavy) / 3.0))
+        if abs(sigma / before - 1.0) < 1e-3:
             break
-    return noise
+    return replace(noise, sigma=sigma)
 
 
 def _best(options: list[SensorNoise], square: Array, speed: Array) -> SensorNoise:
