@@ -3,14 +3,19 @@ positions cannot tell apart; clean benches must end with nothing."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from imucalib.bench import position_observations
 from imucalib.calibrators.lab import LabResult, LabSettings, calibrate
+from imucalib.calibrators.lab_request import LabRequest
+from imucalib.calibrators.lab_run import run_lab
 from imucalib.calibrators.lab_simulation import BenchPlan, simulated_table
 from imucalib.closed_loop import LoopSettings
 from imucalib.conventions import Conventions
+from imucalib.errors import UsageError
 from imucalib.units import MG, STANDARD_GRAVITY
 
 RULES = LabSettings(rules=LoopSettings(draws=199, alpha=0.04, record_alpha=0.01))
@@ -103,3 +108,20 @@ def test_an_absorbed_effect_is_listed_as_not_testable() -> None:
     absorbed = {s.name for s in loop.scores if s.absorbed}
     assert "tool_face_zero" in absorbed
     assert not loop.steps
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_slip_of_a_factor_ten_is_told_before_anything_is_fitted(axis: str) -> None:
+    table = simulated_table(BenchPlan(), np.random.default_rng(3))
+    row = int(np.argmax(np.abs(table.columns[axis])))
+    right = float(table.columns[axis][row])
+    columns = {**table.columns, axis: table.columns[axis].copy()}
+    columns[axis][row] *= 10.0
+    slipped = replace(table, columns=columns)
+    with pytest.raises(UsageError) as said:
+        run_lab(slipped, LabRequest(unit="mg"))
+    assert f"row {row + 1}" in str(said.value)
+    assert f"--fix {row + 1}:{axis}={right:.10g}" in str(said.value)
+    run = run_lab(slipped, LabRequest(unit="mg", auto_exclude=True))
+    assert run.excluded == (f"row {row + 1}: excluded automatically (size of |a|)",)
+    assert run.result.observations.n == table.n - 1

@@ -51,11 +51,10 @@ def _thawed(values: dict[str, object]) -> Trial:
     return Trial(**plain)  # type: ignore[arg-type]
 
 
-def run(calibrator: str, scale: float, workers: int, folder: Path) -> list[Trial]:
+def run(calibrator: str, every: list[Job], workers: int, folder: Path) -> list[Trial]:
     """All trials of a calibrator, those that are kept and those that are missing."""
     path = folder / f"{calibrator}.jsonl"
     done = kept(path)
-    every = list(jobs(calibrator, scale))
     missing = [job for job in every if job.seed not in done or done[job.seed].job != job]
     with path.open("a") as out, ProcessPoolExecutor(workers) as pool:
         for n, trial in enumerate(_results(pool, missing), 1):
@@ -77,13 +76,19 @@ def main() -> None:
     parser.add_argument("--scale", type=float, default=1.0)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--only", nargs="*", choices=list(WORLDS), default=list(WORLDS))
+    parser.add_argument("--scenarios", nargs="*", default=[""], help="beginnings of their names")
     parser.add_argument("--keep", type=Path)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.keep or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         for calibrator in options.only:
-            print(table(calibrator, run(calibrator, options.scale, options.jobs, folder)))
+            asked = [
+                job
+                for job in jobs(calibrator, options.scale)
+                if job.scenario.startswith(tuple(options.scenarios))
+            ]
+            print(table(calibrator, run(calibrator, asked, options.jobs, folder)))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,11 @@ from imucalib.position_table import PositionTable
 from imucalib.starting_point import misfit
 from imucalib.units import DEG, MG
 
+Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+
+#: A reading at rest differs from the others' size by a tenth at most, through bias and scale.
+_FAR = 0.35
 
 
 def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> Observations:
@@ -83,6 +87,45 @@ def refuse_swapped(
                 where=table.path,
                 remedy=f"{remedy}; --keep-angles to insist",
             )
+
+
+def implausible_sizes(table: PositionTable, rows: Index) -> Index:
+    """Those of some rows (from 0) whose size no bias or scale explains beside the others'.
+
+    A slip of a factor ten bends every parameter until nothing can be judged, so it is looked for
+    before anything is fitted.
+    """
+    size = np.linalg.norm(table.raw()[rows], axis=1)
+    off = np.abs(size / np.median(size) - 1.0) > _FAR
+    # Where many are off, it is not a slip of the pen.
+    return rows[off] if off.sum() <= max(1, rows.size // 8) else rows[:0]
+
+
+def refuse_sizes(table: PositionTable, bad: Index, rows: Index) -> None:
+    """Raise UsageError for records of implausible size, with the slip that would explain each."""
+    if not bad.size:
+        return
+    usual = float(np.median(np.linalg.norm(table.raw()[rows], axis=1)))
+    row = int(bad[0])
+    reading = table.raw()[row]
+    raise UsageError(
+        f"its |a| is {float(np.linalg.norm(reading)) / usual:.2g} times that of the others"
+        + (f" (so are {bad.size - 1} more)" if bad.size > 1 else ""),
+        where=f"{table.path}, row {row + 1}",
+        remedy=f"{_repair(reading, usual, row)}--exclude {row + 1} or --auto-exclude",
+    )
+
+
+def _repair(reading: Array, usual: float, row: int) -> str:
+    """The one number that is ten times too large or too small, or nothing."""
+    for axis, name in enumerate("xyz"):
+        for factor, words in ((0.1, "large"), (10.0, "small")):
+            changed = reading.copy()
+            changed[axis] *= factor
+            if abs(float(np.linalg.norm(changed)) / usual - 1.0) < 0.1:
+                value = float(changed[axis])
+                return f"{name} may be ten times too {words}: --fix {row + 1}:{name}={value:.10g}, "
+    return ""
 
 
 def kept_rows(table: PositionTable, exclude: tuple[int, ...]) -> Index:

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from imucalib.bench import RawUnit, corrected_cells, raw_unit, swapped_angles
 from imucalib.calibrators.lab import LabResult, calibrate
 from imucalib.calibrators.lab_advice import advice, fix_option, limits_of, reasons
-from imucalib.calibrators.lab_checks import kept_rows, observations_of, refuse_swapped, with_train
+from imucalib.calibrators.lab_checks import (
+    implausible_sizes,
+    kept_rows,
+    observations_of,
+    refuse_sizes,
+    refuse_swapped,
+    with_train,
+)
 from imucalib.calibrators.lab_provenance import provenance_of
 from imucalib.calibrators.lab_request import LabRequest
 from imucalib.observations import Observations
@@ -51,6 +58,8 @@ def run_lab(
         refuse_swapped(whole, table, raw, request)
     rows = kept_rows(table, request.exclude)
     excluded = tuple(f"row {r}: excluded as asked" for r in request.exclude)
+    rows, far = _without_far(table, rows, request)
+    excluded += far
     result = _calibrated(whole, rows, request)
     if request.auto_exclude and _records(result):
         excluded += tuple(
@@ -79,6 +88,17 @@ def run_lab(
         notes=(raw.sentence, *notes),
     )
     return LabRun(outcome, result, table, raw, request, excluded)
+
+
+def _without_far(
+    table: PositionTable, rows: Index, request: LabRequest
+) -> tuple[Index, tuple[str, ...]]:
+    """The rows of plausible size and what was left out; refuses when nothing may be left out."""
+    far = implausible_sizes(table, rows)
+    if not request.auto_exclude:
+        refuse_sizes(table, far, rows)
+    words = tuple(f"row {r + 1}: excluded automatically (size of |a|)" for r in far)
+    return np.setdiff1d(rows, far), words
 
 
 def _calibrated(whole: Observations, rows: Index, request: LabRequest) -> LabResult:

@@ -6,6 +6,7 @@ the noise by restricted maximum likelihood (REML) at the linearised balance.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -116,7 +117,8 @@ def _solve(
         residual, jacobian = linearise(start)
         scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
         step = np.linalg.lstsq(jacobian / scale, residual, rcond=1e-10)[0] / scale
-        first = min(first, move(start, step), key=lambda s: float(np.sum(linearise(s)[0] ** 2)))
+        with suppress(np.linalg.LinAlgError):  # the step may lead where nothing can be evaluated
+            first = min(first, move(start, step), key=lambda s: float(np.sum(linearise(s)[0] ** 2)))
     return minimise(linearise, move, first)
 
 

@@ -84,7 +84,7 @@ def minimise(
     damping, growth, widest, used = 1e-3, 2.0, point.norms, 0
     while used < iterations and point.gain > tolerance * point.cost and damping < _MOST_DAMPING:
         used += 1
-        trial = _linearised(linearise, move(point.state, point.step(damping)), widest)
+        trial = _moved(linearise, move, point, damping, widest)
         if trial is None or trial.cost >= point.cost:
             damping, growth = damping * growth, growth * 2.0
             continue
@@ -117,6 +117,20 @@ def _linearised(
     return _Point(state, residual, jacobian, cost, norms, singular[use], along, back)
 
 
+def _moved(
+    linearise: Callable[[State], tuple[Array, Array]],
+    move: Callable[[State, Array], State],
+    point: _Point[State],
+    damping: float,
+    widest: Array,
+) -> _Point[State] | None:
+    """The point after a step; None where a step went so far that nothing can be evaluated."""
+    try:
+        return _linearised(linearise, move(point.state, point.step(damping)), widest)
+    except np.linalg.LinAlgError:
+        return None
+
+
 def _polished(
     linearise: Callable[[State], tuple[Array, Array]],
     move: Callable[[State, Array], State],
@@ -129,7 +143,7 @@ def _polished(
     the weights move with the state.
     """
     for _ in range(20):
-        trial = _linearised(linearise, move(point.state, point.step(0.0)), widest)
+        trial = _moved(linearise, move, point, 0.0, widest)
         if trial is None or trial.gain > 0.8 * point.gain or trial.cost > 1.001 * point.cost:
             break
         point = trial
