@@ -56,10 +56,7 @@ def run_lab(
     whole = observations_of(table, raw, request)
     if request.reference == "vector" and not request.keep_angles:
         refuse_swapped(whole, table, raw, request)
-    rows = kept_rows(table, request.exclude)
-    excluded = tuple(f"row {r}: excluded as asked" for r in request.exclude)
-    rows, far = _without_far(table, rows, request)
-    excluded += far
+    rows, excluded = _kept(table, request)
     result = _calibrated(whole, rows, request)
     if request.auto_exclude and _records(result):
         excluded += tuple(
@@ -90,15 +87,15 @@ def run_lab(
     return LabRun(outcome, result, table, raw, request, excluded)
 
 
-def _without_far(
-    table: PositionTable, rows: Index, request: LabRequest
-) -> tuple[Index, tuple[str, ...]]:
-    """The rows of plausible size and what was left out; refuses when nothing may be left out."""
+def _kept(table: PositionTable, request: LabRequest) -> tuple[Index, tuple[str, ...]]:
+    """The rows that were not excluded and have a plausible size, and what was left out."""
+    rows = kept_rows(table, request.exclude)
     far = implausible_sizes(table, rows)
     if not request.auto_exclude:
         refuse_sizes(table, far, rows)
+    asked = tuple(f"row {r}: excluded as asked" for r in request.exclude)
     words = tuple(f"row {r + 1}: excluded automatically (size of |a|)" for r in far)
-    return np.setdiff1d(rows, far), words
+    return np.setdiff1d(rows, far), asked + words
 
 
 def _calibrated(whole: Observations, rows: Index, request: LabRequest) -> LabResult:

@@ -88,7 +88,7 @@ def estimate_with_prior(at: Balanced, start: Noise, prior: Array, away: Array) -
     chi2, size = float(at.residual @ at.residual), at.residual.size
     square = start.factor**2
     for _ in range(100):
-        covariance = np.linalg.inv(information / square + precision)
+        covariance: Array = np.asarray(np.linalg.inv(information / square + precision), np.float64)
         used = float(np.sum(information * covariance)) / square
         dof = _PRIOR_DOF + size - used
         before, square = square, (_PRIOR_DOF + chi2) / dof
