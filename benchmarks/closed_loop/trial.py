@@ -106,9 +106,17 @@ def said(trial: Trial, loop: Loop | ArrayLoop) -> Trial:
         sets=sets,
         certain=tuple(plain(s.effect) for s in loop.steps if s.certain),
         records=tuple(f"{r.row}:{r.channel}" for r in getattr(loop, "records", ())),
-        unexplained=tuple((u.kind, u.driver) for u in loop.unexplained),
+        unexplained=(
+            *((u.kind, u.driver) for u in loop.unexplained),
+            *(("curve", _against(s.effect)) for s in getattr(loop, "curves", ())),
+        ),
         absorbed=tuple(plain(s.name) for s in loop.first_scores if s.absorbed),
     )
+
+
+def _against(curve: str) -> str:
+    """The driver of "curve@bias:tool_face:..." as probes call it."""
+    return curve.split(":")[1].replace("_", "-")
 
 
 def strengths(oracle: Fit, planted: dict[str, Array]) -> tuple[float, ...]:
