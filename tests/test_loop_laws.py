@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench_world import base_model, bench, draw, ordinary_theta
-from imucalib import cross_fit, evidence, evidence_grid
+from imucalib import cross_fit, evidence_grid
 from imucalib.candidates import effect_candidates
 from imucalib.closed_loop import close_loop
 from imucalib.context import Context
@@ -80,13 +80,13 @@ def silent(fit: Fit) -> float:
 def test_a_forgotten_projection_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = fit_model(base_model(), planted("tool_face_zero", 3.0))
     assert silent(fit) == 0.0
-    base, point = evidence._base, evidence_grid._at_point
+    base, point = Fit.white_basis, evidence_grid._at_point
 
     def without(found: Fit) -> tuple[evidence_grid.Whitener, Array]:
         white, basis = base(found)
         return white, np.zeros_like(basis)
 
-    monkeypatch.setattr(evidence, "_base", without)
+    monkeypatch.setattr(Fit, "white_basis", without)
     monkeypatch.setattr(
         evidence_grid, "_at_point", lambda j, *rest: replace(point(j, *rest), basis=0.0 * j)
     )

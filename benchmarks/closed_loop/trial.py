@@ -122,8 +122,7 @@ def _against(curve: str) -> str:
 def strengths(oracle: Fit, planted: dict[str, Array]) -> tuple[float, ...]:
     """λ of each planted effect: its columns times its true size, beside all else that is fitted,
     in units of the noise."""
-    ratio = tuple(sd / oracle.noise.factor for sd in oracle.noise.sd)
-    white = whitener(oracle.at.settings, ratio)
+    white = whitener(oracle.at.settings, oracle.noise.ratio)
     slices = oracle.model.slices(oracle.observations.context)
     mine = [k for name in planted for k in range(slices[name].start, slices[name].stop)]
     others = np.setdiff1d(np.arange(oracle.theta.size), mine)

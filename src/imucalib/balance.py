@@ -34,6 +34,11 @@ class Noise:
     component: tuple[str, ...] = ()
     sd: tuple[float, ...] = ()
 
+    @property
+    def ratio(self) -> tuple[float, ...]:
+        """Each component's sd over the readings' factor."""
+        return tuple(sd / self.factor for sd in self.sd)
+
 
 @dataclass(frozen=True)
 class Balanced:
@@ -143,7 +148,7 @@ def setting_errors(at: Balanced, noise: Noise, misfit: Array) -> Array:
 
     Concatenated in the components' order (Henderson 1975).
     """
-    ratio = tuple(sd / noise.factor for sd in noise.sd)
+    ratio = noise.ratio
     white = whitener(at.settings, ratio)
     weighted = white(misfit)
     if white.lower is not None:

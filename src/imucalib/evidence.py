@@ -18,7 +18,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.balance import Whitener, whitener
 from imucalib.evidence_gram import gram_evidence
 from imucalib.evidence_grid import TAU, EvidenceGrid
 from imucalib.fit import Fit
@@ -116,7 +115,7 @@ def _score_few(
     fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, draws: int, alpha: float
 ) -> tuple[Score, ...]:
     at, noise = fit.at, fit.noise
-    fitted = tuple(sd / noise.factor for sd in noise.sd)
+    fitted = noise.ratio
     alone = _each_alone(fit, candidates)
     live = [k for k, (left, _, _) in enumerate(alone) if left >= _ABSORBED]
     evidence, p, done = np.zeros(len(candidates)), np.ones(len(candidates)), 0
@@ -179,7 +178,7 @@ def _score_many(
 
 def _each_alone(fit: Fit, candidates: tuple[Candidate, ...]) -> list[tuple[float, float, float]]:
     """What the fitted parameters leave of each candidate, its λ, and the share that it explains."""
-    white, basis = _base(fit)
+    white, basis = fit.white_basis()
     residual = white(fit.at.residual)
     residual = residual - basis @ (basis.T @ residual)
     power = max(float(residual @ residual), 1e-300)
@@ -198,12 +197,6 @@ def _each_alone(fit: Fit, candidates: tuple[Candidate, ...]) -> list[tuple[float
         share = 1.0 - unexplained * freedom / max(freedom - u.shape[1], 1)
         found.append((left, float(np.sqrt(kept)) / fit.noise.factor, max(share, 0.0)))
     return found
-
-
-def _base(fit: Fit) -> tuple[Whitener, Array]:
-    """The whitener of the fit's noise and an orthonormal basis of its whitened Jacobian."""
-    white = whitener(fit.at.settings, tuple(sd / fit.noise.factor for sd in fit.noise.sd))
-    return white, np.linalg.qr(white(fit.at.jacobian))[0]
 
 
 def _span(columns: Array) -> Array:
@@ -226,7 +219,7 @@ def apart(fit: Fit, found: Candidate, rival: Candidate) -> float:
 
     Below about 2 nothing in the data tells the two apart, whichever scores higher.
     """
-    white, basis = _base(fit)
+    white, basis = fit.white_basis()
 
     def projected(columns: Array) -> Array:
         rest = white(columns)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.balance import Balanced, Noise
+from imucalib.balance import Balanced, Noise, Whitener, whitener
 from imucalib.model import Model
 from imucalib.observations import Observations
 from imucalib.parameter import Parameter
@@ -70,6 +70,11 @@ class Fit:
     def noise_sd(self) -> Array:
         """Relative standard deviation of the noise factor and of each component's sd."""
         return np.sqrt(np.maximum(np.diag(self.noise_covariance), 0.0))
+
+    def white_basis(self) -> tuple[Whitener, Array]:
+        """The whitener of the noise, and an orthonormal basis of the whitened Jacobian."""
+        white = whitener(self.at.settings, self.noise.ratio)
+        return white, np.linalg.qr(white(self.at.jacobian))[0]
 
     def residual(self) -> Array:
         """(n, K, 3) m/s²: reading minus prediction at the estimated settings."""

@@ -45,7 +45,7 @@ def theta_without(fit: Fit, rows: Index) -> Array:
         return fit.theta
     keep = ~np.isin(fit.at.owner, rows)
     settings = tuple(matrix[keep] for matrix in fit.at.settings)
-    white = whitener(settings, tuple(sd / fit.noise.factor for sd in fit.noise.sd))
+    white = whitener(settings, fit.noise.ratio)
     both = white(np.column_stack([fit.at.residual[keep], fit.at.jacobian[keep]]))
     if fit.prior is not None:
         away = fit.model.start(fit.observations.context) - fit.theta
@@ -120,9 +120,8 @@ def log_predictive(fit: Fit) -> float:
     P_gg⁻¹ (P r)_g and the precision P_gg (Sundararajan and Keerthi 2001).
     """
     at, noise = fit.at, fit.noise
-    white = whitener(at.settings, tuple(sd / noise.factor for sd in noise.sd))
+    white, q = fit.white_basis()
     keys = fit.observations.group[at.owner]
-    q = np.linalg.qr(white(at.jacobian))[0]
     residual = white(at.residual) / noise.factor
     rest = residual - q @ (q.T @ residual)
     total = 0.0

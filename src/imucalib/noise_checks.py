@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.balance import whitener
 from imucalib.fit import Fit
 from imucalib.loop import LoopSettings, Unexplained
 
@@ -44,8 +43,7 @@ def beyond_declared(fit: Fit) -> float:
 
 def heavy_tails(fit: Fit, rng: np.random.Generator, draws: int) -> float:
     """Chance of a kurtosis this large in normal noise that went through the same projection."""
-    white = whitener(fit.at.settings, tuple(sd / fit.noise.factor for sd in fit.noise.sd))
-    basis = np.linalg.qr(white(fit.at.jacobian))[0]
+    white, basis = fit.white_basis()
     left = np.sqrt(np.maximum(1.0 - np.einsum("ij,ij->i", basis, basis), 0.0))
     use = left > 1e-4  # a number that the fit takes over says nothing
     if use.sum() < 8:

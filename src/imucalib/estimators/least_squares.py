@@ -95,7 +95,7 @@ def evaluate(
 def _solve(
     model: Model, observations: Observations, start: State, noise: Noise, prior: Array | None
 ) -> Solution[State]:
-    ratio = tuple(sd / noise.factor for sd in noise.sd)
+    ratio = noise.ratio
     nominal = model.start(observations.context)
 
     def linearise(state: State) -> tuple[Array, Array]:

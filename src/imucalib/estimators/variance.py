@@ -178,7 +178,7 @@ def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
     spread = np.zeros_like(information)
     if not fixed:
         spread[np.ix_(alive, alive)] = np.linalg.pinv(information[np.ix_(alive, alive)])
-    white = whitener(at.settings, tuple(sd / noise.factor for sd in noise.sd))
+    white = whitener(at.settings, noise.ratio)
     quadratic = float(at.residual @ py)
     return NoiseEstimate(
         noise,
