@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,20 +149,20 @@ class _State:
         wrong record looks like an effect."""
         if len(self.records) >= self.rules.most_records:
             return None
-        best = self.scored_records()[:1]
+        best = self.suspects[:1]
         if not best or best[0].p > self.rules.record_alpha:
             return None
         if rival is not None and rival.evidence > best[0].evidence:
             return None
         row = row_of(best[0].name)
         trial = set_aside(self.fit, row)
-        return (
-            replace(self, fit=trial, records=(*self.records, (best[0], row)))
-            if (trial.converged)
-            else None
-        )
+        if not trial.converged:
+            return None
+        return replace(self, fit=trial, records=(*self.records, (best[0], row)))
 
-    def scored_records(self) -> tuple[Score, ...]:
+    @cached_property
+    def suspects(self) -> tuple[Score, ...]:
+        """Every record that is not set aside, worst first; scored once for a fit."""
         return self._records_of(self.fit, {row for _, row in self.records})
 
     def _records_of(self, fit: Fit, taken: set[int]) -> tuple[Score, ...]:
@@ -201,7 +201,7 @@ class _State:
         if len(self.records) >= self.rules.most_records or self.steps:
             return None
         strict = replace(self.rules, alpha=self.rules.alpha / _SUSPECTS)
-        for suspect in self.scored_records()[:_SUSPECTS]:
+        for suspect in self.suspects[:_SUSPECTS]:
             if suspect.evidence < 1.0:
                 break
             row = row_of(suspect.name)

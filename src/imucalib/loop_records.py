@@ -61,12 +61,16 @@ def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[Recor
 def record_names(fit: Fit, row: int | None = None) -> tuple[str, ...]:
     """Names of the record errors in a fit's model, of one row or of all."""
     every = [name for name in fit.model.names if is_record_error(name)]
-    return tuple(n for n in every if row is None or int(n.split("_")[2]) == row)
+    return tuple(n for n in every if row is None or _row_aside(n) == row)
+
+
+def _row_aside(name: str) -> int:
+    return int(name.split("_")[2])
 
 
 def held_out_rms(fit: Fit) -> float:
     """Held-out error (m/s², rms) over the records that are not set aside."""
-    aside = {int(name.split("_")[2]) for name in record_names(fit)}
+    aside = {_row_aside(name) for name in record_names(fit)}
     rows = np.array([k for k in range(fit.observations.n) if k not in aside], dtype=np.intp)
     return held_out(fit).rms(rows)
 

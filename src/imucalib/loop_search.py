@@ -133,18 +133,17 @@ def curve_of(
     passing = [s for s in scores if passes(s, rules) and s.candidate.curve]
     if not passing:
         return None
-    found, best, most = passing[0], None, log_predictive(current) + _CURVE_NATS
+    found, best, most = passing[0], None, -np.inf
     for terms in _TERMS:
         effect = known(f"curve@{found.candidate.curve}:{terms}")
         assert effect is not None, found.candidate.curve
         if effect.name in current.model.names or effect.missing(current.observations.context):
             continue
         trial = extended(current, effect)
-        if objection(current, trial) or held_out_rms(trial) > _CURVE_RMS * held_out_rms(current):
+        if objection(current, trial, _CURVE_NATS, _CURVE_RMS):
             continue
-        gain = log_predictive(trial)
-        if gain > most:
-            best, most = (effect.name, trial), gain
+        if (density := log_predictive(trial)) > most:
+            best, most = (effect.name, trial), density
     if best is None:
         return None
     return replace(found, candidate=replace(found.candidate, name=best[0])), best[1]
@@ -165,9 +164,14 @@ def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexpla
     )
 
 
-def objection(before: Fit, after: Fit) -> str:
+def objection(
+    before: Fit, after: Fit, least_nats: float = _HELD_OUT_NATS, most_rms: float = 1.0
+) -> str:
     """Why an effect must not be taken in; empty when the refit realises the gain and what it
-    predicts for data that it was not fitted to is better."""
+    predicts for data that it was not fitted to is better.
+
+    least_nats : that it must gain there; most_rms : share of the error before that may be left
+    """
     if not after.converged:
         return "its refit did not converge"
     if len(after.null_directions) > len(before.null_directions):
@@ -182,7 +186,7 @@ def objection(before: Fit, after: Fit) -> str:
     if len(after.theta) * 1.5 > after.at.residual.size:
         return "too few numbers for its parameters"
     gain = log_predictive(after) - log_predictive(before)
-    if gain < _HELD_OUT_NATS or held_out_rms(after) >= held_out_rms(before):
+    if gain < least_nats or held_out_rms(after) >= most_rms * held_out_rms(before):
         return f"it does not hold out: {gain:+.1f} nats on data that it was not fitted to"
     return ""
 

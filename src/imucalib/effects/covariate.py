@@ -28,7 +28,9 @@ def _step(context: Context) -> Array:
     return (context["sweep"] > 0.0).astype(float)
 
 
-def _bias_with(drive: Drive) -> tuple[Basis, Basis]:
+def bias_with(drive: Drive) -> tuple[Basis, Basis]:
+    """Basis and its slope of a bias that follows a drive (n,): mg per unit of it."""
+
     def basis(x: Array, context: Context) -> Array:
         return np.asarray(np.eye(3) * MG * drive(context)[:, None, None, None] + 0.0 * x[..., None])
 
@@ -80,7 +82,7 @@ EFFECTS = (
         ("temperature",),
         "mg/degC",
         0.5,
-        _bias_with(_from_reference("temperature")),
+        bias_with(_from_reference("temperature")),
     ),
     _effect(
         "temperature_scale",
@@ -106,7 +108,7 @@ EFFECTS = (
         ("order",),
         "mg",
         1.0,
-        _bias_with(_from_reference("order")),
+        bias_with(_from_reference("order")),
     ),
     _effect(
         "scale_drift",
@@ -132,7 +134,7 @@ EFFECTS = (
         ("order",),
         "mg",
         1.0,
-        _bias_with(_warm_up),
+        bias_with(_warm_up),
     ),
     _effect(
         "bias_step",
@@ -145,7 +147,7 @@ EFFECTS = (
         ("sweep",),
         "mg",
         2.0,
-        _bias_with(_step),
+        bias_with(_step),
     ),
     _effect(
         "hysteresis",

@@ -4,8 +4,8 @@ import numpy as np
 
 from imucalib.context import Context
 from imucalib.effect import Array, Effect, Family, Response
+from imucalib.effects.covariate import bias_with
 from imucalib.parameter import Parameter
-from imucalib.units import MG
 
 _SCANNED = 48  # times tried at first; the neighbours of the best one are tried after
 _FEWEST = 12  # observations on each side of a step
@@ -15,12 +15,7 @@ def bias_step(value: str) -> Effect:
     """The step at a time such as "86400s" after the recording's start; ValueError otherwise."""
     at = float(value.removesuffix("s"))
 
-    def basis(x: Array, context: Context) -> Array:
-        after = (context["time"] >= at).astype(float)[:, None, None, None]
-        return np.asarray(np.eye(3) * MG * after + 0.0 * x[..., None])
-
-    def basis_dx(x: Array, context: Context) -> Array:
-        return np.zeros((*x.shape, 3, 3))
+    basis, basis_dx = bias_with(lambda context: (context["time"] >= at).astype(float))
 
     return Response(
         f"bias_step@{value}",

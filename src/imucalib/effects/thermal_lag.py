@@ -1,11 +1,9 @@
 """A bias that follows the temperature late: the thermometer and the sensing element differ."""
 
-import numpy as np
-
 from imucalib.context import Context
-from imucalib.effect import Array, Effect, Family, Response
+from imucalib.effect import Effect, Family, Response
+from imucalib.effects.covariate import bias_with
 from imucalib.parameter import Parameter
-from imucalib.units import MG
 
 #: Hours by which the sensor may trail the thermometer.
 LAGS = ("0.5h", "1h", "1.5h", "2h", "3h")
@@ -28,12 +26,7 @@ def thermal_lag(value: str) -> Effect:
     hours = hours_of(value)
     name = covariate(value)
 
-    def basis(x: Array, context: Context) -> Array:
-        late = (context[name] - 25.0)[:, None, None, None]
-        return np.asarray(np.eye(3) * MG * late + 0.0 * x[..., None])
-
-    def basis_dx(x: Array, context: Context) -> Array:
-        return np.zeros((*x.shape, 3, 3))
+    basis, basis_dx = bias_with(lambda context: context[name] - 25.0)
 
     return Response(
         f"thermal_lag@{value}",

@@ -69,7 +69,7 @@ def _table(text: bytes, delimiter: str, width: int, kinds: dict[str, Any]) -> An
                 null_values=[], strings_can_be_null=False,
             ),
         )  # fmt: skip
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # numpy's parser finds and names the row
         return None
 
 

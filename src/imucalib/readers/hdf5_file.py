@@ -77,10 +77,10 @@ def opened(path: Path, strict: bool) -> Iterator[File]:
 
     try:
         handle, notes = h5py.File(path, "r"), []
-    except Exception as first:
+    except Exception as first:  # cut, or not closed by its writer: the second way in tells which
         try:
             handle = h5py.File(path, "r", swmr=True)
-        except Exception:
+        except Exception:  # whatever the library raises here, the first reason is the telling one
             raise UnreadableInput(
                 f"the HDF5 file cannot be opened: {first}",
                 where=str(path),

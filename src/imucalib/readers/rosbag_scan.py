@@ -94,7 +94,7 @@ class BagScan:
             _refuse_cut_database(file)
         try:
             bag.open()
-        except Exception as error:
+        except Exception as error:  # rosbags raises almost anything on damaged bytes
             raise _unreadable(self.path, error) from error
         try:
             yield bag, list(bag.connections)
@@ -118,7 +118,7 @@ def _reader(path: Path) -> Any:
                 if file.read(9) == b"#ROSBAG V":
                     return rosbag1.Reader(path)
         return rosbag2.Reader(path)
-    except Exception as error:
+    except Exception as error:  # as above: whatever it raises, the bag cannot be opened
         raise _unreadable(path, error) from error
 
 
