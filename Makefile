@@ -39,18 +39,18 @@ docs: $(VENV)/.dev ## write the pages that are generated from the code
 	$(BIN)/python docs/generate.py
 
 benchmark: $(VENV)/.dev ## measure the marks of docs/lab.md on simulated benches and on real data
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/lab_benches.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/lab/benches.py
 
 benchmark-worn: $(VENV)/.dev ## measure actigraph beside its peers, on generated days and weeks
-	$(BIN)/python benchmarks/actigraph_peers.py
-	$(BIN)/python benchmarks/actigraph_week.py --days 7,28 --rate 25
+	$(BIN)/python benchmarks/actigraph/peers.py
+	$(BIN)/python benchmarks/actigraph/week.py --days 7,28 --rate 25
 
 benchmark-array: $(VENV)/.dev ## measure the array's sampler beside its peers, and its reading of long logs
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/array_posterior.py accuracy
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/array/posterior.py accuracy
 	$(VENV)/peers/bin/python -c 'import numpyro, pymc' 2>/dev/null || \
 		($(PYTHON) -m venv $(VENV)/peers && $(VENV)/peers/bin/python -m pip install --quiet 'jax[cpu]' numpyro pymc)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/array_peers.py --python $(VENV)/peers/bin/python
-	$(BIN)/python benchmarks/array_log.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/array/peers.py --python $(VENV)/peers/bin/python
+	$(BIN)/python benchmarks/array/log.py
 
 loop-benchmark: $(VENV)/.dev ## the acceptance benchmark of the closed loop; SCALE=0.1 for a quick look
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/closed_loop --scale $(or $(SCALE),1)

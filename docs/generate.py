@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from imucalib.array_effects import array_catalogue
 from imucalib.effects import catalogue
+from imucalib.effects.array import array_catalogue
 from imucalib.report.catalogue import catalogue_markdown
 
 HERE = Path(__file__).parent

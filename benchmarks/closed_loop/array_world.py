@@ -14,21 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 from trial import Job, Trial, noise, said
 
-from imucalib.array_effect import ArrayMotion
-from imucalib.array_effects import array_catalogue
-from imucalib.calibrators.array_board import read_board
-from imucalib.calibrators.array_declared import beside_the_fit, declared_term, with_declared
-from imucalib.calibrators.array_log import array_log
-from imucalib.calibrators.array_loop import ARRAY_RULES, ArrayLoop, close_array_loop
-from imucalib.calibrators.array_moving import Moving, moving_part
-from imucalib.calibrators.array_setup import Setup, array_setup
-from imucalib.calibrators.array_simulation import LogPlan, lever_arm, simulated_motion
-from imucalib.calibrators.array_state import ArrayState, start_state
-from imucalib.calibrators.array_static import fit_static
-from imucalib.calibrators.array_terms import Term, rest_terms, typical_of
+from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.declared import beside_the_fit, declared_term, with_declared
+from imucalib.calibrators.array.log import array_log
+from imucalib.calibrators.array.loop import ARRAY_RULES, ArrayLoop, close_array_loop
+from imucalib.calibrators.array.moving import Moving, moving_part
+from imucalib.calibrators.array.setup import Setup, array_setup
+from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
+from imucalib.calibrators.array.state import ArrayState, start_state
+from imucalib.calibrators.array.static import fit_static
+from imucalib.calibrators.array.terms import Term, rest_terms, typical_of
+from imucalib.core.array_motion import ArrayMotion
+from imucalib.effects.array import array_catalogue
 from imucalib.errors import Undetermined
-from imucalib.recording import Channel, Recording
-from imucalib.segments import still_segments
+from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.segments import still_segments
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]

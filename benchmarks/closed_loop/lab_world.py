@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 from trial import Job, Trial, coverage, noise, said, strengths, vector_error
 
-from imucalib.bench import position_observations
-from imucalib.calibrators.lab import MODELS, LabSettings
-from imucalib.calibrators.lab_design import recommend
-from imucalib.calibrators.lab_request import LabRequest
-from imucalib.calibrators.lab_run import run_lab
-from imucalib.context import Context
-from imucalib.conventions import Conventions
+from imucalib.calibration.uncertainty import correcting
+from imucalib.calibrators.lab.bench import position_observations
+from imucalib.calibrators.lab.calibrate import MODELS, LabSettings
+from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.calibrators.lab.design import recommend
+from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.run import run_lab
+from imucalib.core.context import Context
+from imucalib.core.model import Model
 from imucalib.effects import catalogue, named
 from imucalib.errors import ImucalError
-from imucalib.loop import LoopSettings
-from imucalib.model import Model
-from imucalib.position_table import PositionTable
-from imucalib.uncertainty import correcting
+from imucalib.loop.found import LoopSettings
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -202,7 +202,7 @@ def _blank(rng: np.random.Generator, layout: str) -> PositionTable:
 
 
 def _directions(inclination: Array, tool_face: Array) -> Array:
-    from imucalib.references import unit_vector
+    from imucalib.core.references import unit_vector
 
     return unit_vector(*Conventions().inside(inclination, tool_face))
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.balance import whitener
-from imucalib.calibrators.array_loop import ArrayLoop
-from imucalib.context import Context
-from imucalib.fit import Fit
-from imucalib.loop import Loop
-from imucalib.model import Model
-from imucalib.uncertainty import correcting
+from imucalib.calibration.uncertainty import correcting
+from imucalib.calibrators.array.loop import ArrayLoop
+from imucalib.core.balance import whitener
+from imucalib.core.context import Context
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.loop.found import Loop
 from imucalib.units import MG
 
 Array = NDArray[np.float64]

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from trial import Job, Trial, coverage, noise, norm_error, said, strengths
 
-from imucalib.calibrators.actigraph import NINE, calibrate
-from imucalib.calibrators.actigraph_observations import covariates_of
-from imucalib.calibrators.actigraph_request import ActigraphRequest
-from imucalib.calibrators.actigraph_simulation import SENSOR, WeekPlan, simulated_week
-from imucalib.context import Context
+from imucalib.calibrators.actigraph.calibrate import NINE, calibrate
+from imucalib.calibrators.actigraph.observations import covariates_of
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.simulation import SENSOR, WeekPlan, simulated_week
+from imucalib.core.context import Context
+from imucalib.core.model import Model
 from imucalib.effects import catalogue, named
-from imucalib.loop import LoopSettings
-from imucalib.model import Model
-from imucalib.runs import PostureRuns
+from imucalib.loop.found import LoopSettings
+from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]

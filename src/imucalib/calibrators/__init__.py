@@ -1,0 +1,1 @@
+"""Where the calibrators differ, one folder each."""

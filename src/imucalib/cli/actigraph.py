@@ -20,8 +20,8 @@ from imucalib.cli.output import (
 from imucalib.cli.recording_options import mapping_of, recording_options
 
 if TYPE_CHECKING:
-    from imucalib.calibrators.actigraph_request import ActigraphRequest
-    from imucalib.mapping import FieldMapping
+    from imucalib.calibrators.actigraph.request import ActigraphRequest
+    from imucalib.recording.mapping import FieldMapping
 
 _LIMITS = ("max-error", "max-worst-error")
 
@@ -77,12 +77,13 @@ def command(recording: Path, **options: Any) -> int:
         raise click.UsageError("--export needs a folder: -o")
     if request.as_published:
         return _as_published(recording, mapping, request, options)
-    from imucalib.calibrators.actigraph_run import calibrate_recording
+    from imucalib.calibrators.actigraph.run import calibrate_recording
 
     run = calibrate_recording(recording, mapping, request, lambda text: note(text, quiet))
     if options["output"] is not None:
-        from imucalib.calibrators.actigraph_calibration import actigraph_calibration
-        from imucalib.report.actigraph_files import write_exports, write_reports
+        from imucalib.calibrators.actigraph.calibration import actigraph_calibration
+        from imucalib.exports import write_exports
+        from imucalib.report.actigraph.files import write_reports
 
         paths = write_reports(run, options["output"])
         calibration = actigraph_calibration(run)
@@ -90,12 +91,12 @@ def command(recording: Path, **options: Any) -> int:
         for path in paths:
             note(f"wrote {path}", quiet)
     if options["as_json"]:
-        from imucalib.report.actigraph_data import actigraph_dict
+        from imucalib.report.actigraph.data import actigraph_dict
 
         emit_json(actigraph_dict(run))
     elif not quiet:
-        from imucalib.report.actigraph import actigraph_document
-        from imucalib.report.text import render_text
+        from imucalib.report.actigraph.document import actigraph_document
+        from imucalib.report.render.text import render_text
 
         click.echo(render_text(actigraph_document(run), width(), color=color()), nl=False)
     return run.outcome.exit_code
@@ -105,17 +106,17 @@ def _as_published(
     recording: Path, mapping: FieldMapping, request: ActigraphRequest, options: dict[str, Any]
 ) -> int:
     """The paper's own procedure, with the same files."""
-    from imucalib.calibrators.actigraph_published import (
+    from imucalib.calibrators.actigraph.published import (
         calibrate_as_published,
         published_calibration,
     )
-    from imucalib.report.actigraph_files import write_exports
-    from imucalib.report.actigraph_published import (
+    from imucalib.exports import write_exports
+    from imucalib.report.actigraph.published import (
         published_dict,
         published_document,
         write_published,
     )
-    from imucalib.report.text import render_text
+    from imucalib.report.render.text import render_text
 
     quiet = options["quiet"]
     run = calibrate_as_published(recording, mapping, request, lambda text: note(text, quiet))
@@ -134,9 +135,9 @@ def _as_published(
 
 def request_of(options: dict[str, Any]) -> ActigraphRequest:
     """The request that the options state; raises click's usage errors."""
-    from imucalib.calibrators.actigraph_request import ActigraphRequest
+    from imucalib.calibrators.actigraph.request import ActigraphRequest
     from imucalib.effects import load_file
-    from imucalib.loop import LoopSettings
+    from imucalib.loop.found import LoopSettings
 
     gravity, source = gravity_of(options)
     return ActigraphRequest(

@@ -55,8 +55,8 @@ def command(
     \b
     Example: imucal apply out/calibration.yaml run.mcap -o corrected.mcap
     """
-    from imucalib.application import correct_file
-    from imucalib.calibration_file import read
+    from imucalib.calibration.apply import correct_file
+    from imucalib.calibration.file import read
     from imucalib.effects import load_file
 
     if options["effects_file"] is not None:

@@ -20,7 +20,7 @@ from imucalib.cli.output import (
 from imucalib.cli.recording_options import mapping_of, recording_options
 
 if TYPE_CHECKING:
-    from imucalib.calibrators.array_request import ArrayRequest
+    from imucalib.calibrators.array.request import ArrayRequest
 
 
 @click.command("array", short_help="Find the positions of an array's accelerometers.")
@@ -75,9 +75,9 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
       imucal array exp_1.h5 exp_5.h5 --board mimu4444_corners --gravity 9.8189 -o out
       imucal array log.mcap --board board.yaml --declare gyro_delay --without gyro_cubic -o out
     """
-    from imucalib.calibrators.array import ArrayRun, calibrate_array
+    from imucalib.calibrators.array.calibrate import ArrayRun, calibrate_array
     from imucalib.readers import read
-    from imucalib.report.array_files import array_dict, repeatability_dict
+    from imucalib.report.array.files import array_dict, repeatability_dict
 
     request = _request(options, len(logs))
     mapping, quiet = mapping_of(options), options["quiet"]
@@ -91,7 +91,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     if options["as_json"]:
         content: dict[str, Any] = array_dict(runs[0])
         if len(runs) > 1:
-            from imucalib.calibrators.array_logs import repeatability
+            from imucalib.calibrators.array.logs import repeatability
 
             content = {"logs": [array_dict(run) for run in runs]}
             content["repeatability"] = repeatability_dict(repeatability(tuple(runs)))
@@ -102,11 +102,11 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 
 
 def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
-    from imucalib.calibrators.array_board import read_board
-    from imucalib.calibrators.array_declared import Asked, named_effect
-    from imucalib.calibrators.array_request import ArrayRequest
+    from imucalib.calibrators.array.board import read_board
+    from imucalib.calibrators.array.declared import Asked, named_effect
+    from imucalib.calibrators.array.request import ArrayRequest
     from imucalib.errors import UsageError
-    from imucalib.estimators.hmc import Stop
+    from imucalib.estimators.markov.hmc import Stop
 
     sigma: Any = options["acc_sigma"]
     if sigma not in ("estimate", "nonlinearity"):
@@ -134,7 +134,7 @@ def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
 
 
 def _write(runs: list[Any], logs: tuple[Path, ...], options: dict[str, Any]) -> None:
-    from imucalib.report.array_files import write_array_reports, write_draws
+    from imucalib.report.array.files import write_array_reports, write_draws
 
     for run, log in zip(runs, logs, strict=True):
         if options["output"] is not None:
@@ -149,10 +149,10 @@ def _write(runs: list[Any], logs: tuple[Path, ...], options: dict[str, Any]) -> 
 
 
 def _show(runs: list[Any]) -> None:
-    from imucalib.calibrators.array_logs import repeatability
-    from imucalib.report.array import array_document, repeatability_section
+    from imucalib.calibrators.array.logs import repeatability
+    from imucalib.report.array.document import array_document, repeatability_section
     from imucalib.report.document import Document, Text
-    from imucalib.report.text import render_text
+    from imucalib.report.render.text import render_text
 
     for run in runs:
         click.echo(render_text(array_document(run), width(), color=color()), nl=False)

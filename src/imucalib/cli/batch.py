@@ -65,7 +65,7 @@ def command(
       imucal batch cohort.txt -o entries --jobs 4 -- --gravity 9.81
       imucal batch cohort.txt -o entries --shard $SLURM_ARRAY_TASK_ID/50
     """
-    from imucalib.batch import plan, read_manifest, run_all
+    from imucalib.cohort.batch import plan, read_manifest, run_all
 
     recordings = read_manifest(manifest)
     index, slash, count = shard.partition("/")

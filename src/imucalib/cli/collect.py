@@ -25,8 +25,8 @@ def command(folder: Path, output: Path, quiet: bool) -> int:
     \b
     Example: imucal collect entries -o cohort.csv
     """
-    from imucalib.batch import read_entry, rows
-    from imucalib.cohort_table import write_table
+    from imucalib.cohort.batch import read_entry, rows
+    from imucalib.cohort.table import write_table
     from imucalib.errors import UnreadableInput
 
     found = [read_entry(path) for path in sorted(folder.glob("*.json"))]

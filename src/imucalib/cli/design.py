@@ -54,11 +54,11 @@ def command(
       imucal design positions.csv
       imucal design --recommend 24 > plan.txt
     """
-    from imucalib.calibrators.lab_design import design_of, recommended
-    from imucalib.conventions import preset
-    from imucalib.position_table import read_position_table
+    from imucalib.calibrators.lab.conventions import preset
+    from imucalib.calibrators.lab.design import design_of, recommended
+    from imucalib.calibrators.lab.position_table import read_position_table
     from imucalib.report.design import design_dict, design_document
-    from imucalib.report.text import render_text
+    from imucalib.report.render.text import render_text
 
     if (table is None) == (count is None):
         raise click.UsageError("give either TABLE or --recommend N")

@@ -10,7 +10,7 @@ import click
 from imucalib.cli.output import emit_json, json_option, width
 
 if TYPE_CHECKING:
-    from imucalib.effect import Effect
+    from imucalib.core.effect import Effect
 
 
 @click.command("effects", short_help="List the catalogue of effects.")
@@ -32,10 +32,10 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
       imucal effects inclination_zero
       imucal effects gyro_delay
     """
-    from imucalib.array_effects import array_catalogue
     from imucalib.effects import catalogue, load_file
+    from imucalib.effects.array import array_catalogue
     from imucalib.report.catalogue import Entry, catalogue_document, effect_dict
-    from imucalib.report.text import render_text
+    from imucalib.report.render.text import render_text
 
     own = load_file(effects_file) if effects_file else {}
     effects: dict[str, Entry] = {**catalogue(), **own, **array_catalogue()}

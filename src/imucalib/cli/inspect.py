@@ -30,12 +30,12 @@ def command(file: Path, save_mapping: Path | None, strict: bool, **options: Any)
     \b
     Example: imucal inspect log.mcap --save-mapping mapping.yaml
     """
-    from imucalib.inspection import inspect_recording
-    from imucalib.mapping import from_dict
-    from imucalib.mapping import save_mapping as save
+    from imucalib.inspection.inspection import inspect_recording
     from imucalib.readers import blocks
+    from imucalib.recording.mapping import from_dict
+    from imucalib.recording.mapping import save_mapping as save
     from imucalib.report.inspection import inspection_dict, inspection_document
-    from imucalib.report.text import render_text
+    from imucalib.report.render.text import render_text
 
     found = inspect_recording(blocks(file, mapping_of(options), strict=strict))
     if save_mapping is not None:

@@ -40,9 +40,9 @@ def command(table: Path, **options: Any) -> int:
       imucal lab positions.csv -o out --recording log.mcap
       imucal lab rests.csv -o out --reference norm --latitude 59.3
     """
-    from imucalib.calibrators.lab_files import LabFiles, calibrate_files
-    from imucalib.report.lab import lab_document
-    from imucalib.report.text import render_text
+    from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+    from imucalib.report.lab.document import lab_document
+    from imucalib.report.render.text import render_text
 
     quiet = options["quiet"]
     files = LabFiles(
@@ -50,12 +50,12 @@ def command(table: Path, **options: Any) -> int:
     )
     run = calibrate_files(files, request_of(options), lambda text: note(text, quiet))
     if options["output"] is not None:
-        from imucalib.report.lab_files import write_reports
+        from imucalib.report.lab.files import write_reports
 
         for path in write_reports(run, options["output"]):
             note(f"wrote {path}", quiet)
     if options["as_json"]:
-        from imucalib.report.lab_data import lab_dict
+        from imucalib.report.lab.data import lab_dict
 
         emit_json(lab_dict(run))
     elif not quiet:

@@ -12,8 +12,8 @@ from imucalib.cli.gravity_options import gravity_of, gravity_options, limits_of
 from imucalib.cli.output import numbers
 
 if TYPE_CHECKING:
-    from imucalib.calibrators.lab import LabSettings
-    from imucalib.calibrators.lab_request import LabRequest
+    from imucalib.calibrators.lab.calibrate import LabSettings
+    from imucalib.calibrators.lab.request import LabRequest
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -164,7 +164,7 @@ def lab_options(command: Command) -> Command:
 
 def request_of(options: dict[str, Any]) -> LabRequest:
     """The request that the options state; raises click's usage errors."""
-    from imucalib.calibrators.lab_request import LabRequest, as_published
+    from imucalib.calibrators.lab.request import LabRequest, as_published
 
     settings = _settings(options)
     gravity, source = gravity_of(options)
@@ -190,10 +190,10 @@ def request_of(options: dict[str, Any]) -> LabRequest:
 def _settings(options: dict[str, Any]) -> LabSettings:
     from dataclasses import replace
 
-    from imucalib.calibrators.lab import LabSettings
-    from imucalib.conventions import preset
+    from imucalib.calibrators.lab.calibrate import LabSettings
+    from imucalib.calibrators.lab.conventions import preset
     from imucalib.effects import load_file
-    from imucalib.loop import LoopSettings
+    from imucalib.loop.found import LoopSettings
     from imucalib.units import MG
 
     stated = {key: options[key] for key in _CONVENTIONS if options[key] is not None}

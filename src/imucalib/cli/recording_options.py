@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from imucalib.mapping import FieldMapping
+    from imucalib.recording.mapping import FieldMapping
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -58,7 +58,7 @@ def recording_options(command: Command) -> Command:
 
 def mapping_of(options: dict[str, Any]) -> FieldMapping:
     """The mapping that the options state; the file first, single options over it."""
-    from imucalib.mapping import FieldMapping, from_dict, load_mapping
+    from imucalib.recording.mapping import FieldMapping, from_dict, load_mapping
 
     words = {"tab": "\t", "\\t": "\t", "blank": " ", "blanks": " ", "space": " "}
     stated = {name: options[option] for option, name in _FIELDS.items()}

@@ -68,8 +68,8 @@ def command(table: Path, recording: Path | None, seed: int, **options: Any) -> i
     """
     import numpy as np
 
-    from imucalib.calibrators.lab_simulation import BenchPlan, simulated_recording, simulated_table
-    from imucalib.position_table import write_position_table
+    from imucalib.calibrators.lab.position_table import write_position_table
+    from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
     from imucalib.writers import write
 
     slips = tuple((int(r), a) for r, _, a in (s.partition(":") for s in options["slip"]))

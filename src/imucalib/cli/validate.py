@@ -19,7 +19,7 @@ def command(file: Path, as_json: bool, quiet: bool) -> int:
     \b
     Example: imucal validate out/calibration.yaml
     """
-    from imucalib.calibration_file import check, read
+    from imucalib.calibration.file import check, read
 
     calibration = read(file)
     check(calibration, str(file))

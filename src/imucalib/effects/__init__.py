@@ -12,7 +12,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from imucalib.effect import Effect, Family
+from imucalib.core.effect import Effect, Family
 from imucalib.errors import UsageError
 
 #: Effects of files that this process has loaded; a calibration may need them to be applied.

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from imucalib.context import Context
-from imucalib.effect import Array, Basis, Response
-from imucalib.parameter import Parameter
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Basis, Response
+from imucalib.core.parameter import Parameter
 from imucalib.units import MG
 
 Drive = Callable[[Context], Array]

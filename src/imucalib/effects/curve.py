@@ -6,10 +6,10 @@ hold out, over the range that was recorded; beyond that range it keeps its value
 
 import numpy as np
 
-from imucalib.context import Context
-from imucalib.effect import Array, Effect, Family, Response, Rotation, Turn
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Effect, Family, Response, Rotation, Turn
+from imucalib.core.parameter import Parameter
 from imucalib.effects.inclination import inclination_axis
-from imucalib.parameter import Parameter
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: What is bent -> words for it.

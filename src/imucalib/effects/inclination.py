@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from imucalib.context import Context
-from imucalib.effect import Array, Rotation
-from imucalib.parameter import Parameter
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Rotation
+from imucalib.core.parameter import Parameter
 
 
 def inclination_axis(context: Context) -> Array:

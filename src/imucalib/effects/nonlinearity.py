@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from imucalib.context import Context
-from imucalib.effect import Array, Basis, Response
-from imucalib.parameter import Parameter
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Basis, Response
+from imucalib.core.parameter import Parameter
 from imucalib.units import MG, STANDARD_GRAVITY
 
 _SOURCE = "IEEE Std 1293 model equation; 0.1-0.5 % of full scale in MEMS data sheets"

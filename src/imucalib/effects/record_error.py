@@ -5,9 +5,9 @@ Not part of the catalogue that is scored block by block: `record_errors.py` scan
 
 import numpy as np
 
-from imucalib.context import Context
-from imucalib.effect import Array, Response
-from imucalib.parameter import Parameter
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Response
+from imucalib.core.parameter import Parameter
 from imucalib.units import MG
 
 _PREFIX = "record_error_"

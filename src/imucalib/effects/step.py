@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from imucalib.context import Context
-from imucalib.effect import Array, Effect, Family, Response
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Effect, Family, Response
+from imucalib.core.parameter import Parameter
 from imucalib.effects.covariate import bias_with
-from imucalib.parameter import Parameter
 
 _SCANNED = 48  # times tried at first; the neighbours of the best one are tried after
 _FEWEST = 12  # observations on each side of a step

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from imucalib.context import Context
-from imucalib.effect import Array, Rotation
-from imucalib.parameter import Parameter
-from imucalib.references import unit_vector
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Rotation
+from imucalib.core.parameter import Parameter
+from imucalib.core.references import unit_vector
 
 
 def _across(context: Context) -> tuple[Array, Array]:

@@ -1,9 +1,9 @@
 """A bias that follows the temperature late: the thermometer and the sensing element differ."""
 
-from imucalib.context import Context
-from imucalib.effect import Effect, Family, Response
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect, Family, Response
+from imucalib.core.parameter import Parameter
 from imucalib.effects.covariate import bias_with
-from imucalib.parameter import Parameter
 
 #: Hours by which the sensor may trail the thermometer.
 LAGS = ("0.5h", "1h", "1.5h", "2h", "3h")

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from imucalib.context import Context
-from imucalib.effect import Array, Response
-from imucalib.parameter import Parameter
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Response
+from imucalib.core.parameter import Parameter
 from imucalib.units import MG
 
 

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from imucalib.context import Context
-from imucalib.effect import Array, Rotation
-from imucalib.parameter import Parameter
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Rotation
+from imucalib.core.parameter import Parameter
 
 #: Tool-face runs from +y towards +x: a positive turn is about -z.
 _AXIS = np.array([0.0, 0.0, -1.0])

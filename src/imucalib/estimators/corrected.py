@@ -13,15 +13,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.balance import Noise
+from imucalib.core.balance import Noise
+from imucalib.core.fit import Fit
+from imucalib.core.identifiability import null_directions
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownVector, angles_of, unit_vector
 from imucalib.errors import NotConverged, UsageError
 from imucalib.estimators.least_squares import evaluate
 from imucalib.estimators.levenberg_marquardt import minimise
-from imucalib.fit import Fit
-from imucalib.identifiability import null_directions
-from imucalib.model import Model
-from imucalib.observations import Observations
-from imucalib.references import KnownVector, angles_of, unit_vector
 
 Array = NDArray[np.float64]
 #: (corrected (n, 3), reference) -> residual (r,) and its derivative by the corrected (r, n, 3)

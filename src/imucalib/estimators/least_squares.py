@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.balance import Balanced, Noise, balance, setting_errors, whitener
+from imucalib.core.balance import Balanced, Noise, balance, setting_errors, whitener
+from imucalib.core.fit import Fit
+from imucalib.core.identifiability import null_directions
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
 from imucalib.estimators.levenberg_marquardt import Solution, minimise
 from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate_with_prior
-from imucalib.fit import Fit
-from imucalib.identifiability import null_directions
-from imucalib.model import Model
-from imucalib.observations import Observations
 
 Array = NDArray[np.float64]
 

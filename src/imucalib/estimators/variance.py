@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.balance import Balanced, Noise, whitener
+from imucalib.core.balance import Balanced, Noise, whitener
 
 Array = NDArray[np.float64]
 

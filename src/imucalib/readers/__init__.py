@@ -5,18 +5,17 @@ A reader is found by its file being here; `read` picks the one that recognises t
 
 from __future__ import annotations
 
-import importlib
 import os
-import pkgutil
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Protocol
 
+from imucalib.discovery import modules_of
 from imucalib.errors import UnreadableInput
-from imucalib.mapping import FieldMapping
 from imucalib.readers.source import head_of, sha256_of
-from imucalib.recording import Recording
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Recording
 
 __all__ = [
     "BLOCK_SAMPLES",
@@ -75,9 +74,7 @@ class Reader(Protocol):
 @cache
 def readers() -> tuple[Reader, ...]:
     """Every reader of this folder, in the order of their module names."""
-    names = sorted(m.name for m in pkgutil.iter_modules(__path__))
-    modules = (importlib.import_module(f"{__name__}.{name}") for name in names)
-    return tuple(m.READER for m in modules if hasattr(m, "READER"))
+    return tuple(m.READER for m in modules_of(__name__) if hasattr(m, "READER"))
 
 
 def reader_for(path: str | os.PathLike[str]) -> Reader:

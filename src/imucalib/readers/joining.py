@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.errors import UnreadableInput
-from imucalib.recording import Channel, Gap, Recording
+from imucalib.recording.recording import Channel, Gap, Recording
 
 
 def join(blocks: Iterable[Recording], where: str) -> Recording:

@@ -1,0 +1,1 @@
+"""One document, rendered as text, HTML and JSON."""

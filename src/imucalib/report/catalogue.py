@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from imucalib.array_effect import ArrayEffect
-from imucalib.context import Context
-from imucalib.effect import Effect
-from imucalib.parameter import Parameter
+from imucalib.core.array_motion import ArrayEffect
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect
+from imucalib.core.parameter import Parameter
 from imucalib.report.document import Document, Facts, Section, Table, Text
 
 Entry = Effect | ArrayEffect

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from imucalib.evidence import Score
-from imucalib.loop import Loop
-from imucalib.outcome import ErrorSummary, Outcome
+from imucalib.calibration.outcome import ErrorSummary, Outcome
+from imucalib.loop.evidence import Score
+from imucalib.loop.found import Loop
 
 SCHEMA = "imucal/report/1"
 

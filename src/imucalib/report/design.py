@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibrators.lab_design import Addition, Design, Plan
+from imucalib.calibrators.lab.design import Addition, Design, Plan
 from imucalib.report.document import Block, Document, Section, Table, Text, Tone
 from imucalib.units import DEG
 

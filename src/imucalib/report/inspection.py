@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.inspection import ChannelFacts, Inspection
-from imucalib.inspection_advice import advice, problems
+from imucalib.inspection.advice import advice, problems
+from imucalib.inspection.inspection import ChannelFacts, Inspection
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text, Tone
-from imucalib.segments import Segments
+from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 _CAUTION: Tone = "warning"

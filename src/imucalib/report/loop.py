@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from imucalib.evidence import Score
-from imucalib.loop import Loop
-from imucalib.outcome import ErrorSummary, Outcome
+from imucalib.calibration.outcome import ErrorSummary, Outcome
+from imucalib.loop.evidence import Score
+from imucalib.loop.found import Loop
 from imucalib.report.document import Block, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, probability
 from imucalib.units import MG

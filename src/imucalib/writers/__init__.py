@@ -5,24 +5,21 @@ A writer is found by its file being here and chosen by the suffix of the output 
 
 from __future__ import annotations
 
-import importlib
 import os
-import pkgutil
-import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from imucalib.atomic_file import replaced_atomically
+from imucalib.discovery import modules_of
 from imucalib.errors import UsageError
 from imucalib.readers.joining import join
-from imucalib.recording import Recording
+from imucalib.recording.recording import Recording
 
 __all__ = [
     "BlockWriter",
     "Writer",
-    "replaced_atomically",
     "write",
     "write_blocks",
     "writer_for",
@@ -60,9 +57,7 @@ class BlockWriter(Protocol):
 @cache
 def writers() -> tuple[Writer, ...]:
     """Every writer of this folder, in the order of their module names."""
-    names = sorted(m.name for m in pkgutil.iter_modules(__path__))
-    modules = (importlib.import_module(f"{__name__}.{name}") for name in names)
-    return tuple(m.WRITER for m in modules if hasattr(m, "WRITER"))
+    return tuple(m.WRITER for m in modules_of(__name__) if hasattr(m, "WRITER"))
 
 
 def writer_for(path: str | os.PathLike[str]) -> Writer:
@@ -72,39 +67,6 @@ def writer_for(path: str | os.PathLike[str]) -> Writer:
             return writer
     known = ", ".join(s for w in writers() for s in w.suffixes)
     raise UsageError("no writer for this suffix", where=str(path), remedy=f"use one of: {known}")
-
-
-@contextmanager
-def replaced_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path in the same folder, renamed to `path` when the block ends without error.
-
-    A reader of `path` sees the old file or the whole new one, at every moment. Raises UsageError
-    when the folder is missing or not writable.
-    """
-    target = Path(path)
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".tmp", dir=target.parent)
-        os.close(handle)
-    except OSError as error:
-        raise UsageError(
-            f"the output cannot be written: {error.strerror}", where=str(path)
-        ) from error
-    temporary = Path(name)
-    try:
-        yield temporary
-        _fill_permissions(temporary)
-        os.replace(temporary, target)
-    except OSError as error:
-        raise UsageError(f"the output cannot be written: {error}", where=str(path)) from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _fill_permissions(path: Path) -> None:
-    # mkstemp makes files private (0600); an output has the permissions of any new file.
-    mask = os.umask(0)
-    os.umask(mask)
-    path.chmod(0o666 & ~mask)
 
 
 def write(recording: Recording, path: str | os.PathLike[str]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UsageError
-from imucalib.recording import Array, Channel, Recording
+from imucalib.recording.recording import Array, Channel, Recording
 
 Index = NDArray[np.intp]
 _ROWS = 1 << 16  # rows that are made into text at a time

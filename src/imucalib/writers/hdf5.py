@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from imucalib.recording import Array, Channel, Recording
+from imucalib.recording.recording import Array, Channel, Recording
 
 FORMAT, VERSION = "imucal recording", 1
 _CHUNK_ROWS = 1 << 14

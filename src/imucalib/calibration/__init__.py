@@ -1,0 +1,1 @@
+"""A calibration as users keep it: numbers, files, application, outcome."""

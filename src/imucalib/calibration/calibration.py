@@ -1,0 +1,141 @@
+"""A calibration apart from the data it came from: made from a fit, applied to readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibration.matrices import Matrices, matrices
+from imucalib.calibration.uncertainty import correcting
+from imucalib.core.context import Context
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.effects import known
+from imucalib.effects.record_error import is_record_error
+from imucalib.errors import UnreadableInput
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StoredParameter:
+    """One parameter as stored: value and standard deviation in `unit`."""
+
+    name: str
+    effect: str
+    stage: str
+    value: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibration apart from the data it came from.
+
+    parameters : all, fixture included; covariance : (p, p) in their units and order
+    raw_unit, raw_to_si : of the readings that it applies to
+    facts : the blocks that only people read (gravity, conventions, noise, ranges, provenance)
+    """
+
+    calibrator: str
+    parameters: tuple[StoredParameter, ...]
+    covariance: Array
+    raw_unit: str
+    raw_to_si: float
+    gravity: float
+    status: str
+    reasons: tuple[str, ...] = ()
+    valid: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def model(self) -> tuple[Model, Array]:
+        """The correcting part as effects of the catalogue, with its θ.
+
+        Raises UnreadableInput when the file names an effect that this version does not know.
+        """
+        names = dict.fromkeys(p.effect for p in self.parameters if p.stage != "fixture")
+        effects = {name: effect for name in names if (effect := known(name)) is not None}
+        unknown = [name for name in names if name not in effects]
+        if unknown:
+            raise UnreadableInput(
+                f"the calibration uses unknown effects: {', '.join(unknown)}",
+                remedy="load the file that defines them with --effects, or update imucal",
+            )
+        model = Model(tuple(effects.values()))
+        by_effect = {n: [p.value for p in self.parameters if p.effect == n] for n in names}
+        return model, np.array([v for e in model.effects for v in by_effect[e.name]])
+
+    def apply(self, reading: Array, context: Context | None = None) -> Array:
+        """Correct readings (n, 3) in m/s² to specific force (n, 3) in m/s² in the tool's frame.
+
+        context : covariates that the effects need ("temperature"); raises UnreadableInput when
+        one is missing, NotConverged when a reading lies outside the calibration's range
+        """
+        model, theta = self.model()
+        known = context or Context(len(reading))
+        for effect in model.effects:
+            absent = [name for name in effect.needs if name not in known]
+            if absent:
+                raise UnreadableInput(
+                    f"effect {effect.name} needs {', '.join(absent)}, which the recording lacks",
+                    remedy="record it, or calibrate with --without " + effect.name,
+                )
+        return model.correct(theta, reading[:, None], known)[:, 0]
+
+    def matrices(self) -> Matrices:
+        """M, b and S, c of the linear part, with intrinsic scales and angles."""
+        model, theta = self.model()
+        keep = [k for k, p in enumerate(self.parameters) if p.stage != "fixture"]
+        return matrices(model, theta, self.covariance[np.ix_(keep, keep)])
+
+
+def from_fit(
+    fit: Fit,
+    calibrator: str,
+    *,
+    raw_unit: str,
+    raw_to_si: float,
+    gravity: float,
+    status: str,
+    reasons: tuple[str, ...],
+    facts: Mapping[str, Any],
+) -> Calibration:
+    """The calibration of a fit; records that were set aside are no part of it."""
+    context = fit.observations.context
+    stored, keep = [], []
+    for effect in fit.model.effects:
+        part = fit.model.slices(context)[effect.name]
+        if is_record_error(effect.name):
+            continue
+        for k, parameter in zip(
+            range(part.start, part.stop), effect.parameters(context), strict=True
+        ):
+            value, sd = float(fit.theta[k]), float(fit.sd[k])
+            stored.append(
+                StoredParameter(
+                    parameter.name, effect.name, effect.stage, value, sd, parameter.unit
+                )
+            )
+            keep.append(k)
+    needed = {name for effect in correcting(fit.model).effects for name in effect.needs}
+    valid = {
+        name: (float(context[name].min()), float(context[name].max()))
+        for name in sorted(needed | ({"temperature"} & set(context.covariates)))
+    }
+    return Calibration(
+        calibrator,
+        tuple(stored),
+        fit.covariance[np.ix_(keep, keep)],
+        raw_unit,
+        raw_to_si,
+        gravity,
+        status,
+        reasons,
+        valid,
+        facts,
+    )

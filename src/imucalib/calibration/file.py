@@ -1,0 +1,168 @@
+"""Calibration files: YAML written, read back and checked.
+
+Values in the file are in the units that the file names. The covariance covers all parameters in
+their order. `matrices` are derived from the effects for those who only need a = M raw + b.
+"""
+
+from __future__ import annotations
+
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.atomic_file import replaced_atomically
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.yaml_text import dump
+from imucalib.core.context import Context
+from imucalib.core.model import Model
+from imucalib.errors import UnreadableInput
+
+Array = NDArray[np.float64]
+
+SCHEMA = "imucal/calibration"
+VERSION = 1
+FORMULA = (
+    "reading = x + sum of sensor effects(x), x = mounting turn of the specific force in the tool's "
+    "frame; apply inverts it. Linear part: corrected = M raw + b, raw = S corrected + c (SI units)."
+)
+#: Keys that every file has; all others are facts for people.
+_KEYS = {
+    "schema", "version", "calibrator", "status", "reasons", "formula", "raw", "gravity_m_per_s2",
+    "parameters", "covariance", "matrices", "valid",
+}  # fmt: skip
+
+
+def to_yaml(calibration: Calibration) -> str:
+    """The YAML text, version `VERSION` of the schema `SCHEMA`."""
+    return dump(as_dict(calibration))
+
+
+def as_dict(calibration: Calibration) -> dict[str, Any]:
+    """The content of the YAML file as plain types."""
+    linear = calibration.matrices()
+    return {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "calibrator": calibration.calibrator,
+        "status": calibration.status,
+        "reasons": list(calibration.reasons),
+        "formula": FORMULA,
+        "raw": {"unit": calibration.raw_unit, "to_m_per_s2": calibration.raw_to_si},
+        "gravity_m_per_s2": calibration.gravity,
+        "parameters": [
+            {
+                "name": p.name,
+                "effect": p.effect,
+                "stage": p.stage,
+                "value": p.value,
+                "sd": p.sd,
+                "unit": p.unit,
+            }
+            for p in calibration.parameters
+        ],
+        "covariance": calibration.covariance.tolist(),
+        "matrices": linear.as_dict(),
+        "valid": {name: list(span) for name, span in calibration.valid.items()},
+        **calibration.facts,
+    }
+
+
+def write(calibration: Calibration, path: Path) -> None:
+    """Write the YAML file whole or not at all."""
+    write_whole(path, to_yaml(calibration))
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file by a temporary neighbour and a rename."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replaced_atomically(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def read(path: Path) -> Calibration:
+    """Read a calibration of any known version. Raises UnreadableInput with what is wrong where."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    if not path.is_file():
+        raise UnreadableInput("no such file", where=str(path))
+    try:
+        content = YAML(typ="safe", pure=True).load(StringIO(path.read_text(encoding="utf-8")))
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise UnreadableInput(f"not a YAML file: {error}", where=str(path)) from None
+    return from_dict(content, str(path))
+
+
+def from_dict(content: Any, where: str) -> Calibration:
+    """Build from the YAML's content; see `read`."""
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise UnreadableInput(
+            "not a calibration of imucal",
+            where=where,
+            remedy=f"its first key must be schema: {SCHEMA}",
+        )
+    if content.get("version") != VERSION:
+        raise UnreadableInput(
+            f"schema version {content.get('version')} is not known",
+            where=where,
+            remedy="update imucal",
+        )
+    try:
+        return _calibration(content)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UnreadableInput(f"the calibration is incomplete: {error!r}", where=where) from None
+
+
+def _calibration(content: dict[str, Any]) -> Calibration:
+    parameters = tuple(_parameter(block) for block in content["parameters"])
+    size = len(parameters)
+    covariance = np.array(content["covariance"], dtype=float).reshape(size, size)
+    return Calibration(
+        str(content["calibrator"]),
+        parameters,
+        covariance,
+        str(content["raw"]["unit"]),
+        float(content["raw"]["to_m_per_s2"]),
+        float(content["gravity_m_per_s2"]),
+        str(content["status"]),
+        tuple(content["reasons"]),
+        {name: (float(a), float(b)) for name, (a, b) in content["valid"].items()},
+        {name: block for name, block in content.items() if name not in _KEYS},
+    )
+
+
+def _parameter(block: dict[str, Any]) -> StoredParameter:
+    return StoredParameter(
+        str(block["name"]),
+        str(block["effect"]),
+        str(block["stage"]),
+        float(block["value"]),
+        float(block["sd"]),
+        str(block["unit"]),
+    )
+
+
+def check(calibration: Calibration, where: str) -> None:
+    """Raise UnreadableInput unless the content makes sense: a covariance, an invertible model."""
+    covariance = calibration.covariance
+    if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
+        raise UnreadableInput("the covariance is not finite and symmetric", where=where)
+    sd = np.array([p.sd for p in calibration.parameters])
+    if not np.allclose(np.sqrt(np.maximum(np.diag(covariance), 0.0)), sd, rtol=1e-6, atol=1e-12):
+        raise UnreadableInput("the standard deviations contradict the covariance", where=where)
+    spread = np.linalg.eigvalsh(
+        covariance / np.outer(np.maximum(sd, 1e-300), np.maximum(sd, 1e-300))
+    )
+    if spread.size and spread[0] < -1e-6:
+        raise UnreadableInput("the covariance is not positive", where=where)
+    model, theta = calibration.model()
+    sensitivity = model.predict(theta, np.zeros((1, 1, 3)), Context(1, _zeros(model))).d_truth[0, 0]
+    if abs(np.linalg.det(sensitivity)) < 1e-3:
+        raise UnreadableInput("the calibration cannot be inverted", where=where)
+
+
+def _zeros(model: Model) -> dict[str, Array]:
+    return {name: np.zeros(1) for effect in model.effects for name in effect.needs}

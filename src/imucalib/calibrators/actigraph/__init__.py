@@ -1,0 +1,1 @@
+"""A worn accelerometer, by gravity alone."""

@@ -1,0 +1,100 @@
+"""What limits a worn sensor's calibration, and what to record to lift the limit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from imucalib.calibration.outcome import Limit
+from imucalib.calibrators.actigraph.calibrate import ActigraphResult, unseen
+from imucalib.calibrators.actigraph.errors import mean_error, norm_sd
+from imucalib.calibrators.actigraph.weak import open_words
+from imucalib.core.sphere import even_directions
+from imucalib.units import MG
+
+#: The field calls a calibration good below this error (mg); a tenth of it is well known.
+_GOOD, _WELL_KNOWN = 10.0, 1.0
+
+
+def weakest(result: ActigraphResult) -> tuple[float, float]:
+    """Mean and largest standard deviation (mg) of the corrected |a| over all directions."""
+    sd = norm_sd(result.final, even_directions()) / MG
+    return float(sd.mean()), float(sd.max())
+
+
+def reasons(result: ActigraphResult) -> tuple[str, ...]:
+    """Why the calibration is not simply good."""
+    found = [coverage_words(result)] if result.weak else []
+    missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
+    _, largest = weakest(result)
+    if largest > _WELL_KNOWN and not result.weak:
+        where = f"; no posture with {', '.join(missing)}" if missing else ""
+        found.append(f"the error in some directions is known to {largest:.1f} mg only{where}")
+    held = mean_error(result.final_held)
+    if held > _GOOD:
+        found.append(f"the held-out error of {held:.1f} mg is above the field's 10 mg")
+    raw = result.error.held_out.raw
+    if held > raw:
+        found.append(f"on held-out time it is worse than no calibration ({raw:.2f} mg)")
+    if result.widened > 1.5:
+        found.append(
+            f"what stays unexplained makes the parameters {result.widened:.1f} times less certain "
+            "than noise alone would; the standard deviations include it"
+        )
+    if result.light > 0.02 * result.runs.n:
+        found.append(
+            f"{result.light} of {result.runs.n} posture runs are unlike the rest and count less"
+        )
+    return tuple(found)
+
+
+def coverage_words(result: ActigraphResult) -> str:
+    """What weak coverage of the sphere leaves open, in the field's terms."""
+    missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
+    count = f"{result.runs.n} posture run" + "s" * (result.runs.n != 1)
+    never = f" (never {', '.join(missing)})" if missing else ""
+    text = f"weak coverage of the sphere: {count}{never} leave open {open_words(result.base)}"
+    if result.base.prior is not None:
+        text += "; what is open stays near its nominal value, with a data sheet's uncertainty"
+    return f"{text}; |a| is known to {weakest(result)[1]:.1f} mg in the worst direction"
+
+
+def advice(result: ActigraphResult) -> tuple[str, ...]:
+    """The next steps, most useful first."""
+    found = []
+    missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
+    if result.weak and result.loop is None:
+        found.append(
+            "What the nine parameters lack was not searched for: that takes postures which "
+            "determine all of them."
+        )
+    if missing and weakest(result)[1] > _WELL_KNOWN:
+        found.append(
+            f"Rest the sensor for ten seconds with {', '.join(missing)}, or record more nights."
+        )
+    elif weakest(result)[1] > _WELL_KNOWN and result.widened < 1.5:
+        found.append("More postures at rest, in new directions, make the parameters better known.")
+    loop = result.loop
+    in_time = loop and any(u.driver == "order" for u in loop.unexplained)
+    if in_time and "temperature" not in result.final.observations.context:
+        found.append(
+            "The error moves with time and no temperature was recorded: export the temperature "
+            "channel too, or calibrate in parts with --every 1d."
+        )
+    if loop and loop.steps and loop.steps[0].aliases:
+        found.append(
+            f"{loop.steps[0].effect} cannot be told from {', '.join(loop.steps[0].aliases)}: "
+            "both correct this recording alike; a longer one separates them."
+        )
+    return tuple(found)
+
+
+def limits_of(result: ActigraphResult, asked: Mapping[str, float]) -> tuple[Limit, ...]:
+    """The user's limits against what was found."""
+    held = mean_error(result.final_held)
+    value = {
+        "max-error": held,
+        "max-worst-error": float(np.abs(result.final_held.error).max()) / MG,
+    }
+    return tuple(Limit(name, value[name], limit, "mg") for name, limit in asked.items())

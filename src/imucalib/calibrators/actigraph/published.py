@@ -1,0 +1,182 @@
+"""Paper 002's own procedure from a recording to coefficients, with its comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibration.calibration import Calibration, from_fit
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Outcome
+from imucalib.calibrators.actigraph.calibration_points import (
+    PointCollector,
+    published_still,
+    two_sets,
+)
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.run import provenance_of
+from imucalib.calibrators.actigraph.weak import NINE
+from imucalib.core.context import Context
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownNorm
+from imucalib.effects import named
+from imucalib.errors import Undetermined
+from imucalib.estimators.gradient_descent import METHODS, improvement, norm_errors
+from imucalib.estimators.least_squares import evaluate
+from imucalib.readers import blocks
+from imucalib.recording.mapping import FieldMapping
+from imucalib.rests.runs import Scan, scan
+from imucalib.units import MG
+
+Array = NDArray[np.float64]
+
+ARITHMETIC = {
+    "float": "gradient descent",
+    "int32": "gradient descent, 32-bit",
+    "int16": "gradient descent, 16-bit",
+}
+
+
+@dataclass(frozen=True)
+class PublishedMethod:
+    """One method on one set of points: p (9,) of the paper, mean errors in mg on the points that
+    it used and on the second set, and R in per cent."""
+
+    name: str
+    p: Array
+    fitted: float
+    verified: float
+    improvement: float
+
+
+@dataclass(frozen=True)
+class PublishedRun:
+    """The paper's procedure on one recording.
+
+    points, control : (18, 3) g, to calibrate with and to verify with
+    """
+
+    outcome: Outcome
+    points: Array
+    control: Array
+    methods: tuple[PublishedMethod, ...]
+    scanned: Scan
+    request: ActigraphRequest
+
+
+def calibrate_as_published(
+    path: Path, mapping: FieldMapping, request: ActigraphRequest, say: Callable[[str], None]
+) -> PublishedRun:
+    """Collect points from segments of 5 s, descend, verify on a second set of points.
+
+    Raises Undetermined with the bins that stayed empty.
+    """
+    request = replace(request, window=5.0, as_published=True, loop=False)
+    scanned = scan(blocks(path, mapping), request.window, request.triad)
+    still = published_still(scanned.windows, request.gravity)
+    points, control = two_sets(scanned.windows.mean[still] / request.gravity)
+    say(f"read {scanned.path}: {still.size} segments at rest by the paper's rule")
+    if not points.ready:
+        raise Undetermined(
+            f"{len(points.points)} of 18 points collected; nothing with "
+            + ", ".join(points.missing),
+            where=scanned.path,
+            remedy="record longer, or leave --as-published out: all windows then count",
+        )
+    methods = compared(points, control)
+    chosen = next(m for m in methods if m.name == ARITHMETIC[request.arithmetic])
+    first = np.array(points.points)
+    found = published_fit(chosen.p, first, request.gravity)
+    raw = float(np.mean(np.abs(np.linalg.norm(first, axis=1) - 1.0))) * 1e3
+    second = np.array(control.points).reshape(-1, 3)
+    raw_second = (
+        float(np.mean(np.abs(np.linalg.norm(second, axis=1) - 1.0))) * 1e3
+        if len(second)
+        else float("nan")
+    )
+    floor = found.noise.factor * float(np.sqrt(2.0 / np.pi))
+    error = ErrorSummary(
+        "mean error of |a|", "mg", raw, chosen.fitted, chosen.fitted, floor,
+        HeldOutError(raw_second, chosen.verified, chosen.verified),
+    )  # fmt: skip
+    reasons = () if len(second) else ("no second set of points to verify with",)
+    outcome = Outcome(
+        "actigraph", found, None, error, provenance_of(scanned, request), reasons,
+        notes=scanned.notes,
+    )  # fmt: skip
+    return PublishedRun(outcome, first, second, methods, scanned, request)
+
+
+def compared(points: PointCollector, control: PointCollector) -> tuple[PublishedMethod, ...]:
+    """Every method of the paper on the same points."""
+    first, second = np.array(points.points), np.array(control.points).reshape(-1, 3)
+    found = []
+    for name, method in METHODS.items():
+        p = method(first)
+        verified = float(np.mean(np.abs(norm_errors(p, second)))) * 1e3 if len(second) else np.nan
+        gain = improvement(p, second) if len(second) else float("nan")
+        fitted = float(np.mean(np.abs(norm_errors(p, first)))) * 1e3
+        found.append(PublishedMethod(name, p, fitted, float(verified), gain))
+    return tuple(found)
+
+
+def published_theta(p: Array, gravity: float) -> Array:
+    """θ of bias (mg), scale and non-orthogonality for the paper's p: S = K⁻¹, c = -o."""
+    gain = np.array([[p[0], 0.0, 0.0], [p[3], p[1], 0.0], [p[4], p[5], p[2]]])
+    sensitivity = np.linalg.inv(gain)
+    bias = -p[6:] * gravity / MG
+    lower = [sensitivity[1, 0], sensitivity[2, 0], sensitivity[2, 1]]
+    return np.concatenate([bias, np.diag(sensitivity) - 1.0, lower])
+
+
+def published_fit(p: Array, points: Array, gravity: float) -> Fit:
+    """The paper's result as a fit: covariance as least squares on these points would have it."""
+    model = Model(tuple(named(name) for name in NINE))
+    n = len(points)
+    data = Observations(
+        gravity * points[:, None], np.full((n, 1, 3), MG), KnownNorm(n, gravity),
+        Context(n, {"record": np.arange(n, dtype=float)}), np.arange(n, dtype=np.intp),
+        tuple(f"point {k + 1}" for k in range(n)),
+    )  # fmt: skip
+    theta = published_theta(p, gravity)
+    rough = evaluate(model, data, theta, np.eye(9))
+    inverse = np.linalg.pinv(rough.at.jacobian.T @ rough.at.jacobian, rcond=1e-14)
+    return replace(rough, covariance=np.asarray(rough.noise.factor**2 * inverse))
+
+
+def published_calibration(run: PublishedRun) -> Calibration:
+    """The calibration file's content."""
+    origin = run.outcome.provenance
+    facts: dict[str, Any] = {
+        "gravity_source": run.request.gravity_source,
+        "method": {m.name: method_block(m) for m in run.methods},
+        "provenance": {
+            "input": origin.path,
+            "sha256": origin.sha256,
+            "samples": origin.samples,
+            "settings": dict(origin.settings),
+            "versions": dict(origin.versions),
+            "time": origin.time,
+        },
+    }
+    return from_fit(
+        run.outcome.fit, "actigraph", raw_unit="m/s2", raw_to_si=1.0, gravity=run.request.gravity,
+        status=run.outcome.status, reasons=run.outcome.reasons, facts=facts,
+    )  # fmt: skip
+
+
+def method_block(method: PublishedMethod) -> dict[str, Any]:
+    """One method as plain types."""
+    names = ("k_xx", "k_yy", "k_zz", "k_xy", "k_xz", "k_yz", "o_x", "o_y", "o_z")
+    return {
+        "p": dict(zip(names, map(float, method.p), strict=True)),
+        "fitted_mg": method.fitted,
+        "verified_mg": method.verified,
+        "improvement_percent": method.improvement,
+    }

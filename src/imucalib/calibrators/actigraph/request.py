@@ -1,0 +1,40 @@
+"""What a user asks of `actigraph`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from imucalib.core.effect import Effect
+from imucalib.loop.found import LoopSettings
+from imucalib.units import STANDARD_GRAVITY
+
+
+@dataclass(frozen=True)
+class ActigraphRequest:
+    """Everything that the user chose.
+
+    gravity : m/s²; the field takes every place's gravity as 1 g, and so does the default
+    as_published : the paper's own stillness rule, points and gradient descent
+    arithmetic : of the gradient descent: "float", "int32" or "int16"
+    declare, only, without : effects of the base model, and of the search
+    every : s, length of the parts that are calibrated each on its own, or None
+    blocks : contiguous stretches of time that are left out in turn to measure the error
+    """
+
+    gravity: float = STANDARD_GRAVITY
+    gravity_source: str = "standard gravity; --gravity or --latitude gives the local value"
+    triad: str | None = None
+    window: float = 10.0
+    as_published: bool = False
+    arithmetic: str = "float"
+    declare: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    loop: bool = True
+    rules: LoopSettings = field(default_factory=LoopSettings)
+    extra_effects: Mapping[str, Effect] = field(default_factory=dict)
+    blocks: int = 12
+    every: float | None = None
+    limits: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0

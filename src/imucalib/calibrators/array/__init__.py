@@ -1,0 +1,1 @@
+"""An array of inertial sensors: where its accelerometers are."""

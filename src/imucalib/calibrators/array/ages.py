@@ -1,0 +1,124 @@
+"""The gyros' own clocks in the loop: their beats from samples that do not vote on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.moving import Moving
+from imucalib.calibrators.array.setup import with_neighbours
+from imucalib.calibrators.array.state import ArrayState
+from imucalib.calibrators.array.timing import SampleAge, fit_sample_age
+from imucalib.core.array_motion import ArrayMotion
+from imucalib.estimators.array.samples import Readings, Weights, fit_samples
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+_GROUP = 8  # samples that learn or vote together where all are in the search
+_TRAIN = 0.5  # share of the informative samples outside of the search from which they suffice
+
+
+@dataclass(frozen=True)
+class Ages:
+    """wave : (T, K) unit sawtooths at the search's samples; voting : (T,) samples from which they
+    were not learned; clock : frequencies and lines"""
+
+    wave: Array
+    voting: Flags
+    clock: SampleAge
+
+
+@dataclass(frozen=True)
+class Beat:
+    """Steady part of a sawtooth: φ(t) = frequency (t - at) + phase, in turns; Hz, negative when the
+    age falls with time; wander : rms turns by which the phase leaves that line"""
+
+    frequency: float
+    phase: float
+    at: float
+    wander: float
+
+
+def beats(ages: Ages, t: Array) -> tuple[Beat | None, ...]:
+    """The beat of each gyro at the times (T,) s of its sawtooth; None without one."""
+    at = float(t[0])
+    found: list[Beat | None] = []
+    for f, wave in zip(ages.clock.frequency, ages.wave.T, strict=True):
+        if not np.isfinite(f):
+            found.append(None)
+            continue
+        off = np.unwrap(2.0 * np.pi * (wave + 0.5 - f * (t - at))) / (2.0 * np.pi)
+        slope, start = np.polyfit(t - at, off, 1)
+        wander = float(np.sqrt(np.mean((off - start - slope * (t - at)) ** 2)))
+        found.append(Beat(float(f + slope), float(start % 1.0), at, wander))
+    return tuple(found)
+
+
+def found_ages(state: ArrayState, moving: Moving, *, all_rows: bool = False) -> Ages | None:
+    """Sawtooth ages from the samples outside of the search; None where no gyro shows a line."""
+    setup = state.setup
+    near = with_neighbours(moving)
+    searched = np.zeros(len(moving.t), dtype=np.bool_)
+    searched[setup.rows[setup.inner]] = True
+    learning = near[~searched[near]]
+    voting = np.ones(len(moving.t), dtype=np.bool_)
+    if all_rows:
+        learning = near
+    elif len(learning) < _TRAIN * len(near):
+        turn = (np.arange(len(moving.t)) // _GROUP) % 2 == 0
+        learning, voting = near[turn[near]], ~turn
+    if len(learning) < 100:
+        return None
+    off, spin = _everywhere(state, moving, near)
+    clock = fit_sample_age(moving.t, off, spin, learning)
+    if not np.isfinite(clock.frequency).any():
+        return None
+    return Ages(clock.wave[setup.rows], voting[setup.rows], clock)
+
+
+def ages_again(state: ArrayState, moving: Moving, before: Ages | None) -> Ages | None:
+    """Ages that other gyro effects had hidden; None where none are in the model yet, or where these
+    show no other beats than before."""
+    gyro = [term for term in state.found if term.effect.sensor == "gyroscope"]
+    if not gyro or any(term.effect.needs_age for term in gyro):
+        return None
+    again = found_ages(state, moving)
+    if again is None or before is None:
+        return again
+    same = np.allclose(again.clock.frequency, before.clock.frequency, equal_nan=True)
+    return None if same else again
+
+
+def kept_ages(state: ArrayState, ages: Ages, *, voting: bool) -> ArrayState:
+    """The state with the ages; while voting, samples that they were learned from are silent."""
+    wave = np.where(ages.voting[:, None], ages.wave, 0.0) if voting else ages.wave
+    return replace(state, motion=replace(state.motion, age=wave))
+
+
+def _everywhere(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> tuple[Array, Array]:
+    """(N, K, 3) gyro residuals and (N, 3) dω/dt at all informative samples, the clocks not yet
+    taken out; zero elsewhere."""
+    n, k = len(moving.t), state.setup.triads
+    t, span = moving.t[rows], float(max(np.ptp(state.setup.t), 1e-9))
+    readings = Readings(moving.acceleration[rows], moving.rate[rows])
+    ones = np.ones((len(rows), k))
+    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
+    order = (t - state.setup.t[0]) / span
+    sampled = fit_samples(readings, weights, state.r, np.median(readings.rate, axis=1))
+    plain = [term for term in state.terms if not term.effect.needs_age]
+    for _ in range(2 if plain else 0):
+        motion = ArrayMotion(
+            state.setup.imus, t, order, sampled.rate, sampled.spin, sampled.force,
+            np.zeros_like(sampled.force), state.setup.rotations,
+        )  # fmt: skip
+        acceleration, rate = readings.acceleration.copy(), readings.rate.copy()
+        for term in plain:
+            columns = term.columns(motion)
+            (rate if columns.gyro else acceleration)[...] -= term.reading(columns)
+        sampled = fit_samples(Readings(acceleration, rate), weights, state.r, sampled.rate)
+    off, spin = np.zeros((n, k, 3)), np.zeros((n, 3))
+    off[rows] = sampled.off.rate - sampled.off.rate.mean(axis=1, keepdims=True)
+    spin[rows] = sampled.spin
+    return off, spin

@@ -1,0 +1,131 @@
+"""The drawing of an array: where its packages are, how they are turned, what they can measure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from imucalib.recording.mapping import parse_axis_map
+from imucalib.units import DEG, STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+BOARDS = Path(__file__).parent / "boards"
+
+
+@dataclass(frozen=True)
+class Board:
+    """The nominal geometry of K IMUs, in the board's frame.
+
+    positions : (K, 3) m; rotations : (K, 3, 3), package axes to board axes
+    prior_sd : m, of each coordinate about the drawing
+    accelerometer_range : m/s², gyroscope_range : rad/s, where readings clip; inf when not known
+    outline : m, (left, bottom, right, top) or None; package : m, its size or None
+    """
+
+    name: str
+    imus: tuple[str, ...]
+    positions: Array
+    rotations: Array
+    prior_sd: float = 3e-3
+    accelerometer_range: float = float("inf")
+    gyroscope_range: float = float("inf")
+    outline: tuple[float, float, float, float] | None = None
+    package: tuple[float, float, float] | None = None
+
+    @property
+    def count(self) -> int:
+        return len(self.imus)
+
+    @cached_property
+    def drawn(self) -> Array:
+        """(K, 3) m relative to the first IMU."""
+        return np.asarray(self.positions - self.positions[0])
+
+    def take(self, rows: list[int]) -> Board:
+        """The board with some of its IMUs."""
+        return Board(
+            self.name, tuple(self.imus[k] for k in rows), self.positions[rows],
+            self.rotations[rows], self.prior_sd, self.accelerometer_range, self.gyroscope_range,
+            self.outline, self.package,
+        )  # fmt: skip
+
+
+def board_names() -> tuple[str, ...]:
+    """Names of the boards that come with the program."""
+    return tuple(sorted(p.stem for p in BOARDS.glob("*.yaml")))
+
+
+def read_board(name: str | Path) -> Board:
+    """A board that comes with the program by name, or a YAML file.
+
+    Raises UsageError for an unknown name, UnreadableInput with what is wrong in the file.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    path = BOARDS / f"{name}.yaml" if str(name) in board_names() else Path(name)
+    if not path.is_file():
+        raise UsageError(
+            f"no board '{name}'",
+            remedy=f"give a YAML file, or one of: {', '.join(board_names())}",
+        )
+    try:
+        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise UnreadableInput(f"not a YAML file: {error}", where=str(path)) from None
+    try:
+        return _board(content)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UnreadableInput(
+            f"the board is incomplete: {error!r}",
+            where=str(path),
+            remedy="each entry of imus needs name, position [x, y, z] in mm, and axes",
+        ) from None
+    except ImucalError as error:
+        raise UnreadableInput(error.what, where=str(path), remedy=error.remedy) from None
+
+
+def _board(content: Mapping[str, Any]) -> Board:
+    imus = content["imus"]
+    positions = np.array([imu["position"] for imu in imus], dtype=float).reshape(len(imus), 3)
+    rotations = np.array([_rotation(imu) for imu in imus])
+    names = tuple(str(imu["name"]) for imu in imus)
+    if len(set(names)) < len(names) or len(names) < 4:
+        raise UnreadableInput("an array has four or more IMUs of different names")
+    if not np.isfinite(positions).all() or np.linalg.matrix_rank(positions - positions[0]) < 3:
+        raise UnreadableInput(
+            "the nominal positions lie in a plane or on a line, or are not numbers",
+            remedy="an array needs extent in all three directions for its rotation to be seen",
+        )
+    outline = tuple(float(v) * 1e-3 for v in content.get("outline", ()))
+    package = tuple(float(v) * 1e-3 for v in content.get("package", ()))
+    return Board(
+        str(content.get("name", "array")), names, positions * 1e-3, rotations,
+        float(content.get("prior_sd", 3.0)) * 1e-3,
+        float(content.get("accelerometer_range", np.inf)) * STANDARD_GRAVITY,
+        float(content.get("gyroscope_range", np.inf)) * DEG,
+        (outline[0], outline[1], outline[2], outline[3]) if len(outline) == 4 else None,
+        (package[0], package[1], package[2]) if len(package) == 3 else None,
+    )  # fmt: skip
+
+
+def _rotation(imu: Mapping[str, Any]) -> Array:
+    if "rotation" in imu:
+        turn = np.array(imu["rotation"], dtype=float).reshape(3, 3)
+    else:
+        chosen = parse_axis_map(str(imu.get("axes", "")))
+        turn = np.zeros((3, 3))
+        turn[np.arange(3), list(chosen.order)] = chosen.sign
+    if np.linalg.norm(turn @ turn.T - np.eye(3)) > 1e-6 or np.linalg.det(turn) < 0.0:
+        raise UnreadableInput(
+            f"the axes of {imu['name']} are not a rotation",
+            remedy="a right-handed set: an even number of swaps and sign changes",
+        )
+    return turn

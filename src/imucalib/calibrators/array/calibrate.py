@@ -1,0 +1,230 @@
+"""`imucal array`: from a bench log to the posterior of the accelerometers' positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.corrected import corrected_samples, widened
+from imucalib.calibrators.array.log import array_log
+from imucalib.calibrators.array.loop import ARRAY_RULES, ArrayLoop, close_array_loop
+from imucalib.calibrators.array.moving import Moving, moving_part, samples_of, spread_over
+from imucalib.calibrators.array.request import NON_LINEARITY, ArrayRequest
+from imucalib.calibrators.array.setup import array_setup
+from imucalib.calibrators.array.static import StaticFit, fit_static
+from imucalib.calibrators.array.terms import rest_terms
+from imucalib.errors import UNEXPLAINED_EXIT_CODE, NotConverged, Undetermined
+from imucalib.estimators.array.problem import ArrayData, ArrayPrior
+from imucalib.estimators.array.sampler import (
+    ArrayPositions,
+    refuse_collapse,
+    refuse_vague,
+    sample_positions,
+)
+from imucalib.estimators.markov.convergence import convergence
+from imucalib.estimators.markov.pmmh import run_pmmh
+from imucalib.recording.recording import Recording
+from imucalib.rests.segments import Segments, still_segments
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+SEARCH_SAMPLES = 600  # moving samples on which effects are searched
+LOOP_SAMPLES = 1200  # moving samples of the final fit, at most
+_FIRST = 250  # samples of the first look, from which the number needed is told
+_UNEXPLAINED = 3.0  # accelerometer sigma in motion over that at rest
+
+
+@dataclass(frozen=True)
+class ArrayRun:
+    """A finished calibration of one log, every stage of it."""
+
+    recording: Recording
+    board: Board
+    request: ArrayRequest
+    segments: Segments
+    static: StaticFit
+    moving: Moving
+    final: ArrayPositions
+    loop: ArrayLoop | None
+    notes: tuple[str, ...]
+
+    @property
+    def noise_ratio(self) -> float:
+        """Accelerometer sigma in motion over that of a sample at rest."""
+        return self.final.noise / float(np.sqrt(np.mean(self.static.noise**2)))
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the result is not as good as the noise at rest allows; empty when it is."""
+        found = []
+        if self.noise_ratio > _UNEXPLAINED:
+            found.append(
+                f"in motion the accelerometers scatter {self.final.noise:.2f} m/s², "
+                f"{self.noise_ratio:.0f} times their noise at rest, and what stays is not explained"
+            )
+        if self.loop is not None and self.loop.unexplained:
+            names = "; ".join(u.name for u in self.loop.unexplained)
+            found.append(f"structure that no effect of the catalogue explains: {names}")
+        return tuple(found)
+
+    @property
+    def exit_code(self) -> int:
+        """0 consistent with the noise at rest, 5 a part of the residual is not explained."""
+        return UNEXPLAINED_EXIT_CODE if self.reasons else 0
+
+
+def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> ArrayRun:
+    """Rests, triads, gyros, informative samples, posterior, loop.
+
+    Raises UnreadableInput for a recording that does not match the board, Undetermined when the
+    rests or the motion do not hold the answer, NotConverged when the chains disagree.
+    """
+    log, board = array_log(recording, request.board)
+    segments = still_segments(recording)
+    order = _order(segments, board, recording)
+    static = fit_static(segments, board, order, request.gravity)
+    say(f"{segments.n} rests: triads fit gravity to {1e3 * static.residual:.2f} mm/s² rms")
+    moving = moving_part(log, static, board.imus)
+    say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
+    wanted = request.loop or request.asked.declare
+    loop = _loop(moving, static, board, request) if wanted else None
+    if loop is not None:
+        say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
+    rng = np.random.default_rng(request.seed)
+    final = _sampled(moving, static, board, request, rng, loop)
+    say(f"{final.data.samples} samples: {final.convergence.sentence}")
+    notes = (*recording.notes, *segments.notes, *log.notes, *final.notes)
+    if request.loop and loop is None:
+        notes += ("the motion is too broken up for the search of the loop",)
+    return ArrayRun(recording, board, request, segments, static, moving, final, loop, notes)
+
+
+def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
+    names = board.imus if set(board.imus) <= set(segments.triads) else segments.triads
+    if segments.n == 0:
+        raise Undetermined(
+            "no still interval found, so the accelerometers cannot be calibrated by gravity",
+            where=recording.path,
+            remedy="hold the board still in nine or more attitudes before twisting it",
+        )
+    return [segments.triads.index(name) for name in names]
+
+
+def _loop(
+    moving: Moving, static: StaticFit, board: Board, request: ArrayRequest
+) -> ArrayLoop | None:
+    robust = request.accelerometer_sigma == "estimate"
+    most = min(request.samples, LOOP_SAMPLES)
+    setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
+    if setup is None:
+        if request.asked.declare:
+            raise Undetermined(
+                "the motion is too broken up to fit declared effects",
+                remedy="record longer stretches without gaps and clipping",
+            )
+        return None
+    whole = array_setup(moving, board, most, robust=robust) if most > SEARCH_SAMPLES else None
+    rng = np.random.default_rng(request.seed)
+    return close_array_loop(
+        setup, rest_terms(static), moving, rng, replace(ARRAY_RULES, curves=request.curves), whole,
+        asked=replace(request.asked, search=request.loop),
+    )  # fmt: skip
+
+
+def _sampled(
+    moving: Moving, static: StaticFit, board: Board, request: ArrayRequest,
+    rng: np.random.Generator, loop: ArrayLoop | None,
+) -> ArrayPositions:  # fmt: skip
+    sigma, estimate = _sigma(static, board, request)
+    prior = ArrayPrior(
+        board.drawn, board.prior_sd, request.motion, request.exponent,
+        estimate_noise=estimate and loop is None,
+    )  # fmt: skip
+    if loop is not None:
+        data = corrected_samples(loop.final)
+        if not estimate:
+            data = replace(data, sigma=sigma)
+        return widened(_drawn(lambda count: data, prior, request, rng), loop, rng)
+
+    def data_of(count: int) -> ArrayData:
+        rows = spread_over(moving.good, count)
+        return samples_of(moving, rows, sigma, request.gyro_covariance)
+
+    return _drawn(data_of, prior, request, rng, len(moving.good))
+
+
+def _drawn(
+    data_of: Callable[[int], ArrayData], prior: ArrayPrior, request: ArrayRequest,
+    rng: np.random.Generator, available: int | None = None,
+) -> ArrayPositions:  # fmt: skip
+    if request.sampler == "pmmh":
+        return _by_pmmh(data_of(request.samples), prior, request, rng)
+    few = request.samples
+    if available is not None:
+        few = sample_count(data_of, prior, request, available)
+    return sample_positions(
+        data_of(few), prior, rng, chains=request.chains, stop=request.stop,
+        checkpoint=request.checkpoint,
+    )  # fmt: skip
+
+
+def sample_count(
+    data_of: Callable[[int], ArrayData], prior: ArrayPrior, request: ArrayRequest, available: int
+) -> int:
+    """How many samples bring the median posterior sd to the target: it falls as their root."""
+    from imucalib.estimators.array.mode import laplace_frame, start_prior
+
+    if min(request.samples, available) <= _FIRST:
+        return min(request.samples, available)
+    data = data_of(_FIRST)
+    frame = laplace_frame(data, start_prior(data, prior))
+    sd = float(np.median(np.sqrt(np.diag(frame.covariance)[: prior.positions])))
+    needed = _FIRST * (sd / request.target) ** 2
+    return int(np.clip(needed, _FIRST, min(request.samples, available)))
+
+
+def _sigma(static: StaticFit, board: Board, request: ArrayRequest) -> tuple[Array, bool]:
+    """Sigma of each triad, m/s², and whether a common factor on them is estimated."""
+    chosen = request.accelerometer_sigma
+    if chosen == "nonlinearity":
+        if not np.isfinite(board.accelerometer_range):
+            raise Undetermined(
+                "the non-linearity rule needs the accelerometers' range",
+                remedy="state accelerometer_range (g) in the board file",
+            )
+        return np.full(board.count, NON_LINEARITY * board.accelerometer_range), False
+    if chosen == "estimate":
+        # In motion the errors are not the noise at rest: one size for all, its factor free.
+        return np.full(board.count, 5.0 * float(np.sqrt(np.mean(static.noise**2)))), True
+    return np.full(board.count, float(chosen)), False
+
+
+def _by_pmmh(
+    data: ArrayData, prior: ArrayPrior, request: ArrayRequest, rng: np.random.Generator
+) -> ArrayPositions:
+    from imucalib.estimators.array.mode import start_prior
+
+    chosen = start_prior(data, prior)
+    found = run_pmmh(data, chosen, rng, iterations=request.iterations, chains=request.chains or 2)
+    checked = convergence(found.draws)
+    if not checked.reached(request.stop.rhat, request.stop.ess):
+        raise NotConverged(
+            f"the chains of Algorithm 1 do not agree after {request.iterations} iterations: "
+            f"{checked.sentence}",
+            remedy="more --iterations, or the default sampler",
+        )
+    note = (
+        f"Algorithm 1: N = {found.monte_carlo}, variance of the log likelihood "
+        f"{found.variance:.2g}, acceptance {100 * found.accepted:.0f} %, burn-in {found.burn_in}"
+    )
+    thin = max(1, request.iterations // 2000)
+    positions = ArrayPositions(
+        data, chosen, found.draws[:, ::thin], None, found.accepted, 1, checked, "pmmh", (note,)
+    )
+    refuse_collapse(positions.mean, chosen.nominal)
+    refuse_vague(positions)
+    return positions

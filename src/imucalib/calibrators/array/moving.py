@@ -1,0 +1,113 @@
+"""Which moving samples say something about the positions, and what they become for the sampler."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.gyros import Gyros, relative_gyros
+from imucalib.calibrators.array.log import ArrayLog
+from imucalib.calibrators.array.static import StaticFit
+from imucalib.errors import Undetermined
+from imucalib.estimators.array.problem import ArrayData
+from imucalib.units import DEG
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+GyroCovariance = Literal["scatter", "sample"]
+SLOWEST = 60.0 * DEG  # rad/s below which a sample counts as not rotating
+WIDEST = 0.05  # gyro scatter over |ω| above which the rate is not known well enough
+FEWEST = 30
+_ODD = 1.5  # factor between one gyro and the others that no tolerance explains
+
+
+@dataclass(frozen=True)
+class Moving:
+    """The moving part, calibrated by gravity and by the gyros' mean.
+
+    t : (N,) s; acceleration : (N, K, 3); rate : (N, K, 3) rad/s as each gyro reads it, without
+    offset; gyros : their comparison; good : indices of the informative samples; counts : samples
+    by what became of them
+    """
+
+    t: Array
+    acceleration: Array
+    rate: Array
+    gyros: Gyros
+    good: Index
+    interval: float
+    counts: dict[str, int]
+
+
+def moving_part(log: ArrayLog, static: StaticFit, names: tuple[str, ...] = ()) -> Moving:
+    """Correct, and find the informative samples. Raises Undetermined when there are too few or a
+    gyro is in another unit than the others."""
+    acceleration = static.corrected(log.acceleration, log.t)
+    rate = static.without_bias(log.rate, log.t)
+    speed = np.linalg.norm(np.median(rate, axis=1), axis=1)
+    turning = speed > SLOWEST
+    if turning.any():
+        _refuse_odd(np.linalg.norm(rate[turning], axis=2) / speed[turning, None], names)
+    usable = turning & ~log.clipped
+    counts = {"rotating": int(turning.sum()), "clipped": int((turning & log.clipped).sum())}
+    _refuse_few(counts, int(usable.sum()))
+    gyros = relative_gyros(rate, np.flatnonzero(usable))
+    wide = usable & (gyros.scatter > WIDEST * np.linalg.norm(gyros.mean, axis=1))
+    good = np.flatnonzero(usable & ~wide)
+    counts |= {"gyros scattered": int(wide.sum()), "informative": len(good)}
+    _refuse_few(counts, len(good))
+    return Moving(log.t, acceleration, rate, gyros, good, log.interval, counts)
+
+
+def _refuse_odd(ratio: Array, names: tuple[str, ...]) -> None:
+    """ratio : (n, K) each gyro's |ω| over that of their median."""
+    typical = np.median(ratio, axis=0)
+    worst = int(np.argmax(np.abs(np.log(np.maximum(typical, 1e-9)))))
+    if not 1.0 / _ODD < typical[worst] < _ODD:
+        name = names[worst] if names else f"IMU {worst + 1}"
+        raise Undetermined(
+            f"the gyro of {name} reads {typical[worst]:.2g} times what the others read",
+            remedy="check its unit (deg/s against rad/s: 57.3) and scale in the recording or its "
+            "mapping, or take the IMU off the board file",
+        )
+
+
+def _refuse_few(counts: dict[str, int], left: int) -> None:
+    if left < FEWEST:
+        words = ", ".join(f"{n} {name}" for name, n in counts.items())
+        raise Undetermined(
+            f"too little rotation: {left} informative samples ({words})",
+            remedy=f"twist the array about all axes, faster than {SLOWEST / DEG:.0f} deg/s and "
+            "within the gyros' range, for half a minute; check the gyros' unit",
+        )
+
+
+def spread_over(rows: Index, count: int) -> Index:
+    """At most `count` of the rows, evenly over the motion."""
+    if len(rows) <= count:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, count).round().astype(np.intp)]
+
+
+def samples_of(
+    moving: Moving, rows: Index, sigma: Array, covariance: GyroCovariance = "scatter"
+) -> ArrayData:
+    """What the sampler gets: rows of the moving part with accelerometer sigmas (K,).
+
+    covariance : "scatter" is that of the triads about their mean, pooled over the motion, over
+        their number; "sample" is equation (30b) of the paper, one sample's scatter over the triads
+    """
+    k = moving.gyros.triads
+    if covariance == "sample":
+        inverse = np.linalg.inv(moving.gyros.gain)
+        corrected = np.einsum("kij,nkj->nki", inverse, moving.rate[rows])
+        off = corrected - corrected.mean(axis=1, keepdims=True)
+        each = np.einsum("nki,nkj->nij", off, off) / (k - 1)
+        floor = 1e-3 * np.trace(moving.gyros.covariance) / 3.0
+        precision = np.linalg.inv(each + floor * np.eye(3))
+    else:
+        precision = np.linalg.inv(moving.gyros.covariance / k)
+    return ArrayData(moving.acceleration[rows], sigma, moving.gyros.mean[rows], precision)

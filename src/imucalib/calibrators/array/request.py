@@ -1,0 +1,46 @@
+"""What a user asks of `imucal array`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.declared import NOTHING_ASKED, Asked
+from imucalib.calibrators.array.moving import GyroCovariance
+from imucalib.estimators.array.problem import MotionPrior
+from imucalib.estimators.markov.hmc import Stop
+from imucalib.units import STANDARD_GRAVITY
+
+Sampler = Literal["hmc", "pmmh"]
+MOST_SAMPLES = 2000
+#: The paper's rule: a data sheet's non-linearity, as a share of the accelerometers' range.
+NON_LINEARITY = 0.005
+
+
+@dataclass(frozen=True)
+class ArrayRequest:
+    """samples : moving samples used at most; target : m, the posterior sd at which more samples
+    say nothing that matters; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
+    iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
+    of the search; curves : whether structure without a name is corrected by smooth curves"""
+
+    board: Board
+    gravity: float = STANDARD_GRAVITY
+    gravity_source: str = "standard gravity"
+    sampler: Sampler = "hmc"
+    samples: int = MOST_SAMPLES
+    target: float = 2e-5
+    motion: MotionPrior = "learned"
+    exponent: float = 0.5
+    accelerometer_sigma: float | Literal["estimate", "nonlinearity"] = "estimate"
+    gyro_covariance: GyroCovariance = "scatter"
+    chains: int | None = None
+    stop: Stop = field(default_factory=Stop)
+    iterations: int = 100_000
+    loop: bool = True
+    asked: Asked = NOTHING_ASKED
+    curves: bool = False
+    checkpoint: Path | None = None
+    seed: int = 0

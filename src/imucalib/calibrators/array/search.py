@@ -1,0 +1,197 @@
+"""One search of the array's loop: everything that could be missing, scored in one contest.
+
+The engine is the shared one (`evidence_gram`), fed with Gram matrices from which the motion of
+every sample, the positions and the terms are taken out. Noise of another kind stands in the same
+contest: its likelihood ratio against white noise of one size, under which its root is half a
+standard normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.candidates import Candidates, Entry, candidates
+from imucalib.calibrators.array.noise_tests import NoiseTest, noise_tests
+from imucalib.calibrators.array.state import ArrayState
+from imucalib.calibrators.array.terms import OPEN, Term, determined, typical_of
+from imucalib.estimators.array.gram import Gram, Reduced, gram, reduced, starts_of
+from imucalib.loop.evidence import Candidate, Score
+from imucalib.loop.evidence_gram import block_evidence
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+TAU = 10.0 ** np.arange(-3.0, 1.1, 0.5)
+ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest must leave
+_READINGS, _FEWEST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
+_APART = 0.2  # share of a curve's direction that the base must leave
+
+
+@dataclass(frozen=True)
+class Search:
+    """scores, best first; entries by name; whole : columns of all candidates with the base taken
+    out; total : their Gram matrix before that; halves : as whole, of the two held-out halves
+    index : where a candidate's columns are; null : the best evidences of simulated data
+    impact : m rms that a candidate's typical size moves the positions; missing"""
+
+    scores: tuple[Score, ...]
+    entries: dict[str, Entry]
+    index: dict[str, Index]
+    whole: Reduced
+    total: Array
+    halves: tuple[Reduced, Reduced]
+    null: Array
+    impact: dict[str, float]
+    missing: dict[str, str]
+
+    def p_of(self, evidence: float) -> float:
+        """Family-wise chance of an evidence, by the simulated data."""
+        return float((1 + (self.null >= evidence).sum()) / (len(self.null) + 1))
+
+    def held_out(self, name: str) -> tuple[float, float]:
+        """Nats that each half gains when the other has estimated the candidate and its size."""
+        at = self.index[name]
+        gains = []
+        for one, two in (self.halves, self.halves[::-1]):
+            value = _most_likely(one.matrix[np.ix_(at, at)], one.along[at])
+            gains.append(
+                float(two.along[at] @ value - 0.5 * value @ two.matrix[np.ix_(at, at)] @ value)
+            )
+        return gains[0], gains[1]
+
+    def correctable(self, name: str) -> bool:
+        """Whether it is a curve that may be corrected. What all accelerometers share as a function
+        of the force bends the array's shape: there a curve is no better than the error."""
+        entry = self.entries.get(name)
+        if entry is None or entry.effect is None or entry.kind != "probe":
+            return False
+        return not (entry.effect.shared and entry.effect.sensor == "accelerometer")
+
+    def term(self, name: str) -> Term:
+        """A candidate as a new term: the directions that the data can determine, at zero."""
+        entry, at = self.entries[name], self.index[name]
+        assert entry.effect is not None
+        matrix = self.whole.matrix[np.ix_(at, at)]
+        if entry.kind == "effect":
+            return determined(name, entry.effect, entry.only, matrix)
+        kept = _apart(matrix, self.total[np.ix_(at, at)])
+        live = typical_of(entry.effect, len(at))[:, None] * kept
+        n = kept.shape[1]
+        return Term(name, entry.effect, entry.only, live, np.zeros(n), np.ones(n))
+
+
+def _apart(matrix: Array, total: Array) -> Array:
+    """(p, q) orthonormal directions of a curve of which the positions and terms take little: in the
+    others it would trade off against the answer, whatever its cause.
+
+    matrix, total : (p, p) Gram matrices with these taken out, and before
+    """
+    values, vectors = np.linalg.eigh(total)
+    seen = values > 1e-9 * float(values[-1])
+    white = vectors[:, seen] / np.sqrt(values[seen])
+    share, turn = np.linalg.eigh(white.T @ matrix @ white)
+    kept = white @ turn[:, share >= _APART]
+    return np.asarray(np.linalg.qr(kept)[0])
+
+
+def _most_likely(matrix: Array, along: Array) -> Array:
+    """Estimate of a block of columns under the size that its own evidence prefers."""
+    values, vectors = np.linalg.eigh(matrix)
+    values, seen = np.maximum(values, 0.0), vectors.T @ along
+    shrunk = TAU[:, None] ** 2 / (1.0 + TAU[:, None] ** 2 * values)
+    evidence = np.sum(shrunk * seen**2 - np.log1p(TAU[:, None] ** 2 * values), axis=1)
+    return np.asarray(vectors @ (shrunk[np.argmax(evidence)] * seen))
+
+
+def search(
+    state: ArrayState, rejected: frozenset[str], rng: np.random.Generator, draws: int
+) -> Search:
+    """Score all candidates at a fitted state."""
+    found = candidates(state, rejected)
+    free = _grams(state, found)
+    b = len(state.base.prior)
+    base, others = np.arange(b), np.arange(b, free[0].matrix.shape[0])
+    prior = state.base.rests
+    total = free[0] + free[1]
+    whole = reduced(total, base, prior, state.base.pull * (prior > 0.0), others)
+    halves = [reduced(one, base, prior, 0.0 * prior, others) for one in free]
+    scale = whole.power / max(total.numbers - b, 1)
+    starts = starts_of(found.blocks)
+    index = {e.name: starts[e.block] + e.part for e in found.entries}
+    diagonal = np.diag(total.matrix)[b:], np.diag(whole.matrix)
+    left = {n: float(diagonal[1][at].sum() / max(diagonal[0][at].sum(), 1e-300))
+            for n, at in index.items()}  # fmt: skip
+    size = {n: float(np.sqrt(max(diagonal[1][at].sum(), 0.0))) for n, at in index.items()}
+    live = [e for e in found.entries if left[e.name] >= ABSORBED and size[e.name] >= OPEN]
+    # Absorbed columns are rounding errors: they must not enter the simulation.
+    sound = diagonal[1] > 1e-9 * diagonal[0]
+    kept = [index[e.name][sound[index[e.name]]] for e in live]
+    used = np.unique(np.concatenate(kept))
+    evidence = block_evidence(
+        whole.matrix[np.ix_(used, used)] / scale, whole.along[used] / scale, whole.power / scale,
+        total.numbers - b,
+        np.array([diagonal[0][index[e.name]].sum() / scale for e in live]),
+        [np.searchsorted(used, at) for at in kept], TAU, rng, draws,
+    )  # fmt: skip
+    noises = noise_tests(state, rng, draws)
+    null = np.maximum(evidence.best, noises.null)
+    value = dict(zip((e.name for e in live), evidence.evidence, strict=True))
+    share = dict(zip((e.name for e in live), evidence.share, strict=True))
+    scores = [
+        _score(e, value.get(e.name), left[e.name], size[e.name], share.get(e.name, 0.0), null)
+        for e in found.entries
+    ]
+    scores += [_noise_score(test, null) for test in noises.tests]
+    carry = np.sqrt(np.sum(whole.carry[: state.positions] ** 2, axis=0) / state.positions)
+    impact = {e.name: float(np.linalg.norm(carry[index[e.name]])) for e in found.entries}
+    return Search(
+        tuple(sorted(scores, key=lambda s: -s.evidence)), {e.name: e for e in found.entries},
+        index, whole, total.matrix[b:, b:], (halves[0], halves[1]), null, impact, found.missing,
+    )  # fmt: skip
+
+
+def _grams(state: ArrayState, found: Candidates) -> tuple[Gram, Gram]:
+    setup, base = state.setup, state.base
+    blocks = [*base.blocks, *found.blocks]
+    # Many IMUs have many columns and many readings a sample: fewer samples say as much.
+    most = int(np.clip(_READINGS / setup.triads, _FEWEST, _MOST))
+    some = np.linspace(0, len(setup.inner) - 1, min(most, len(setup.inner))).astype(np.intp)
+    first = setup.first[some]
+    one = gram(state.sampled, blocks, setup.inner[some[first]])
+    two = gram(state.sampled, blocks, setup.inner[some[~first]])
+    return base.free(one), base.free(two)
+
+
+def _score(
+    entry: Entry, evidence: float | None, left: float, strength: float, share: float, null: Array
+) -> Score:
+    bare = Candidate(entry.name, entry.kind, np.zeros((0, len(entry.part))), entry.driver)
+    if evidence is None:
+        return Score(bare, 0.0, 1.0, len(null), 0.0, strength, 0.0)
+    p = float((1 + (null >= evidence).sum()) / (len(null) + 1))
+    return Score(bare, float(evidence), p, len(null), left, strength, float(share))
+
+
+def _noise_score(test: NoiseTest, null: Array) -> Score:
+    bare = Candidate(test.name, "noise", np.zeros((0, 1)), test.driver)
+    p = float((1 + (null >= test.evidence).sum()) / (len(null) + 1))
+    return Score(bare, test.evidence, p, len(null), 1.0, test.strength, 0.0)
+
+
+def discounted(score: Score, factor: float, null: Array) -> Score:
+    """A score as if there were `factor` times fewer samples: noise that neighbours share."""
+    value = score.evidence / factor
+    p = float((1 + (null >= value).sum()) / (len(null) + 1))
+    return replace(score, evidence=value, p=p)
+
+
+def absorbed(searches: tuple[Search, ...]) -> dict[str, float]:
+    """What no motion shows, and by how much its typical size moves the positions."""
+    found: dict[str, float] = {}
+    for one in searches:
+        for score in one.scores:
+            if score.candidate.kind == "effect" and score.absorbed and "@" not in score.name:
+                found[score.name] = one.impact[score.name]
+    return found

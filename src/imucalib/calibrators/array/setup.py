@@ -1,0 +1,98 @@
+"""The samples that the array's loop looks at: stretches of consecutive ones over the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.moving import Moving
+from imucalib.core.array_motion import ArrayMotion
+from imucalib.estimators.array.samples import Readings, Sampled
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+_STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
+_BLOCK = 5.0  # s, parts of the motion that are held out together
+FEWEST = 60
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What does not change in the search.
+
+    readings : calibrated by the rests, at T samples and their neighbours; t : (T,) s
+    inner : samples that have both neighbours; first : (inner,) whether in the first held-out half
+    order : (T,) 0..1 over the motion; nominal : (K, 3) m, the drawing; spread : m, its sd
+    robust : whether tails and growth of the noise may be taken in
+    rows : (T,) of the moving part
+    """
+
+    readings: Readings
+    t: Array
+    order: Array
+    inner: Index
+    first: NDArray[np.bool_]
+    imus: tuple[str, ...]
+    rotations: Array
+    nominal: Array
+    spread: float
+    robust: bool
+    rows: Index
+
+    @property
+    def triads(self) -> int:
+        return len(self.imus)
+
+
+def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> Setup | None:
+    """At most `samples` informative samples whose neighbours are informative too; None when
+    there are too few."""
+    near = with_neighbours(moving)
+    if len(near) < FEWEST:
+        return None
+    chosen = _stretches(near, samples)
+    rows = np.unique(np.concatenate([chosen - 1, chosen, chosen + 1]))
+    inner = np.searchsorted(rows, chosen)
+    t = moving.t[rows]
+    span = float(max(np.ptp(t), 1e-9))
+    block = ((t[inner] - t[0]) / min(_BLOCK, span / 8.0)).astype(np.intp)
+    readings = Readings(moving.acceleration[rows], moving.rate[rows])
+    return Setup(
+        readings, t, (t - t[0]) / span, inner, block % 2 == 0, board.imus, board.rotations,
+        board.drawn, board.prior_sd, robust, rows,
+    )  # fmt: skip
+
+
+def with_neighbours(moving: Moving) -> Index:
+    """Informative samples whose two neighbours are informative and at the usual interval."""
+    flag = np.zeros(len(moving.t) + 2, dtype=np.bool_)
+    flag[1 + moving.good] = True
+    steps = np.diff(moving.t)
+    regular = np.concatenate([[False], np.abs(steps - moving.interval) < 0.3 * moving.interval])
+    near = flag[1:-1] & flag[:-2] & flag[2:]
+    near &= regular & np.concatenate([regular[1:], [False]])
+    return np.flatnonzero(near)
+
+
+def _stretches(near: Index, samples: int) -> Index:
+    if len(near) <= samples:
+        return near
+    count = max(samples // _STRETCH, 8)
+    size = samples // count
+    starts = np.linspace(0, len(near) - size, count).astype(np.intp)
+    return near[np.unique(starts[:, None] + np.arange(size))]
+
+
+def motion_at(setup: Setup, sampled: Sampled, age: Array | None) -> ArrayMotion:
+    """The fitted motion as effects take it; its jerk by the fitted forces of the neighbours."""
+    jerk = np.zeros_like(sampled.force)
+    inner = setup.inner
+    step = (setup.t[inner + 1] - setup.t[inner - 1])[:, None, None]
+    jerk[inner] = (sampled.force[inner + 1] - sampled.force[inner - 1]) / step
+    return ArrayMotion(
+        setup.imus, setup.t, setup.order, sampled.rate, sampled.spin, sampled.force, jerk,
+        setup.rotations, age,
+    )  # fmt: skip

@@ -1,0 +1,259 @@
+"""Where the array's loop stands: positions, terms, noise and motion, fitted together.
+
+Positions and terms by Gauss-Newton with the motion of every sample taken out, weights by the noise,
+which is estimated along. Every basis is taken at the fitted motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.setup import Setup, motion_at
+from imucalib.calibrators.array.terms import Term
+from imucalib.core.array_motion import ArrayMotion
+from imucalib.estimators.array.gram import Columns, Gram, Reduced, gradient, gram, reduced
+from imucalib.estimators.array.noise import SensorNoise, chosen_noise, log_density, scaled
+from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+#: Newton steps at most, those before which the matrix is made again in any case, and the squared
+#: step at which a fit is settled.
+_ROUNDS, _AGAIN, _CLOSE = 30, (0, 8, 16, 24), 0.05
+#: Change of the noise from which the matrix no longer serves.
+_STALE = 0.1
+
+
+@dataclass(frozen=True)
+class ArrayState:
+    """r : (K, 3) m, the first at zero; terms; noise of accelerometers and gyros; sampled : the
+    fitted motion; motion : the same for effects; covariance : of positions and terms' coordinates;
+    density : nats, of the data with positions and terms integrated out (Laplace)"""
+
+    setup: Setup
+    r: Array
+    terms: tuple[Term, ...]
+    noise: tuple[SensorNoise, SensorNoise]
+    sampled: Sampled
+    motion: ArrayMotion
+    covariance: Array
+    density: float
+    converged: bool
+
+    @property
+    def positions(self) -> int:
+        return 3 * (self.setup.triads - 1)
+
+    @cached_property
+    def base(self) -> Base:
+        return Base(self)
+
+    @property
+    def found(self) -> tuple[Term, ...]:
+        return tuple(term for term in self.terms if term.found)
+
+    def squares(self) -> tuple[Array, Array, Array]:
+        """(inner, K) squared residuals of accelerometers and gyros, each over the share of the
+        variance that it keeps, and the speed (inner,) rad/s."""
+        off, inner = self.sampled.off, self.setup.inner
+        left = self.sampled.left
+        a = np.sum(off.acceleration**2, axis=2)[inner] / left[0][inner]
+        g = np.sum(off.rate**2, axis=2)[inner] / left[1][inner]
+        return a, g, np.linalg.norm(self.sampled.rate, axis=1)[inner]
+
+    def sd_of(self, term: Term) -> Array:
+        """(p,) posterior standard deviations of a term's parameters."""
+        at = self.positions
+        for other in self.terms:
+            if other.name == term.name:
+                break
+            at += len(other.value)
+        part = self.covariance[at : at + len(term.value), at : at + len(term.value)]
+        return np.asarray(np.sqrt(np.einsum("pi,ij,pj->p", term.live, part, term.live)))
+
+
+class Base:
+    """Columns of what is fitted: positions and terms, and the matrix from raw columns to the
+    coordinates that are free."""
+
+    def __init__(self, state: ArrayState) -> None:
+        k = state.setup.triads
+        turn = np.broadcast_to(state.sampled.turn[:, None], (len(state.sampled.turn), k, 3, 3))
+        blocks = [Columns(np.asarray(turn), False, False)]
+        blocks += [term.columns(state.motion) for term in state.terms]
+        self.blocks: Sequence[Columns] = blocks
+        self.raw = sum(block.size for block in blocks)
+        self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in state.terms)]
+        off = (state.r - state.setup.nominal)[1:].ravel()
+        flat = np.full(off.size, state.setup.spread**-2.0)
+        self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in state.terms)])
+        # What positions absorb is absorbed for good.
+        held = [term.sd**-2.0 * (not term.found) for term in state.terms]
+        self.rests = np.concatenate([0.0 * flat, *held])
+        self.pull = self.prior * np.concatenate([off, *(term.value for term in state.terms)])
+
+    def free(self, found: Gram) -> Gram:
+        """The Gram matrix with the raw columns of the base replaced by its coordinates."""
+        from scipy.linalg import block_diag
+
+        turn = block_diag(*self.lives)
+        n, raw = turn.shape[1], self.raw
+        size = n + found.matrix.shape[0] - raw
+        matrix = np.empty((size, size))
+        matrix[:n, :n] = turn.T @ found.matrix[:raw, :raw] @ turn
+        matrix[:n, n:] = turn.T @ found.matrix[:raw, raw:]
+        matrix[n:, :n] = matrix[:n, n:].T
+        matrix[n:, n:] = found.matrix[raw:, raw:]
+        along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
+        whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
+        return Gram(matrix, along, found.power, found.numbers, whole)
+
+    def along(self, raw: Array) -> Array:
+        """Products with the raw columns as those with the free coordinates."""
+        ends = np.cumsum([live.shape[0] for live in self.lives])[:-1]
+        parts = zip(self.lives, np.split(raw, ends), strict=True)
+        return np.concatenate([live.T @ part for live, part in parts])
+
+    def solved(self, found: Gram) -> Reduced:
+        """One Gauss-Newton step of the base alone, from its free coordinates."""
+        every = np.arange(len(self.prior))
+        return reduced(found, every, self.prior, self.pull, every[:0])
+
+
+def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
+    """Fitted with the drawing and plain noise as the start."""
+    k = setup.triads
+    one = np.ones(k)
+    noise = SensorNoise(0.2, 0.0, np.inf, one), SensorNoise(5e-3, 0.0, np.inf, one)
+    rate = np.median(setup.readings.rate, axis=1)
+    ones = np.ones(setup.readings.rate.shape[:2])
+    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
+    sampled = fit_samples(setup.readings, weights, setup.nominal, rate)
+    motion = motion_at(setup, sampled, None)
+    state = ArrayState(
+        setup, setup.nominal, terms, noise, sampled, motion, np.empty((0, 0)), -np.inf, False
+    )
+    return settled(state)
+
+
+def transferred(state: ArrayState, setup: Setup) -> ArrayState:
+    """What was found, at other samples; to be settled there."""
+    ones = np.ones(setup.readings.rate.shape[:2])
+    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
+    rate = np.median(setup.readings.rate, axis=1)
+    sampled = fit_samples(setup.readings, weights, state.r, rate)
+    return replace(state, setup=setup, sampled=sampled, motion=motion_at(setup, sampled, None))
+
+
+def settled(state: ArrayState) -> ArrayState:
+    """The joint fit of everything, and the noise in the shape that held-out halves ask for."""
+    state = _climbed(_with_scale(state))
+    if state.setup.robust:
+        # Which shape only shows once the fit is near; the fit then moves a little with it.
+        for _ in range(3):
+            noise = _shaped(state)
+            same = all(_alike(a, b) for a, b in zip(noise, state.noise, strict=True))
+            state = replace(state, noise=noise)
+            if same:
+                break
+            state = _climbed(state)
+    return _measured(state)
+
+
+def _alike(one: SensorNoise, two: SensorNoise) -> bool:
+    # Growth is in units of the median speed, which moves a little with every fit.
+    a, b = ((x.growth, *x.factor) for x in (one, two))
+    return one.freedom == two.freedom and bool(np.allclose(a, b, rtol=_STALE, atol=0.0))
+
+
+def _with_scale(state: ArrayState) -> ArrayState:
+    a, g, speed = state.squares()
+    noise = scaled(state.noise[0], a, speed), scaled(state.noise[1], g, speed)
+    return replace(state, noise=noise)
+
+
+def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
+    a, g, speed = state.squares()
+    some = np.linspace(0, len(speed) - 1, min(len(speed), 250)).astype(np.intp)
+    first = state.setup.first[some]
+    found = [chosen_noise(x[some], speed[some], first, robust=True) for x in (a, g)]
+    return scaled(found[0], a, speed), scaled(found[1], g, speed)
+
+
+def _climbed(state: ArrayState) -> ArrayState:
+    """Newton with the matrix of the start: what changes on the way is the residual."""
+    converged, matrix, made = False, np.empty((0, 0)), np.zeros(2)
+    for k in range(_ROUNDS):
+        state = _sampled(state)
+        base = state.base
+        sigma = np.array([noise.sigma for noise in state.noise])
+        if k in _AGAIN or np.any(np.abs(made / sigma - 1.0) > _STALE):
+            made = sigma
+            matrix = base.free(gram(state.sampled, base.blocks, state.setup.inner)).matrix
+        along = base.along(gradient(state.sampled, base.blocks, state.setup.inner))
+        inner = matrix + np.diag(base.prior)
+        covariance = np.asarray(np.linalg.inv(inner), np.float64)
+        step = covariance @ (along - base.pull)
+        state = _moved(state, step, covariance)
+        state = _with_scale(state)
+        moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
+        converged = float(step @ inner @ step) < _CLOSE and float(np.abs(moved).max()) < _STALE
+        if converged:
+            break
+    return replace(_sampled(state), converged=converged)
+
+
+def _measured(state: ArrayState) -> ArrayState:
+    """With the covariance and the density of where it is."""
+    found = state.base.free(gram(state.sampled, state.base.blocks, state.setup.inner))
+    covariance = state.base.solved(found).covariance
+    a, g, speed = state.squares()
+    density = float(log_density(state.noise[0], a, speed).sum())
+    density += float(log_density(state.noise[1], g, speed).sum())
+    for term in state.terms:
+        density -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
+    density += 0.5 * float(np.linalg.slogdet(covariance)[1])
+    return replace(state, density=density, covariance=covariance)
+
+
+def _moved(state: ArrayState, step: Array, covariance: Array) -> ArrayState:
+    at = state.positions
+    r = state.r.copy()
+    r[1:] += step[:at].reshape(-1, 3)
+    terms = []
+    for term in state.terms:
+        part = slice(at, at + len(term.value))
+        terms.append(term.moved(step[part], covariance[part, part]))
+        at = part.stop
+    return replace(state, r=r, terms=tuple(terms))
+
+
+def _sampled(state: ArrayState) -> ArrayState:
+    """The motion for the positions, terms and noise as they are."""
+    setup = state.setup
+    readings = corrected(state)
+    speed = np.linalg.norm(state.sampled.rate, axis=1)
+    off = state.sampled.off
+    weights = Weights(
+        state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
+        state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
+    )
+    sampled = fit_samples(readings, weights, state.r, state.sampled)
+    motion = motion_at(setup, sampled, state.motion.age)
+    return replace(state, sampled=sampled, motion=motion)
+
+
+def corrected(state: ArrayState) -> Readings:
+    """The readings less what the terms add to them."""
+    acceleration = state.setup.readings.acceleration.copy()
+    rate = state.setup.readings.rate.copy()
+    for term in state.terms:
+        columns = term.columns(state.motion)
+        target = rate if columns.gyro else acceleration
+        target -= term.reading(columns)
+    return Readings(acceleration, rate)

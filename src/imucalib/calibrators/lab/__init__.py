@@ -1,0 +1,1 @@
+"""An accelerometer on a bench with known angles."""

@@ -1,0 +1,184 @@
+"""What a result of `lab` means and what to do next, in sentences and in limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibration.outcome import Limit
+from imucalib.calibration.uncertainty import correcting
+from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
+from imucalib.calibrators.lab.bench import RawUnit
+from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
+from imucalib.calibrators.lab.design import judge
+from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.core.context import Context
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.references import KnownVector, angles_of, unit_vector
+from imucalib.effects import catalogue
+from imucalib.errors import UsageError
+from imucalib.estimators.corrected import OBJECTIVES
+from imucalib.loop.noise_checks import beyond_declared
+from imucalib.loop.record_errors import RecordError
+from imucalib.significant_digits import plus_minus
+from imucalib.units import DEG, MG
+
+Array = NDArray[np.float64]
+
+
+def fix_option(record: RecordError, raw: RawUnit) -> str:
+    """The options that settle a record error, the repair first when it is known."""
+    row = record.where.split()[-1]
+    repair = [f"--fix {row}:{axis}={value / raw.si:.10g}" for axis, value in record.fix]
+    return " ".join(repair) + (" or " if repair else "") + f"--exclude {row} (or --auto-exclude)"
+
+
+def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
+    """Why the status is not "ok": short, machine-stable beginnings."""
+    found: list[str] = []
+    loop = result.loop
+    if loop and loop.records:
+        found.append(f"record errors: {', '.join(r.where for r in loop.records)}")
+    if loop and loop.unexplained:
+        found.append(f"unexplained structure: {loop.unexplained[0].name}")
+    if result.settings.objective in OBJECTIVES and result.final.null_directions:
+        found.append(
+            f"objective '{result.settings.objective}' leaves open on these rows: "
+            + "; ".join(result.final.null_directions)
+        )
+    if result.settings.sigma is not None and beyond_declared(result.final) < 0.01:
+        found.append(f"noise not as declared: {result.final.noise.factor:.2f} times --sigma")
+    return tuple(found)
+
+
+def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
+    """Sentences: what was found, what it means, which recording would settle what is open."""
+    found: list[str] = []
+    loop, fit = result.loop, result.final
+    for record in loop.records if loop else ():
+        found.append(
+            f"Decide about {record.where}: {fix_option(record, raw)}. Until then the calibration "
+            "takes the record as it stands."
+        )
+    for step in loop.steps if loop else ():
+        effect = catalogue().get(step.effect)
+        names = " or ".join((step.effect, *step.aliases))
+        if step.aliases and effect is not None:
+            found.append(f"These positions cannot tell {names} apart. {effect.identify}")
+        elif effect is not None and effect.stage == "fixture":
+            found.append(f"{effect.sentence} Check the bench ({effect.identify.rstrip('.')}).")
+    for item in loop.unexplained if loop else ():
+        found.append(
+            f"Structure without a name, driven by {item.driver}: {item.name}. Record with "
+            f"{item.driver} varied on its own."
+        )
+    if isinstance(fit.observations.reference, KnownVector):
+        found += _settings(fit)
+    found += _positions(result)
+    return tuple(found)
+
+
+def _settings(fit: Fit) -> list[str]:
+    """Whose the scatter is: the table's settings or the sensor's noise."""
+    noise = setting_noise(fit.noise)
+    sensor = fit.noise.factor * float(np.median(fit.at.sigma))
+    reference = fit.observations.reference
+    assert isinstance(reference, KnownVector)
+    share = sensor / reference.gravity / DEG
+    floor = noise.get("tool-face setting", 0.0) / DEG
+    if floor > 2.0 * share:
+        return [
+            f"Tool-face scatters by {floor:.2f} deg because the table is set by hand, not because "
+            f"of the sensor ({share:.2f} deg / cos(inclination)): no calibration on this table can "
+            f"show less, and a smaller residual would be overfitting."
+        ]
+    return []
+
+
+def _positions(result: LabResult) -> list[str]:
+    """The one position that would help most, when it helps much.
+
+    Judged by the norm, which no setting error touches: what it leaves weak, the bench's angles
+    can only mend as well as they are set.
+    """
+    fit = result.final
+    core = Model(
+        tuple(e for e in correcting(fit.model).effects if not e.needs and e.stage == "sensor")
+    )
+    reference = fit.observations.reference
+    if isinstance(reference, KnownVector):
+        angles = (reference.inclination, reference.tool_face)
+    else:
+        angles = angles_of(reference.truth(fit.eta)[:, 0])
+    first = judge(core, *angles, norm=True).additions[0]
+    if first.gain < 1.5:
+        return []
+    gain = f"{first.gain:.1f} times" if np.isfinite(first.gain) else "decisively"
+    shown = result.settings.conventions.outside(
+        np.array([first.inclination * DEG]), np.array([first.tool_face * DEG])
+    )
+    where = f"inclination {shown[0][0]:.0f}, tool-face {shown[1][0]:.0f}"
+    return [f"One more position at {where} would determine {first.parameter} {gain} better."]
+
+
+def fixture_curve(fit: Fit, inclination: Array) -> tuple[Array, Array, Array]:
+    """How far the true inclination is from the dial (deg), its sd, and the 95 % half width.
+
+    inclination : (m,) rad, dial settings at tool-face 0
+    """
+    context = fit.observations.context
+    slices = fit.model.slices(context)
+    m = len(inclination)
+    covariates = {name: np.full(m, float(np.median(v))) for name, v in context.covariates.items()}
+    covariates |= {"inclination": inclination, "tool_face": np.zeros(m)}
+    at = Context(m, covariates, context.triads, context.sweeps)
+    fixture = Model(tuple(e for e in fit.model.effects if e.stage == "fixture"))
+    own = fixture.slices(at)
+    theta = np.zeros(len(fixture.parameters(at)))
+    for name, part in own.items():
+        theta[part] = fit.theta[slices[name]]
+    truth = unit_vector(inclination, np.zeros(m))[:, None]
+    moved = fixture.predict(theta, truth, at)
+    along = unit_vector(inclination + np.pi / 2.0, np.zeros(m))
+    across = np.einsum("nj,nj->n", along, moved.reading[:, 0])
+    shift = np.arctan2(across, np.einsum("nj,nj->n", truth[:, 0], moved.reading[:, 0])) / DEG
+    rows = np.zeros((m, fit.theta.size))
+    for name, part in own.items():
+        rows[:, slices[name]] = np.einsum("nj,njp->np", along, moved.d_theta[:, 0][..., part]) / DEG
+    sd = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", rows, fit.covariance, rows), 0.0))
+    return shift, sd, np.array([fit.half_width(row) for row in rows])
+
+
+def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...]:
+    """The user's limits against held-out errors."""
+    if not result.splits and asked:
+        raise UsageError("limits need held-out data", remedy="use another objective, or --train")
+    found = []
+    for name, limit in asked.items():
+        split = result.splits[-1]
+        angles = attitude_errors(split.final, gravity_of(result.observations))
+        value, unit = {
+            "max-error": (split.final.rms() / MG, "mg rms"),
+            "max-inclination-error": (worst(angles.inclination), "deg"),
+            "max-toolface-error": (worst(angles.tool_face), "deg"),
+            "max-norm-error": (rms(angles.norm), "mg rms"),
+        }[name]
+        found.append(Limit(f"{name}, {split.name}", value, limit, unit))
+    return tuple(found)
+
+
+def curve_words(fit: Fit) -> str:
+    """The fixture's inclination error in one sentence, or nothing when none was found."""
+    if not any(name.startswith("inclination") for name in fit.model.names):
+        return ""
+    at = np.radians([0.0, 50.0, 90.0])
+    shift, sd, half = fixture_curve(fit, at)
+    parts = [
+        f"{plus_minus(float(s), float(d))} at {round(float(a / DEG))} "
+        f"(95 %: {s - h:.2f} to {s + h:.2f})"
+        for a, s, d, h in zip(at, shift, sd, half, strict=True)
+    ]
+    return "Inclination on this bench is the dial plus " + ", ".join(parts) + " deg."

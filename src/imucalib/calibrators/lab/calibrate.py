@@ -1,0 +1,176 @@
+"""`imucal lab`: a tool's accelerometer on a bench with known tool-face and inclination.
+
+Also its second reference: the same sensor at rest in unknown attitudes, by the size of gravity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibration.outcome import ErrorSummary
+from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors
+from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.calibrators.lab.errors import Split, error_summary, held_out_splits
+from imucalib.core.effect import Effect
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.effects import catalogue, named
+from imucalib.errors import NotConverged, Undetermined, UsageError
+from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.estimators.starting_point import full_matrix_start
+from imucalib.loop.closed_loop import close_loop
+from imucalib.loop.cross_fit import cross_fitted
+from imucalib.loop.found import Loop, LoopSettings
+from imucalib.loop.held_out import fitted
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Objective = Literal["settings", "vector", "angles", "paper"]
+
+MODELS: dict[str, tuple[str, ...]] = {
+    "linear12": ("mounting", "bias", "scale", "non_orthogonality"),
+    "geometric9": ("bias", "scale", "non_orthogonality"),
+}
+
+
+@dataclass(frozen=True)
+class LabSettings:
+    """What the user chose.
+
+    model : "linear12" (paper 004, model 3) or "geometric9" (model 4)
+    objective : "settings" (errors in variables, the default), "vector" (angles taken as exact),
+        "angles" (the paper's suggestion for steep inclinations), "paper" (its objective 5)
+    declare : effects of the base model beyond `model`; only, without : restrict the search
+    train : rows (0-based) to choose and fit on; the rest is the test set
+    sigma : declared noise of a reading, m/s², or None to take it from the data
+    """
+
+    model: str = "linear12"
+    objective: Objective = "settings"
+    declare: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    loop: bool = True
+    train: Index | None = None
+    sigma: float | None = None
+    rules: LoopSettings = field(default_factory=LoopSettings)
+    extra_effects: Mapping[str, Effect] = field(default_factory=dict)
+    conventions: Conventions = field(default_factory=Conventions)
+
+
+@dataclass(frozen=True)
+class LabResult:
+    """Everything that the reports of `lab` show.
+
+    observations : all rows; used : the rows that were fitted
+    splits : leave-one-out, folds searched anew, and the test set of `train`, where there are any
+    angles : the final fit's errors in degrees and mg on the fitted rows (KnownVector only)
+    """
+
+    observations: Observations
+    used: Index
+    loop: Loop | None
+    base: Fit
+    final: Fit
+    error: ErrorSummary
+    splits: tuple[Split, ...]
+    angles: AttitudeErrors | None
+    settings: LabSettings
+
+
+def calibrate(
+    observations: Observations, settings: LabSettings, rng: np.random.Generator
+) -> LabResult:
+    """Fit, search for what is missing, and measure the errors on data that was not fitted.
+
+    Raises Undetermined when the positions cannot carry the model, with what is open and what to
+    add, and UsageError for unknown models or effects.
+    """
+    model = base_model(settings, observations)
+    searched = searched_effects(settings)
+    used = np.arange(observations.n) if settings.train is None else settings.train
+    data = observations.take(used)
+    demand_enough(model, data)
+    start = full_matrix_start(model, data)
+    rules = replace(settings.rules, declared=settings.sigma is not None)
+    if settings.objective in OBJECTIVES:
+        base = fit_corrected(model, data, settings.objective, start)
+        loop, final = None, base
+    elif settings.loop:
+        loop = close_loop(model, data, searched, rng, rules, start)
+        base, final = loop.plain, loop.as_recorded
+    else:
+        loop, base = None, fit_model(model, data, start=start)
+        final = base
+    # A wrong record inflates the noise until everything looks open: judge without it.
+    judged = loop.base if loop else base
+    if judged.null_directions and settings.objective not in OBJECTIVES:
+        raise undetermined(judged)
+    if not final.converged:
+        raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
+    anew = cross_fitted(loop, searched, rng, rules) if loop and loop.steps else None
+    splits = held_out_splits(base, final, observations, used, settings.objective, anew)
+    gravity = gravity_of(data)
+    known = isinstance(data.reference, KnownVector)
+    angles = attitude_errors(fitted(final), gravity) if known else None
+    error = error_summary(base, final, data, splits)
+    return LabResult(observations, used, loop, base, final, error, splits, angles, settings)
+
+
+def base_model(settings: LabSettings, observations: Observations) -> Model:
+    """The model before the search; by the norm alone a mounting cannot be seen, so it goes."""
+    if settings.model not in MODELS:
+        raise UsageError(f"unknown model '{settings.model}'", remedy=f"use: {', '.join(MODELS)}")
+    names = MODELS[settings.model]
+    if isinstance(observations.reference, KnownNorm):
+        names = tuple(name for name in names if name != "mounting")
+    extra = {**catalogue(), **settings.extra_effects}
+    declared = tuple(extra[n] if n in extra else named(n) for n in settings.declare)
+    for effect in declared:
+        if reason := effect.missing(observations.context):
+            raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
+    return Model((*(named(name) for name in names), *declared))
+
+
+def searched_effects(settings: LabSettings) -> dict[str, Effect]:
+    """The catalogue as `only` and `without` leave it; UsageError for a name that is not there."""
+    every = {**catalogue(), **settings.extra_effects}
+    for name in (*settings.only, *settings.without):
+        if name not in every:
+            named(name)
+    chosen = settings.only or tuple(every)
+    return {name: every[name] for name in chosen if name not in settings.without}
+
+
+def demand_enough(model: Model, data: Observations) -> None:
+    """Raise Undetermined when there are fewer numbers than parameters."""
+    parameters = len(model.parameters(data.context))
+    numbers = 3 * data.n if isinstance(data.reference, KnownVector) else data.n
+    if numbers <= parameters:
+        raise Undetermined(
+            f"{data.n} positions give {numbers} numbers for {parameters} parameters",
+            remedy="add positions; `imucal design` says which help most",
+        )
+
+
+def undetermined(fit: Fit) -> Undetermined:
+    """The refusal, with every open combination in words."""
+    return Undetermined(
+        "these positions leave open: " + "; ".join(fit.null_directions),
+        remedy="add positions off the common cone or meridian, with z of both signs; "
+        "`imucal design TABLE` says which one or two help most",
+    )
+
+
+def gravity_of(data: Observations) -> float:
+    reference = data.reference
+    assert isinstance(reference, KnownVector | KnownNorm)
+    return reference.gravity

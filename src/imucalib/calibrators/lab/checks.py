@@ -1,0 +1,151 @@
+"""From a position table to observations, refusing what users mistake: angles, units, rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.lab.bench import (
+    RawUnit,
+    position_observations,
+    still_observations,
+    swapped_angles,
+)
+from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.core.observations import Observations
+from imucalib.errors import UsageError
+from imucalib.estimators.starting_point import misfit
+from imucalib.units import DEG, MG
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: A reading at rest differs from the others' size by a tenth at most, through bias and scale.
+_FAR = 0.35
+
+
+def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> Observations:
+    """All rows as observations. Raises UsageError for angles that cannot be degrees."""
+    reading = table.raw() * raw.si
+    sigma = request.settings.sigma or MG
+    if request.reference == "norm":
+        return still_observations(table, reading, request.gravity, sigma=sigma)
+    table = _in_degrees(table)
+    exact = request.settings.objective == "vector"
+    return position_observations(
+        table,
+        reading,
+        request.settings.conventions,
+        request.gravity,
+        sigma=sigma,
+        setting_errors=not exact,
+    )
+
+
+def _in_degrees(table: PositionTable) -> PositionTable:
+    """Angle columns whose heading says rad, in degrees; refuse angles that cannot be degrees."""
+    columns = dict(table.columns)
+    for role in ("inclination", "tool_face"):
+        if table.unit.get(role) == "rad":
+            columns[role] = columns[role] / DEG
+        if np.abs(columns[role]).max() > 720.0:
+            row = int(np.argmax(np.abs(columns[role]))) + 1
+            raise UsageError(
+                f"angle {columns[role][row - 1]:g} is out of range",
+                where=f"{table.path}, row {row}, column {table.names[role]}",
+                remedy="angles are in degrees, within two turns",
+            )
+    return replace(table, columns=columns)
+
+
+def refuse_swapped(
+    observations: Observations, table: PositionTable, raw: RawUnit, request: LabRequest
+) -> None:
+    """Raise UsageError when the angle columns, exchanged or read as radians, fit far better."""
+    as_given = misfit(observations)
+    if as_given < 0.03 * request.gravity:
+        return
+    columns = dict(table.columns)
+    columns["inclination"] = columns["inclination"] / DEG
+    columns["tool_face"] = columns["tool_face"] / DEG
+    turned = replace(table, columns=columns)
+    option = "without it" if request.swap_angles else "--swap-angles"
+    for other, what, remedy in (
+        (swapped_angles(table), "exchanged", f"run again {option}, or name them with --columns"),
+        (
+            turned,
+            "read as radians",
+            "convert them, or name the columns with the unit (inclination_rad)",
+        ),
+    ):
+        if np.abs(other.columns["inclination"]).max() > 720.0:
+            continue
+        changed = misfit(observations_of(other, raw, request))
+        if changed < as_given / 3.0:
+            raise UsageError(
+                f"the angle columns fit far better {what}: {changed / MG:.0f} instead of "
+                f"{as_given / MG:.0f} mg rms",
+                where=table.path,
+                remedy=f"{remedy}; --keep-angles to insist",
+            )
+
+
+def implausible_sizes(table: PositionTable, rows: Index) -> Index:
+    """Those of some rows (from 0) whose size no bias or scale explains beside the others'.
+
+    A slip of a factor ten bends every parameter until nothing can be judged, so it is looked for
+    before anything is fitted.
+    """
+    size = np.linalg.norm(table.raw()[rows], axis=1)
+    off = np.abs(size / np.median(size) - 1.0) > _FAR
+    # Where many are off, it is not a slip of the pen.
+    return rows[off] if off.sum() <= max(1, rows.size // 8) else rows[:0]
+
+
+def refuse_sizes(table: PositionTable, bad: Index, rows: Index) -> None:
+    """Raise UsageError for records of implausible size, with the slip that would explain each."""
+    if not bad.size:
+        return
+    usual = float(np.median(np.linalg.norm(table.raw()[rows], axis=1)))
+    row = int(bad[0])
+    reading = table.raw()[row]
+    raise UsageError(
+        f"its |a| is {float(np.linalg.norm(reading)) / usual:.2g} times that of the others"
+        + (f" (so are {bad.size - 1} more)" if bad.size > 1 else ""),
+        where=f"{table.path}, row {row + 1}",
+        remedy=f"{_repair(reading, usual, row)}--exclude {row + 1} or --auto-exclude",
+    )
+
+
+def _repair(reading: Array, usual: float, row: int) -> str:
+    """The one number that is ten times too large or too small, or nothing."""
+    for axis, name in enumerate("xyz"):
+        for factor, words in ((0.1, "large"), (10.0, "small")):
+            changed = reading.copy()
+            changed[axis] *= factor
+            if abs(float(np.linalg.norm(changed)) / usual - 1.0) < 0.1:
+                value = float(changed[axis])
+                return f"{name} may be ten times too {words}: --fix {row + 1}:{name}={value:.10g}, "
+    return ""
+
+
+def kept_rows(table: PositionTable, exclude: tuple[int, ...]) -> Index:
+    """Rows (from 0) that are left; UsageError for one that does not exist."""
+    unknown = [r for r in exclude if not 1 <= r <= table.n]
+    if unknown:
+        raise UsageError(f"--exclude {unknown[0]}: no such row", remedy=f"rows are 1..{table.n}")
+    return np.array([k for k in range(table.n) if k + 1 not in exclude], dtype=np.intp)
+
+
+def with_train(request: LabRequest, rows: Index) -> LabSettings:
+    """The settings with the training rows among those that are left; UsageError when none is."""
+    if not request.train:
+        return request.settings
+    chosen = np.flatnonzero(np.isin(rows + 1, request.train))
+    if chosen.size == 0:
+        raise UsageError("--train names no row that is left")
+    return replace(request.settings, train=chosen)

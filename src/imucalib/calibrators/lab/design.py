@@ -1,0 +1,231 @@
+"""How good is a set of positions, which added ones help most, and which set to take instead.
+
+Information per position is that of the calibration model itself, so the answer holds for the
+reference in use: known vectors, or the norm alone. D-efficiency is det(information per reading) to
+the power 1/p, relative to a uniform sphere, which is the best that any design can do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.lab.bench import held_settings
+from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.core.balance import balance
+from imucalib.core.context import Context
+from imucalib.core.identifiability import null_directions
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownNorm, KnownVector, unit_vector
+from imucalib.effects import named
+from imucalib.units import DEG, MG, STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Addition:
+    """One added position (deg) and what it does: efficiency after, and the largest gain of one
+    parameter's standard deviation (factor, name)."""
+
+    inclination: float
+    tool_face: float
+    efficiency: float
+    gain: float
+    parameter: str
+
+
+@dataclass(frozen=True)
+class Design:
+    """Quality of a set of positions for a model.
+
+    efficiency : 1 is a uniform sphere, 0 singular; condition : of the scaled Jacobian
+    sd : (p,) standard deviation of each parameter for 1 mg of noise, in the parameter's unit
+    additions : the best single position, then the best pair, each in order of adding
+    """
+
+    positions: int
+    efficiency: float
+    condition: float
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    sd: Array
+    open_directions: tuple[str, ...]
+    additions: tuple[Addition, ...]
+
+
+def _information(model: Model, inclination: Array, tool_face: Array, *, norm: bool) -> Array:
+    """(n, p, p) information of each position, for 1 mg of noise and typical-size parameters."""
+    n = len(inclination)
+    gravity = STANDARD_GRAVITY
+    force = gravity * unit_vector(inclination, tool_face)[:, None]
+    context = Context(n)
+    reference: KnownVector | KnownNorm
+    if norm:
+        reference, eta = KnownNorm(n, gravity), force.ravel() / gravity
+    else:
+        ids = np.arange(n)
+        reference = KnownVector(inclination, tool_face, gravity, ids, ids, setting_errors=False)
+        eta = np.zeros(reference.eta_size)
+    data = Observations(force, np.full((n, 1, 3), MG), reference, context, np.arange(n), ("",) * n)
+    at = balance(model, model.start(context), eta, data)
+    typical = np.array([p.typical for p in model.parameters(context)])
+    rows = (at.jacobian * typical).reshape(n, -1, typical.size)
+    return np.asarray(rows.transpose(0, 2, 1) @ rows)
+
+
+def uniform_directions(count: int) -> tuple[Array, Array]:
+    """Inclination and tool-face (rad) of a Fibonacci lattice on the sphere."""
+    k = np.arange(count) + 0.5
+    return np.arcsin(1.0 - 2.0 * k / count), np.mod(np.pi * (1.0 + 5.0**0.5) * k, 2.0 * np.pi)
+
+
+def _best(model: Model, *, norm: bool) -> float:
+    """log det of the information per reading of a uniform sphere."""
+    mean = _information(model, *uniform_directions(4000), norm=norm).mean(axis=0)
+    return float(np.linalg.slogdet(mean)[1])
+
+
+def judge(
+    model: Model,
+    inclination: Array,
+    tool_face: Array,
+    *,
+    norm: bool = False,
+    step_deg: float = 15.0,
+) -> Design:
+    """Judge positions (rad). `model` must not need known angles when `norm` is set."""
+    p = len(model.parameters(Context(1)))
+    total = _information(model, inclination, tool_face, norm=norm).sum(axis=0)
+    best = _best(model, norm=norm)
+    candidates = _grid(step_deg)
+    offered = _information(model, *candidates, norm=norm)
+    additions, current, count = [], total, len(inclination)
+    for _ in range(2):
+        pick = int(np.argmax([_log_det(current + more) for more in offered]))
+        before, after = _sd(current), _sd(current + offered[pick])
+        current, count = current + offered[pick], count + 1
+        with np.errstate(invalid="ignore"):
+            ratio = np.nan_to_num(before / after, nan=1.0, posinf=np.inf)
+        gain = int(np.argmax(ratio))
+        additions.append(
+            Addition(
+                float(candidates[0][pick] / DEG),
+                float(candidates[1][pick] / DEG),
+                _efficiency(current, count, best, p),
+                float(ratio[gain]),
+                model.parameters(Context(1))[gain].name,
+            )
+        )
+    parameters = model.parameters(Context(1))
+    values, vectors = np.linalg.eigh(total)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    typical = np.array([q.typical for q in parameters])
+    return Design(
+        len(inclination),
+        _efficiency(total, len(inclination), best, p),
+        float(np.sqrt(values[-1] / max(values[0], 1e-300))),
+        tuple(q.name for q in parameters),
+        tuple(q.unit for q in parameters),
+        _sd(total) * typical,
+        null_directions(root / typical, parameters, 1.0),
+        tuple(additions),
+    )
+
+
+def _grid(step_deg: float) -> tuple[Array, Array]:
+    inclination = np.arange(-90.0, 90.0 + 1e-9, step_deg)
+    pairs = [
+        (i, t)
+        for i in inclination
+        for t in (np.arange(0.0, 360.0, step_deg) if abs(i) < 89.9 else np.zeros(1))
+    ]
+    i, t = np.array(pairs).T
+    return i * DEG, t * DEG
+
+
+def _log_det(information: Array) -> float:
+    sign, value = np.linalg.slogdet(information)
+    return float(value) if sign > 0 else -np.inf
+
+
+def _efficiency(information: Array, count: int, best: float, p: int) -> float:
+    values = np.linalg.eigvalsh(information / count)
+    if values[0] <= 1e-12 * values[-1]:
+        return 0.0
+    return float(np.exp((np.log(values).sum() - best) / p))
+
+
+def _sd(information: Array) -> Array:
+    """Standard deviations in typical sizes; infinite where nothing is known."""
+    values, vectors = np.linalg.eigh(information)
+    open_ = values <= 1e-12 * values[-1]
+    if open_.any():
+        weight = (vectors[:, open_] ** 2).sum(axis=1)
+        known = (vectors[:, ~open_] ** 2 / values[~open_]).sum(axis=1)
+        return np.where(weight > 1e-6, np.inf, np.sqrt(known))
+    return np.sqrt(np.diag(np.linalg.pinv(information, rcond=1e-15, hermitian=True)))
+
+
+def recommend(count: int, axes: int = 2) -> tuple[Array, Array]:
+    """A set of `count` positions (rad) for a table with one or two axes.
+
+    Two axes: rings of equal inclination at 0, +45 and -45 degrees, which also expose the fixture's
+    inclination error, plus z up and z down. One axis (tool-face only, the axis level): one ring;
+    the norm cannot see everything then, and `judge` says what stays open.
+    """
+    if axes == 1:
+        return np.zeros(count), 2.0 * np.pi * np.arange(count) / count
+    poles = 2 if count >= 14 else 0
+    ring = [len(part) for part in np.array_split(np.arange(count - poles), 3)]
+    inclination = np.concatenate(
+        [np.full(n, a) for n, a in zip(ring, (0.0, 45.0, -45.0), strict=True)]
+    )
+    # Each ring is turned against the last, so that few positions do not share meridians.
+    tool_face = np.concatenate(
+        [360.0 * (np.arange(n) + k / 3.0) / max(n, 1) for k, n in enumerate(ring)]
+    )
+    if poles:
+        inclination = np.concatenate([inclination, [90.0, -90.0]])
+        tool_face = np.concatenate([tool_face, [0.0, 0.0]])
+    return inclination * DEG, tool_face * DEG
+
+
+def settings_of(inclination: Array, tool_face: Array) -> tuple[int, int]:
+    """How often each axis is set anew in this order: setting errors average over these."""
+    return int(held_settings(inclination)[-1]) + 1, int(held_settings(tool_face)[-1]) + 1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A set of positions in the user's convention (deg) with its quality under both references."""
+
+    inclination: Array
+    tool_face: Array
+    vector: Design
+    norm: Design
+    conventions: Conventions
+    settings: tuple[int, int]
+
+
+def design_of(inclination: Array, tool_face: Array, conventions: Conventions) -> Plan:
+    """Judge positions given in degrees in the user's convention."""
+    inside = conventions.inside(inclination, tool_face)
+    full = Model(tuple(named(n) for n in ("mounting", "bias", "scale", "non_orthogonality")))
+    nine = Model(tuple(named(n) for n in ("bias", "scale", "non_orthogonality")))
+    return Plan(
+        inclination,
+        tool_face,
+        judge(full, *inside),
+        judge(nine, *inside, norm=True),
+        conventions,
+        settings_of(inclination, tool_face),
+    )
+
+
+def recommended(count: int, axes: int, conventions: Conventions) -> Plan:
+    """A good set of positions, in the user's convention."""
+    return design_of(*conventions.outside(*recommend(count, axes)), conventions)

@@ -1,0 +1,118 @@
+"""Errors of a lab calibration on data that it did not fit, and the floor that noise sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError
+from imucalib.core.balance import Noise
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownVector
+from imucalib.errors import NotConverged
+from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
+from imucalib.loop.held_out import Held, errors, fitted, held_out
+from imucalib.units import MG
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Split:
+    """A held-out part: its name, its rows of the whole table, and the errors there."""
+
+    name: str
+    rows: Index
+    base: Held
+    final: Held
+
+
+def held_out_splits(
+    base: Fit,
+    final: Fit,
+    whole: Observations,
+    used: Index,
+    objective: str,
+    anew: tuple[Held, Held] | None = None,
+) -> tuple[Split, ...]:
+    """Each fitted row in turn; folds for which the search was repeated without them, where it had
+    found something; and the rows that were kept apart when there are any."""
+    found: list[Split] = []
+    if objective in OBJECTIVES:
+        left = refitted(final, objective)
+        found += [Split("leave one out", used, left, left)] if left else []
+    else:
+        found = [Split("leave one out", used, held_out(base), held_out(final))]
+        found += [Split("searched anew", used, *anew)] if anew else []
+    rest = np.setdiff1d(np.arange(whole.n), used)
+    if rest.size:
+        test = whole.take(rest)
+        tested = [errors(f, f.theta, test) for f in (base, final)]
+        found.append(Split("test set", rest, *tested))
+    return tuple(found)
+
+
+def refitted(fit: Fit, objective: str) -> Held | None:
+    """Leave one out by complete refits, for objectives that are not a likelihood.
+
+    None when a position is indispensable: without it the objective has no minimum.
+    """
+    data = fit.observations
+    parts = []
+    for row in range(data.n):
+        rest = data.without(np.array([row]))
+        try:
+            theta = fit_corrected(fit.model, rest, objective, fit.theta).theta
+        except NotConverged:
+            return None
+        parts.append(errors(fit, theta, data.take(np.array([row]))))
+    return Held(
+        np.concatenate([part.corrected for part in parts]),
+        np.concatenate([part.expected for part in parts]),
+        np.concatenate([part.error for part in parts]),
+    )
+
+
+def error_summary(
+    base: Fit, final: Fit, data: Observations, splits: tuple[Split, ...]
+) -> ErrorSummary:
+    """The one metric of the loop: length of the vector error, or error of the norm, rms in mg.
+
+    Held out are the rows of the test set when there is one, else folds that took no part in the
+    choice, else each row in turn; NaN where none exists.
+    """
+    base_out, final_out = (
+        (splits[-1].base.rms() / MG, splits[-1].final.rms() / MG) if splits else (np.nan, np.nan)
+    )
+    nothing = Model(())
+    bare = replace(base, model=nothing, theta=np.zeros(0))
+    raw = errors(bare, bare.theta, data).rms() / MG
+    known = isinstance(data.reference, KnownVector)
+    return ErrorSummary(
+        "vector error, rms" if known else "error of |a|, rms",
+        "mg",
+        raw,
+        fitted(base).rms() / MG,
+        fitted(final).rms() / MG,
+        noise_floor(final) / MG,
+        HeldOutError(raw, base_out, final_out),
+    )
+
+
+def noise_floor(fit: Fit) -> float:
+    """rms of the metric that noise and setting errors alone would leave, m/s²."""
+    at, noise = fit.at, fit.noise
+    scale = at.sigma.reshape(-1) if at.keep.shape[2] == at.sigma.shape[1] else at.sigma[:, 0]
+    power = (noise.factor * scale) ** 2
+    for matrix, sd in zip(at.settings, noise.sd, strict=True):
+        power = power + (sd * scale) ** 2 * np.sum(matrix**2, axis=1)
+    return float(np.sqrt(power.sum() / fit.observations.n))
+
+
+def setting_noise(noise: Noise) -> dict[str, float]:
+    """Standard deviations (rad) by component name."""
+    return dict(zip(noise.component, noise.sd, strict=True))

@@ -1,0 +1,120 @@
+"""From files to a lab run: a position table, a recording with its positions, or still segments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from imucalib.calibrators.lab.position_table import PositionTable, read_position_table
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.run import LabRun, run_lab
+from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from imucalib.readers import read
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Recording
+from imucalib.rests.segments import Segments, still_segments
+
+#: A file of positions has at most this many rows; a longer one is taken for a recording.
+_MOST_POSITIONS = 2000
+
+
+@dataclass(frozen=True)
+class LabFiles:
+    """Inputs of `lab`. columns : role -> heading of the table; mapping : of the recording."""
+
+    table: Path
+    recording: Path | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    mapping: FieldMapping = field(default_factory=FieldMapping)
+
+
+def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -> LabRun:
+    """Read, check and calibrate. `say` gets one line for each thing worth knowing on the way."""
+    if files.recording is not None:
+        positions = read_position_table(files.table, files.columns, need_raw=False)
+        recording, segments = _still(files.recording, files.mapping, say)
+        table = _in_order(positions, segments, recording)
+        return _run(table, recording, request)
+    if request.reference == "norm" and not _is_table(files):
+        recording, segments = _still(files.table, files.mapping, say)
+        return _run(_rests(segments, recording), recording, request)
+    need_angles = request.reference == "vector"
+    table = read_position_table(files.table, files.columns, need_angles=need_angles)
+    say(f"read {table.n} positions from {files.table}")
+    return run_lab(table, request)
+
+
+def _is_table(files: LabFiles) -> bool:
+    """Whether the input is a table of still positions rather than a recording in time."""
+    if files.mapping.to_dict():
+        return False
+    try:
+        table = read_position_table(files.table, files.columns, need_angles=False)
+    except ImucalError:
+        return False
+    return table.n <= _MOST_POSITIONS and "time" not in table
+
+
+def _still(
+    path: Path, mapping: FieldMapping, say: Callable[[str], None]
+) -> tuple[Recording, Segments]:
+    recording = read(path, mapping)
+    segments = still_segments(recording)
+    span = max((float(c.t[-1]) for c in recording.channels.values() if c.t.size), default=0.0)
+    say(f"read {path} ({recording.format}, {span:.0f} s): {segments.n} still segments")
+    for text in (*recording.notes, *segments.notes):
+        say(f"  {text}")
+    if segments.n == 0:
+        raise UnreadableInput(
+            "no still segment in it",
+            where=str(path),
+            remedy="hold each position for two seconds or more; `imucal inspect` shows the noise",
+        )
+    return recording, segments
+
+
+def _rests(segments: Segments, recording: Recording) -> PositionTable:
+    """Still segments of the first triad as a table in m/s²."""
+    mean = segments.mean[:, 0]
+    columns = {"x": mean[:, 0], "y": mean[:, 1], "z": mean[:, 2]}
+    columns["time"] = 0.5 * (segments.start + segments.stop)
+    warm = segments.temperature[:, 0]
+    if np.isfinite(warm).all():
+        columns["temperature"] = warm
+    unit = dict.fromkeys("xyz", "m/s2")
+    # Every rest weighs the same: between rests a sensor scatters more than averaging suggests.
+    return PositionTable(
+        columns,
+        {k: k for k in columns},
+        unit,
+        np.arange(1, segments.n + 1),
+        recording.path,
+        recording.sha256,
+    )
+
+
+def _in_order(positions: PositionTable, segments: Segments, recording: Recording) -> PositionTable:
+    """The positions' angles with the rests' readings, matched by their order."""
+    if positions.n != segments.n:
+        ends = ", ".join(
+            f"{a:.1f}-{b:.1f}" for a, b in zip(segments.start, segments.stop, strict=True)
+        )
+        raise UsageError(
+            f"the table has {positions.n} positions, the recording {segments.n} rests "
+            f"(at s: {ends})",
+            where=recording.path,
+            remedy="add or remove rows so that they match one to one, in order",
+        )
+    rests = _rests(segments, recording)
+    columns = {**rests.columns, **{k: v for k, v in positions.columns.items() if k not in "xyz"}}
+    names = {**rests.names, **positions.names}
+    return replace(rests, columns=columns, names=names, unit={**rests.unit, **positions.unit})
+
+
+def _run(table: PositionTable, recording: Recording, request: LabRequest) -> LabRun:
+    return run_lab(
+        table, request, mapping=recording.mapping, gaps=len(recording.gaps), notes=recording.notes
+    )

@@ -1,0 +1,46 @@
+"""What a user asks of `lab` about the input."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.units import STANDARD_GRAVITY
+
+
+@dataclass(frozen=True)
+class LabRequest:
+    """Everything that the user chose about the input; `settings` is about the calibration.
+
+    fixes : (row from 1, column role, value in the table's unit); exclude : rows from 1
+    train : rows from 1 to choose and fit on; limits : name -> largest allowed value
+    """
+
+    unit: str | None = None
+    lsb_per_g: float | None = None
+    gravity: float = STANDARD_GRAVITY
+    gravity_source: str = "standard gravity (give --gravity or --latitude for the local value)"
+    reference: str = "vector"
+    fixes: tuple[tuple[int, str, float], ...] = ()
+    exclude: tuple[int, ...] = ()
+    auto_exclude: bool = False
+    swap_angles: bool = False
+    keep_angles: bool = False
+    train: tuple[int, ...] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+    settings: LabSettings = field(default_factory=LabSettings)
+    seed: int = 0
+
+
+def as_published(request: LabRequest) -> LabRequest:
+    """Paper 004's own method, as found from its printed Table 2: objective (5) on rows 1-20, the
+    12-parameter model, g = 9.80610 m/s², no search. No x-aligned row is among the first 20."""
+    settings = replace(request.settings, model="linear12", objective="paper", loop=False)
+    return replace(
+        request,
+        settings=settings,
+        train=tuple(range(1, 21)),
+        gravity=9.80610,
+        gravity_source="as the paper used it",
+    )

@@ -1,0 +1,1 @@
+"""Many recordings: one entry each, one table of all."""

@@ -1,0 +1,215 @@
+"""Cohorts: one recording a task, each in a process of its own, on any concurrent.futures executor.
+
+A task runs the command on one recording and writes one JSON entry, whole or not at all. The
+entry's key is the recording's content and the settings, so a rerun does only what is missing or
+has changed, and nothing that one recording does (a crash, lack of memory) reaches another.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from imucalib.atomic_file import replaced_atomically
+from imucalib.errors import UnreadableInput, UsageError
+
+
+@dataclass(frozen=True)
+class Task:
+    """One recording to calibrate: the command's arguments and where its entry goes."""
+
+    recording: str
+    entry: str
+    calibrator: str
+    arguments: tuple[str, ...]
+
+    @property
+    def settings_key(self) -> str:
+        """Digest of everything but the recording's content."""
+        from imucalib import __version__
+
+        text = json.dumps([__version__, self.calibrator, *self.arguments])
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What became of one recording.
+
+    exit_code : of the command, or negative when a signal ended it; error : its message
+    report : report.json's content, None when there is none; reused : nothing had to be done
+    """
+
+    recording: str
+    key: str
+    exit_code: int
+    seconds: float
+    error: str
+    report: dict[str, Any] | None
+    reused: bool = False
+
+    @property
+    def calibrated(self) -> bool:
+        return self.report is not None
+
+
+def read_manifest(path: Path) -> tuple[Path, ...]:
+    """Recordings of a manifest: a path a line, or a CSV with a column "path"; # starts a comment.
+
+    Relative paths are relative to the manifest. Raises UnreadableInput for an unreadable or empty
+    manifest and for a recording that is named twice.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnreadableInput(f"the manifest cannot be read: {error}", where=str(path)) from None
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if lines and "path" in next(csv.reader([lines[0]])):
+        names = [row["path"] for row in csv.DictReader(lines)]
+    else:
+        names = [line.strip() for line in lines]
+    found = tuple((path.parent / name).resolve() for name in names)
+    if not found:
+        raise UnreadableInput("the manifest names no recording", where=str(path))
+    twice = {str(p) for p in found if found.count(p) > 1}
+    if twice:
+        raise UnreadableInput(f"named twice: {', '.join(sorted(twice))}", where=str(path))
+    return found
+
+
+def plan(
+    recordings: tuple[Path, ...],
+    folder: Path,
+    calibrator: str,
+    arguments: tuple[str, ...],
+    shard: tuple[int, int] = (1, 1),
+) -> tuple[Task, ...]:
+    """The tasks of one shard (i of n, from 1). Raises UsageError for an impossible shard."""
+    index, count = shard
+    if not 1 <= index <= count:
+        raise UsageError(f"shard {index}/{count} does not exist", remedy="give i/n, i from 1 to n")
+    tasks = []
+    for path in recordings[index - 1 :: count]:
+        # Two folders may hold files of the same name: the path makes the entry's name unique.
+        digest = hashlib.sha256(str(path).encode()).hexdigest()[:8]
+        entry = folder / f"{path.name}.{digest}.json"
+        tasks.append(Task(str(path), str(entry), calibrator, arguments))
+    return tuple(tasks)
+
+
+def run_task(task: Task, *, resume: bool = True) -> Entry:
+    """Calibrate one recording in a process of its own and write its entry. Never raises for it."""
+    key = f"{_digest(task.recording)}-{task.settings_key}"
+    if resume and (known := read_entry(Path(task.entry))) is not None and known.key == key:
+        return Entry(**{**asdict(known), "reused": True})
+    command = [sys.executable, "-m", "imucalib", task.calibrator, task.recording]
+    threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+    start = time.monotonic()
+    done = subprocess.run(
+        [*command, *task.arguments, "--json", "--quiet"],
+        capture_output=True, text=True, check=False, env={**os.environ, **threads},
+        stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+    report: dict[str, Any] | None = None
+    if done.returncode in (0, 1, 4, 5) and done.stdout.strip():  # 4 without output: refused
+        report = json.loads(done.stdout)
+    error = "" if report is not None else (done.stderr.strip() or f"ended by {done.returncode}")
+    entry = Entry(task.recording, key, done.returncode, time.monotonic() - start, error, report)
+    Path(task.entry).parent.mkdir(parents=True, exist_ok=True)
+    with replaced_atomically(task.entry) as temporary:
+        temporary.write_text(json.dumps(asdict(entry), allow_nan=False) + "\n", encoding="utf-8")
+    return entry
+
+
+def read_entry(path: Path) -> Entry | None:
+    """An entry from its file; None when there is none or it is no entry."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return Entry(**content)
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def run_all(
+    tasks: tuple[Task, ...], executor: Executor | None, jobs: int, *, resume: bool
+) -> Iterator[Entry]:
+    """Run tasks as they come, yielding each entry when it is done.
+
+    executor : where to run; None for `jobs` local processes at a time
+    """
+    if executor is not None:
+        yield from _collected(executor, tasks, resume)
+        return
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:  # each thread waits for one process
+        yield from _collected(pool, tasks, resume)
+
+
+def _collected(executor: Executor, tasks: tuple[Task, ...], resume: bool) -> Iterator[Entry]:
+    futures: dict[Future[Entry], Task] = {
+        executor.submit(run_task, task, resume=resume): task for task in tasks
+    }
+    for future in as_completed(futures):
+        failure = future.exception()
+        if failure is None:
+            yield future.result()
+        else:  # a worker that died with its task: the entry is missing, a rerun does it again
+            yield Entry(
+                futures[future].recording, "", 3, 0.0, f"the worker failed: {failure}", None
+            )
+
+
+def _digest(path: str) -> str:
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return "unreadable"
+
+
+def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
+    """One flat row a recording: status, errors before and after, parameters with sd."""
+    table = []
+    for entry in sorted(entries, key=lambda e: e.recording):
+        row: dict[str, Any] = {
+            "recording": entry.recording,
+            "exit_code": entry.exit_code,
+            "status": entry.report["status"] if entry.report else "unreadable",
+            "reasons": "; ".join(entry.report["reasons"]) if entry.report else entry.error,
+        }
+        if entry.report:
+            row |= _numbers(entry.report)
+        table.append(row)
+    return tuple(table)
+
+
+def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:
+    error = report["loop"]["error"]
+    found: dict[str, Any] = {
+        "sha256": report["provenance"]["sha256"],
+        "samples": report["provenance"]["samples"],
+        "verdict": report["loop"]["verdict"],
+        "effects_added": " ".join(s["effect"] for s in report["loop"]["steps"]),
+        "error_unit": error["unit"],
+        "error_raw": error["raw"],
+        "error_base": error["base"],
+        "error_final": error["final"],
+        "held_out_base": error["held_out"]["base"],
+        "held_out_final": error["held_out"]["final"],
+    }
+    found |= {
+        k: v for k, v in report.get("recording", {}).items() if isinstance(v, int | float | str)
+    }
+    for parameter in report["parameters"]:
+        found[parameter["name"]] = parameter["value"]
+        found[f"{parameter['name']}_sd"] = parameter["sd"]
+    return found

@@ -1,0 +1,1 @@
+"""The one equation: parameters, effects, references, observations, model and fit."""

@@ -1,0 +1,159 @@
+"""The balance of readings against prediction, with the free directions η taken out.
+
+Linearised at (θ, η): r = reading - prediction + N η = J δθ + N η + noise. Flat directions are
+projected out of each observation. Directions with a variance component c stay as correlated noise:
+
+    V = s² diag(σ²) + Σ_c sd_c² N_c N_cᵀ
+
+which is the errors-in-variables likelihood of settings that rows share (generalised least squares
+with variance components; Patterson and Thompson 1971 for the restricted likelihood).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.model import Model, Prediction
+from imucalib.core.observations import Observations
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of the readings and of the settings.
+
+    factor : the readings' noise is factor * Observations.sigma
+    component : names of the variance components, sd : their standard deviations (rad)
+    """
+
+    factor: float
+    component: tuple[str, ...] = ()
+    sd: tuple[float, ...] = ()
+
+    @property
+    def ratio(self) -> tuple[float, ...]:
+        """Each component's sd over the readings' factor."""
+        return tuple(sd / self.factor for sd in self.sd)
+
+
+@dataclass(frozen=True)
+class Balanced:
+    """A linearised balance after projecting the flat directions.
+
+    residual : (N,), jacobian : (N, p), both in units of Observations.sigma
+    settings : per component, the matrix N_c (N, q_c) in those units per rad
+    keep : (n, m, m - flat) projection that was applied to each observation's 3K numbers
+    owner : (N,) observation of each number
+    """
+
+    residual: Array
+    jacobian: Array
+    settings: tuple[Array, ...]
+    component: tuple[str, ...]
+    keep: Array
+    owner: NDArray[np.intp]
+    sigma: Array
+
+    def columns(self, block: Array) -> Array:
+        """Bring columns (n, K, 3, m) of a candidate effect, m/s² per unit, to the balance."""
+        n, k, _, m = block.shape
+        if self.keep.shape[2] == 1:  # without a scaled copy of what may be a large block
+            weight = self.keep[..., 0] / self.sigma
+            return np.asarray(np.einsum("nij,ni->nj", block.reshape(n, 3 * k, m), weight))
+        scaled = block.reshape(n, 3 * k, m) / self.sigma[..., None]
+        return np.asarray((self.keep.transpose(0, 2, 1) @ scaled).reshape(-1, m))
+
+
+def balance(model: Model, theta: Array, eta: Array, observations: Observations) -> Balanced:
+    """Linearise the model at θ and η. See the module's text for the meaning."""
+    prediction = model.predict(theta, observations.reference.truth(eta), observations.context)
+    return balanced(prediction, eta, observations)
+
+
+def balanced(prediction: Prediction, eta: Array, observations: Observations) -> Balanced:
+    """The same from a prediction that is already there."""
+    directions = observations.reference.directions(eta)
+    n, k, _ = prediction.reading.shape
+    m, q = 3 * k, directions.index.shape[1]
+    sigma = observations.sigma.reshape(n, m)
+    residual = (observations.reading - prediction.reading).reshape(n, m) / sigma
+    jacobian = prediction.d_theta.reshape(n, m, prediction.d_theta.shape[3]) / sigma[..., None]
+    free = (prediction.d_truth @ directions.derivative).reshape(n, m, q)
+    free = free / sigma[..., None]
+
+    flat = [j for j, name in enumerate(directions.component) if name is None]
+    keep = np.broadcast_to(np.eye(m), (n, m, m))
+    if m == 3 and len(flat) == 2:
+        # The one direction that is left, without a decomposition of every observation.
+        across = np.cross(free[..., flat[0]], free[..., flat[1]])
+        keep = (across / np.linalg.norm(across, axis=1, keepdims=True))[..., None]
+    elif flat:
+        keep = np.linalg.qr(free[..., flat], mode="complete")[0][..., len(flat) :]
+    project = keep.transpose(0, 2, 1)
+
+    names = tuple(dict.fromkeys(c for c in directions.component if c is not None))
+    settings, rows = [], keep.shape[2]
+    for name in names:
+        matrix = np.zeros((n, rows, observations.reference.eta_size))
+        for j in (j for j, c in enumerate(directions.component) if c == name):
+            part = project @ free[..., j, None]
+            matrix[np.arange(n), :, directions.index[:, j]] += part[..., 0]
+        used = np.unique(directions.index[:, [c == name for c in directions.component]])
+        dense = matrix.reshape(n * rows, -1)
+        settings.append(dense[:, used])
+        residual = residual + (project.transpose(0, 2, 1) @ (matrix @ eta)[..., None])[..., 0]
+    return Balanced(
+        (project @ residual[..., None]).ravel(),
+        (project @ jacobian).reshape(n * rows, -1),
+        tuple(settings),
+        names,
+        keep,
+        np.repeat(np.arange(n), rows),
+        sigma,
+    )
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Turns the balance into unit, independent noise: L⁻¹ with L Lᵀ = V / s²."""
+
+    lower: Array | None
+    log_det: float
+
+    def __call__(self, columns: Array) -> Array:
+        if self.lower is None:
+            return columns
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self.lower, columns, lower=True, check_finite=False))
+
+
+def whitener(settings: tuple[Array, ...], ratio: tuple[float, ...]) -> Whitener:
+    """For N_c matrices and ratios sd_c / s (rad)."""
+    if not settings or not any(ratio):
+        return Whitener(None, 0.0)
+    covariance = np.eye(settings[0].shape[0])
+    for matrix, rho in zip(settings, ratio, strict=True):
+        covariance += (rho * matrix) @ (rho * matrix).T
+    lower = np.asarray(np.linalg.cholesky(covariance), np.float64)
+    return Whitener(lower, 2.0 * float(np.log(np.diag(lower)).sum()))
+
+
+def setting_errors(at: Balanced, noise: Noise, misfit: Array) -> Array:
+    """Best linear unbiased prediction of η (rad) from the misfit r - J δθ, component by component.
+
+    Concatenated in the components' order (Henderson 1975).
+    """
+    ratio = noise.ratio
+    white = whitener(at.settings, ratio)
+    weighted = white(misfit)
+    if white.lower is not None:
+        from scipy.linalg import solve_triangular
+
+        weighted = solve_triangular(white.lower, weighted, lower=True, trans="T")
+    parts = [rho**2 * m.T @ weighted for m, rho in zip(at.settings, ratio, strict=True)]
+    return np.concatenate(parts) if parts else np.zeros(0)

@@ -1,0 +1,209 @@
+"""An effect: one named piece of physics that acts on the truth, with its parameters.
+
+Two shapes cover the static catalogue. A `Response` adds to the reading what the sensor makes
+of the specific force x: linear in its parameters, reading = x + Σ basis(x)·θ. A `Rotation` turns
+the truth before the sensor sees it, about an axis by an angle that is linear in its parameters.
+Both act on the truth, never on the reading: the inverse is derived (`model.correct`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.context import Context
+from imucalib.core.parameter import Parameter
+from imucalib.units import DEG
+
+Array = NDArray[np.float64]
+#: fixture: the reference is off (never applied to new readings); mounting: the triad's attitude in
+#: the tool; sensor: what the sensor does. The last two are undone by `apply`.
+Stage = Literal["fixture", "mounting", "sensor"]
+
+
+@dataclass(frozen=True)
+class Action:
+    """What an effect does to the truth x.
+
+    delta : (n, K, 3) m/s², added to x
+    d_theta : (n, K, 3, p) m/s² per unit of each parameter
+    d_x : (n, K, 3, 3) derivative of delta with respect to x
+    """
+
+    delta: Array
+    d_theta: Array
+    d_x: Array
+
+
+class Effect(Protocol):
+    """The contract of the catalogue. Law tests run over every effect that is found."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def stage(self) -> Stage: ...
+    @property
+    def sentence(self) -> str: ...
+    @property
+    def equation(self) -> str: ...
+    @property
+    def source(self) -> str: ...
+    @property
+    def identify(self) -> str: ...
+    @property
+    def needs(self) -> tuple[str, ...]: ...
+    def parameters(self, context: Context) -> tuple[Parameter, ...]: ...
+    def missing(self, context: Context) -> str:
+        """Why the context cannot carry the effect; empty when it can."""
+        ...
+
+    def act(self, theta: Array, x: Array, context: Context) -> Action:
+        """What the effect adds to the truth x (n, K, 3) in m/s², zero at θ = 0, and its slopes."""
+        ...
+
+
+@dataclass(frozen=True)
+class Described:
+    """The words of an effect, shown by `imucal effects` and written into every calibration.
+
+    needs : covariates of the context; each must be there and must vary
+    identify : how to record data that determines it and separates it from its aliases
+    """
+
+    name: str
+    sentence: str
+    equation: str
+    source: str
+    identify: str
+    needs: tuple[str, ...] = ()
+
+    def missing(self, context: Context) -> str:
+        for name in self.needs:
+            if name not in context:
+                return f"no {name.replace('_', ' ')} was recorded"
+            if np.ptp(context[name]) <= 0.0:
+                return f"{name.replace('_', ' ')} does not vary"
+        return ""
+
+
+Basis = Callable[[Array, Context], Array]
+
+
+@dataclass(frozen=True)
+class Response(Described):
+    """A sensor effect, linear in its parameters, the same shape on every triad.
+
+    each : parameters of one triad, m of them, in the basis' order
+    basis : (x (n, K, 3), context) -> (n, K, 3, m), m/s² per unit
+    basis_dx : (x, context) -> (n, K, 3, m, 3), its derivative with respect to x
+    """
+
+    each: tuple[Parameter, ...] = ()
+    basis: Basis = lambda x, context: x[..., None]
+    basis_dx: Basis = lambda x, context: np.zeros((*x.shape, 1, 3))
+
+    stage: Stage = "sensor"
+
+    def parameters(self, context: Context) -> tuple[Parameter, ...]:
+        if len(context.triads) == 1:
+            return self.each
+        return tuple(
+            Parameter(f"{triad}.{p.name}", p.unit, p.typical, p.plausible, p.start)
+            for triad in context.triads
+            for p in self.each
+        )
+
+    def act(self, theta: Array, x: Array, context: Context) -> Action:
+        table = theta.reshape(len(context.triads), len(self.each))
+        basis = self.basis(x, context)
+        if not theta.any():  # a candidate: its columns are all that is asked for
+            rest = np.zeros(x.shape), np.zeros((*x.shape, 3))
+            return Action(rest[0], _side_by_side(basis), rest[1])
+        slope = self.basis_dx(x, context)
+        if x.shape[1] == 1:
+            turned = slope[:, 0].transpose(0, 1, 3, 2) @ table[0]
+            return Action((basis[:, 0] @ table[0])[:, None], basis, turned[:, None])
+        return Action(
+            np.asarray(np.einsum("nkim,km->nki", basis, table)),
+            _side_by_side(basis),
+            np.asarray(np.einsum("nkimj,km->nkij", slope, table)),
+        )
+
+
+def _side_by_side(basis: Array) -> Array:
+    """(n, K, 3, K m): each triad's parameters act on that triad only."""
+    n, k, _, m = basis.shape
+    if k == 1:
+        return basis
+    d_theta = np.zeros((n, k, 3, k, m))
+    for triad in range(k):
+        d_theta[:, triad, :, triad] = basis[:, triad]
+    return d_theta.reshape(n, k, 3, k * m)
+
+
+@dataclass(frozen=True)
+class Family:
+    """Effects that differ in one value that the search has to find: a time, a lag, an axis.
+
+    member : value as text -> the effect "name@value", the same for the same text anywhere
+    values : context -> texts to try; nearby : (context, text) -> finer ones around the best, or
+        nothing where the values are all there are
+    """
+
+    name: str
+    sentence: str
+    member: Callable[[str], Effect]
+    values: Callable[[Context], tuple[str, ...]]
+    nearby: Callable[[Context, str], tuple[str, ...]] = lambda context, text: ()
+
+
+Turn = Callable[[Context], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class Rotation(Described):
+    """A rotation of the truth: successive turns, each about its own axis.
+
+    turns : each gives (axis (n, 3), angle per degree of each parameter (n, p)) from the context;
+        the angle of a turn is the weighted sum of the parameters, which are in degrees
+    named : parameters, p of them, or a function of the context when their number depends on it
+    """
+
+    named: tuple[Parameter, ...] | Callable[[Context], tuple[Parameter, ...]] = ()
+    turns: tuple[Turn, ...] = ()
+    stage: Stage = "fixture"
+
+    def parameters(self, context: Context) -> tuple[Parameter, ...]:
+        return self.named(context) if callable(self.named) else self.named
+
+    def act(self, theta: Array, x: Array, context: Context) -> Action:
+        turned = x
+        slope = np.zeros((*x.shape, theta.size))
+        total = np.broadcast_to(np.eye(3), (x.shape[0], 3, 3))
+        for turn in self.turns:
+            axis, weight = turn(context)
+            cross = cross_matrix(axis)
+            rotation = _rodrigues(cross, weight @ theta * DEG)
+            turned = turned @ rotation.transpose(0, 2, 1)
+            slope = rotation[:, None] @ slope
+            slope += (turned @ -cross)[..., None] * (weight * DEG)[:, None, None, :]
+            total = rotation @ total
+        d_x = np.broadcast_to((total - np.eye(3))[:, None], (*x.shape, 3))
+        return Action(turned - x, slope, d_x)
+
+
+def cross_matrix(axis: Array) -> Array:
+    """(n, 3, 3) with cross_matrix(a) @ v = a × v."""
+    out = np.zeros((axis.shape[0], 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    return out - out.transpose(0, 2, 1)
+
+
+def _rodrigues(cross: Array, angle: Array) -> Array:
+    """Rotation matrices (n, 3, 3) about the axes of `cross` by angles (n,) in rad."""
+    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * (cross @ cross))

@@ -1,0 +1,124 @@
+"""A model: an immutable tuple of effects. It predicts readings, and corrects them.
+
+reading = x + Σ sensor effects(x),   x = mounting(fixture(truth))
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect
+from imucalib.core.parameter import Parameter
+from imucalib.errors import NotConverged
+
+Array = NDArray[np.float64]
+_ORDER = {"fixture": 0, "mounting": 1, "sensor": 2}
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """reading (n, K, 3); d_theta (n, K, 3, p); d_truth (n, K, 3, 3); force: x (n, K, 3)."""
+
+    reading: Array
+    d_theta: Array
+    d_truth: Array
+    force: Array
+
+
+@dataclass(frozen=True)
+class Model:
+    """Effects in the order in which they act: fixture, mounting, sensor."""
+
+    effects: tuple[Effect, ...]
+
+    def __post_init__(self) -> None:
+        ordered = tuple(sorted(self.effects, key=lambda e: _ORDER[e.stage]))
+        object.__setattr__(self, "effects", ordered)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(effect.name for effect in self.effects)
+
+    def plus(self, effect: Effect) -> Model:
+        return Model((*self.effects, effect))
+
+    def minus(self, name: str) -> Model:
+        return Model(tuple(e for e in self.effects if e.name != name))
+
+    def parameters(self, context: Context) -> tuple[Parameter, ...]:
+        return tuple(p for effect in self.effects for p in effect.parameters(context))
+
+    def slices(self, context: Context) -> dict[str, slice]:
+        """Where each effect's parameters are in θ."""
+        found, at = {}, 0
+        for effect in self.effects:
+            size = len(effect.parameters(context))
+            found[effect.name] = slice(at, at + size)
+            at += size
+        return found
+
+    def start(self, context: Context) -> Array:
+        return np.array([p.start for p in self.parameters(context)])
+
+    def predict(self, theta: Array, truth: Array, context: Context) -> Prediction:
+        """Readings of the truth (n, K, 3) m/s² and all derivatives."""
+        n, k, _ = truth.shape
+        slope = np.zeros((n, k, 3, theta.size))
+        chain = np.broadcast_to(np.eye(3), (n, k, 3, 3))
+        x, slices = truth, self.slices(context)
+        for effect in self.effects:
+            if effect.stage == "sensor":
+                continue
+            part, own = slices[effect.name], theta[slices[effect.name]]
+            action = effect.act(own, x, context)
+            step = action.d_x + np.eye(3)
+            slope = step @ slope
+            slope[..., part] += action.d_theta
+            chain = step @ chain
+            x = x + action.delta
+        reading, response, direct = x.copy(), np.broadcast_to(np.eye(3), chain.shape).copy(), {}
+        for effect in self.effects:
+            if effect.stage == "sensor":
+                part, own = slices[effect.name], theta[slices[effect.name]]
+                action = effect.act(own, x, context)
+                reading += action.delta
+                response += action.d_x
+                direct[effect.name] = action.d_theta
+        slope = response @ slope
+        for name, columns in direct.items():
+            slope[..., slices[name]] += columns
+        return Prediction(reading, slope, response @ chain, x)
+
+    def correct(self, theta: Array, reading: Array, context: Context) -> Array:
+        """The specific force (n, K, 3) in the tool's frame that gives these readings.
+
+        Undoes the sensor effects by Newton's method on each sample and then the mounting; the
+        fixture is not undone, since it belongs to the bench. Raises NotConverged.
+        """
+        slices = self.slices(context)
+        sensor = [e for e in self.effects if e.stage == "sensor"]
+        x = reading.copy()
+        for _ in range(30):
+            predicted, response = x.copy(), np.broadcast_to(np.eye(3), (*x.shape, 3)).copy()
+            for effect in sensor:
+                action = effect.act(theta[slices[effect.name]], x, context)
+                predicted += action.delta
+                response += action.d_x
+            step = np.linalg.solve(response, (reading - predicted)[..., None])[..., 0]
+            x = x + step
+            if np.abs(step).max(initial=0.0) <= 1e-12 * max(np.abs(x).max(initial=0.0), 1.0):
+                break
+        else:
+            raise NotConverged(
+                "the sensor effects cannot be inverted at these readings",
+                remedy="they lie outside the range in which the calibration holds",
+            )
+        for effect in reversed(self.effects):
+            if effect.stage == "mounting":
+                turn = np.eye(3) + effect.act(theta[slices[effect.name]], x, context).d_x
+                x = np.asarray(np.linalg.solve(turn, x[..., None])[..., 0], np.float64)
+        return x

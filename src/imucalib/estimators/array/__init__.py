@@ -1,0 +1,1 @@
+"""The array's likelihood: the motion integrated out in closed form."""

@@ -1,0 +1,194 @@
+"""Gram matrices of an array's columns with the motion of every sample taken out.
+
+A column acts on one triad at one kind of sensor, or is shared by all triads. So the plain products
+are a small matrix a triad, and what the motion takes from them has nine rows a sample: the
+columns are never stacked to the length of all readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.estimators.array.samples import Sampled
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """basis : (T, K, 3, m) per unit; gyro : which kind of sensor it acts on; shared : one set of
+    parameters for all triads instead of one a triad"""
+
+    basis: Array
+    gyro: bool
+    shared: bool
+
+    @property
+    def size(self) -> int:
+        return int(self.basis.shape[3] * (1 if self.shared else self.basis.shape[1]))
+
+    def take(self, rows: Index) -> Columns:
+        return Columns(self.basis[rows], self.gyro, self.shared)
+
+
+@dataclass(frozen=True)
+class Gram:
+    """matrix : (M, M); along : (M,) products with the residual; power : of the residual;
+    numbers : how many the residual has, less the motion's; whole : (M,) squares before the motion
+    is taken out"""
+
+    matrix: Array
+    along: Array
+    power: float
+    numbers: int
+    whole: Array
+
+    def __add__(self, other: Gram) -> Gram:
+        return Gram(
+            self.matrix + other.matrix, self.along + other.along, self.power + other.power,
+            self.numbers + other.numbers, self.whole + other.whole,
+        )  # fmt: skip
+
+    def over(self, factor: float) -> Gram:
+        """As if there were so many times fewer samples."""
+        return Gram(
+            self.matrix / factor, self.along / factor, self.power / factor,
+            round(self.numbers / factor), self.whole / factor,
+        )  # fmt: skip
+
+
+def starts_of(blocks: Sequence[Columns]) -> Index:
+    """(blocks + 1,) first column of each block, and the end."""
+    return np.cumsum([0] + [b.size for b in blocks]).astype(np.intp)
+
+
+def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
+    """Products of all columns over some of the samples."""
+    starts = starts_of(blocks)
+    total, k = int(starts[-1]), sampled.force.shape[1]
+    matrix, along = np.zeros((total, total)), np.zeros(total)
+    # Gyros see ω only, and the root is upper triangular: of the nine rows a sample they have three.
+    upper, lower = np.zeros((len(rows), 6, total)), np.zeros((len(rows), 3, total))
+    root = sampled.root[rows]
+    power, residual = 0.0, np.zeros((len(rows), 9))
+    for gyro in (False, True):
+        weight = np.sqrt((sampled.weights.rate if gyro else sampled.weights.acceleration)[rows])
+        off = (sampled.off.rate if gyro else sampled.off.acceleration)[rows] * weight[..., None]
+        power += float(np.sum(off * off))
+        chosen = [b for b in range(len(blocks)) if blocks[b].gyro is gyro]
+        x = _side_by_side([blocks[b].basis for b in chosen], rows, weight)
+        for triad in range(k):
+            index = _places(blocks, starts, chosen, triad)
+            one = x[triad].reshape(-1, x.shape[3])
+            matrix[np.ix_(index, index)] += one.T @ one
+            along[index] += one.T @ off[:, triad].ravel()
+            arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
+            arms = arms * weight[:, triad, None, None]
+            taken = np.matmul(arms.transpose(0, 2, 1), x[triad])
+            lower[:, :, index] += taken[:, 6:]
+            if not gyro:
+                upper[:, :, index] += taken[:, :6]
+            residual += np.einsum("tij,ti->tj", arms, off[:, triad])
+    whole = np.diag(matrix).copy()
+    forces = np.concatenate(
+        [np.arange(starts[b], starts[b + 1]) for b in range(len(blocks)) if not blocks[b].gyro]
+    )
+    flat = np.ascontiguousarray(upper[:, :, forces]).reshape(-1, len(forces))
+    matrix[np.ix_(forces, forces)] -= flat.T @ flat
+    along[forces] -= flat.T @ residual[:, :6].ravel()
+    flat = lower.reshape(-1, total)
+    matrix -= flat.T @ flat
+    along -= flat.T @ residual[:, 6:].ravel()
+    power -= float(np.sum(residual * residual))
+    return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole)
+
+
+def gradient(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
+    """(M,) products of the columns with the residual alone; at the samples' best motion, which
+    leaves nothing along it, the same as `Gram.along`."""
+    parts = []
+    for block in blocks:
+        weight = sampled.weights.rate if block.gyro else sampled.weights.acceleration
+        off = sampled.off.rate if block.gyro else sampled.off.acceleration
+        heavy = (off * weight[..., None])[rows]
+        each = np.matmul(block.basis[rows].transpose(1, 3, 0, 2).reshape(
+            heavy.shape[1], block.basis.shape[3], -1
+        ), heavy.transpose(1, 0, 2).reshape(heavy.shape[1], -1, 1))[:, :, 0]  # fmt: skip
+        parts.append(each.sum(axis=0) if block.shared else each.ravel())
+    return np.concatenate(parts)
+
+
+def _side_by_side(bases: list[Array], rows: Index, weight: Array) -> Array:
+    """(K, rows, 3, all columns of a triad), whitened."""
+    k = weight.shape[1]
+    x = np.empty((k, len(rows), 3, sum(b.shape[3] for b in bases)))
+    at = 0
+    for basis in bases:
+        width = basis.shape[3]
+        part = basis[rows].transpose(1, 0, 2, 3)
+        np.multiply(part, weight.T[:, :, None, None], out=x[..., at : at + width])
+        at += width
+    return x
+
+
+def _places(blocks: Sequence[Columns], starts: Index, chosen: list[int], triad: int) -> Index:
+    """Where the columns of one triad stand among all."""
+    parts = []
+    for b in chosen:
+        width = blocks[b].basis.shape[3]
+        first = starts[b] + (0 if blocks[b].shared else triad * width)
+        parts.append(np.arange(first, first + width))
+    return np.concatenate(parts).astype(np.intp) if parts else np.zeros(0, np.intp)
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Columns with the base taken out: matrix (m, m), along (m,), power, and the base's own
+    solution : (b,) step and covariance (b, b); carry : (b, m) base per unit of each column."""
+
+    matrix: Array
+    along: Array
+    power: float
+    step: Array
+    covariance: Array
+    carry: Array
+
+
+def reduced(found: Gram, base: Index, prior: Array, pull: Array, others: Index) -> Reduced:
+    """Take the columns `base` out of the columns `others`.
+
+    prior : (b,) inverse variances of the base's parameters, zero for free ones; pull : (b,) prior
+    times how far they stand from their means
+    """
+    inner = found.matrix[np.ix_(base, base)] + np.diag(prior)
+    size = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    half = size[:, None] * _half(inner * size[:, None] * size)
+    across = half.T @ found.matrix[np.ix_(base, others)]
+    right = half.T @ (found.along[base] - pull)
+    return Reduced(
+        found.matrix[np.ix_(others, others)] - across.T @ across,
+        found.along[others] - across.T @ right,
+        found.power - float(right @ right),
+        half @ right,
+        half @ half.T,
+        half @ across,
+    )
+
+
+def _half(unit: Array) -> Array:
+    """(b, q) with half halfᵀ the inverse of a matrix of unit diagonal, its open directions left
+    out."""
+    try:
+        lower = np.linalg.cholesky(unit)
+        if float(np.diag(lower).min(initial=1.0)) > 1e-4:
+            return np.asarray(np.linalg.inv(lower).T)
+    except np.linalg.LinAlgError:
+        pass
+    values, vectors = np.linalg.eigh(unit)
+    use = values > 1e-11 * max(float(values[-1]), 1e-300)
+    return np.asarray(vectors[:, use] / np.sqrt(values[use]))

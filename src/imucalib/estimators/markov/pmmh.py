@@ -1,0 +1,168 @@
+"""Pseudo-marginal Metropolis-Hastings for the positions: Algorithm 1 of paper 001.
+
+Each proposal of the isotropic random walk (27) is judged by the Monte Carlo likelihood (26): N
+rates a sample drawn from what the gyros say, ω̇ and s integrated out in closed form, log-sum-exp. N
+is raised until the log likelihood's variance at the prior mean is 0.1, then the step length is set
+to an acceptance of 7 to 23 % (section III-C); the burn-in ends when chains from different starts
+have reached the same level. It is slow, and it is what the fast sampler is held against.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import NotConverged
+from imucalib.estimators.array.likelihood import conditionals, constants
+from imucalib.estimators.array.problem import ArrayData, ArrayPrior
+from imucalib.estimators.array.rotation import local
+
+Array = NDArray[np.float64]
+ACCEPTANCE = (0.07, 0.23)
+VARIANCE = 0.1
+_REPEATS = 100  # likelihoods from which a variance is told
+_MOST = 20_000  # rates drawn for a sample, beyond which (26) is not usable
+_TUNING = 200  # iterations between two looks at the acceptance
+
+
+@dataclass(frozen=True)
+class PmmhResult:
+    """draws (chains, n, size) of the unknowns after the burn-in; log_density (chains, n);
+    monte_carlo: N; variance of the log likelihood with it; step: σ_q in prior sds; accepted;
+    burn_in: iterations left out."""
+
+    draws: Array
+    log_density: Array
+    monte_carlo: int
+    variance: float
+    step: float
+    accepted: float
+    burn_in: int
+
+
+@dataclass(frozen=True)
+class MonteCarloLikelihood:
+    """p̂_N(y | unknowns) of (26): one estimate a row, from fresh draws."""
+
+    data: ArrayData
+    prior: ArrayPrior
+    count: int
+
+    def log(self, x: Array, rng: np.random.Generator) -> Array:
+        """(B,) log of unbiased estimates at unknowns (B, size)."""
+        from scipy.special import logsumexp
+
+        given, geometry = conditionals(self.data, self.prior, x)
+        b, t, n = len(x), self.data.samples, self.count
+        free = replace(given, precision=np.zeros((6, 1))).repeated(n)
+        u = rng.standard_normal((b * n, 3, t))
+        value = local(free, self._rates(u), curvature=False).value.reshape(n, b, t)
+        total = (logsumexp(-value, axis=0) - np.log(n)).sum(axis=1)
+        level = constants(self.data, self.prior, geometry) - 0.5 * self.data.log_precision
+        return np.asarray(total + level)
+
+    def _rates(self, u: Array) -> Array:
+        """Draws (m, 3, T) of the rates given the gyros, from unit normals."""
+        covariance = np.linalg.inv(self.data.rate_precision)
+        root = np.linalg.cholesky(covariance)
+        spread = (
+            np.matmul(root, u) if root.ndim == 2 else np.einsum("tij,mjt->mit", root, u)
+        )  # fmt: skip
+        return np.asarray(self.data.rate.T + spread)
+
+
+def run_pmmh(
+    data: ArrayData, prior: ArrayPrior, rng: np.random.Generator, *,
+    iterations: int = 100_000, chains: int = 2,
+) -> PmmhResult:  # fmt: skip
+    """Algorithm 1. Raises NotConverged when N or the burn-in cannot be found."""
+    likelihood, variance = tuned_count(data, prior, rng)
+    walk = _start(likelihood, rng, chains)
+    walk, burn_in = _burned_in(walk, likelihood, rng, iterations)
+    draws = np.empty((chains, iterations, prior.size))
+    level = np.empty((chains, iterations))
+    accepted = 0.0
+    for k in range(iterations):
+        walk, taken = _iterate(walk, likelihood, rng)
+        draws[:, k], level[:, k] = walk.x, walk.level
+        accepted += float(taken.mean())
+    return PmmhResult(
+        draws, level, likelihood.count, variance, walk.step, accepted / iterations, burn_in
+    )
+
+
+def tuned_count(
+    data: ArrayData, prior: ArrayPrior, rng: np.random.Generator
+) -> tuple[MonteCarloLikelihood, float]:
+    """The estimator with N such that var log p̂ at the prior mean is at most 0.1, and that
+    variance, which falls about as 1/N."""
+    count = 1
+    while count <= _MOST:
+        estimator = MonteCarloLikelihood(data, prior, count)
+        x = prior.mean_vector[None]
+        values = [estimator.log(x, rng)[0] for _ in range(_REPEATS)]
+        variance = float(np.var(values, ddof=1))
+        if variance <= VARIANCE:
+            return estimator, variance
+        count = max(count + 1, min(4 * count, int(np.ceil(1.1 * count * variance / VARIANCE))))
+    raise NotConverged(
+        f"{_MOST} Monte Carlo rates a sample leave the log likelihood's variance above {VARIANCE}",
+        remedy="the gyros are too uncertain for --sampler pmmh: use fewer samples, or the default",
+    )
+
+
+@dataclass(frozen=True)
+class _Walk:
+    x: Array
+    level: Array
+    step: float
+
+
+def _start(likelihood: MonteCarloLikelihood, rng: np.random.Generator, chains: int) -> _Walk:
+    prior = likelihood.prior
+    x = prior.mean_vector + prior.sd_vector * rng.standard_normal((chains, prior.size))
+    return _Walk(x, _level(likelihood, x, rng), 0.01)
+
+
+def _level(likelihood: MonteCarloLikelihood, x: Array, rng: np.random.Generator) -> Array:
+    off = (x - likelihood.prior.mean_vector) / likelihood.prior.sd_vector
+    return np.asarray(likelihood.log(x, rng) - 0.5 * np.sum(off * off, axis=1))
+
+
+def _iterate(
+    walk: _Walk, likelihood: MonteCarloLikelihood, rng: np.random.Generator
+) -> tuple[_Walk, NDArray[np.bool_]]:
+    move = walk.step * likelihood.prior.sd_vector * rng.standard_normal(walk.x.shape)
+    there = walk.x + move
+    level = _level(likelihood, there, rng)
+    taken = np.log(rng.random(len(level))) < level - walk.level
+    x = np.where(taken[:, None], there, walk.x)
+    return _Walk(x, np.where(taken, level, walk.level), walk.step), np.asarray(taken)
+
+
+def _burned_in(
+    walk: _Walk, likelihood: MonteCarloLikelihood, rng: np.random.Generator, most: int
+) -> tuple[_Walk, int]:
+    """Walk, adapting the step length, until the chains are at one level that no longer rises."""
+    before = np.full(len(walk.x), -np.inf)
+    settled = 0
+    for k in range(max(most // _TUNING, 20) * 5):
+        levels, accepted = [], 0.0
+        for _ in range(_TUNING):
+            walk, taken = _iterate(walk, likelihood, rng)
+            levels.append(walk.level)
+            accepted += float(taken.mean()) / _TUNING
+        mean, spread = np.mean(levels, axis=0), np.std(levels, axis=0).mean() + 1.0
+        level = np.ptp(mean) < 2.0 * spread and np.all(mean - before < spread)
+        settled = settled + 1 if level and ACCEPTANCE[0] <= accepted <= ACCEPTANCE[1] else 0
+        if settled == 5:
+            return walk, (k + 1) * _TUNING
+        if not ACCEPTANCE[0] <= accepted <= ACCEPTANCE[1]:
+            walk = replace(walk, step=walk.step * float(np.exp(2.0 * (accepted - 0.15))))
+        before = mean
+    raise NotConverged(
+        f"the chains have not reached one level after {(k + 1) * _TUNING} iterations",
+        remedy="give more iterations, or use the default sampler",
+    )

@@ -1,0 +1,80 @@
+"""A starting point from anywhere: the full linear map in closed form, split into physics.
+
+reading = S x + c by linear least squares on the nominal truth; then S = K R with K lower
+triangular (scale, non-orthogonality) and R a rotation (mounting). Works for any mounting of the
+sensor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownVector
+from imucalib.errors import UnreadableInput
+from imucalib.units import DEG, MG
+
+Array = NDArray[np.float64]
+
+
+def full_matrix_start(model: Model, observations: Observations) -> Array:
+    """θ to start from; the effects' own starting values where there is no vector reference.
+
+    Raises UnreadableInput when the map mirrors space: an axis or the tool-face has the wrong sign.
+    """
+    theta = model.start(observations.context)
+    reference = observations.reference
+    if not isinstance(reference, KnownVector) or "mounting" not in model.names:
+        return theta
+    sensitivity, offset, rank = linear_map(observations)
+    if rank < 4:
+        return theta
+    if np.linalg.det(sensitivity) <= 0.0:
+        raise UnreadableInput(
+            "the readings are a mirror image of the angles: "
+            "an axis or the tool-face has the other sign",
+            remedy="try --toolface-sense counter-clockwise, or check the signs of x, y and z",
+        )
+    lower, rotation = _lower_times_rotation(sensitivity)
+    slices = model.slices(observations.context)
+    theta[slices["mounting"]] = _turns(rotation) / DEG
+    theta[slices["scale"]] = np.diag(lower) - 1.0
+    theta[slices["non_orthogonality"]] = [lower[1, 0], lower[2, 0], lower[2, 1]]
+    theta[slices["bias"]] = offset / MG
+    return theta
+
+
+def linear_map(observations: Observations) -> tuple[Array, Array, int]:
+    """S (3, 3), c (3,) m/s² and the rank of the design, for K = 1."""
+    reference = observations.reference
+    truth = reference.truth(np.zeros(reference.eta_size))[:, 0]
+    design = np.column_stack([truth, np.ones(len(truth))])
+    found, _, rank, _ = np.linalg.lstsq(design, observations.reading[:, 0], rcond=1e-6)
+    solution = np.asarray(found, np.float64)
+    return solution[:3].T, solution[3], int(rank)
+
+
+def misfit(observations: Observations) -> float:
+    """rms length (m/s²) that the best linear map leaves: large when angles mean another thing."""
+    reference = observations.reference
+    truth = reference.truth(np.zeros(reference.eta_size))[:, 0]
+    design = np.column_stack([truth, np.ones(len(truth))])
+    reading = observations.reading[:, 0]
+    solution = np.linalg.lstsq(design, reading, rcond=1e-6)[0]
+    return float(np.sqrt(np.mean(np.sum((reading - design @ solution) ** 2, axis=1))))
+
+
+def _lower_times_rotation(matrix: Array) -> tuple[Array, Array]:
+    q, r = np.linalg.qr(matrix.T)
+    sign = np.where(np.diag(r) < 0.0, -1.0, 1.0)
+    return (r * sign[:, None]).T, (q * sign).T
+
+
+def _turns(rotation: Array) -> Array:
+    """Angles (rad) of turns about x, then y, then z that make a rotation matrix."""
+    y = -np.arcsin(np.clip(rotation[2, 0], -1.0, 1.0))
+    x = np.arctan2(rotation[2, 1], rotation[2, 2])
+    z = np.arctan2(rotation[1, 0], rotation[0, 0])
+    return np.array([x, y, z])

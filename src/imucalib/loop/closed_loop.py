@@ -1,0 +1,228 @@
+"""The closed loop: residual -> evidence -> add the effect -> refit -> held-out -> stop.
+
+Wrong records and catalogue effects compete, since each can look like the other: what explains most
+goes first. Each is accepted only when its chance under "nothing missing" is small for the whole
+family of candidates, an effect only when the held-out density agrees, and a record comes back when
+an effect explains it. What is left is named as what it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.effect import Effect, Family
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.candidates import effect_candidates
+from imucalib.loop.evidence import Score, score
+from imucalib.loop.found import Loop, LoopSettings, Step
+from imucalib.loop.noise_checks import noise_doubts
+from imucalib.loop.records import (
+    extended,
+    held_out_rms,
+    named_records,
+    record_names,
+    record_scores,
+    reduced,
+    row_of,
+    set_aside,
+)
+from imucalib.loop.search import (
+    aliases,
+    choose,
+    curve_of,
+    effect_named,
+    objection,
+    refined,
+    search,
+    unexplained,
+)
+
+Array = NDArray[np.float64]
+
+#: Suspect records that are set aside on trial when nothing stands out by itself.
+_SUSPECTS = 3
+
+
+def close_loop(
+    model: Model,
+    observations: Observations,
+    effects: Mapping[str, Effect],
+    rng: np.random.Generator,
+    settings: LoopSettings | None = None,
+    start: Array | None = None,
+    families: tuple[Family, ...] = (),
+) -> Loop:
+    """Run the search from a base model; `effects` are the catalogue's candidates.
+
+    start : θ of the base model to start from
+    families : scans over a value, for example the time of a step
+    """
+    rules = settings or LoopSettings()
+    plain = fit_model(model, observations, start=start)
+    state = _State(plain, (), (), effects, rng, rules, families)
+    end = _settled(state)
+    state, rejected, scores = end.state, end.rejected, end.scores
+    final, steps = _eliminate(state)
+    return Loop(
+        base=reduce(set_aside, (row for _, row in state.records), plain),
+        final=final,
+        plain=plain,
+        as_recorded=reduced(final, record_names(final)) if state.records else final,
+        records=named_records(final, state.records),
+        steps=steps,
+        rejected=tuple(rejected.items()),
+        unexplained=(*unexplained(scores, rules), *noise_doubts(final, rng, rules)),
+        scores=scores,
+        first_scores=end.first,
+        missing=end.missing,
+        bar=end.first[0].bar if end.first else math.inf,
+    )
+
+
+@dataclass(frozen=True)
+class _End:
+    """Where the search ended: its first and last scores, and why effects were not taken."""
+
+    state: _State
+    rejected: Mapping[str, str]
+    first: tuple[Score, ...]
+    scores: tuple[Score, ...]
+    missing: Mapping[str, str]
+
+
+def _settled(state: _State) -> _End:
+    rules, effects, families = state.rules, state.effects, state.families
+    rejected: dict[str, str] = {}
+    first: tuple[Score, ...] = ()
+    while True:
+        scores, missing = search(state.fit, effects, state.rng, rules, rejected, families)
+        first = first if state.steps else scores
+        # What is left beside a curve is not physics any more.
+        curved = any(step.curve for step in state.steps)
+        room = len(state.steps) < rules.most_effects and not curved
+        chosen = choose(scores, rules) if room else None
+        cleaner = state.without_the_worst_record(chosen) or (
+            None if chosen else state.behind_a_record(rejected)
+        )
+        if cleaner is not None:
+            state = cleaner
+            continue
+        if chosen is None:
+            smooth = curve_of(state.fit, scores, rules) if rules.curves and room else None
+            if smooth is None:
+                return _End(state, rejected, first, scores, missing)
+            state = state.accept(smooth[1], smooth[0], ())
+            continue
+        chosen = refined(state.fit, chosen, families, state.rng, rules)
+        trial = extended(state.fit, effect_named(effects, chosen.name))
+        reason = objection(state.fit, trial)
+        if reason:
+            rejected[chosen.candidate.family or chosen.name] = reason
+            continue
+        state = state.accept(trial, chosen, scores)
+
+
+@dataclass(frozen=True)
+class _State:
+    """Where the search stands: the fit, the records that are set aside, the accepted effects."""
+
+    fit: Fit
+    records: tuple[tuple[Score, int], ...]
+    steps: tuple[Step, ...]
+    effects: Mapping[str, Effect]
+    rng: np.random.Generator
+    rules: LoopSettings
+    families: tuple[Family, ...] = ()
+
+    def without_the_worst_record(self, rival: Score | None) -> _State | None:
+        """Set aside the record that belongs least to the rest, if it stands out by itself and more
+        than the best effect does: positions that carry an effect look like wrong records, and a
+        wrong record looks like an effect."""
+        if len(self.records) >= self.rules.most_records:
+            return None
+        best = self.suspects[:1]
+        if not best or best[0].p > self.rules.record_alpha:
+            return None
+        if rival is not None and rival.evidence > best[0].evidence:
+            return None
+        row = row_of(best[0].name)
+        trial = set_aside(self.fit, row)
+        if not trial.converged:
+            return None
+        return replace(self, fit=trial, records=(*self.records, (best[0], row)))
+
+    @cached_property
+    def suspects(self) -> tuple[Score, ...]:
+        """Every record that is not set aside, worst first; scored once for a fit."""
+        return self._records_of(self.fit, {row for _, row in self.records})
+
+    def _records_of(self, fit: Fit, taken: set[int]) -> tuple[Score, ...]:
+        rules = self.rules
+        if fit.observations.n > rules.searchable:
+            return ()
+        return record_scores(fit, taken, self.rng, draws=rules.draws, alpha=rules.record_alpha)
+
+    def accept(self, fit: Fit, chosen: Score, scores: tuple[Score, ...]) -> _State:
+        """Take an effect in, and give records back that it explains."""
+        step = Step(
+            chosen.name,
+            chosen.p,
+            chosen.draws,
+            chosen.evidence,
+            held_out_rms(self.fit),
+            held_out_rms(fit),
+            aliases(self.fit, self.effects, chosen, scores, self.rules),
+        )
+        state = replace(self, fit=fit, steps=(*self.steps, step))
+        for found, row in self.records:
+            without = reduced(state.fit, record_names(state.fit, row))
+            others = {r for _, r in state.records if r != row}
+            worst = state._records_of(without, others)[:1]
+            if not worst or row_of(worst[0].name) != row or worst[0].p > self.rules.record_alpha:
+                kept = tuple(r for r in state.records if r != (found, row))
+                state = replace(state, fit=without, records=kept)
+        return state
+
+    def behind_a_record(self, rejected: Mapping[str, str]) -> _State | None:
+        """Where neither a record nor an effect stands out, each may hide the other.
+
+        The most suspect records are set aside on trial. Only a pair counts: the effect must pass
+        without the record, at alpha shared over the trials, and then the record beside the effect.
+        """
+        if len(self.records) >= self.rules.most_records or self.steps:
+            return None
+        strict = replace(self.rules, alpha=self.rules.alpha / _SUSPECTS)
+        for suspect in self.suspects[:_SUSPECTS]:
+            if suspect.evidence < 1.0:
+                break
+            row = row_of(suspect.name)
+            aside = set_aside(self.fit, row)
+            scores, _ = search(aside, self.effects, self.rng, strict, rejected, self.families)
+            chosen = choose(scores, strict)
+            if chosen is None:
+                continue
+            beside = extended(self.fit, effect_named(self.effects, chosen.name))
+            again = self._records_of(beside, set())[:1]
+            if again and row_of(again[0].name) == row and again[0].p <= self.rules.record_alpha:
+                return replace(self, fit=aside, records=(*self.records, (again[0], row)))
+        return None
+
+
+def _eliminate(state: _State) -> tuple[Fit, tuple[Step, ...]]:
+    """Drop an earlier effect that a later one has made unnecessary (less than 1 nat)."""
+    current, steps = state.fit, state.steps
+    for step in steps[:-1]:
+        without = reduced(current, (step.effect,))
+        candidates, _ = effect_candidates(without, [effect_named(state.effects, step.effect)])
+        if score(without, candidates, state.rng, draws=1)[0].evidence < 1.0:
+            current, steps = without, tuple(s for s in steps if s.effect != step.effect)
+    return current, steps

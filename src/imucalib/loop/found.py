@@ -1,0 +1,117 @@
+"""What the closed loop is asked for, and what it found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from imucalib.core.fit import Fit
+from imucalib.loop.evidence import Score
+from imucalib.loop.record_errors import RecordError
+
+_CERTAIN = 0.01  # family-wise p from which on an effect without aliases is called certain
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """alpha : family-wise false-alarm rate of the physics search; record_alpha : of the record
+    search; noise_alpha : of each doubt about the noise; margin : nats by which a probe must beat
+    the best catalogue effect; draws : simulated data sets per search; declared : whether the
+    observations' sigma is a noise that the user stands for; bar : evidence in nats that decides
+    instead of simulated data, where a search of the whole data has set it; curves : whether
+    structure without a name is corrected by a smooth curve, where that holds out"""
+
+    alpha: float = 0.035
+    record_alpha: float = 0.01
+    noise_alpha: float = 0.005
+    declared: bool = False
+    bar: float | None = None
+    curves: bool = False
+    margin: float = 3.0
+    draws: int = 1000
+    most_effects: int = 4
+    most_records: int = 4
+    #: records are searched one by one up to so many observations
+    searchable: int = 500
+    #: candidates are scored on at most so many observations
+    most_scored: int = 3000
+
+
+@dataclass(frozen=True)
+class Step:
+    """One accepted effect.
+
+    checked_before, checked_after : leave-one-out errors, rms in m/s², which took part in the choice
+    """
+
+    effect: str
+    p: float
+    draws: int
+    evidence: float
+    checked_before: float
+    checked_after: float
+    aliases: tuple[str, ...]
+
+    @property
+    def curve(self) -> bool:
+        """Whether it is a smooth correction of structure that has no name."""
+        return self.effect.startswith("curve@")
+
+    @property
+    def certain(self) -> bool:
+        """Nothing else would do as well, and chance would not do it in a hundred searches."""
+        return not self.aliases and not self.curve and self.p <= _CERTAIN
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """Structure that no catalogue effect carries. share : of the weighted residual power."""
+
+    name: str
+    driver: str
+    kind: str
+    p: float
+    evidence: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The whole search.
+
+    base, final : fits before and after; records are free in both once they are set aside
+    plain, as_recorded : the base and the final model with every record taken as it stands
+    scores : the last search's table; missing : why effects could not be tested
+    bar : nats that the best candidate of the first search had to reach
+    """
+
+    base: Fit
+    final: Fit
+    plain: Fit
+    as_recorded: Fit
+    records: tuple[RecordError, ...] = ()
+    steps: tuple[Step, ...] = ()
+    rejected: tuple[tuple[str, str], ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
+    scores: tuple[Score, ...] = ()
+    first_scores: tuple[Score, ...] = ()
+    missing: Mapping[str, str] = field(default_factory=dict)
+    bar: float = math.inf
+
+    @property
+    def named(self) -> tuple[Step, ...]:
+        """Steps that name a cause."""
+        return tuple(step for step in self.steps if not step.curve)
+
+    @property
+    def curves(self) -> tuple[Step, ...]:
+        """Steps that correct structure without a name."""
+        return tuple(step for step in self.steps if step.curve)
+
+    @property
+    def verdict(self) -> str:
+        open_end = bool(self.unexplained or self.curves)
+        if self.named or self.records:
+            return "explained in part" if open_end else "explained"
+        return "unexplained" if open_end else "nothing missing"

@@ -1,0 +1,153 @@
+"""Errors on data that was not fitted: each group of observations is left out in turn.
+
+Leaving a group out moves θ by one Gauss-Newton step from the full solution, at the noise of the
+full fit: exact for a linear model, and checked against complete refits by the tests. An error is
+what a user would see: the corrected reading against the reference, fixture effects taken out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.balance import whitener
+from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownVector
+from imucalib.effects.record_error import is_record_error
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Held:
+    """Predictions of observations by fits without their group.
+
+    corrected : (n, K, 3) m/s²; expected : (n, K, 3) the truth of the reference with the fitted
+        fixture effects; error : (n, K, d) m/s², the vector difference or the error of the norm
+    """
+
+    corrected: Array
+    expected: Array
+    error: Array
+
+    def rms(self, rows: Index | slice = slice(None)) -> float:
+        """Root mean square length of the error, m/s²."""
+        return float(np.sqrt(np.mean(np.sum(self.error[rows] ** 2, axis=-1))))
+
+
+def theta_without(fit: Fit, rows: Index) -> Array:
+    """θ fitted without some observations, by one step from the full fit."""
+    if fit.theta.size == 0:
+        return fit.theta
+    keep = ~np.isin(fit.at.owner, rows)
+    settings = tuple(matrix[keep] for matrix in fit.at.settings)
+    white = whitener(settings, fit.noise.ratio)
+    both = white(np.column_stack([fit.at.residual[keep], fit.at.jacobian[keep]]))
+    if fit.prior is not None:
+        away = fit.model.start(fit.observations.context) - fit.theta
+        prior = np.column_stack([away, np.eye(away.size)]) / fit.prior[:, None]
+        both = np.vstack([both, fit.noise.factor * prior])
+    scale = np.linalg.norm(both[:, 1:], axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    step = np.linalg.lstsq(both[:, 1:] / scale, both[:, 0], rcond=1e-10)[0] / scale
+    return fit.theta + step
+
+
+def errors(fit: Fit, theta: Array, observations: Observations) -> Held:
+    """Corrected against expected for observations under a θ of the fit's model."""
+    context, reference = observations.context, observations.reference
+    corrected = fit.model.correct(theta, observations.reading, context)
+    if isinstance(reference, KnownVector):
+        nominal = reference.truth(np.zeros(reference.eta_size))
+        expected = _through_fixture(fit, theta, nominal, observations)
+        return Held(corrected, expected, corrected - expected)
+    size = np.linalg.norm(corrected, axis=-1, keepdims=True)
+    gravity = np.linalg.norm(reference.truth(reference.start(corrected)), axis=-1, keepdims=True)
+    return Held(corrected, corrected / size * gravity, size - gravity)
+
+
+def _through_fixture(fit: Fit, theta: Array, x: Array, observations: Observations) -> Array:
+    slices = fit.model.slices(observations.context)
+    for effect in fit.model.effects:
+        if effect.stage == "fixture":
+            x = x + effect.act(theta[slices[effect.name]], x, observations.context).delta
+    return x
+
+
+def held_out(fit: Fit, observations: Observations | None = None) -> Held:
+    """Leave each group out in turn and predict it.
+
+    observations : the same observations with other readings or none left free (default: the
+        fit's own); lets a record that was set aside still be judged as recorded
+    """
+    data = observations or fit.observations
+    n = data.n
+    parts: list[tuple[Index, Held]] = []
+    for key in np.unique(data.group):
+        rows = np.flatnonzero(data.group == key)
+        theta = _without_records(fit, theta_without(fit, rows))
+        parts.append((rows, errors(fit, theta, data.take(rows))))
+    shapes = [parts[0][1].corrected.shape[1:], parts[0][1].error.shape[1:]]
+    corrected, expected = np.zeros((n, *shapes[0])), np.zeros((n, *shapes[0]))
+    error = np.zeros((n, *shapes[1]))
+    for rows, held in parts:
+        corrected[rows], expected[rows], error[rows] = held.corrected, held.expected, held.error
+    return Held(corrected, expected, error)
+
+
+def fitted(fit: Fit) -> Held:
+    """The same errors on the data that was fitted: for residual tables, never for claims."""
+    return errors(fit, _without_records(fit, fit.theta), fit.observations)
+
+
+def _without_records(fit: Fit, theta: Array) -> Array:
+    """A record's own error is no part of the calibration, so it must not flatter its error."""
+    theta = theta.copy()
+    for name, part in fit.model.slices(fit.observations.context).items():
+        if is_record_error(name):
+            theta[part] = 0.0
+    return theta
+
+
+def log_predictive(fit: Fit) -> float:
+    """Sum over groups of the log density of each group given all others (nats).
+
+    Closed form: with P = V⁻¹ - V⁻¹J(JᵀV⁻¹J)⁻¹JᵀV⁻¹, group g has the predictive residual
+    P_gg⁻¹ (P r)_g and the precision P_gg (Sundararajan and Keerthi 2001).
+    """
+    at, noise = fit.at, fit.noise
+    white, q = fit.white_basis()
+    keys = fit.observations.group[at.owner]
+    residual = white(at.residual) / noise.factor
+    rest = residual - q @ (q.T @ residual)
+    total = 0.0
+    if white.lower is not None:
+        inverse = white(np.eye(at.residual.size))
+        projector = inverse.T @ inverse - (inverse.T @ q) @ (inverse.T @ q).T
+        rest = inverse.T @ rest
+    for key in np.unique(keys):
+        rows = np.flatnonzero(keys == key)
+        if white.lower is None:
+            values, along, plain = _independent_block(q[rows], rest[rows])
+        else:
+            values, vectors = np.linalg.eigh(projector[np.ix_(rows, rows)])
+            along, plain = vectors.T @ rest[rows], (0, 0.0)
+        # A direction that only this group determines predicts nothing: it carries no weight.
+        use = values > 1e-9
+        values, along = values[use], along[use]
+        total += float(np.sum(np.log(values) / 2.0 - 0.5 * along**2 / values)) - 0.5 * plain[1]
+        total -= float((use.sum() + plain[0]) * np.log(noise.factor))
+    return total
+
+
+def _independent_block(q: Array, rest: Array) -> tuple[Array, Array, tuple[int, float]]:
+    """Eigenvalues of 1 - q qᵀ that are not one, the rest along them, and what is left beside:
+    how many directions with eigenvalue one and the sum of squares along them."""
+    u, s, _ = np.linalg.svd(q, full_matrices=False)
+    along = u.T @ rest
+    beside = float(rest @ rest) - float(along @ along)
+    return 1.0 - s**2, along, (rest.size - s.size, max(beside, 0.0))

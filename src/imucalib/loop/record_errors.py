@@ -1,0 +1,167 @@
+"""Gross errors of single records: how large, and the likely slip of the pen behind each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.fit import Fit
+from imucalib.core.references import KnownNorm, KnownVector, angles_of
+from imucalib.effects.record_error import is_record_error
+from imucalib.loop.held_out import theta_without
+from imucalib.units import DEG, MG
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RecordError:
+    """One record that does not belong to the rest.
+
+    row : index of the observation; where : its label; channel : "x", "y", "z", "norm" or an angle
+    size : mg (deg for an angle), how far the record is from what the others predict; sd alike
+    likely : the slip that would explain it; fix : channel -> value in m/s² or deg, when known
+    """
+
+    row: int
+    where: str
+    channel: str
+    size: float
+    sd: float
+    unit: str
+    likely: str
+    fix: tuple[tuple[str, float], ...]
+    p: float
+    evidence: float
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The other records' prediction of one record: mean (3,) and covariance (3, 3), m/s²."""
+
+    mean: Array
+    covariance: Array
+
+    def distance(self, reading: Array) -> float:
+        """Squared Mahalanobis distance, chi-square with 3 degrees of freedom."""
+        away = reading - self.mean
+        return float(away @ np.linalg.solve(self.covariance, away))
+
+
+def predict_record(fit: Fit, row: int) -> Prediction:
+    """Predict one record (K = 1) from all others, setting errors included."""
+    rows = np.array([row])
+    theta = theta_without(fit, rows)
+    one = fit.observations.take(rows)
+    reference = one.reference
+    eta = np.zeros(reference.eta_size)
+    slices = fit.model.slices(one.context)
+    for name, part in slices.items():
+        if is_record_error(name):
+            theta[part] = 0.0
+    predicted = fit.model.predict(theta, reference.truth(eta), one.context)
+    directions = reference.directions(eta)
+    free = (predicted.d_truth @ directions.derivative)[0, 0]
+    spread = np.array([fit.noise.sd[fit.noise.component.index(c)] for c in directions.component])
+    noise = np.diag((fit.noise.factor * one.sigma[0, 0]) ** 2)
+    slope = predicted.d_theta[0, 0]
+    known = [k for n, s in slices.items() if not is_record_error(n) for k in range(s.start, s.stop)]
+    covariance = slope[:, known] @ fit.covariance[np.ix_(known, known)] @ slope[:, known].T
+    return Prediction(predicted.reading[0, 0], noise + covariance + (free * spread**2) @ free.T)
+
+
+def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> RecordError:
+    """Name the error of a record from the fit in which it was set aside."""
+    label = fit.observations.label[row]
+    reading = fit.observations.reading[row, 0]
+    reference = fit.observations.reference
+    if not isinstance(reference, KnownVector):
+        assert isinstance(reference, KnownNorm)
+        size = float(np.linalg.norm(_corrected_without(fit, row))) - reference.gravity
+        sd = fit.noise.factor * float(fit.observations.sigma[row, 0, 0]) / MG
+        return RecordError(
+            row, label, "norm", size / MG, sd, "mg", "movement, contact or a wrong record", (), p,
+            evidence,
+        )  # fmt: skip
+    expected = predict_record(fit, row)
+    likely, fix = _slip(fit, row, reading, expected)
+    # A slip of one number is that number's error, even where an angle would imitate it.
+    channel = fix[0][0] if len(fix) == 1 else channel
+    if channel in ("x", "y", "z"):
+        axis = "xyz".index(channel)
+        size = float(reading[axis] - expected.mean[axis]) / MG
+        sd = float(np.sqrt(expected.covariance[axis, axis])) / MG
+        return RecordError(row, label, channel, size, sd, "mg", likely, fix, p, evidence)
+    away = _angle_away(fit, row, channel)
+    sd = fit.noise.sd[fit.noise.component.index(channel)] / DEG
+    name = channel.replace(" setting", "")
+    return RecordError(row, label, name, away / DEG, sd, "deg", likely, fix, p, evidence)
+
+
+def _corrected_without(fit: Fit, row: int) -> Array:
+    """A record (3,) in m/s², corrected by a fit of the others."""
+    rows = np.array([row])
+    data = fit.observations
+    theta = theta_without(fit, rows)
+    corrected = fit.model.correct(theta, data.reading[rows], data.context.take(rows))
+    return np.asarray(corrected[0, 0])
+
+
+def _angle_away(fit: Fit, row: int, component: str) -> float:
+    """Angle (rad) of the corrected record minus the angle that was set."""
+    reference = fit.observations.reference
+    assert isinstance(reference, KnownVector)
+    inclination, tool_face = angles_of(_corrected_without(fit, row))
+    if component.startswith("inclination"):
+        return float(inclination - reference.inclination[row])
+    away = float(tool_face - reference.tool_face[row])
+    return float(np.mod(away + np.pi, 2.0 * np.pi) - np.pi)
+
+
+_NEAR = 16.3  # chi-square with 3 degrees of freedom, p = 0.001
+
+
+def _slip(
+    fit: Fit, row: int, reading: Array, expected: Prediction
+) -> tuple[str, tuple[tuple[str, float], ...]]:
+    """The one-step slip that brings the record nearest to its prediction, if near enough."""
+    tries: list[tuple[float, str, tuple[tuple[str, float], ...]]] = []
+    for axis, name in enumerate("xyz"):
+        for factor, words in (
+            (-1.0, f"lost sign of {name}"),
+            (10.0, f"{name} is ten times too small"),
+            (0.1, f"{name} is ten times too large"),
+        ):
+            changed = reading.copy()
+            changed[axis] *= factor
+            tries.append((expected.distance(changed), words, ((name, float(changed[axis])),)))
+    for order in permutations(range(3)):
+        if order != (0, 1, 2):
+            changed = reading[list(order)]
+            moved = ", ".join("xyz"[k] for k in order)
+            fix = tuple(zip("xyz", (float(v) for v in changed), strict=True))
+            tries.append((expected.distance(changed), f"columns swapped (read as {moved})", fix))
+    others = fit.observations.reading[:, 0]
+    same = np.flatnonzero(np.all(np.isclose(others, reading, rtol=1e-12, atol=0.0), axis=1))
+    if same.size > 1:
+        twin = next(k for k in same if k != row)
+        return f"a copy of {fit.observations.label[twin]}", ()
+    distance, words, fix = min(tries, key=lambda t: t[0])
+    if distance < _NEAR:
+        return words, fix
+    return _wrong_angle(fit, row)
+
+
+def _wrong_angle(fit: Fit, row: int) -> tuple[str, tuple[tuple[str, float], ...]]:
+    """A reading of the right size in another direction was taken at another setting."""
+    reference = fit.observations.reference
+    assert isinstance(reference, KnownVector)
+    corrected = _corrected_without(fit, row)
+    off = abs(float(np.linalg.norm(corrected)) - reference.gravity)
+    if off > 5.0 * fit.noise.factor * float(fit.observations.sigma[row].max()):
+        return "no single slip explains it", ()
+    inclination, tool_face = (float(a) / DEG for a in angles_of(corrected))
+    return f"angle: the tool stood at inclination {inclination:.1f}, tool-face {tool_face:.1f}", ()

@@ -1,0 +1,105 @@
+"""Setting wrong records aside, the first part of the closed loop; refits from where a fit is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.balance import Noise
+from imucalib.core.effect import Effect
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.effects.record_error import is_record_error, record_error
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.candidates import record_candidates
+from imucalib.loop.evidence import Score, score
+from imucalib.loop.held_out import held_out
+from imucalib.loop.record_errors import RecordError, diagnose
+from imucalib.units import MG
+
+Array = NDArray[np.float64]
+
+
+def record_scores(
+    fit: Fit, taken: set[int], rng: np.random.Generator, *, draws: int, alpha: float
+) -> tuple[Score, ...]:
+    """Every component of every record and every setting of one record, best first."""
+    candidates = [c for c in record_candidates(fit) if row_of(c.name) not in taken]
+    return score(fit, tuple(candidates), rng, draws=draws, alpha=alpha)
+
+
+def row_of(name: str) -> int:
+    """The row of a record candidate's name, "9:y" or "9:inclination setting"."""
+    return int(name.partition(":")[0])
+
+
+def set_aside(fit: Fit, row: int) -> Fit:
+    """Refit with all numbers of a record free.
+
+    The whole record goes, whichever of its numbers stood out: what is left of it could otherwise
+    be fitted by a setting that is as wrong as the number was.
+    """
+    observations = fit.observations
+    known = fit.at.keep.shape[2] == 3 * observations.reading.shape[1]
+    effect = record_error(row, observations.label[row], "xyz" if known else "x")
+    nominal = observations.reference.truth(_settled(fit))
+    predicted = fit.model.predict(fit.theta, nominal, observations.context).reading
+    off = (observations.reading[row, 0] - predicted[row, 0]) / MG
+    return extended(fit, effect, off if known else None)
+
+
+def _settled(fit: Fit) -> Array:
+    """η with the settings as they were meant, for references that have settings."""
+    return np.zeros_like(fit.eta) if fit.noise.component else fit.eta
+
+
+def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[RecordError, ...]:
+    """Diagnose records from the fit in which they are set aside."""
+    return tuple(diagnose(fit, row, s.name.partition(":")[2], s.p, s.evidence) for s, row in found)
+
+
+def record_names(fit: Fit, row: int | None = None) -> tuple[str, ...]:
+    """Names of the record errors in a fit's model, of one row or of all."""
+    every = [name for name in fit.model.names if is_record_error(name)]
+    return tuple(n for n in every if row is None or _row_aside(n) == row)
+
+
+def _row_aside(name: str) -> int:
+    return int(name.split("_")[2])
+
+
+def held_out_rms(fit: Fit) -> float:
+    """Held-out error (m/s², rms) over the records that are not set aside."""
+    aside = {_row_aside(name) for name in record_names(fit)}
+    rows = np.array([k for k in range(fit.observations.n) if k not in aside], dtype=np.intp)
+    return held_out(fit).rms(rows)
+
+
+def extended(
+    fit: Fit, effect: Effect, start: Array | None = None, noise: Noise | None = None
+) -> Fit:
+    """Refit with one more effect, from where the fit is; `start` for the effect's parameters,
+    `noise` to hold it at."""
+    return _refit(fit, fit.model.plus(effect), effect.name, start, noise)
+
+
+def reduced(fit: Fit, names: tuple[str, ...]) -> Fit:
+    """Refit without some effects, from where the fit is."""
+    return _refit(fit, Model(tuple(e for e in fit.model.effects if e.name not in names)))
+
+
+def _refit(
+    fit: Fit,
+    model: Model,
+    fresh: str = "",
+    values: Array | None = None,
+    noise: Noise | None = None,
+) -> Fit:
+    context = fit.observations.context
+    start, own = model.start(context), model.slices(context)
+    for name, part in fit.model.slices(context).items():
+        if name in own:
+            start[own[name]] = fit.theta[part]
+    if values is not None:
+        start[own[fresh]] = values
+    return fit_model(model, fit.observations, start=start, noise=noise)

@@ -1,0 +1,217 @@
+"""One search of the closed loop: what is scored, what is chosen, what speaks against it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from imucalib.core.effect import Effect, Family
+from imucalib.core.fit import Fit
+from imucalib.effects import known
+from imucalib.loop.candidates import correlated_noise, effect_candidates, family_candidates, probes
+from imucalib.loop.evidence import Candidate, Score, apart, score
+from imucalib.loop.found import LoopSettings, Unexplained
+from imucalib.loop.held_out import log_predictive
+from imucalib.loop.records import extended, held_out_rms
+
+#: An effect must gain at least this on held-out data, in log density.
+_HELD_OUT_NATS = 1.0
+#: λ sin(angle) below which two effects are not told apart.
+_APART = 2.0
+#: Terms of a correction without a name that are tried, and what it must gain on held-out data.
+_TERMS = (3, 6, 12)
+_CURVE_NATS, _CURVE_RMS = 5.0, 0.97
+
+
+def search(
+    current: Fit,
+    effects: Mapping[str, Effect],
+    rng: np.random.Generator,
+    rules: LoopSettings,
+    rejected: Mapping[str, str],
+    families: tuple[Family, ...] = (),
+) -> tuple[tuple[Score, ...], dict[str, str]]:
+    """Score everything that could be missing, and say what could not be tested.
+
+    Of a scan only the best value is kept, at the evidence of the whole scan; all its values take
+    part in the family-wise p.
+    """
+    current = thinned(current, rules.most_scored)
+    usable = [e for e in effects.values() if e.name not in rejected]
+    catalogue, missing = effect_candidates(current, usable)
+    for family in families:
+        if family.name not in rejected:
+            values = family.values(current.observations.context)
+            catalogue += family_candidates(current, family, values)
+    everything = catalogue + probes(current) + correlated_noise(current)
+    draws = rules.draws if rules.bar is None else 0
+    scores = score(current, everything, rng, draws=draws, alpha=rules.alpha)
+    return _one_a_scan(scores), missing
+
+
+def _one_a_scan(scores: tuple[Score, ...]) -> tuple[Score, ...]:
+    """Of each scan its best value, with the evidence of the whole scan: the mean over its values,
+    which pays for having looked at many."""
+    of: dict[str, list[Score]] = {}
+    for found in scores:
+        of.setdefault(found.candidate.family, []).append(found)
+    best = of.pop("", [])
+    for members in of.values():
+        nats = np.array([m.evidence for m in members])
+        mean = float(nats.max() + np.log(np.mean(np.exp(nats - nats.max()))))
+        best.append(replace(members[0], evidence=max(mean, 0.0)))
+    return tuple(sorted(best, key=lambda s: -s.evidence))
+
+
+def thinned(fit: Fit, most: int) -> Fit:
+    """The same fit seen through at most so many observations, spread evenly in their order.
+
+    Scores need no more, and their memory is that of the observations times the candidates. Only
+    where every observation has its own free direction; fits always use all of them.
+    """
+    n = fit.observations.n
+    if n <= most or fit.at.settings:
+        return fit
+    rows = np.linspace(0, n - 1, most).astype(np.intp)
+    at = fit.at
+    numbers = np.flatnonzero(np.isin(at.owner, rows))
+    part = replace(
+        at,
+        residual=at.residual[numbers],
+        jacobian=at.jacobian[numbers],
+        keep=at.keep[rows],
+        owner=np.searchsorted(rows, at.owner[numbers]),
+        sigma=at.sigma[rows],
+    )
+    eta = fit.eta.reshape(n, -1)[rows].ravel()
+    return replace(fit, at=part, observations=fit.observations.take(rows), eta=eta)
+
+
+def refined(
+    current: Fit,
+    chosen: Score,
+    families: tuple[Family, ...],
+    rng: np.random.Generator,
+    rules: LoopSettings,
+) -> Score:
+    """The best value near the one that a scan found; the p and the evidence of the scan stand."""
+    for family in families:
+        if family.name == chosen.candidate.family:
+            current = thinned(current, rules.most_scored)
+            context = current.observations.context
+            near = family.nearby(context, chosen.name.partition("@")[2])
+            if near:
+                found = score(current, family_candidates(current, family, near), rng, draws=1)[0]
+                return replace(chosen, candidate=found.candidate)
+    return chosen
+
+
+def effect_named(effects: Mapping[str, Effect], name: str) -> Effect:
+    found = effects.get(name) or known(name)
+    assert found is not None, name
+    return found
+
+
+def choose(scores: tuple[Score, ...], rules: LoopSettings) -> Score | None:
+    """The best catalogue effect, unless a probe or noise beats it by the margin."""
+    passing = [s for s in scores if passes(s, rules)]
+    physical = [s for s in passing if s.candidate.kind == "effect"]
+    if not physical or physical[0].evidence < passing[0].evidence - rules.margin:
+        return None
+    return physical[0]
+
+
+def curve_of(
+    current: Fit, scores: tuple[Score, ...], rules: LoopSettings
+) -> tuple[Score, Fit] | None:
+    """The strongest probe as a correction without a name, its terms chosen by what holds out.
+
+    It has to gain more than an effect has to: nothing but the data speak for it.
+    """
+    passing = [s for s in scores if passes(s, rules) and s.candidate.curve]
+    if not passing:
+        return None
+    found, best, most = passing[0], None, -np.inf
+    for terms in _TERMS:
+        effect = known(f"curve@{found.candidate.curve}:{terms}")
+        assert effect is not None, found.candidate.curve
+        if effect.name in current.model.names or effect.missing(current.observations.context):
+            continue
+        trial = extended(current, effect)
+        if objection(current, trial, _CURVE_NATS, _CURVE_RMS):
+            continue
+        if (density := log_predictive(trial)) > most:
+            best, most = (effect.name, trial), density
+    if best is None:
+        return None
+    return replace(found, candidate=replace(found.candidate, name=best[0])), best[1]
+
+
+def passes(found: Score, rules: LoopSettings) -> bool:
+    """By the family-wise p, or by the bar of an earlier search of the whole data."""
+    if rules.bar is not None:
+        return found.evidence >= rules.bar
+    return found.p <= rules.alpha
+
+
+def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexplained, ...]:
+    left = [s for s in scores if s.p <= rules.alpha and s.candidate.kind != "effect"]
+    return tuple(
+        Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
+        for s in left[:3]
+    )
+
+
+def objection(
+    before: Fit, after: Fit, least_nats: float = _HELD_OUT_NATS, most_rms: float = 1.0
+) -> str:
+    """Why an effect must not be taken in; empty when the refit realises the gain and what it
+    predicts for data that it was not fitted to is better.
+
+    least_nats : that it must gain there; most_rms : share of the error before that may be left
+    """
+    if not after.converged:
+        return "its refit did not converge"
+    if len(after.null_directions) > len(before.null_directions):
+        return f"the data cannot determine it: {after.null_directions[-1]}"
+    implausible = [
+        f"{p.name} = {v:.3g} {p.unit}"
+        for p, v in zip(after.parameters, after.theta, strict=True)
+        if abs(v) > p.plausible
+    ]
+    if implausible:
+        return f"implausible size ({', '.join(implausible)})"
+    if len(after.theta) * 1.5 > after.at.residual.size:
+        return "too few numbers for its parameters"
+    gain = log_predictive(after) - log_predictive(before)
+    if gain < least_nats or held_out_rms(after) >= most_rms * held_out_rms(before):
+        return f"it does not hold out: {gain:+.1f} nats on data that it was not fitted to"
+    return ""
+
+
+def aliases(
+    current: Fit,
+    effects: Mapping[str, Effect],
+    chosen: Score,
+    scores: tuple[Score, ...],
+    rules: LoopSettings,
+) -> tuple[str, ...]:
+    """Effects that would do as well: nearly the same evidence, or too small an angle between."""
+    near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
+    thin = thinned(current, rules.most_scored)
+
+    def columns(name: str) -> Candidate:
+        return effect_candidates(thin, [effect_named(effects, name)])[0][0]
+
+    def beside(rival: Score) -> bool:
+        own = rival.candidate.family and rival.candidate.family == chosen.candidate.family
+        if rival.candidate.kind != "effect" or rival.name == chosen.name or own:
+            return False
+        if rival.evidence >= near:
+            return True
+        alike = rival.evidence >= chosen.evidence / 2.0
+        return alike and apart(thin, columns(chosen.name), columns(rival.name)) < _APART
+
+    return tuple(s.name for s in scores if beside(s))

@@ -1,0 +1,147 @@
+"""What a column is, from its name: quantity, axis, triad and unit.
+
+Column names of loggers differ in case, separators and order, but are made of the same words.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imucalib.recording.mapping import TIME_UNITS
+
+_ACC = {"a", "acc", "accel", "acceleration", "accelerometer", "accelerations", "accelero"}
+_GYRO = {"g", "w", "gyr", "gyro", "gyros", "gyroscope", "omega", "angular", "angvel", "angrate"}
+_TEMPERATURE = {"temp", "temperature", "temps"}
+_TIME = {"time", "timestamp", "timestamps", "stamp", "t", "datetime", "seconds", "secs", "sec",
+         "sampletimefine", "utc", "epoch", "elapsed", "stamps"}  # fmt: skip
+_SILENT = {"rs", "s", "b", "field", "data", "raw", "calibrated", "uncal", "linear", "angular",
+           "velocity", "rate", "imu", "sensor", "sensors", "axis", "value", "values", "header",
+           "acceleration", "meas", "rot", "rotation", "vel", "speed"}  # fmt: skip
+# Quantities that share words with the two above but are not them.
+_OTHER = {"mag", "magnetometer", "magnetic", "free", "freeacc", "gravity", "grav", "mean", "std",
+          "var", "enmo", "mad", "cov", "covariance", "quat", "quaternion", "orientation", "bias",
+          "svm", "vm", "norm", "inc", "velinc", "oriinc", "pos", "position", "user",
+          "ori", "offset", "euler", "counts1", "vector", "magnitude", "b_w", "b_a"}  # fmt: skip
+_COMPACT = re.compile(
+    r"^(accel|acc|a|gyro|gyr|g|w|omega)_?(\d*)_?([xyz])(\d*)$|^([xyz])_?(accel|acc|gyro|gyr)(\d*)$"
+)
+_BRACKETED = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+_UNIT_WORDS = {
+    "ms2": "m/s2", "mps2": "m/s2", "mss": "m/s2", "mg": "mg", "ug": "ug", "rads": "rad/s",
+    "rps": "rad/s", "dps": "deg/s", "degs": "deg/s", "degc": "degC", "celsius": "degC",
+    "ns": "ns", "us": "us", "ms": "ms", "nsec": "ns", "usec": "us", "msec": "ms",
+    "counts": "counts", "lsb": "counts", "nanoseconds": "ns", "microseconds": "us",
+    "milliseconds": "ms", "seconds": "s", "sec": "s", "secs": "s", "nanosec": "ns",
+}  # fmt: skip
+# Last words of a temperature's name, joined; "tempC" and "temp_degC" are split before the C.
+_TEMPERATURE_UNITS = {"c": "degC", "degc": "degC", "celsius": "degC", "degreesc": "degC",
+                      "f": "degF", "degf": "degF", "fahrenheit": "degF", "degreesf": "degF",
+                      "k": "K", "kelvin": "K", "degk": "K"}  # fmt: skip
+_TIME_UNIT_TEXT = {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "µs": "us",
+                   "usec": "us", "msec": "ms", "nsec": "ns", "nanoseconds": "ns",
+                   "microseconds": "us", "milliseconds": "ms", "unix": "s"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Column:
+    """Meaning of one column.
+
+    index : position, from 0; name : as in the file, without its unit
+    quantity : "acceleration", "angular_rate", "temperature", "time" or "" (not used)
+    axis : 0, 1, 2 or -1; triad : sensor name; unit : as stated by the name, or ""
+    """
+
+    index: int
+    name: str
+    quantity: str = ""
+    axis: int = -1
+    triad: str = ""
+    unit: str = ""
+
+
+def understand(names: Sequence[str]) -> list[Column]:
+    """The meaning of every column name; bare x, y, z are acceleration if nothing else is."""
+    columns = [_column(i, name) for i, name in enumerate(names)]
+    if not any(c.quantity == "acceleration" for c in columns):
+        columns = [_bare_axis(c) for c in columns]
+    return columns
+
+
+def _bare_axis(column: Column) -> Column:
+    words = _words(column.name)
+    if column.quantity or len(words) != 1 or words[0] not in ("x", "y", "z"):
+        return column
+    axis = "xyz".index(words[0])
+    return Column(column.index, column.name, "acceleration", axis, "imu0", column.unit)
+
+
+def _words(name: str) -> list[str]:
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    return [w for w in re.split(r"[^0-9a-zµ]+", spaced.lower()) if w]
+
+
+def _column(index: int, text: str) -> Column:
+    name, unit = text.strip().lstrip("#%").strip(), ""
+    found = _BRACKETED.search(name)
+    if found:
+        name, unit = name[: found.start()].strip(), found.group(1)
+    words = _words(name)
+    if not unit and len(words) > 1:
+        unit = _UNIT_WORDS.get(words[-1], "")
+        if not unit and len(words) > 2 and words[-1] == "g" and words[-2] in ("x", "y", "z"):
+            unit = "g"
+        words = words[:-1] if unit else words
+    column = _vector(index, name, words, unit)
+    if column is not None:
+        return column
+    if name == "T" or _TEMPERATURE & set(words):
+        words, unit = (words, unit) if unit else _with_unit(words)
+        words = [w for w in words if w not in _ACC | _GYRO]
+        return Column(index, name, "temperature", triad=_triad(words), unit=unit)
+    if _TIME & set(words) or (unit in TIME_UNITS and not _OTHER & set(words)):
+        return Column(index, name, "time", unit=_TIME_UNIT_TEXT.get(unit.lower(), unit))
+    return Column(index, name, unit=unit)
+
+
+def _with_unit(words: list[str]) -> tuple[list[str], str]:
+    """The words of a temperature without its unit, and the unit: one last word, or two."""
+    for last in (2, 1):
+        unit = _TEMPERATURE_UNITS.get("".join(words[-last:])) if len(words) > last else None
+        if unit:
+            return words[:-last], unit
+    return words, ""
+
+
+def _vector(index: int, name: str, words: list[str], unit: str) -> Column | None:
+    """The column as one axis of an acceleration or an angular rate, if it is one."""
+    if _OTHER & set(words):
+        return None
+    for position, word in enumerate(words):
+        match = _COMPACT.match(word)
+        if match:
+            kind = match.group(1) or match.group(6)
+            axis = "xyz".index(match.group(3) or match.group(5))
+            number = match.group(2) or match.group(4) or match.group(7)
+            rest = words[:position] + words[position + 1 :]
+            break
+    else:
+        axes = [w for w in words if w in ("x", "y", "z")]
+        kinds = [w for w in words if w.rstrip("0123456789") in _ACC | _GYRO]
+        if len(axes) != 1 or not kinds:
+            return None
+        axis = "xyz".index(axes[0])
+        kind = kinds[0].rstrip("0123456789")
+        number = kinds[0][len(kind) :]
+        rest = [w for w in words if w not in (axes[0], kinds[0])]
+    quantity = "acceleration" if kind in _ACC else "angular_rate"
+    triad = _triad([w for w in rest if w not in _ACC | _GYRO], number)
+    return Column(index, name, quantity, axis, triad, unit)
+
+
+def _triad(words: Sequence[str], number: str = "") -> str:
+    left = [w for w in words if w not in _SILENT | _TEMPERATURE | {"t"}]
+    if number:
+        left.append(f"imu{number}")
+    return "_".join(left) or "imu0"

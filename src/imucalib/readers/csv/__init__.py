@@ -1,0 +1,1 @@
+"""Comma-separated recordings and tables."""

@@ -1,0 +1,211 @@
+"""Whole blocks of rows to numbers with numpy's C parser; row by row only to name a bad cell."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import UnreadableInput
+from imucalib.readers.csv import arrow as csv_arrow
+from imucalib.readers.csv.dialect import cells_of, is_blank, is_number
+from imucalib.readers.csv.source import Lines
+from imucalib.readers.csv.time import MISSING
+from imucalib.recording.recording import Array
+
+_COMMA_TO_POINT = bytes.maketrans(b",", b".")
+_MISSING = re.compile(rb"(?i)(?<=[,;\t| \n])(?:na|n/a|#n/a|null|none|--?|\?)(?=[,;\t| \n])")
+_LARGEST_EXACT = 2.0**53
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which columns to read, and how.
+
+    time : column of the stamps or -1; time_kind : "int", "float", "text" or ""
+    values : columns of the numbers, in the order of the output
+    text_width : bytes kept of a text stamp
+    """
+
+    delimiter: str
+    decimal: str
+    width: int
+    time: int
+    time_kind: str
+    values: tuple[int, ...]
+    text_width: int = 32
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Parsed rows: stamps (n,) int64 (MISSING where blank), float64 or bytes; values (n, m)."""
+
+    stamps: NDArray[np.generic]
+    values: Array
+
+
+def parse(lines: Lines, layout: Layout, where: str) -> Rows:
+    """Parse a block of whole lines; blank cells become NaN.
+
+    Blank lines are dropped in a file with time stamps and stand for a missing row otherwise.
+    Raises UnreadableInput that names the row and column of the first cell that is no number.
+    """
+    text, delimiter = lines.data, layout.delimiter
+    if b'"' in text:
+        text, delimiter = _unquoted(text, layout)
+    if layout.decimal == ",":
+        text = text.translate(_COMMA_TO_POINT)
+    rows = _attempt(text, delimiter, layout, layout.time_kind)
+    if rows is None:
+        text = _completed(text, delimiter, layout)
+        kind = "text" if layout.time_kind == "int" else layout.time_kind
+        rows = _attempt(text, delimiter, layout, kind)
+        if rows is not None and layout.time_kind == "int":
+            rows = _with_integers(rows)
+    if rows is None:
+        raise _first_bad_cell(lines, layout, where)
+    return rows
+
+
+def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | None:
+    """The C parser's result if every line has all its cells and all wanted cells are numbers."""
+    used = [layout.time] if layout.time >= 0 else []
+    if csv_arrow.available():
+        time = (layout.time, kind) if used else None
+        found = csv_arrow.columns_of(text, delimiter, layout.width, time, layout.values)
+        if found is not None and _fits(found[0], kind, layout):
+            return Rows(found[0], _known(found[1]))
+    count = text.count(b"\n")
+    if not _complete(text, delimiter, layout.width, count):
+        return None
+    fields: list[tuple[str, object]] = []
+    if used:
+        of_kind = {"int": "i8", "float": "f8", "text": f"S{layout.text_width}"}
+        fields.append(("t", of_kind[kind]))
+    fields.append(("v", ("f8", (len(layout.values),))))
+    if count == 0:
+        empty = np.empty(0, dtype=fields[0][1] if used else np.int64)  # type: ignore[call-overload]
+        return Rows(empty, np.empty((0, len(layout.values))))
+    dtype = np.dtype([(n, *t) if isinstance(t, tuple) else (n, t) for n, t in fields])
+    try:
+        table = np.loadtxt(
+            io.BytesIO(text),
+            dtype=dtype,
+            delimiter=None if delimiter == " " else delimiter,
+            usecols=[*used, *layout.values],
+            comments=None,
+            ndmin=1,
+        )
+    except (ValueError, OverflowError):
+        return None
+    if table.size != count:
+        return None
+    stamps = np.ascontiguousarray(table["t"]) if used else np.empty(0, dtype=np.int64)
+    values: Array = table["v"].reshape(count, len(layout.values))
+    return Rows(stamps, _known(values))
+
+
+def _fits(stamps: NDArray[np.generic], kind: str, layout: Layout) -> bool:
+    """Whether no stamp as text would be cut to the width that is kept."""
+    return kind != "text" or stamps.dtype.itemsize <= layout.text_width
+
+
+def _known(values: Array) -> Array:
+    """Infinite values are none."""
+    finite = np.isfinite(values)
+    return values if finite.all() else np.where(finite, values, np.nan)
+
+
+def _complete(text: bytes, delimiter: str, width: int, count: int) -> bool:
+    if delimiter != " ":
+        return text.count(delimiter.encode()) == count * (width - 1)
+    codes = np.frombuffer(text, dtype=np.uint8)
+    inside = codes > 32
+    starts = int(np.count_nonzero(inside[1:] & ~inside[:-1])) + int(inside[:1].any())
+    return starts == count * width
+
+
+def _unquoted(text: bytes, layout: Layout) -> tuple[bytes, str]:
+    """The text without quotes, and its delimiter (a quoted cell may hold the original one)."""
+    count, bare = text.count(b"\n"), text.replace(b'"', b"")
+    if layout.decimal != layout.delimiter and _complete(
+        bare, layout.delimiter, layout.width, count
+    ):
+        return bare, layout.delimiter
+    rows = csv.reader(
+        io.StringIO(text.decode("utf-8", errors="replace")), delimiter=layout.delimiter
+    )
+    try:
+        out = "".join("\t".join(c.strip() for c in row) + "\n" for row in rows)
+    except csv.Error:
+        return bare, layout.delimiter
+    return out.encode(), "\t"
+
+
+def _completed(text: bytes, delimiter: str, layout: Layout) -> bytes:
+    """Blank cells and the words for missing values as nan; blank lines dropped or all nan."""
+    if delimiter == " ":
+        missing = b" ".join([b"nan"] * layout.width) + b"\n"
+        text = re.sub(rb"(?m)^[ \t]*\n", b"" if layout.time >= 0 else missing, text)
+        return _MISSING.sub(b"nan", text)
+    mark = delimiter.encode()
+    missing = b"" if layout.time >= 0 else mark * (layout.width - 1) + b"\n"
+    text = re.sub(rb"(?m)^[ ]*\n", missing, text)
+    blank = re.escape(mark)
+    text = b"\n" + re.sub(rb"[ ]*(" + blank + rb"|\n)[ ]*", rb"\1", text)
+    text = _MISSING.sub(b"nan", text)
+    for _ in range(2):
+        text = text.replace(mark + mark, mark + b"nan" + mark)
+    text = text.replace(mark + b"\n", mark + b"nan\n").replace(b"\n" + mark, b"\nnan" + mark)
+    return text[1:]
+
+
+def _with_integers(rows: Rows) -> Rows | None:
+    texts = np.char.strip(rows.stamps.astype(np.bytes_))
+    blank = np.isin(texts, [b"nan", b"NaN", b""])
+    stamps = np.full(texts.shape, MISSING, dtype=np.int64)
+    try:
+        stamps[~blank] = texts[~blank].astype(np.int64)
+    except (ValueError, OverflowError):
+        try:
+            decimals = texts[~blank].astype(np.float64)
+        except ValueError:
+            return None
+        whole = np.rint(decimals)
+        if not ((whole == decimals) & (np.abs(decimals) < _LARGEST_EXACT)).all():
+            return None
+        stamps[~blank] = whole.astype(np.int64)
+    return Rows(stamps, rows.values)
+
+
+def _first_bad_cell(lines: Lines, layout: Layout, where: str) -> UnreadableInput:
+    remedy = "correct or delete that line"
+    for k, line in enumerate(lines.data.decode("utf-8", errors="replace").split("\n")[:-1]):
+        at = f"{where}: line {lines.first_line + k}"
+        row = cells_of(line, layout.delimiter)
+        if not line.strip():
+            continue
+        if len(row) != layout.width:
+            what = f"{len(row)} cells where the other rows have {layout.width}"
+            return UnreadableInput(what, where=at, remedy=remedy)
+        wanted = layout.values
+        if layout.time_kind in ("int", "float"):
+            wanted = (layout.time, *wanted)
+        for column in wanted:
+            cell = row[column]
+            integer = column == layout.time and layout.time_kind == "int"
+            bad = not is_number(cell, layout.decimal) or (integer and not _is_integer(cell))
+            if bad and not is_blank(cell):
+                what = f"'{cell[:40]}' is not {'an integer' if integer else 'a number'}"
+                return UnreadableInput(what, where=f"{at}, column {column + 1}", remedy=remedy)
+    last = lines.first_line + lines.data.count(b"\n")
+    span = f"{where}: lines {lines.first_line} to {last}"
+    return UnreadableInput("a row cannot be read", where=span, remedy="look for odd characters")
+
+
+def _is_integer(cell: str) -> bool:
+    return re.fullmatch(r"[+-]?\d{1,18}(\.0*)?|[+-]?\d{19}", cell) is not None

@@ -1,0 +1,205 @@
+"""Everything that must be known before the first block: columns, clock, units; from a few looks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from imucalib.errors import UnreadableInput
+from imucalib.readers import conversion
+from imucalib.readers.conversion import Conversion
+from imucalib.readers.csv.clock import Clock, Stamps, clock_of
+from imucalib.readers.csv.contents import nothing_found
+from imucalib.readers.csv.dialect import Dialect, cells_of, is_blank, sniff
+from imucalib.readers.csv.header import facts_of
+from imucalib.readers.csv.parse import Layout, Rows, parse
+from imucalib.readers.csv.select import Selection, Vector, select
+from imucalib.readers.csv.source import Lines, looks
+from imucalib.readers.timebase import stepping
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Array
+
+_REST_SECONDS = 0.5  # window of the look for rest that finds the unit
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One channel: its position among the parsed values, its conversion, its own clock.
+
+    rate : Hz; threshold : a longer step is a gap, s
+    """
+
+    name: str
+    quantity: str
+    triad: str
+    at: tuple[int, ...]
+    conversion: Conversion
+    rate: float
+    threshold: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How to read one file.
+
+    idle : rows of zeros mean "not recorded"; rows : as many as the file says that it has
+    """
+
+    dialect: Dialect
+    layout: Layout
+    clock: Clock
+    signals: tuple[Signal, ...]
+    idle: bool
+    notes: tuple[str, ...]
+    resolved: FieldMapping
+    rows: int | None = None
+
+
+def make_plan(path: Path, mapping: FieldMapping) -> Plan:
+    """Look at the file's start, middle and end, and decide. Errors as in `readers.read`."""
+    where = str(path)
+    pieces = looks(path)
+    if not pieces:
+        raise UnreadableInput("the file holds no whole line of text", where=where)
+    dialect = sniff(pieces, mapping, where)
+    facts = facts_of(dialect.preamble, where)
+    selection = select(dialect, mapping, facts, where)
+    if not selection.vectors:
+        raise nothing_found(dialect, pieces, where)
+    layout, samples = _layout(dialect, selection, pieces)
+    parsed = _parse_looks(pieces, layout, dialect, where)
+    main = [np.isfinite(_values(selection.vectors[0], layout, r)).all(axis=1) for r in parsed]
+    stamped = [
+        Rows(r.stamps[k] if r.stamps.size else r.stamps, r.values[k])
+        for r, k in zip(parsed, main, strict=True)
+    ]
+    known = Stamps(tuple(parsed), tuple(stamped), tuple(samples))
+    clock, clock_notes = clock_of(selection, layout, mapping, facts, known=known, where=where)
+    used = [v for v in selection.vectors if _has_values(v, layout, parsed)]
+    notes = [*facts.notes, *selection.notes, *clock_notes]
+    notes += [
+        f"{v.triad}/{v.quantity} left out: no values" for v in selection.vectors if v not in used
+    ]
+    if not any(v.quantity != "temperature" for v in used):
+        raise UnreadableInput("the chosen columns hold no values", where=where)
+    signals = tuple(_signal(v, layout, parsed, mapping, clock=clock, where=where) for v in used)
+    notes += [s.conversion.note for s in signals if s.conversion.note]
+    resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=facts.device)
+    idle = facts.device == "actigraph"
+    unique = tuple(dict.fromkeys(notes))
+    return Plan(dialect, layout, clock, signals, idle, unique, resolved, facts.rows)
+
+
+def _layout(
+    dialect: Dialect, selection: Selection, pieces: Sequence[bytes]
+) -> tuple[Layout, list[bytes]]:
+    """The layout, and up to 40 stamps of each look as text."""
+    samples: list[bytes] = []
+    if selection.time >= 0:
+        for number, piece in enumerate(pieces):
+            lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
+            lines = lines[dialect.data_line - 1 :] if number == 0 else lines
+            for line in lines[:20] + lines[-20:]:
+                row = cells_of(line, dialect.delimiter)
+                if len(row) == dialect.width and not is_blank(row[selection.time]):
+                    samples.append(row[selection.time].encode())
+    columns = tuple(dict.fromkeys(c for v in selection.vectors for c in v.columns))
+    kind = _time_kind(dialect, selection.time, samples)
+    time = selection.time if kind else -1
+    width = max((len(s) for s in samples), default=0) + 16
+    layout = Layout(dialect.delimiter, dialect.decimal, dialect.width, time, kind, columns, width)
+    return layout, samples
+
+
+def _time_kind(dialect: Dialect, time: int, samples: list[bytes]) -> str:
+    if time < 0 or not samples:
+        return ""
+    if not dialect.numeric[time]:
+        return "text"
+    integers = sum(s.lstrip(b"+-").isdigit() for s in samples)
+    return "int" if 2 * integers > len(samples) else "float"
+
+
+def _parse_looks(
+    pieces: Sequence[bytes], layout: Layout, dialect: Dialect, where: str
+) -> list[Rows]:
+    """Parsed looks; one that holds a bad cell is passed over here and reported when it is read."""
+    first = pieces[0].split(b"\n")[dialect.data_line - 1 :]
+    parsed = [parse(Lines(b"\n".join(first), dialect.data_line), layout, where)]
+    for piece in pieces[1:]:
+        try:
+            parsed.append(parse(Lines(piece, 0), layout, where))
+        except UnreadableInput:
+            continue
+    return [rows for rows in parsed if rows.values.size]
+
+
+def _values(vector: Vector, layout: Layout, rows: Rows) -> Array:
+    at = [layout.values.index(c) for c in vector.columns]
+    return rows.values[:, at]
+
+
+def _has_values(vector: Vector, layout: Layout, parsed: Sequence[Rows]) -> bool:
+    return any(np.isfinite(_values(vector, layout, r)).all(axis=1).any() for r in parsed)
+
+
+def _signal(
+    vector: Vector, layout: Layout, parsed: Sequence[Rows], mapping: FieldMapping, *,
+    clock: Clock, where: str,
+) -> Signal:  # fmt: skip
+    raw = [_values(vector, layout, rows) for rows in parsed]
+    known = [np.isfinite(v).all(axis=1) for v in raw]
+    rate, threshold = clock.rate, clock.threshold
+    if clock.kind and not clock.resolution:
+        steps = stepping([t[k] for t, k in zip(clock.looks, known, strict=True)])
+        rate, threshold = (1.0 / steps.step, steps.threshold) if steps else (rate, threshold)
+    if vector.quantity == "acceleration":
+        window = max(3, round(_REST_SECONDS * rate))
+        rest = conversion.norms_at_rest([v[k] for v, k in zip(raw, known, strict=True)], window)
+        how = conversion.acceleration(mapping, vector.unit, rest, f"{where}: {vector.triad}")
+    elif vector.quantity == "angular_rate":
+        how = conversion.angular_rate(mapping, vector.unit, where)
+    else:
+        how = conversion.temperature(mapping, vector.unit, np.concatenate(raw)[:, 0], where)
+    name = f"{vector.triad}/{vector.quantity}"
+    at = tuple(layout.values.index(c) for c in vector.columns)
+    return Signal(name, vector.quantity, vector.triad, at, how, rate, threshold)
+
+
+def _resolved(
+    mapping: FieldMapping, dialect: Dialect, selection: Selection, signals: Sequence[Signal], *,
+    clock: Clock, device: str,
+) -> FieldMapping:  # fmt: skip
+    """The mapping that reads this file, and others like it, the same way."""
+
+    def address(column: int) -> str:
+        name = dialect.names[column] if dialect.names else ""
+        return name if name and dialect.names.count(name) == 1 else str(column + 1)
+
+    def addresses(quantity: str) -> tuple[str, ...]:
+        chosen = [v for v in selection.vectors if v.quantity == quantity]
+        return tuple(address(c) for v in chosen for c in v.columns)
+
+    def unit(quantity: str) -> str:
+        found = {s.conversion.source_unit for s in signals if s.quantity == quantity}
+        return found.pop() if len(found) == 1 else ""
+
+    return replace(
+        mapping,
+        acc=addresses("acceleration"),
+        gyro=addresses("angular_rate"),
+        temperature=addresses("temperature"),
+        time=address(selection.time) if clock.kind else "",
+        triads=tuple(dict.fromkeys(v.triad for v in selection.vectors)),
+        acc_unit=unit("acceleration"),
+        gyro_unit=unit("angular_rate"),
+        temperature_unit=unit("temperature"),
+        rate=None if clock.kind else clock.rate,
+        time_unit=clock.unit,
+        decimal=dialect.decimal,
+        delimiter=dialect.delimiter,
+        preset=mapping.preset or device,
+    )

@@ -1,0 +1,253 @@
+"""Text tables of any dialect: actigraph exports, EuRoC, Xsens, loggers of one's own.
+
+The shape, the columns, the clock and the units are decided once, from looks all over the file
+(`csv_plan`); then whole blocks of lines go through numpy's C parser.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import UnreadableInput
+from imucalib.readers.csv.clock import bad_stamp
+from imucalib.readers.csv.dialect import cells_of, is_number
+from imucalib.readers.csv.parse import Rows, parse
+from imucalib.readers.csv.plan import Plan, Signal, make_plan
+from imucalib.readers.csv.source import Lines, line_blocks, text_head
+from imucalib.readers.csv.time import spread
+from imucalib.readers.devices.idle_sleep import without_repeats
+from imucalib.readers.joining import join
+from imucalib.readers.source import sha256_of
+from imucalib.readers.timebase import find_gaps
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Array, Channel, Gap, Recording
+
+_DAY = 86_400.0
+
+
+@dataclass
+class _Position:
+    """What one block hands to the next."""
+
+    row: int = 0
+    last: dict[str, float] = field(default_factory=dict)
+    days: float = 0.0
+    last_of_day: float = -np.inf
+    held: tuple[Array, Array] | None = None
+    first_group: bool = True
+    idle_rows: int = 0
+    missing_rows: int = 0
+
+
+class CsvReader:
+    """Reader of text tables; see `imucalib.readers.Reader`."""
+
+    name = "csv"
+    suffixes = (".csv", ".txt", ".tsv", ".log", ".dat", ".csv.gz", ".txt.gz", ".tsv.gz", ".log.gz")
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Text in which some line holds three numbers."""
+        lines = text_head(head).decode("utf-8", errors="replace").split("\n")[:-1]
+        for line in lines[-20:] + lines[:120]:
+            for delimiter in (",", ";", "\t", " "):
+                numbers = [
+                    c for c in cells_of(line, delimiter) if is_number(c) or is_number(c, ",")
+                ]
+                if len(numbers) >= 3:
+                    return True
+        return False
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """Yield the table in blocks of about `block_samples` rows."""
+        try:
+            yield from _blocks(path, mapping, block_samples, strict)
+        except OSError as error:
+            raise UnreadableInput(
+                f"the file cannot be read: {error.strerror or error}", where=str(path)
+            ) from error
+
+    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
+        """Read the whole table."""
+        return join(self.blocks(path, mapping, block_samples=1 << 17, strict=strict), str(path))
+
+
+READER = CsvReader()
+
+
+def _blocks(
+    path: Path, mapping: FieldMapping, block_samples: int, strict: bool
+) -> Iterator[Recording]:
+    plan = make_plan(path, mapping)
+    found = _table(path, plan, block_samples, strict)
+    yield from without_repeats(found) if plan.idle else found
+
+
+def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator[Recording]:
+    empty = Recording(
+        {}, str(path), "csv", sha256_of(path), plan.clock.start_ns,
+        notes=plan.notes, mapping=plan.resolved.to_dict(),
+    )  # fmt: skip
+    position = _Position()
+    before: Recording | None = None
+    lost: list[str] = []
+    for lines in line_blocks(path, block_samples * _bytes_per_row(plan), strict=strict):
+        lost += [lines.note] if lines.note else []
+        block = _block(_data_lines(lines, plan), plan, position, str(path), flush=False)
+        if block is None:
+            continue
+        if before is not None:
+            yield before
+            empty = replace(empty, notes=())
+        before = replace(empty, channels=block[0], gaps=block[1])
+    rest = _block(None, plan, position, str(path), flush=True)
+    if rest is not None:
+        if before is not None:
+            yield before
+            empty = replace(empty, notes=())
+        before = replace(empty, channels=rest[0], gaps=rest[1])
+    if before is None:
+        raise UnreadableInput("no row of the table could be read", where=str(path))
+    lost += _short_of(plan, position)
+    if strict and lost:
+        raise UnreadableInput(lost[0], where=str(path), remedy="copy the file again")
+    yield replace(before, notes=(*before.notes, *lost, *_left_out(position)))
+
+
+def _bytes_per_row(plan: Plan) -> int:
+    return max(16, 10 * plan.layout.width)
+
+
+def _short_of(plan: Plan, position: _Position) -> list[str]:
+    if plan.rows is None or position.row == plan.rows:
+        return []
+    return [f"the header states {plan.rows} rows, {position.row} were found"]
+
+
+def _left_out(position: _Position) -> list[str]:
+    notes = []
+    if position.idle_rows:
+        notes.append(f"{position.idle_rows} rows of zeros (idle sleep) left out")
+    if position.missing_rows:
+        notes.append(f"{position.missing_rows} rows without a value left out")
+    return notes
+
+
+def _data_lines(lines: Lines, plan: Plan) -> Lines:
+    """The lines without those above the table."""
+    above = plan.dialect.data_line - lines.first_line
+    if above <= 0:
+        return lines
+    parts = lines.data.split(b"\n", above)
+    return Lines(parts[-1] if len(parts) > above else b"", plan.dialect.data_line, lines.note)
+
+
+_Block = tuple[dict[str, Channel], tuple[Gap, ...]]
+
+
+def _block(
+    lines: Lines | None, plan: Plan, position: _Position, where: str, *, flush: bool
+) -> _Block | None:
+    """Channels and gaps of one block of lines, or of what is still held back."""
+    if lines is not None and lines.data:
+        rows = parse(lines, plan.layout, where)
+        t, values = _times(rows, plan, position, lines.first_line, where), rows.values
+    else:
+        t, values = np.empty(0), np.empty((0, len(plan.layout.values)))
+    if plan.clock.resolution:
+        t, values = _spread(t, values, plan, position, flush=flush)
+    if t.size == 0:
+        return None
+    numbers = position.row + np.arange(t.size, dtype=np.float64)
+    position.row += t.size
+    keep = np.isfinite(t)
+    if plan.idle:
+        idle = (values == 0.0).all(axis=1)
+        position.idle_rows += int(idle.sum())
+        keep &= ~idle
+    return _channels(t, values, numbers, keep, plan=plan, position=position)
+
+
+def _times(rows: Rows, plan: Plan, position: _Position, line: int, where: str) -> Array:
+    clock = plan.clock
+    if not clock.kind:
+        count = rows.values.shape[0]
+        return (position.row + np.arange(count, dtype=np.float64)) / clock.rate
+    try:
+        t = clock.seconds(rows.stamps)
+    except ValueError as error:
+        raise bad_stamp(rows.stamps, error, line, where) from error
+    if clock.text is None or clock.text.dated or t.size == 0:
+        return t
+    back = np.diff(t, prepend=position.last_of_day) < -_DAY / 2
+    position.last_of_day = float(t[-1])
+    days = position.days + _DAY * np.cumsum(back)
+    position.days = float(days[-1])
+    return np.asarray(t + days)
+
+
+def _spread(
+    t: Array, values: Array, plan: Plan, position: _Position, *, flush: bool
+) -> tuple[Array, Array]:
+    """Coarse stamps spread; the last group waits for the next block, where it may go on."""
+    if position.held is not None:
+        t = np.concatenate([position.held[0], t])
+        values = np.concatenate([position.held[1], values])
+        position.held = None
+    if t.size == 0:
+        return t, values
+    if not flush:
+        changes = np.flatnonzero(np.diff(t) != 0)
+        cut = int(changes[-1]) + 1 if changes.size else 0
+        position.held = (t[cut:], values[cut:])
+        t, values = t[:cut], values[:cut]
+    if t.size:
+        clock = plan.clock
+        moved = spread(t, clock.resolution, clock.typical, position.first_group)
+        position.first_group = False
+        t = t + moved
+    return t, values
+
+
+def _channels(
+    t: Array, values: Array, numbers: Array, keep: NDArray[np.bool_], *, plan: Plan,
+    position: _Position,
+) -> _Block | None:  # fmt: skip
+    channels: dict[str, Channel] = {}
+    gaps: dict[tuple[float, float], Gap] = {}
+    missing = np.zeros(t.shape, dtype=np.bool_)
+    for signal in plan.signals:
+        whole = signal.at == tuple(range(values.shape[1]))
+        raw = values if whole else values[:, signal.at]
+        finite = np.isfinite(raw)
+        usable = keep if finite.all() else keep & finite.all(axis=1)
+        at, known, rows = t, raw, numbers
+        if not usable.all():
+            at, known, rows = t[usable], raw[usable], numbers[usable]
+        if signal.quantity != "temperature":
+            missing |= ~usable & keep
+            for gap in _gaps_of(signal, at, rows, position):
+                gaps.setdefault((gap.start, gap.stop), gap)
+        if at.size:
+            channels[signal.name] = _channel(signal, at, known)
+    position.missing_rows += int(missing.sum())
+    return (channels, tuple(gaps.values())) if channels else None
+
+
+def _gaps_of(signal: Signal, t: Array, numbers: Array, position: _Position) -> list[Gap]:
+    gaps = find_gaps(t, numbers, signal.threshold, position.last.get(signal.name))
+    if t.size:
+        position.last[signal.name] = float(t[-1])
+    return gaps
+
+
+def _channel(signal: Signal, t: Array, raw: Array) -> Channel:
+    converted = signal.conversion.apply(raw)
+    how = signal.conversion
+    return Channel(t, converted, how.unit, signal.quantity, signal.triad, signal.rate)

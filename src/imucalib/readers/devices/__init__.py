@@ -1,0 +1,1 @@
+"""What wearable devices deliver, one file a device."""

@@ -1,0 +1,191 @@
+"""What an HDF5 file holds: inertial fields found by walking its datasets, names and attributes.
+
+h5py is passed in as objects; this module does not import it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.columns import understand
+from imucalib.readers.hdf5.attributes import number_of, unit_of
+from imucalib.readers.hdf5.clock import (
+    TIME_NAMES,
+    Found,
+    Place,
+    node_at,
+    with_clock,
+    with_device,
+    words_of,
+)
+from imucalib.recording.mapping import FieldMapping
+
+_QUANTITY = {
+    "accelerometer": "acceleration", "acceleration": "acceleration", "accel": "acceleration",
+    "acc": "acceleration", "linear_acceleration": "acceleration", "accelerations": "acceleration",
+    "gyroscope": "angular_rate", "gyro": "angular_rate", "gyr": "angular_rate",
+    "angular_velocity": "angular_rate", "angular_rate": "angular_rate",
+    "angular_velocities": "angular_rate", "omega": "angular_rate",
+    "temperature": "temperature", "temp": "temperature",
+}  # fmt: skip
+_GENERIC = {"sensors", "data", "raw", "calibrated", "imu", "readings", "table", "", "value",
+            "values", "processed", "x"}  # fmt: skip
+_LARGEST_RATIO = 2000  # logical over stored bytes; deflate cannot do more than about 1032
+
+
+def datasets(file: Any, where: str) -> Iterator[Any]:
+    """Every numeric or compound dataset with rows, in the file's order."""
+    found: list[Any] = []
+
+    def visit(_: str, node: Any) -> None:
+        if hasattr(node, "shape") and node.shape and node.size:
+            found.append(node)
+
+    file.visititems(visit)
+    for node in found:
+        logical, stored = node.size * node.dtype.itemsize, node.id.get_storage_size()
+        if logical > _LARGEST_RATIO * max(stored, 1 << 16):
+            raise UnreadableInput(
+                f"{node.name} claims {logical} bytes but stores {stored}",
+                where=where,
+                remedy="the file's metadata is damaged: copy it again",
+            )
+        yield node
+
+
+def fields_of(file: Any, mapping: FieldMapping, where: str) -> list[Found]:
+    """All channels of the file, or those that the mapping names; each with its clock."""
+    nodes = {node.name: node for node in datasets(file, where)}
+    if mapping.acc or mapping.gyro:
+        found = list(_stated(nodes, mapping))
+    else:
+        found = [f for node in nodes.values() for f in _vectors(node)]
+        found += list(_single_axes(nodes))
+    if mapping.temperature:
+        found = [f for f in found if f.quantity != "temperature"]
+        found += list(_stated_temperatures(nodes, mapping))
+    return [with_clock(with_device(f, file), nodes, file, mapping) for f in _unique(found)]
+
+
+def _unique(found: list[Found]) -> list[Found]:
+    seen: dict[tuple[str, str], Found] = {}
+    for field in found:
+        seen.setdefault((field.triad, field.quantity), field)
+    return list(seen.values())
+
+
+def _quantity_of(path: str) -> tuple[str, int]:
+    """Quantity that the path names, and which of its parts does; "" and -1 when none."""
+    parts = words_of(path)
+    for k in range(len(parts) - 1, -1, -1):
+        name = parts[k].lower()
+        for tail in ("_counts", "_raw", "_data", "_xyz"):
+            name = name.removesuffix(tail)
+        if name in _QUANTITY:
+            return _QUANTITY[name], k
+    return "", -1
+
+
+def _triad_name(parts: list[str], number: int) -> str:
+    left = [p for p in parts if p.lower() not in _GENERIC]
+    base = "_".join(left)
+    if number >= 0:
+        return f"{base}_imu{number}" if base else f"imu{number}"
+    return base or "imu0"
+
+
+def _vectors(node: Any) -> Iterator[Found]:
+    """The channels in one dataset whose path names the quantity."""
+    if node.dtype.kind not in "iuf":
+        return
+    quantity, at = _quantity_of(node.name)
+    if not quantity or words_of(node.name)[-1].lower() in TIME_NAMES:
+        return
+    above, shape = words_of(node.name)[:at], node.shape
+    scale = number_of(node, "scale", "scale_factor", "Scale") or 1.0
+    if quantity == "temperature":
+        if len(shape) == 1 or (len(shape) == 2 and shape[1] == 1):
+            place = Place(node.name)
+            yield Found(quantity, _triad_name(above, -1), (place,), shape[0], unit_of(node), scale)
+        return
+    if len(shape) == 2 and 3 in shape:
+        flipped = shape[1] != 3
+        rows = shape[1] if flipped else shape[0]
+        place = Place(node.name, transposed=flipped)
+        yield Found(quantity, _triad_name(above, -1), (place,), rows, unit_of(node), scale)
+    if len(shape) == 3 and shape[2] == 3:
+        for k in range(shape[1]):
+            place = Place(node.name, triad=k)
+            yield Found(quantity, _triad_name(above, k), (place,), shape[0], unit_of(node), scale)
+
+
+def _single_axes(nodes: dict[str, Any]) -> Iterator[Found]:
+    """Triads whose axes are datasets of their own, or columns of a table."""
+    groups: dict[str, list[tuple[str, Place, Any]]] = {}
+    for path, node in nodes.items():
+        if node.dtype.names:
+            for name in node.dtype.names:
+                groups.setdefault(path, []).append((name, Place(path, name), node))
+        elif len(node.shape) == 1:
+            folder, _, name = path.rpartition("/")
+            groups.setdefault(folder, []).append((name, Place(path), node))
+    for folder, members in groups.items():
+        axes: dict[tuple[str, str], dict[int, tuple[Place, Any, str]]] = {}
+        for column, (_, place, node) in zip(
+            understand([m[0] for m in members]), members, strict=True
+        ):
+            if column.axis >= 0:
+                triads = axes.setdefault((column.quantity, column.triad), {})
+                triads.setdefault(column.axis, (place, node, column.unit))
+        for (quantity, triad), three in axes.items():
+            if len(three) == 3:
+                nodes3 = [three[k][1] for k in range(3)]
+                unit = unit_of(nodes3[0]) or three[0][2]
+                scale = number_of(nodes3[0], "scale") or 1.0
+                parts = tuple(three[k][0] for k in range(3))
+                name = _triad_name(words_of(folder), -1) if triad == "imu0" else triad
+                yield Found(quantity, name, parts, nodes3[0].shape[0], unit, scale)
+
+
+def _stated(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
+    for quantity, option in (("acceleration", "acc"), ("angular_rate", "gyro")):
+        count = 0
+        for address in getattr(mapping, option):
+            node = node_at(nodes, address, option)
+            whole = _all_triads(node, quantity)
+            if not whole:
+                raise UsageError(
+                    f"dataset {address} has the shape {node.shape}",
+                    where=f"mapping: {option}",
+                    remedy="name a dataset (N, 3) or (N, K, 3)",
+                )
+            for field in whole:
+                named = mapping.triads[count] if count < len(mapping.triads) else f"imu{count}"
+                yield replace(field, triad=named)
+                count += 1
+
+
+def _all_triads(node: Any, quantity: str) -> list[Found]:
+    """The triads in one dataset, whatever its name says."""
+    shape, unit = node.shape, unit_of(node)
+    scale = number_of(node, "scale", "scale_factor", "Scale") or 1.0
+    if node.dtype.kind not in "iuf":
+        return []
+    if len(shape) == 3 and shape[2] == 3:
+        places = [Place(node.name, triad=k) for k in range(shape[1])]
+    elif len(shape) == 2 and 3 in shape:
+        places = [Place(node.name, transposed=shape[1] != 3)]
+    else:
+        return []
+    rows = shape[1] if places[0].transposed else shape[0]
+    return [Found(quantity, "", (p,), rows, unit, scale) for p in places]
+
+
+def _stated_temperatures(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
+    for k, address in enumerate(mapping.temperature):
+        node = node_at(nodes, address, "temperature")
+        triad = mapping.triads[k] if k < len(mapping.triads) else f"imu{k}"
+        yield Found("temperature", triad, (Place(node.name),), node.shape[0], unit_of(node))

@@ -1,0 +1,184 @@
+"""The channels of an HDF5 file, ready to read: clock, unit and rate from looks all over it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import UnreadableInput
+from imucalib.readers import conversion
+from imucalib.readers.conversion import Conversion
+from imucalib.readers.hdf5.attributes import number_of
+from imucalib.readers.hdf5.clock import Found
+from imucalib.readers.hdf5.file import File
+from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, stepping
+from imucalib.recording.mapping import TIME_UNITS, FieldMapping
+from imucalib.recording.recording import Array
+
+_LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
+_REST_SECONDS = 0.5
+_TIME_ALIASES = {"sec": "s", "seconds": "s", "second": "s", "µs": "us", "usec": "us",
+                 "microseconds": "us", "msec": "ms", "milliseconds": "ms", "nsec": "ns",
+                 "nanoseconds": "ns"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One channel ready to read; origin : stamp of t = 0; size : s per stamp unit."""
+
+    found: Found
+    conversion: Conversion
+    rate: float
+    threshold: float
+    origin: float | int
+    size: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.found.triad}/{self.found.quantity}"
+
+
+def times(file: File, signal: Signal, start: int, stop: int) -> Array:
+    """Seconds since the start; NaN where a damaged chunk hides them."""
+    if signal.found.time is None:
+        t = np.arange(start, stop, dtype=np.float64)
+        t /= signal.rate
+        return t
+    stamps = file.rows(signal.found.time, start, stop).reshape(-1)
+    if stamps.dtype.kind in "iu":
+        return np.asarray((stamps.astype(np.int64) - int(signal.origin)) / round(1.0 / signal.size))
+    return np.asarray((stamps.astype(np.float64) - signal.origin) * signal.size)
+
+
+def raw_rows(file: File, found: Found, start: int, stop: int) -> Array:
+    """Rows (n, 3), or (n, 1) of a temperature, in the stated unit."""
+    return stored_rows(file, found, start, stop).astype(np.float64, copy=False)
+
+
+def stored_rows(file: File, found: Found, start: int, stop: int) -> NDArray[np.generic]:
+    """The same in the type of the file, as far as no factor has to be applied."""
+    parts = [file.rows(p, start, stop) for p in found.parts]
+    if len(parts) == 1:
+        values = parts[0].reshape(stop - start, -1)
+    else:
+        values = np.stack([p.reshape(-1) for p in parts], axis=1)
+    return values if found.scale == 1.0 else values.astype(np.float64) * found.scale
+
+
+def _looks(found: Found) -> list[tuple[int, int]]:
+    """Row ranges spread over a field."""
+    starts = np.linspace(0, max(0, found.rows - _LOOK), _LOOKS).astype(int)
+    return [(int(a), min(found.rows, int(a) + _LOOK)) for a in dict.fromkeys(starts.tolist())]
+
+
+def signals_of(
+    file: File, found: Sequence[Found], mapping: FieldMapping
+) -> tuple[list[Signal], int | None, list[str]]:
+    signals: list[Signal] = []
+    notes: list[str] = []
+    stated = number_of(file.handle, "start_ns")
+    start_ns = None if stated is None else int(np.asarray(file.handle.attrs["start_ns"]).flat[0])
+    origin: dict[float, float | int] = {}
+    for one in found:
+        clock, first, note = _clock(file, one)
+        notes += [note] if note else []
+        size = TIME_UNITS.get(clock.time_unit, 1.0)
+        zero: float | int = 0
+        if first is not None and is_absolute(float(first) * size):
+            zero = origin.setdefault(size, first)
+            start_ns = (
+                round(zero * size * 1e9) if isinstance(zero, float) else zero * round(size * 1e9)
+            )
+        base = Signal(
+            clock, Conversion("", "", np.ones(1), np.zeros(1)), clock.rate or 1.0, 0.0, zero, size
+        )
+        signals.append(_measured(file, base, mapping))
+    notes += [s.conversion.note for s in signals if s.conversion.note]
+    return signals, start_ns, list(dict.fromkeys(notes))
+
+
+def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
+    """The field with its time unit known, the first stamp, and how the unit was found."""
+    if found.time is None:
+        if found.rate is None:
+            raise UnreadableInput(
+                f"{found.parts[0].path} has neither time stamps nor a sample rate",
+                where=file.where,
+                remedy="give --time (a dataset path) or --rate",
+            )
+        return found, None, ""
+    node = file.handle[found.time.path]
+    if node.shape[0] != found.rows and node.size != found.rows:
+        raise UnreadableInput(
+            f"{found.time.path} has {node.size} stamps for {found.rows} rows of "
+            f"{found.parts[0].path}",
+            where=file.where,
+        )
+    looks = [file.rows(found.time, a, b).reshape(-1) for a, b in _looks(found)]
+    known = [s[np.isfinite(s.astype(np.float64))] for s in looks]
+    first = next((s[0].item() for s in known if s.size), None)
+    unit = _TIME_ALIASES.get(found.time_unit.lower(), found.time_unit)
+    note = ""
+    if unit not in TIME_UNITS:
+        steps = stepping([s.astype(np.float64) for s in known])
+        if steps is None or first is None:
+            raise UnreadableInput(
+                "the time stamps never advance", where=f"{file.where}: {found.time.path}"
+            )
+        unit, note = guess_unit(float(first), steps.step, f"{file.where}: {found.time.path}")
+    return replace(found, time_unit=unit), first, note
+
+
+def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
+    """The signal with its rate, gap threshold and unit, from looks all over the field."""
+    found = signal.found
+    raw_counts = found.quantity == "acceleration" and mapping.acc_unit == conversion.COUNTS
+    raw_counts |= found.quantity == "angular_rate" and mapping.gyro_unit == conversion.COUNTS
+    found = replace(found, scale=1.0) if raw_counts else found
+    looks = [raw_rows(file, found, a, b) for a, b in _looks(found)]
+    stamps = [times(file, signal, a, b) for a, b in _looks(found)]
+    good = [np.isfinite(v).all(axis=1) & np.isfinite(t) for v, t in zip(looks, stamps, strict=True)]
+    steps = stepping([t[g] for t, g in zip(stamps, good, strict=True)])
+    if steps is None:
+        if found.rate is None:
+            raise UnreadableInput(f"{signal.name}: the time never advances", where=file.where)
+        steps = Stepping(1.0 / found.rate, 1.75 / found.rate)
+    rate = found.rate or 1.0 / steps.step
+    where = f"{file.where}: {found.parts[0].path}"
+    if found.quantity == "acceleration":
+        window = max(3, round(_REST_SECONDS * rate))
+        rest = conversion.norms_at_rest([v[g] for v, g in zip(looks, good, strict=True)], window)
+        how = conversion.acceleration(mapping, found.unit, rest, where)
+    elif found.quantity == "angular_rate":
+        how = conversion.angular_rate(mapping, found.unit, where)
+    else:
+        how = conversion.temperature(mapping, found.unit, np.concatenate(looks)[:, 0], where)
+    return replace(signal, found=found, conversion=how, rate=rate, threshold=steps.threshold)
+
+
+def resolved_mapping(mapping: FieldMapping, signals: Sequence[Signal]) -> FieldMapping:
+    """What was read, as far as one mapping can say it (a dataset of K triads is named once)."""
+
+    def paths(quantity: str) -> tuple[str, ...]:
+        chosen = [s.found.parts[0].path for s in signals if s.found.quantity == quantity]
+        return tuple(dict.fromkeys(chosen))
+
+    def unit(quantity: str) -> str:
+        units = {s.conversion.source_unit for s in signals if s.found.quantity == quantity}
+        return units.pop() if len(units) == 1 else ""
+
+    if any(len(s.found.parts) > 1 or s.found.parts[0].column for s in signals):
+        return mapping
+    clocks = {s.found.time.path for s in signals if s.found.time}
+    return replace(
+        mapping,
+        acc=paths("acceleration"), gyro=paths("angular_rate"), temperature=paths("temperature"),
+        time=clocks.pop() if len(clocks) == 1 else mapping.time,
+        triads=tuple(dict.fromkeys(s.found.triad for s in signals)),
+        acc_unit=unit("acceleration"), gyro_unit=unit("angular_rate"),
+        temperature_unit=unit("temperature"),
+        preset=mapping.preset or signals[0].found.preset,
+    )  # fmt: skip

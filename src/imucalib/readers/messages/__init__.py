@@ -1,0 +1,1 @@
+"""Logs of messages: decoding, choice of topics and times, whatever holds them."""

@@ -1,0 +1,144 @@
+"""The clock of a topic: log_time is the recorder's, the stamp in the message the sensor's.
+
+The sensor's is used unless it is absent, constant, or jumps; nothing is resampled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.readers.messages.survey import ClockFacts, Stamps, Survey
+from imucalib.readers.timebase import stepping
+from imucalib.recording.mapping import TIME_UNITS
+
+TWO_PERIODS = 1.75  # a longer step lacks a sample, even where jitter makes it no gap
+_MOST_LATE = 1_000_000_000  # ns: a stamp further back is a clock that jumped
+_YEAR_2000 = 946_684_800 * 10**9
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How the times of one topic are found.
+
+    source : "stamp", "log_time" or "rate"
+    factor : ns in one unit of the stamp
+    late : ns by which a sample may come after a later one
+    period, longest : ns; the sampling period and the longest step that is no gap
+    first : ns, the earliest time
+    notes : what was decided and counted
+    """
+
+    source: str
+    factor: int
+    late: int
+    period: float
+    longest: float
+    first: int
+    notes: tuple[str, ...]
+
+    @property
+    def dated(self) -> bool:
+        return self.first >= _YEAR_2000
+
+    def ns(self, stamps: Stamps | None, log: Stamps, row: int) -> NDArray[np.int64]:
+        """int64 ns of consecutive samples, the first of which has the number `row`."""
+        if self.source == "rate":
+            steps = (row + np.arange(log.size)) * self.period
+            times: NDArray[np.int64] = self.first + np.rint(steps).astype(np.int64)
+            return times
+        if self.source == "log_time" or stamps is None:
+            return log
+        return to_ns(stamps, self.factor)
+
+
+def to_ns(stamps: Stamps, factor: int) -> NDArray[np.int64]:
+    """Stamps in units of `factor` ns as int64 ns."""
+    if stamps.dtype.kind == "f":
+        return np.rint(stamps * float(factor)).astype(np.int64)
+    whole: NDArray[np.int64] = stamps.astype(np.int64, copy=False)
+    return whole if factor == 1 else whole * np.int64(factor)
+
+
+def choose_clock(survey: Survey, *, scalar: bool, time_unit: str, rate: float | None) -> Clock:
+    """Decide between the stamp and log_time.
+
+    scalar : the stamp is one number of unknown unit rather than seconds and nanoseconds
+    """
+    log, stamp, notes = survey.log, survey.stamp, []
+    factor, why = 1, ""
+    if stamp.count and scalar:
+        factor, why = _unit(stamp, log, time_unit)
+    if not stamp.count:
+        why = "no stamp in the messages"
+    elif stamp.zeros == stamp.count:
+        why = "the stamp is always zero"
+    elif stamp.low == stamp.high and stamp.count > 1:
+        why = "the stamp never changes"
+    elif factor and stamp.late * factor > max(_MOST_LATE, int(log.late)):
+        late = float(stamp.late) * factor * 1e-9
+        why = f"the stamp jumps back by up to {late:.6g} s"
+    if rate:
+        chosen, head, facts, factor = "rate", survey.head_log, log, 1
+        notes.append(f"time from the stated rate of {rate:g} Hz")
+    elif why:
+        chosen, head, facts, factor = "log_time", survey.head_log, log, 1
+        notes.append(f"time from log_time: {why}")
+    else:
+        chosen, head, facts = "stamp", survey.head_stamp, stamp
+    times = to_ns(np.concatenate(head), factor)
+    if facts.backs:
+        times = np.sort(times)
+    period, longest = _period(times)
+    if rate:
+        return Clock("rate", 1, 0, 1e9 / rate, np.inf, int(log.first), tuple(notes))
+    notes += _counted(survey, facts, factor, times, period)
+    late, first = int(np.ceil(facts.late * factor)), int(to_ns(np.array([facts.low]), factor)[0])
+    return Clock(chosen, factor, late, period, longest, first, tuple(notes))
+
+
+def _unit(stamp: ClockFacts, log: ClockFacts, time_unit: str) -> tuple[int, str]:
+    """ns in one unit of a stamp, from what is stated or from the pace of log_time."""
+    if time_unit in TIME_UNITS:
+        return round(TIME_UNITS[time_unit] * 1e9), ""
+    span = float(stamp.last) - float(stamp.first)
+    ratio = (float(log.last) - float(log.first)) / span if span > 0 else 0.0
+    for factor in (1, 1000, 1_000_000, 1_000_000_000):
+        if factor / 2 < ratio < factor * 2:
+            return factor, ""
+    return 0, "the unit of its stamp is not clear from its pace; name it with time_unit"
+
+
+def _period(times: NDArray[np.int64]) -> tuple[float, float]:
+    if times.size < 2:
+        return 0.0, np.inf
+    found = stepping([(times - times[0]) * 1e-9])
+    if found is None:
+        return 0.0, np.inf
+    steps = np.diff(times)
+    return float(np.median(steps[steps > 0])), found.threshold * 1e9
+
+
+def _counted(
+    survey: Survey, facts: ClockFacts, factor: int, times: NDArray[np.int64], period: float
+) -> list[str]:
+    notes = []
+    if facts.count > 1:
+        own = _pace(facts, factor)
+        spread = np.quantile(np.abs(np.diff(times) - period), 0.99) * 1e-3
+        notes.append(
+            f"{facts.count} samples, {own:.6g} Hz by its stamps, {_pace(survey.log, 1):.6g} Hz"
+            f" by log_time; 99 % of the steps within {spread:.3g} us of {period * 1e-3:.6g} us"
+        )
+    if facts.repeats:
+        notes.append(f"{facts.repeats} times are equal to the one before")
+    if facts.backs:
+        late = float(facts.late) * factor * 1e-9
+        notes.append(f"{facts.backs} steps back in time, by up to {late:.3g} s, put in order")
+    return notes
+
+
+def _pace(facts: ClockFacts, factor: int) -> float:
+    span = float(facts.high - facts.low) * factor * 1e-9
+    return (facts.count - 1) / span if span > 0 else 0.0

@@ -1,0 +1,173 @@
+"""ROS message definitions compiled to byte offsets, so that whole blocks decode as arrays.
+
+The offsets of a message depend on its contents only through the lengths of its strings and
+sequences. `compile_layout` walks one message, notes those lengths as guards, and its layout then
+holds for every message with the same length fields and size.
+
+Sources: OMG DDS-XTypes 1.3, section 7.4 (CDR versions 1 and 2); DDSI-RTPS 2.5, table 10.3
+(encapsulation identifiers); the ROS 1 wiki page "msg".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imucalib.readers.messages.definition import PRIMITIVES, Definition, LayoutError, Member
+
+_MAX_ELEMENTS = 4096  # of a sequence of structures: beyond it a message is no sensor reading
+#: Field paths, grouped into the columns that are read together (the axes of a vector).
+Groups = tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the numbers of a message are.
+
+    fields : path ("linear_acceleration.x") -> (byte offset, numpy type, element count)
+    guards : (offset, value) of every 4-byte length that the offsets depend on
+    head : the encapsulation bytes that the message must begin with
+    end : size of the message; up to `slack` bytes of padding may follow
+    """
+
+    fields: dict[str, tuple[int, str, int]]
+    guards: tuple[tuple[int, int], ...]
+    head: bytes
+    end: int
+    slack: int
+    order: str
+
+    def pick(self, groups: Groups) -> tuple[np.dtype[np.void], list[list[str]]]:
+        """A record type holding the paths of every group, and the field names of each group.
+
+        Neighbours of one type become one field, so that a vector is read at once. Fields "head"
+        and "guards" are there too. Raises LayoutError for a path that the message lacks.
+        """
+        spec: list[tuple[str, str | tuple[str, tuple[int]], int]] = []
+        names: list[list[str]] = []
+        for group in groups:
+            names.append([])
+            for offset, kind, count in self._merged(group):
+                names[-1].append(f"f{len(spec)}")
+                form = self.order + kind
+                spec.append((names[-1][-1], (form, (count,)), offset))
+        spec += [(f"guard{at}", self.order + "u4", at) for at, _ in self.guards]
+        if self.head:
+            spec.append(("head", f"V{len(self.head)}", 0))
+        columns = {
+            "names": [s[0] for s in spec],
+            "formats": [s[1] for s in spec],
+            "offsets": [s[2] for s in spec],
+            "itemsize": self.end,
+        }
+        return np.dtype(columns), names  # type: ignore[call-overload]
+
+    def _merged(self, group: tuple[str, ...]) -> list[tuple[int, str, int]]:
+        merged: list[tuple[int, str, int]] = []
+        for path in group:
+            if path not in self.fields:
+                raise LayoutError(f"the message has no field '{path}'")
+            offset, kind, count = self.fields[path]
+            if merged:
+                last, same, before = merged[-1]
+                if same == kind and last + before * int(kind[1]) == offset:
+                    merged[-1] = (last, kind, before + count)
+                    continue
+            merged.append((offset, kind, count))
+        return merged
+
+
+@dataclass
+class _Walk:
+    """The cursor of one walk through a message."""
+
+    definition: Definition
+    data: bytes
+    at: int
+    origin: int
+    widest: int  # largest alignment; 1 for none
+    order: str
+    fields: dict[str, tuple[int, str, int]] = field(default_factory=dict)
+    guards: list[tuple[int, int]] = field(default_factory=list)
+
+    def align(self, size: int) -> None:
+        step = min(size, self.widest)
+        self.at += -(self.at - self.origin) % step
+
+    def length(self) -> int:
+        self.align(4)
+        raw = self.data[self.at : self.at + 4]
+        if len(raw) < 4:
+            raise LayoutError("the message is shorter than its definition")
+        value = int.from_bytes(raw, "little" if self.order == "<" else "big")
+        if value > len(self.data):
+            raise LayoutError("a length inside the message exceeds the message")
+        self.guards.append((self.at, value))
+        self.at += 4
+        return value
+
+    def structure(self, name: str, prefix: str) -> None:
+        if name not in self.definition.types:
+            raise LayoutError(f"the type {name} is not defined in the file")
+        members = self.definition.types[name]
+        if not members and not self.definition.ros1:
+            self.at += 1  # IDL forbids empty structures, so ROS 2 stores one byte
+        for member in members:
+            self.member(member, prefix + member.name)
+
+    def member(self, member: Member, path: str) -> None:
+        count = self.length() if member.count == 0 else member.count
+        if member.type in PRIMITIVES:
+            self.primitive(PRIMITIVES[member.type], 1 if count < 0 else count, path)
+            return
+        if count > _MAX_ELEMENTS:
+            raise LayoutError(f"'{path}' has {count} elements")
+        for i in range(1 if count < 0 else count):
+            self.element(member.type, path if count < 0 else f"{path}.{i}")
+
+    def primitive(self, kind: str, count: int, path: str) -> None:
+        if count == 0:
+            return
+        self.align(int(kind[1]))
+        self.fields[path] = (self.at, kind, count)
+        self.at += int(kind[1]) * count
+        if self.at > len(self.data):
+            raise LayoutError("the message is shorter than its definition")
+
+    def element(self, kind: str, path: str) -> None:
+        if kind == "string":
+            size = self.length()
+            self.at += size
+        elif kind == "wstring":
+            raise LayoutError(f"'{path}' is a wide string, which is not supported")
+        elif kind in ("time", "duration"):
+            self.primitive("u4" if kind == "time" else "i4", 1, f"{path}.sec")
+            self.primitive("u4" if kind == "time" else "i4", 1, f"{path}.nanosec")
+        else:
+            self.structure(kind, f"{path}.")
+
+
+#: encapsulation identifier -> (byte order, largest alignment)
+_ENCAPSULATIONS = {
+    0x00: (">", 8), 0x01: ("<", 8), 0x06: (">", 4), 0x07: ("<", 4), 0x10: (">", 4), 0x11: ("<", 4),
+}  # fmt: skip
+
+
+def compile_layout(definition: Definition, data: bytes) -> Layout:
+    """The layout of one message, for all that share its lengths. Raises LayoutError."""
+    if definition.ros1:
+        walk = _Walk(definition, data, 0, 0, 1, "<")
+    else:
+        if len(data) < 4:
+            raise LayoutError("the message is shorter than its CDR header")
+        if data[0] != 0 or data[1] not in _ENCAPSULATIONS:
+            raise LayoutError(f"the CDR encapsulation {data[:2].hex()} is not a plain one")
+        order, widest = _ENCAPSULATIONS[data[1]]
+        walk = _Walk(definition, data, 4, 4, widest, order)
+    walk.structure(definition.root, "")
+    slack = 0 if definition.ros1 else 3
+    if not walk.at <= len(data) <= walk.at + slack:
+        raise LayoutError(f"the message has {len(data)} bytes, its definition {walk.at}")
+    head = b"" if definition.ros1 else data[:2]
+    return Layout(walk.fields, tuple(walk.guards), head, walk.at, slack, walk.order)

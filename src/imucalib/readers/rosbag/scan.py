@@ -1,0 +1,172 @@
+"""One pass over a ROS bag with the package rosbags, as blocks of message records."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.messages.records import (
+    MESSAGE,
+    MESSAGE_HEADER_SIZE,
+    Damage,
+    MessageBlock,
+    Schema,
+    Topic,
+    message_block,
+)
+from imucalib.readers.messages.summary import Summary
+
+SQLITE = b"SQLite format 3\0"
+_BATCH = 4096  # messages of a block
+_BATCH_BYTES = 1 << 22  # a block ends early where messages are large (images)
+_RECORD = struct.Struct("<BQHIQQ")
+_FORMATS = {"MSG": "ros2msg", "IDL": "ros2idl", "NONE": ""}
+
+
+class BagScan:
+    """One pass over a bag file or folder, in order of time; see `message_log.Scan`.
+
+    A bag is read through its index, so a damaged index makes it unreadable, and damage met on the
+    way ends the pass: what came before is kept, what was lost is in `damages`.
+    """
+
+    def __init__(self, path: Path, *, strict: bool) -> None:
+        self.path, self.strict = path, strict
+        self.topics: dict[int, Topic] = {}
+        self.damages: list[Damage] = []
+
+    def blocks(self) -> Iterator[MessageBlock]:
+        """The messages, some thousand at a time."""
+        with self._opened() as (bag, connections):
+            self.topics = {n: _topic(n, c) for n, c in enumerate(connections)}
+            total, done = sum(c.msgcount for c in connections), 0
+            keys = {(c.topic, c.id): n for n, c in enumerate(connections)}
+            messages = bag.messages() if connections else iter(())
+            while batch := self._batch(messages, keys, done, total):
+                done += len(batch)
+                yield _block(batch)
+
+    def summary(self) -> Summary:
+        """Topics and counts of the index."""
+        with self._opened() as (_, connections):
+            topics = {n: _topic(n, c) for n, c in enumerate(connections)}
+            return Summary(topics, {n: c.msgcount for n, c in enumerate(connections)})
+
+    def _batch(
+        self, messages: Iterator[Any], keys: dict[tuple[str, int], int], done: int, total: int
+    ) -> list[tuple[int, int, int, bytes]]:
+        batch: list[tuple[int, int, int, bytes]] = []
+        size = 0
+        try:
+            for connection, time, data in islice(messages, _BATCH):
+                row = done + len(batch)
+                batch.append((keys[connection.topic, connection.id], row, time, bytes(data)))
+                size += len(data)
+                if size > _BATCH_BYTES:
+                    break
+        except Exception as error:  # rosbags raises almost anything on damaged bytes
+            lost = max(total - done - len(batch), 0)
+            self._report(f"{type(error).__name__}: {error}"[:160], lost)
+        if not batch and done < total and not self.damages:
+            self._report("the bag ends before its index does", total - done)
+        return batch
+
+    def _report(self, reason: str, lost: int) -> None:
+        if self.strict:
+            raise UnreadableInput(
+                f"damaged: {reason}", where=str(self.path), remedy="read it without strict"
+            )
+        self.damages.append(Damage(-1, 0, reason, messages=lost))
+
+    @contextmanager
+    def _opened(self) -> Iterator[tuple[Any, list[Any]]]:
+        """The open bag, and its connections."""
+        bag = _reader(self.path)
+        files = self.path.glob("*.db3") if self.path.is_dir() else [self.path]
+        for file in files:
+            _refuse_cut_database(file)
+        try:
+            bag.open()
+        except Exception as error:  # rosbags raises almost anything on damaged bytes
+            raise _unreadable(self.path, error) from error
+        try:
+            yield bag, list(bag.connections)
+        finally:
+            bag.close()
+
+
+def _reader(path: Path) -> Any:
+    """The unopened reader of rosbags; UsageError without the extra."""
+    try:
+        from rosbags import rosbag1, rosbag2
+    except ImportError as error:
+        raise UsageError(
+            "ROS bags need the package rosbags, which is not installed",
+            where=str(path),
+            remedy="install it with: pip install 'imucalib[ros]'",
+        ) from error
+    try:
+        if not path.is_dir():
+            with path.open("rb") as file:
+                if file.read(9) == b"#ROSBAG V":
+                    return rosbag1.Reader(path)
+        return rosbag2.Reader(path)
+    except Exception as error:  # as above: whatever it raises, the bag cannot be opened
+        raise _unreadable(path, error) from error
+
+
+def _refuse_cut_database(path: Path) -> None:
+    """SQLite reads the pages that a cut file lacks as zeros, so nothing of it can be trusted.
+
+    Source: SQLite file format, section 1.3 (page size, file change counter, size in pages).
+    """
+    with path.open("rb") as file:
+        head = file.read(100)
+    if len(head) < 100 or not head.startswith(SQLITE):
+        return
+    page = int.from_bytes(head[16:18], "big")
+    stated = (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")
+    size = path.stat().st_size
+    if head[24:28] == head[92:96] and size < stated:
+        raise UnreadableInput(
+            f"the database is cut: it has {size} of {stated} bytes",
+            where=str(path),
+            remedy="copy it again, or recover it with the .recover command of sqlite3",
+        )
+
+
+def _unreadable(path: Path, error: Exception) -> UnreadableInput:
+    detail = str(error) or type(error).__name__
+    remedy = "copy it again from its source"
+    if "index" in detail:
+        remedy = "rebuild its index with 'rosbag reindex' (ROS 1) or 'ros2 bag reindex'"
+    elif path.is_dir():
+        remedy = "name the .db3 or .mcap file inside it: an MCAP file is read even when damaged"
+    return UnreadableInput(
+        f"the bag cannot be opened: {detail[:200]}", where=str(path), remedy=remedy
+    )
+
+
+def _topic(number: int, connection: Any) -> Topic:
+    definition = connection.msgdef
+    encoding = getattr(connection.ext, "serialization_format", "ros1")
+    kind = "ros1msg" if encoding == "ros1" else _FORMATS[definition.format.name]
+    schema = Schema(number + 1, connection.msgtype, kind, definition.data.encode())
+    return Topic(number, connection.topic, encoding, schema)
+
+
+def _block(batch: list[tuple[int, int, int, bytes]]) -> MessageBlock:
+    """Messages (channel, sequence, time in ns, payload) as records."""
+    parts = []
+    for channel, row, time, data in batch:
+        size = MESSAGE_HEADER_SIZE + len(data)
+        parts += [_RECORD.pack(MESSAGE, size, channel, row & 0xFFFFFFFF, time, time), data]
+    lengths = np.array([31 + len(b[3]) for b in batch], dtype=np.int64)
+    return message_block(b"".join(parts), np.cumsum(lengths) - lengths, 0)

@@ -1,0 +1,203 @@
+"""The report of `imucal array`, as data."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.calibrators.array.calibrate import ArrayRun
+from imucalib.calibrators.array.calibration import provenance
+from imucalib.calibrators.array.logs import Repeatability
+from imucalib.report.array.growth import growth_plot
+from imucalib.report.array.loop import array_candidate_section, array_loop_section
+from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
+from imucalib.report.document import Document, Facts, Section, Table, Text
+from imucalib.significant_digits import plus_minus, with_sd
+from imucalib.units import DEG
+
+
+def array_document(run: ArrayRun) -> Document:
+    """Everything that a reader of the positions must know, headline first."""
+    sections = (
+        Section("Positions", (_position_table(run), _size(run))),
+        _board_section(run),
+        array_loop_section(run.loop),
+        _motion_section(run),
+        _static_section(run),
+        Section("Observability", _observability(run)),
+        *((array_candidate_section(run.loop),) if run.loop else ()),
+        _chain_section(run),
+        Section("Notes", tuple(Text(n) for n in run.notes), brief=False),
+    )
+    made = provenance(run)
+    footer = (
+        ("input", f"{made['path']}, sha256 {made['sha256'][:16]}…"),
+        ("seed", str(run.request.seed)),
+        ("versions", ", ".join(f"{k} {v}" for k, v in made["versions"].items())),
+        ("time", made["time"]),
+    )
+    return Document(
+        f"Positions of {run.board.name} from {made['path']}",
+        _verdict(run),
+        tuple(s for s in sections if s.blocks),
+        footer,
+    )
+
+
+def _board_section(run: ArrayRun) -> Section:
+    plots = (*board_plots(run), close_up(run), deviation_plot(run), *growth_plot(run))
+    return Section("The board", plots, brief=False)
+
+
+def _verdict(run: ArrayRun) -> Text:
+    sd = 1e3 * float(np.median(run.final.sd[1:]))
+    off = 1e3 * (run.final.mean - run.board.drawn)[1:]
+    text = (
+        f"{run.board.count} positions to {sd:.2g} mm (median standard deviation) from "
+        f"{run.final.data.samples} moving samples; they differ from the drawing by "
+        f"{np.sqrt(np.mean(off**2)):.2g} mm rms."
+    )
+    why = " ".join(f"{r[0].upper()}{r[1:]}." for r in run.reasons)
+    return Text(f"{text} {why}".strip(), "warning" if run.reasons else "ok")
+
+
+def _position_table(run: ArrayRun) -> Table:
+    mean, sd = 1e3 * run.final.mean, 1e3 * run.final.sd
+    off = mean - 1e3 * run.board.drawn
+    rows: list[tuple[str, ...]] = []
+    for k, name in enumerate(run.board.imus):
+        if k == 0:
+            rows.append((name, "0", "0", "0", "", "", "", "reference"))
+            continue
+        cells = [with_sd(float(m), float(s))[0] for m, s in zip(mean[k], sd[k], strict=True)]
+        spread = [f"{s:.2g}" for s in sd[k]]
+        away = ", ".join(f"{v:+.2f}" for v in off[k])
+        rows.append((name, *cells, *spread, away))
+    header = ("IMU", "x", "y", "z", "sd x", "sd y", "sd z", "minus drawing")
+    note = f"mm, relative to {run.board.imus[0]}, in the board's axes."
+    return Table("Positions of the accelerometers", header, tuple(rows), "lrrrrrrr", note)
+
+
+def _size(run: ArrayRun) -> Facts:
+    scale, sd = run.final.scale
+    gyro = run.moving.gyros.scale_sd
+    return Facts(
+        (
+            ("size over drawing", f"{plus_minus(scale, sd)} (the motion)"),
+            ("its gyro part", f"± {gyro:.4f}: the gyros' mean scale carries it, within tolerance"),
+        )
+    )
+
+
+def _motion_section(run: ArrayRun) -> Section:
+    moving, data = run.moving, run.final.data
+    speed = np.linalg.norm(data.rate, axis=1) / DEG
+    gyro = np.sqrt(np.mean(moving.gyros.scatter[moving.good] ** 2)) / DEG
+    rows = [(name, str(n)) for name, n in moving.counts.items()]
+    rows += [
+        ("used", f"{data.samples}, evenly over the motion"),
+        ("rotation", f"median {np.median(speed):.0f}, largest {speed.max():.0f} deg/s"),
+        ("gyro scatter", f"{gyro:.2f} deg/s rms about their mean"),
+        ("accelerometer sigma", f"{run.final.noise:.3f} m/s² in motion, "
+         f"{np.sqrt(np.mean(run.static.noise**2)):.3f} at rest"),
+        ("clipped samples", "left out whole"),
+    ]  # fmt: skip
+    return Section("The motion", (Facts(tuple(rows)),))
+
+
+def _static_section(run: ArrayRun) -> Section:
+    static = run.static
+    order = ("none", "linear in time", "quadratic in time")[static.order]
+    facts = Facts(
+        (
+            ("rests", str(static.poses)),
+            ("gravity", f"{static.gravity:.5f} m/s² ({run.request.gravity_source})"),
+            ("residual", f"{1e3 * static.residual:.2f} mm/s² rms, "
+             f"{1e3 * static.before:.2f} without warm-up drift"),
+            ("warm-up drift", order),
+        )
+    )  # fmt: skip
+    relative = static.gain @ np.linalg.inv(static.gain[0])
+    rows = []
+    for k, name in enumerate(run.board.imus):
+        diagonal = ", ".join(f"{v:+.4f}" for v in np.diag(static.gain[k]) - 1.0)
+        twist = 0.5 * (relative[k] - relative[k].T)
+        angles = ", ".join(f"{v / DEG:+.2f}" for v in (twist[2, 1], twist[0, 2], twist[1, 0]))
+        bias = ", ".join(f"{v:+.3f}" for v in static.bias[0, k])
+        rows.append((name, diagonal, angles, bias))
+    note = f"Turn: relative to {run.board.imus[0]}. Positions are in the triads' mean frame."
+    table = Table(
+        "Triads", ("IMU", "scale - 1", "turn, deg", "bias, m/s²"), tuple(rows), "lrrr", note
+    )
+    return Section("The rests", (facts, table), brief=False)
+
+
+def _observability(run: ArrayRun) -> tuple[Text, ...]:
+    """What the motion did not determine, and which motion would."""
+    w = run.final.data.rate
+    values, axes = np.linalg.eigh(w.T @ w / len(w))
+    rms = np.sqrt(np.maximum(values, 0.0)) / DEG
+    least = axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0])
+    words = []
+    if rms[0] < 0.3 * rms[2]:
+        way = ", ".join(f"{v:+.2f}" for v in least)
+        words.append(
+            Text(
+                f"Little rotation about ({way}): {rms[0]:.0f} deg/s rms against {rms[2]:.0f} about "
+                "the liveliest axis. Twisting about it would tighten the positions most.",
+                "warning",
+            )
+        )
+    sd, prior = run.final.sd[1:], run.final.prior.sd
+    worst = np.unravel_index(int(np.argmax(sd)), sd.shape)
+    share = 100 * float(sd[worst]) / prior
+    words.append(
+        Text(
+            f"Least determined: {run.board.imus[1 + int(worst[0])]} {'xyz'[int(worst[1])]}, "
+            f"{1e3 * float(sd[worst]):.2g} mm, {share:.0f} % of what was assumed beforehand."
+        )
+    )
+    pull = 300.0 * len(w) * run.final.scale[1] ** 2
+    words.append(
+        Text(
+            "A flat prior on the angular acceleration would have shrunk the array by about "
+            f"{pull:.2g} %; " + ("it was used." if run.request.motion == "flat" else
+            "its covariance was learned instead.")
+        )
+    )  # fmt: skip
+    return tuple(words)
+
+
+def _chain_section(run: ArrayRun) -> Section:
+    final = run.final
+    facts = Facts(
+        (
+            ("sampler", f"{final.sampler}, {final.unknowns.shape[0]} chains of "
+             f"{final.unknowns.shape[1]} draws, acceptance {100 * final.accepted:.0f} %"),
+            ("agreement", final.convergence.sentence),
+        )
+    )  # fmt: skip
+    return Section("The chains", (facts, *chain_plots(run)), brief=False)
+
+
+def repeatability_section(found: Repeatability, runs: tuple[ArrayRun, ...]) -> Section:
+    """Several logs: pooled positions and the scatter against what was stated."""
+    rows = []
+    for k, name in enumerate(runs[0].board.imus):
+        if k:
+            cells = [
+                plus_minus(float(1e3 * m), float(1e3 * s))
+                for m, s in zip(found.mean[k], found.sd[k] * found.inflation, strict=True)
+            ]
+            rows.append((name, *cells, ", ".join(f"{1e3 * v:.3f}" for v in found.between[k])))
+    verdict = (
+        f"{len(runs)} logs: z rms {found.z_rms:.2f} about the pooled positions. "
+        + ("They agree within what they state." if found.z_rms <= 1.5 else
+           "They scatter more than they state: the pooled uncertainty is widened by that factor.")
+    )  # fmt: skip
+    header = ("IMU", "x, mm", "y, mm", "z, mm", "between logs, mm")
+    tone = "ok" if found.z_rms <= 1.5 else "warning"
+    return Section(
+        "Repeatability",
+        (Text(verdict, "ok" if tone == "ok" else "warning"),
+         Table("Pooled positions", header, tuple(rows), "lrrrr")),
+    )  # fmt: skip

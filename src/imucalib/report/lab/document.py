@@ -1,0 +1,152 @@
+"""The report of `imucal lab`, as data."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.outcome import Status
+from imucalib.calibrators.lab.advice import curve_words
+from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms, worst
+from imucalib.calibrators.lab.calibrate import gravity_of
+from imucalib.calibrators.lab.calibration import lab_calibration
+from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.run import LabRun
+from imucalib.core.references import KnownVector
+from imucalib.loop.held_out import fitted
+from imucalib.report.document import Block, Document, Facts, Section, Table, Text, Tone
+from imucalib.report.lab.plots import dial_section, residual_plots, uncertainty_section
+from imucalib.report.lab.tables import iscwsa_table, position_table, published_table, training_note
+from imucalib.report.loop import advice_section, candidate_section, loop_section
+from imucalib.report.matrices import linear_blocks
+from imucalib.significant_digits import plus_minus, spread, with_sd
+from imucalib.units import DEG, MG
+
+_TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "failed": "bad"}
+
+
+def lab_document(run: LabRun) -> Document:
+    """Everything that a reader of the calibration must know, headline first."""
+    calibration = lab_calibration(run)
+    outcome = run.outcome
+    sections = [
+        loop_section(outcome),
+        Section("Residual before and after", residual_plots(run), brief=False),
+        _angle_section(run),
+        _parameter_section(run),
+        _bench_section(run),
+        dial_section(run),
+        advice_section(outcome),
+        _sensor_section(run, calibration),
+        uncertainty_section(run),
+        Section("Positions", (position_table(run),), brief=False),
+    ]
+    if outcome.loop:
+        sections.append(candidate_section(outcome.loop))
+    if run.request.settings.objective == "paper":
+        sections.append(Section("As published", (published_table(run),), brief=False))
+    return Document(
+        f"Lab calibration of {outcome.provenance.path}",
+        _verdict(run),
+        tuple(s for s in sections if s.blocks),
+        run.outcome.provenance.footer,
+    )
+
+
+def _verdict(run: LabRun) -> Text:
+    outcome = run.outcome
+    error = outcome.error
+    head = (
+        f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
+        f"{error.held_out.final:.2f} {error.unit} rms final (noise floor {error.floor:.2f})."
+    )
+    broken = [
+        f"{x.name}: {x.value:.3g} {x.unit} exceeds {x.limit:g}" for x in outcome.limits if x.broken
+    ]
+    why = [f"{r[0].upper()}{r[1:]}" for r in outcome.reasons if not r.startswith("record errors")]
+    text = " ".join([head, *(f"{t}." for t in (*broken, *outcome.undecided, *why))])
+    return Text(text, _TONE[outcome.status])
+
+
+def _parameter_section(run: LabRun) -> Section:
+    fit = run.result.final
+    slices = fit.model.slices(fit.observations.context)
+    effect_of = {k: n for n, part in slices.items() for k in range(part.start, part.stop)}
+    rows = tuple(
+        (p.name, effect_of[k], *with_sd(float(v), float(s)), p.unit)
+        for k, (p, v, s) in enumerate(zip(fit.parameters, fit.theta, fit.sd, strict=True))
+    )
+    factor = fit.noise.factor
+    note = (
+        f"sd with the noise as estimated ({factor:.2f} times the declared or assumed one); with "
+        f"the declared noise taken at its word, divide by {factor:.2f}."
+    )
+    table = Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), rows, "llrrl", note)
+    return Section("Parameters", (table,))
+
+
+def _angle_section(run: LabRun) -> Section:
+    result = run.result
+    known = isinstance(result.observations.reference, KnownVector)
+    gravity = gravity_of(result.observations)
+    rows: list[tuple[str, ...]] = []
+
+    def row(name: str, errors: AttitudeErrors) -> None:
+        rows.append((name, *_spreads(errors, known)))
+
+    row("fitted, base", attitude_errors(fitted(result.base), gravity))
+    row("fitted, final", attitude_errors(fitted(result.final), gravity))
+    for split in result.splits:
+        row(f"{split.name}, base", attitude_errors(split.base, gravity))
+        row(f"{split.name}, final", attitude_errors(split.final, gravity))
+    header = ("", "tool-face, deg", "inclination, deg", "|a|, mg") if known else ("", "|a|, mg")
+    align = "l" + "r" * (len(header) - 1)
+    note = "Largest / rms."
+    if curve_words(result.final):
+        note += " Inclination is compared after undoing the fixture error that was found."
+    blocks: list[Block] = [Table("Errors on the positions", header, tuple(rows), align, note)]
+    loop = result.loop
+    if loop and loop.records:
+        aside = attitude_errors(fitted(loop.final), gravity)
+        bad = {r.row for r in loop.records}
+        rest = aside.take(np.array([k for k in range(len(aside.norm)) if k not in bad]))
+        blocks.append(
+            Table(
+                "With the suspect records set aside",
+                header,
+                (("fitted, final", *_spreads(rest, known)),),
+                align,
+                "The same model fitted without them, on the other rows.",
+            )
+        )
+    blocks += training_note(run)
+    return Section("Angles and |a|" if known else "|a|", tuple(blocks))
+
+
+def _spreads(errors: AttitudeErrors, known: bool) -> tuple[str, ...]:
+    """Largest / rms of what the reference lets one compare."""
+    values = (errors.tool_face, errors.inclination, errors.norm) if known else (errors.norm,)
+    return tuple(spread((worst(v), rms(v))) for v in values)
+
+
+def _bench_section(run: LabRun) -> Section:
+    fit = run.result.final
+    noise = setting_noise(fit.noise)
+    sigma = fit.noise.factor * float(np.median(fit.at.sigma)) / MG
+    rows = [("noise of a reading", plus_minus(sigma, sigma * float(fit.noise_sd[0]), "mg"))]
+    for k, (name, sd) in enumerate(noise.items(), start=1):
+        spread_sd = sd / DEG * float(fit.noise_sd[k])
+        rows.append((name, f"{plus_minus(sd / DEG, spread_sd, 'deg')} scatter"))
+    rows += [("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})")]
+    rows += [("raw unit", run.raw.sentence)]
+    rows += [("condition number", f"{fit.condition:.0f}, parameters in typical sizes")]
+    rows += [("left open", words) for words in fit.null_directions]
+    rows += [("left out", text) for text in run.excluded]
+    words = curve_words(fit)
+    return Section("The bench", (Facts(tuple(rows)), *((Text(words),) if words else ())))
+
+
+def _sensor_section(run: LabRun, calibration: Calibration) -> Section:
+    linear = calibration.matrices()
+    table, angles = linear_blocks(linear, "Scale: sensitivity of each axis, free of the frame.")
+    return Section("The sensor", (table, angles, iscwsa_table(calibration, linear)), brief=False)

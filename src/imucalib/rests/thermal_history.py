@@ -1,0 +1,116 @@
+"""The temperature over a recording, at any time, and what an exponential lag makes of it.
+
+For the lag it is kept as means of ten seconds, which a week has sixty thousand of: the lag of a
+whole recording costs the same memory however the recording is read.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.recording.recording import Array, Channel, Recording
+from imucalib.rests.windows import WindowBuilder, Windows, in_order
+
+_WINDOW = 10.0  # s
+_SILENT = 3600.0  # s without a reading after which nothing is known of the way to the next one
+
+
+@dataclass(frozen=True)
+class ThermalHistory:
+    """time (m,) s, of the middles of the windows; values (m,) °C, their means."""
+
+    time: Array
+    values: Array
+
+    def lagged(self, hours: float, at: Array) -> Array:
+        """Temperature (°C) behind a lag of some hours, at times (s); it starts in equilibrium."""
+        from scipy.signal import lfilter
+
+        t = self.time
+        step = float(np.median(np.diff(t))) if t.size > 1 else 1.0
+        grid = np.arange(t[0], t[-1] + step, step)
+        values = np.interp(grid, t, self.values)
+        share = 1.0 - np.exp(-step / (3600.0 * hours))
+        late = lfilter([share], [1.0, share - 1.0], values, zi=[(1.0 - share) * values[0]])[0]
+        return np.asarray(np.interp(at, grid, late))
+
+
+def history_of(windows: Windows) -> ThermalHistory:
+    """From the windows of a temperature channel."""
+    return ThermalHistory(0.5 * (windows.start + windows.stop), windows.mean[:, 0])
+
+
+def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory | None:
+    """From a recording in blocks, of the thermometer of a triad; None when there is none."""
+    builder: WindowBuilder | None = None
+    for block in blocks:
+        for channel in block.channels.values():
+            if channel.quantity == "temperature" and channel.triad in (triad, ""):
+                builder = builder or WindowBuilder(max(1, round(_WINDOW * channel.rate)))
+                builder.add(channel, block.gaps)
+                break
+    windows = builder.windows() if builder else None
+    return history_of(in_order(windows)[0]) if windows else None
+
+
+def thermometer_of(recording: Recording, triad: str) -> Channel | None:
+    """The temperature channel of a triad, or the one that belongs to none."""
+    for channel in recording.channels.values():
+        if channel.quantity == "temperature" and channel.triad in (triad, ""):
+            return channel
+    return None
+
+
+def temperature_at(thermometer: Channel, at: Array) -> Array:
+    """Temperature (°C) at times (s), straight from reading to reading.
+
+    Where readings are more than an hour apart the earlier one holds, as at the end.
+    """
+    t, values = thermometer.t, thermometer.values[:, 0]
+    found = np.interp(at, t, values)
+    if not np.any(np.diff(t) > _SILENT):
+        return np.asarray(found)
+    before = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
+    alone = (at >= t[before]) & (at < t[before + 1]) & (t[before + 1] - t[before] > _SILENT)
+    return np.where(alone, values[before], found)
+
+
+def with_thermometer(
+    blocks: Iterable[Recording], triad: str
+) -> Iterator[tuple[Recording, Channel | None]]:
+    """Every block with the readings around it: the last one before it and the first one after.
+
+    A block waits for that one, an hour of the recording at most, so that a slow thermometer gives
+    the same temperatures in blocks of any size.
+    """
+    waiting: deque[tuple[Recording, float]] = deque()
+    track: Channel | None = None
+    seen = start = -np.inf
+    for block in blocks:
+        new = thermometer_of(block, triad)
+        track = _joined(track, new) if new is not None else track
+        times = [c.t[-1] for c in block.channels.values() if c.quantity == "acceleration"]
+        seen = max([seen, *map(float, times)])
+        start = start if np.isfinite(start) else seen
+        waiting.append((block, seen))
+        heard = -np.inf if track is None else float(track.t[-1])
+        silent = seen > max(heard, start) + _SILENT
+        while waiting and (waiting[0][1] <= heard or silent):
+            first, end = waiting.popleft()
+            yield first, track
+            if track is not None:  # from the last reading before the next block on
+                near = max(int(np.searchsorted(track.t, end, side="right")) - 1, 0)
+                track = replace(track, t=track.t[near:], values=track.values[near:])
+    for block, _ in waiting:
+        yield block, track
+
+
+def _joined(before: Channel | None, new: Channel) -> Channel:
+    if before is None:
+        return new
+    t, values = np.concatenate([before.t, new.t]), np.concatenate([before.values, new.values])
+    return replace(new, t=t, values=values)

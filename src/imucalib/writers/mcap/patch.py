@@ -1,0 +1,165 @@
+"""Corrected vectors put into their own messages: everything else of these stays bit for bit.
+
+A message is patched where its acceleration and angular rate are runs of doubles in SI units (what
+sensor_msgs/Imu is); topics of other kinds are written anew by the caller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.readers.mcap.reader import McapLog
+from imucalib.readers.mcap.scan import Scanner
+from imucalib.readers.messages.decode import RosDecoder, decoder_for
+from imucalib.readers.messages.plan import CHANNEL_NAMES, Part, Plan
+from imucalib.readers.messages.recording import planned
+from imucalib.readers.messages.records import MessageBlock, Topic
+from imucalib.readers.messages.store import Store
+from imucalib.readers.messages.stream import TopicStream
+from imucalib.recording.mapping import UNCHANGED, from_dict
+from imucalib.recording.recording import Array, Recording
+
+_UNITS = {"acc": "m/s2", "gyro": "rad/s"}
+_VECTORS = 3
+
+
+@dataclass
+class PatchedTopic:
+    """One topic whose messages are kept and whose vectors are replaced.
+
+    number : its channel number; rank : (n,) row of the recording for each message in file order
+    vectors : the leaves of each vector in the message, and its new values (n, 3)
+    """
+
+    name: str
+    number: int
+    decoder: RosDecoder
+    rank: NDArray[np.int64]
+    vectors: list[tuple[tuple[str, ...], Array]]
+    done: int = 0
+
+    def located(self, block: MessageBlock) -> list[NDArray[np.int64]]:
+        """Of each vector (n,) where it begins in the payload; -1 unknown, -2 - at: big-endian."""
+        found = []
+        for leaves, _ in self.vectors:
+            places = np.full(block.starts.size, -1, dtype=np.int64)
+            for rows, offset, order in self.decoder.located(block, leaves):
+                if offset >= 0:
+                    places[rows] = offset if order == "<" else -2 - offset
+            found.append(places)
+        return found
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Topics to patch by channel number, and the recording's channels that they hold."""
+
+    topics: dict[int, PatchedTopic]
+    channels: frozenset[str]
+
+    def apply(
+        self, block: MessageBlock, channels: NDArray[np.int64]
+    ) -> tuple[MessageBlock, NDArray[np.bool_]]:
+        """The block with its vectors replaced, and which of its messages could not be patched."""
+        data: NDArray[np.uint8] | None = None
+        lost = np.zeros(channels.size, dtype=np.bool_)
+        for number, topic in self.topics.items():
+            rows = np.flatnonzero(channels == number)
+            if not rows.size:
+                continue
+            if data is None:
+                data = np.frombuffer(bytearray(block.data), dtype=np.uint8)
+            places = topic.located(block.take(rows))
+            known = np.all([p != -1 for p in places], axis=0)
+            lost[rows[~known]] = True
+            order = topic.rank[topic.done : topic.done + int(known.sum())]
+            topic.done += order.size
+            starts = block.starts[rows[known]]
+            for place, (_, values) in zip(places, topic.vectors, strict=True):
+                _overwrite(data, starts, place[known], values[order])
+        if data is None:
+            return block, lost
+        return MessageBlock(data.tobytes(), block.starts, block.lengths, block.offset), lost
+
+
+def _overwrite(
+    data: NDArray[np.uint8], starts: NDArray[np.int64], places: NDArray[np.int64], values: Array
+) -> None:
+    for form, mask in (("<f8", places >= 0), (">f8", places < 0)):
+        if mask.any():
+            offsets = places[mask] if form == "<f8" else -2 - places[mask]
+            raw = np.ascontiguousarray(values[mask], dtype=form).view(np.uint8)
+            data[(starts[mask] + offsets)[:, None] + np.arange(8 * _VECTORS)] = raw
+
+
+def patch_of(recording: Recording, source: Path) -> Patch:
+    """What of a recording can be patched into the messages of the file that it was read from."""
+    log = McapLog(source)
+    mapping = from_dict(recording.mapping, "mapping of the recording")
+    stream, store, plan = planned(log, mapping, strict=False)
+    topics = {}
+    for name in plan.clocks:
+        parts = [part for part in plan.parts if part.topic == name]
+        topic = _topic(name, parts, recording, stream)
+        if topic is not None:
+            topic.rank = _rank(name, plan, store)
+            topics[topic.number] = topic
+    for number in _miscounted(source, topics):
+        del topics[number]
+    held = {p.name for p in plan.parts if p.topic in {t.name for t in topics.values()}}
+    # A thermometer's topic is never changed: it is copied like any other.
+    held |= {p.name for p in plan.parts if p.quantity == "temperature"}
+    return Patch(topics, frozenset(held))
+
+
+def _topic(
+    name: str, parts: list[Part], recording: Recording, stream: TopicStream
+) -> PatchedTopic | None:
+    known: dict[int, Topic] = {n: t for n in stream.counts if (t := stream.topic(n)) is not None}
+    numbers = [n for n, topic in known.items() if topic.name == name]
+    wanted = [part for part in parts if part.quantity in _UNITS]
+    if len(numbers) != 1 or not wanted or not all(_in_place(p, recording) for p in wanted):
+        return None
+    decoder = decoder_for(known[numbers[0]])
+    rows = {recording.channels[part.name].t.size for part in wanted}
+    if not isinstance(decoder, RosDecoder) or rows != {stream.sources[name].rows}:
+        return None
+    fields = stream.sources[name].fields.fields
+    vectors = [(fields[p.column].leaves, recording.channels[p.name].values) for p in wanted]
+    return PatchedTopic(name, numbers[0], decoder, np.empty(0, dtype=np.int64), vectors)
+
+
+def _in_place(part: Part, recording: Recording) -> bool:
+    """Whether the channel's values are the message's own: SI, no offset, no turned axes."""
+    channel, conversion = recording.channels.get(part.name), part.conversion
+    plain = conversion.axes == UNCHANGED and not conversion.offset.any()
+    same = channel is not None and channel.quantity == CHANNEL_NAMES[part.quantity]
+    unit = conversion.source_unit == _UNITS[part.quantity] == (channel.unit if channel else "")
+    return same and plain and unit
+
+
+def _rank(name: str, plan: Plan, store: Store) -> NDArray[np.int64]:
+    """For each message in file order, its row in the recording, which is in order of time."""
+    clock = plan.clocks[name]
+    stamps, log, _ = store.taken(name, needs_stamps=clock.source == "stamp")
+    rank = np.arange(log.size)
+    if clock.late:
+        rank[np.argsort(clock.ns(stamps, log, 0), kind="stable")] = np.arange(log.size)
+    return rank
+
+
+def _miscounted(source: Path, topics: dict[int, PatchedTopic]) -> Iterator[int]:
+    """Topics some of whose messages were read but cannot be patched (compressed one by one)."""
+    counts = dict.fromkeys(topics, 0)
+    for block in Scanner(source).blocks():
+        channels = block.header("channel").astype(np.int64)
+        for number, topic in topics.items():
+            part = block.take(channels == number)
+            if part.starts.size:
+                counts[number] += int(np.all([p != -1 for p in topic.located(part)], axis=0).sum())
+    yield from [n for n, topic in topics.items() if counts[n] != topic.rank.size]

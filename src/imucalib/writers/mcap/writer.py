@@ -1,0 +1,134 @@
+"""Recordings as MCAP: sensor_msgs/msg/Imu in CDR, one topic a triad, zstd chunks.
+
+The channel metadata of the file keeps what the message cannot say (the triad's name, its unit
+when raw, the time origin), so that the reader gives back the same recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import imucalib
+from imucalib.atomic_file import replaced_atomically
+from imucalib.errors import UsageError
+from imucalib.readers.messages.records import Topic
+from imucalib.recording.recording import Recording
+from imucalib.writers.mcap.copy import (
+    Contents,
+    contents_of,
+    copied,
+    copy_extras,
+    log_origin,
+)
+from imucalib.writers.mcap.file import McapFile
+from imucalib.writers.mcap.messages import SCHEMAS, SHORT_NAMES, Output, chunks_of, outputs_of
+from imucalib.writers.mcap.patch import Patch, patch_of
+
+
+class McapWriter:
+    """The MCAP writer."""
+
+    name = "mcap"
+    suffixes = (".mcap",)
+
+    def write(self, recording: Recording, path: Path) -> None:
+        """Write all channels; UsageError for one that a sensor_msgs message cannot hold."""
+        _write(recording, path, None)
+
+
+def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None:
+    """Write a recording over the MCAP file that it was read from, as a new file.
+
+    Messages of sensor_msgs/Imu get the recording's vectors and keep every other byte, their times
+    and sequence numbers (see `mcap_patch`); other kinds of topics that the recording was read from
+    are written anew. All other topics, attachments and metadata are copied; damaged parts of the
+    source are left out. Written atomically.
+    """
+    with replaced_atomically(path) as temporary:
+        _write(recording, temporary, source)
+
+
+def _write(recording: Recording, path: Path, source: Path | None) -> None:
+    contents = contents_of(source) if source else Contents({}, ())
+    patch = patch_of(recording, source) if source else Patch({}, frozenset())
+    held = {topic.name for topic in patch.topics.values()}
+    replaced = _replaced(recording) - held
+    kept = {n: t for n, t in contents.topics.items() if t.name not in replaced}
+    left = {n: c for n, c in recording.channels.items() if n not in patch.channels}
+    anew = replace(recording, channels=left)
+    file = McapFile(path, "ros2", f"imucal {imucalib.__version__}")
+    try:
+        outputs, base = _outputs(anew, source, contents.topics, kept)
+        _define(file, outputs, kept, base)
+        for chunk in chunks_of(outputs):
+            file.chunk(*chunk)
+        if source is not None:
+            for block in copied(source, kept, patch):
+                file.chunk(*block)
+            copy_extras(source, contents.extras, file)
+        file.close()
+    finally:
+        file.abandon()
+
+
+def _outputs(
+    recording: Recording, source: Path | None, topics: dict[int, Topic], kept: dict[int, Topic]
+) -> tuple[list[Output], int]:
+    """The topics that are written anew, and the highest schema number of the source."""
+    taken = _topic_names(recording, source is not None)
+    clashes = {t.name for t in kept.values()} & set(taken.values())
+    if clashes:
+        raise UsageError(f"the source has topics of the same name: {', '.join(sorted(clashes))}")
+    first = max([0, *topics]) + 1
+    outputs = outputs_of(recording, taken, first, log_origin(recording, source))
+    base = max([0, *(t.schema.id for t in topics.values() if t.schema)])
+    if first + len(outputs) > 65535 or base + len(SCHEMAS) > 65535:
+        raise UsageError("the source has no free channel numbers left", where=str(source))
+    return outputs, base
+
+
+def _define(file: McapFile, outputs: list[Output], kept: dict[int, Topic], base: int) -> None:
+    for topic in kept.values():
+        if topic.schema:
+            file.schema(*topic.schema)
+    for number in sorted({output.schema for output in outputs}):
+        name, text = SCHEMAS[number]
+        file.schema(base + number, name, "ros2msg", text.encode())
+    for number, topic in kept.items():
+        schema = topic.schema.id if topic.schema else 0
+        file.channel(number, schema, topic.name, topic.encoding, dict(topic.metadata))
+    for output in outputs:
+        file.channel(output.number, base + output.schema, output.topic, "cdr", output.metadata)
+
+
+def _replaced(recording: Recording) -> set[str]:
+    names = set()
+    for quantity in ("acc", "gyro"):
+        stated = recording.mapping.get(quantity, ())
+        for text in stated if isinstance(stated, list | tuple) else ():
+            names.add(str(text).rpartition(":")[0])
+    return names
+
+
+def _topic_names(recording: Recording, replace: bool) -> dict[str, str]:
+    """The topic of each channel: the source's own where it is replaced, else "/<triad>/..."."""
+    names = {}
+    for name, channel in recording.channels.items():
+        ending = {"temperature": "temperature"}.get(channel.quantity, "imu")
+        names[name] = f"/{channel.triad}/{ending}"
+    if not replace:
+        return names
+    triads = recording.mapping.get("triads", ())
+    for quantity, short in SHORT_NAMES.items():
+        stated = recording.mapping.get(short, ())
+        if not isinstance(stated, list | tuple) or not isinstance(triads, list | tuple):
+            continue
+        for triad, text in zip(triads, stated, strict=False):
+            topic, name = str(text).rpartition(":")[0], f"{triad}/{quantity}"
+            if topic and name in names and short != "temperature":
+                names[name] = topic
+    return names
+
+
+WRITER = McapWriter()

@@ -1,0 +1,281 @@
+"""Worn sensors calibrated by gravity: runs, bounds, uncertainty, files, and the real recordings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from numpy.typing import NDArray
+
+from imucalib import cli
+from imucalib.calibration.apply import apply_to_recording
+from imucalib.calibration.file import read as read_calibration
+from imucalib.calibration.file import write as write_calibration
+from imucalib.calibrators.actigraph.calibration import actigraph_calibration
+from imucalib.calibrators.actigraph.errors import norm_sd
+from imucalib.calibrators.actigraph.observations import observations_of
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.run import run_of
+from imucalib.calibrators.actigraph.series import series
+from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_week
+from imucalib.calibrators.actigraph.weak import NINE, robust_fit
+from imucalib.core.balance import Noise
+from imucalib.core.context import Context
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownNorm
+from imucalib.core.sphere import even_directions
+from imucalib.effects import families, known, named
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.estimators.least_squares import fit
+from imucalib.exports import exports
+from imucalib.exports.ggir import nearest_six
+from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.rests.runs import WORN, posture_runs, scan
+from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.places import DATA
+
+Array = NDArray[np.float64]
+FOLDER = DATA / "actigraph"
+WRIST = FOLDER / "paat_example_day.csv.gz"
+needs_data = pytest.mark.skipif(not FOLDER.is_dir(), reason="real recordings are not here")
+G = STANDARD_GRAVITY
+
+
+def nine() -> Model:
+    return Model(tuple(named(name) for name in NINE))
+
+
+def section_3a(rng: np.random.Generator, n: int, sigma: float) -> tuple[Observations, Array]:
+    """A case of paper 002, section III.A: random sensor, n random postures, noise in mg."""
+    theta = np.concatenate(
+        [rng.uniform(-100, 100, 3), rng.uniform(-0.1, 0.1, 3), rng.uniform(-0.05, 0.05, 3)]
+    )
+    direction = rng.standard_normal((n, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    clean = nine().predict(theta, G * direction[:, None], Context(n)).reading
+    noise = np.full((n, 1, 3), sigma * MG)
+    reading = clean + noise * rng.standard_normal(clean.shape)
+    label = tuple(map(str, range(n)))
+    data = Observations(reading, noise, KnownNorm(n, G), Context(n), np.arange(n), label)
+    return data, theta
+
+
+@pytest.mark.parametrize(("n", "cases"), [(18, 150), (300, 60)])
+def test_errors_reach_the_cramer_rao_bound(n: int, cases: int) -> None:
+    rng = np.random.default_rng(2)
+    error, bound = [], []
+    while len(error) < cases:
+        data, theta = section_3a(rng, n, 1.0)
+        found = fit(nine(), data, noise=Noise(1.0))
+        if n == 18 and found.condition > 60.0:  # points as badly placed as a few clusters
+            continue
+        error.append(found.theta - theta)
+        bound.append(found.sd)
+    ratio = np.sqrt(np.mean(np.square(error), axis=0) / np.mean(np.square(bound), axis=0))
+    z = np.array(error) / np.array(bound)
+    assert np.sqrt(np.mean(ratio**2)) < 1.1
+    assert 0.9 < z.std() < 1.1
+
+
+def test_stated_uncertainty_covers_on_clustered_postures() -> None:
+    z = []
+    for seed in range(40):
+        week = simulated_week(WeekPlan(days=0.7), seed)
+        data = observations_of(week.runs, week.scanned, G)
+        found, _ = robust_fit(nine(), data, week.runs)
+        truth = np.concatenate([week.plan.sensor[name] for name in found.model.names])
+        z.append((found.theta - truth) / found.sd)
+    assert 0.9 < np.std(z) < 1.1
+
+
+def test_norm_sd_is_what_the_parameters_leave() -> None:
+    week = simulated_week(WeekPlan(days=0.5), 3)
+    found, _ = robust_fit(nine(), observations_of(week.runs, week.scanned, G), week.runs)
+    at = even_directions(60)
+    rng = np.random.default_rng(0)
+    draws = rng.multivariate_normal(found.theta, found.covariance, 300)
+    reading = found.model.predict(found.theta, G * at[:, None], Context(60)).reading
+    norms = [
+        np.linalg.norm(found.model.correct(t, reading, Context(60))[:, 0], axis=1) for t in draws
+    ]
+    ratio = np.std(norms, axis=0) / norm_sd(found, at)
+    assert 0.9 < ratio.mean() < 1.1
+
+
+def recorded(means: Array, seconds: float, rate: float = 20.0, noise: float = 4.0) -> Recording:
+    """Postures (n, 3) in g held for some seconds each, without movement between."""
+    rng = np.random.default_rng(1)
+    values = np.repeat(means * G, round(seconds * rate), axis=0)
+    values = values + noise * MG * rng.standard_normal(values.shape)
+    t = np.arange(len(values)) / rate
+    channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate)
+    return Recording({"imu0/acceleration": channel}, "made", "made", "")
+
+
+def test_a_new_posture_begins_a_run() -> None:
+    means = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    runs = posture_runs(scan([recorded(means, 60.0)], WORN.window))
+    assert runs.windows.tolist() == [6, 12, 6]
+    assert np.allclose(runs.mean / G, means[[0, 1, 3]], atol=1e-3)
+
+
+def test_a_slow_roll_is_cut_before_it_goes_far() -> None:
+    angle = np.linspace(0.0, 0.5, 60)
+    means = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1)
+    runs = posture_runs(scan([recorded(means, 10.0)], WORN.window))
+    assert runs.n > 10
+    assert runs.windows.max() <= 5
+
+
+def test_a_gap_ends_a_run() -> None:
+    whole = recorded(np.array([[0.0, 0.0, 1.0]]), 120.0)
+    channel = whole.channels["imu0/acceleration"]
+    keep = (channel.t < 50.0) | (channel.t >= 53.0)
+    cut = replace(channel, t=channel.t[keep], values=channel.values[keep])
+    gapped = replace(whole, channels={"imu0/acceleration": cut}, gaps=(Gap(50.0, 53.0, "lost"),))
+    runs = posture_runs(scan([gapped], WORN.window))
+    assert runs.windows.tolist() == [5, 6]
+
+
+def test_blocks_give_the_same_runs_as_the_whole() -> None:
+    means = even_directions(12)
+    whole = recorded(means, 33.0)
+    channel = whole.channels["imu0/acceleration"]
+    parts = []
+    for a in range(0, channel.t.size, 777):
+        part = replace(channel, t=channel.t[a : a + 777], values=channel.values[a : a + 777])
+        parts.append(replace(whole, channels={"imu0/acceleration": part}))
+    one, two = (posture_runs(scan(r, WORN.window)) for r in ([whole], parts))
+    assert np.array_equal(one.windows, two.windows)
+    assert np.allclose(one.mean, two.mean, rtol=0.0, atol=1e-12)
+
+
+def test_refuses_what_cannot_be_gravity() -> None:
+    with pytest.raises(UnreadableInput, match="wrong unit"):
+        posture_runs(scan([recorded(np.full((1, 3), 40.0), 60.0)], WORN.window))
+    counts = recorded(np.array([[0.0, 0.0, 1.0]]), 60.0)
+    channel = replace(counts.channels["imu0/acceleration"], unit="counts")
+    with pytest.raises(UnreadableInput, match="no scale"):
+        scan([replace(counts, channels={"a": channel})], WORN.window)
+    two = replace(counts, channels={t: replace(channel, triad=t) for t in "ab"})
+    with pytest.raises(UsageError, match="2 accelerometers"):
+        scan([two], WORN.window)
+
+
+@pytest.mark.parametrize("name", ["bias_step@3600s", "thermal_lag@1h", "converter@xz"])
+def test_members_of_scans_keep_the_laws(name: str) -> None:
+    effect = named(name)
+    rng = np.random.default_rng(4)
+    n = 30
+    lag = {"temperature_lag_1h": rng.normal(30, 2, n), "time": np.linspace(0, 7200, n)}
+    context = Context(n, lag)
+    x = G * rng.uniform(-1.0, 1.0, (n, 1, 3))
+    typical = np.array([p.typical for p in effect.parameters(context)])
+    theta = typical * rng.uniform(-1.0, 1.0, typical.size)
+    action = effect.act(theta, x, context)
+    assert np.array_equal(effect.act(0.0 * theta, x, context).delta, np.zeros_like(x))
+    assert np.allclose(action.d_theta @ theta, action.delta, atol=1e-12)
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = 1e-5
+        up, down = (effect.act(theta, x + s, context).delta for s in (step, -step))
+        assert np.allclose((up - down) / 2e-5, action.d_x[..., axis], atol=1e-6)
+    model = Model((*nine().effects, effect))
+    start = np.concatenate([np.zeros(9), theta])
+    reading = model.predict(start, x, context).reading
+    assert np.allclose(model.correct(start, reading, context), x, atol=1e-9)
+
+
+def test_scans_know_their_members_by_name() -> None:
+    assert set(families()) == {"bias_step", "thermal_lag", "converter", "curve"}
+    for name in ("bias_step@later", "converter@w", "thermal_lag@", "nothing@1s"):
+        assert known(name) is None
+        with pytest.raises(UsageError):
+            named(name)
+
+
+def test_a_step_is_undone_at_its_own_time(tmp_path: Path) -> None:
+    plan = WeekPlan(days=2.0, plant={"bias_step@86400s": (30.0, -20.0, 40.0)})
+    week = simulated_week(plan, 8)
+    run = run_of(week.runs, week.scanned, ActigraphRequest(), lambda text: None)
+    assert [s.effect.partition("@")[0] for s in run.outcome.loop.steps] == ["bias_step"]
+    path = tmp_path / "calibration.yaml"
+    write_calibration(actigraph_calibration(run), path)
+    t = np.array([3600.0, 170000.0])
+    theta = np.concatenate([plan.sensor[name] for name in NINE])
+    force = G * np.array([[0.6, 0.0, 0.8], [0.6, 0.0, 0.8]])
+    reading = nine().predict(theta, force[:, None], Context(2)).reading[:, 0]
+    reading[1] += MG * np.array([30.0, -20.0, 40.0])
+    channel = Channel(t, reading, "m/s2", "acceleration", "imu0", 1.0)
+    recording = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=0)
+    out = apply_to_recording(read_calibration(path), recording)
+    assert np.allclose(out.channels["imu0/acceleration"].values, force, atol=0.5 * MG)
+    undated = replace(recording, start_ns=10**17)
+    later = apply_to_recording(read_calibration(path), undated)
+    assert not np.allclose(later.channels["imu0/acceleration"].values[0], force[0], atol=10.0 * MG)
+
+
+def test_series_finds_a_change_and_nothing_without_one() -> None:
+    request = ActigraphRequest(every=86400.0)
+    for plant, differ in (({}, False), ({"bias_step@86400s": (2.0, 0.0, 0.0)}, True)):
+        week = simulated_week(WeekPlan(days=2.0, plant=plant), 8)
+        found = series(week.runs, week.scanned, request, lambda text: None)
+        assert len(found.parts) == 2
+        assert found.differ is differ
+        assert ("bias_x" in dict(found.moved)) is differ
+
+
+@pytest.fixture(scope="module")
+def wrist(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
+    if not FOLDER.is_dir():
+        pytest.skip("real recordings are not here")
+    out = tmp_path_factory.mktemp("wrist")
+    arguments = ["actigraph", str(WRIST), "-o", str(out), "-q", "--export", "ggir-csv",
+                 "--export", "c-header"]  # fmt: skip
+    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    assert result.exception is None
+    return out, result.return_value
+
+
+@needs_data
+def test_the_wrist_recording_reaches_its_marks(wrist: tuple[Path, int]) -> None:
+    out, code = wrist
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    error = report["error_mg"]
+    assert error["base_fitted"] <= 0.91
+    assert error["base_held_out"] <= 1.40
+    assert error["final_held_out"] <= error["base_held_out"] + 1e-6
+    # Its error moves with time and no thermometer says why: named as what it is.
+    assert code == 5
+    assert report["loop"]["unexplained"][0]["driver"] == "order"
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Error over the sphere" in page
+
+
+@needs_data
+def test_the_wrist_calibration_and_its_exports_agree(wrist: tuple[Path, int]) -> None:
+    out, _ = wrist
+    calibration = read_calibration(out / "calibration.yaml")
+    raw = G * even_directions(50)
+    corrected = calibration.apply(raw)
+    linear = calibration.matrices()
+    assert np.allclose(raw @ linear.M.T + linear.b, corrected, atol=1e-9)
+    header = (out / exports()["c-header"].file).read_text(encoding="utf-8")
+    entries = header.split("imucal_M[3][3] = ")[1].split(";")[0].replace("f", "")
+    numbers = np.array([float(v) for v in entries.strip("{}").replace("}, {", ", ").split(", ")])
+    assert np.allclose(numbers.reshape(3, 3), linear.M, rtol=1e-8)
+    q15 = header.split("imucal_b_q15[3] = {")[1].split("}")[0].split(", ")
+    assert np.allclose(np.array(q15, float) / 2**15, linear.b / G, atol=2**-16)
+    names, values = (out / exports()["ggir-csv"].file).read_text(encoding="utf-8").splitlines()
+    row = dict(zip(names.split(","), values.split(","), strict=True))
+    scale, offset, lost = nearest_six(calibration)
+    assert float(row["scale.x"]) == pytest.approx(scale[0], rel=1e-8)
+    assert float(row["offset.z"]) == pytest.approx(offset[2], abs=1e-9)
+    six = np.linalg.norm(scale * (raw / G + offset), axis=1)
+    nine_norm = np.linalg.norm(corrected / G, axis=1)
+    assert np.mean(np.abs(six - nine_norm)) * 1e3 == pytest.approx(lost, rel=0.3)

@@ -1,0 +1,230 @@
+"""Paper 002's own procedure: points, descent in every arithmetic, comparisons, verification."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from imucalib import cli
+from imucalib.calibration.file import read as read_calibration
+from imucalib.calibrators.actigraph.calibration_points import BINS, PointCollector, two_sets
+from imucalib.calibrators.actigraph.published import published_theta
+from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_blocks
+from imucalib.errors import NotConverged, Undetermined
+from imucalib.estimators.gradient_descent import (
+    INT16,
+    INT32,
+    RATES,
+    START,
+    FixedPoint,
+    apply,
+    closed_form,
+    descend,
+    descend_fixed,
+    global_optimum,
+    improvement,
+    norm_errors,
+    objective,
+)
+from imucalib.readers import read
+from imucalib.units import MG, STANDARD_GRAVITY
+from imucalib.writers import write
+
+Array = NDArray[np.float64]
+
+
+def case(seed: int, noise: float = 1e-3, off_diagonal: float = 0.05) -> tuple[Array, Array]:
+    """p and 18 points by the nine-bin rule: section III.A, with eq. (19)'s sign put right."""
+    rng = np.random.default_rng(seed)
+    s = 1.0 + rng.uniform(-0.1, 0.1, 3)
+    t = rng.uniform(-off_diagonal, off_diagonal, 3)
+    o = rng.uniform(-0.1, 0.1, 3)
+    p = np.concatenate([s, [s[1] * t[0], s[2] * t[1], s[2] * t[2]], o])
+    gain = np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
+    points = PointCollector()
+    while not points.ready:
+        truth = rng.standard_normal(3)
+        point = np.linalg.solve(gain, truth / np.linalg.norm(truth)) - o
+        points.offer(point + noise * rng.standard_normal(3))
+    return p, np.array(points.points)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 3), st.integers(0, 2))
+def test_bins_hold_what_they_may(seed: int, fewest: int, more: int) -> None:
+    rng = np.random.default_rng(seed)
+    means = rng.uniform(-1.3, 1.3, (200, 3))
+    first, second = two_sets(means, fewest, fewest + more)
+    for points in (first, second):
+        assert max(points.count) <= fewest + more
+        assert sum(points.count) == len(points.points)
+        assert points.ready == (not points.missing)
+    taken = {tuple(p) for p in first.points}
+    assert not taken & {tuple(p) for p in second.points}
+    for point in first.points:
+        assert any(abs(point[axis] - c) <= 0.25 for axis, c in BINS)
+
+
+def test_a_point_that_no_bin_needs_is_left() -> None:
+    points = PointCollector()
+    assert not points.offer(np.array([0.5, 0.5, 0.5]))
+    assert [points.offer(np.array([1.0, 0.5, 0.5])) for _ in range(3)] == [True, True, False]
+    assert len(points.missing) == 8
+
+
+def test_descent_finds_the_sensor_up_to_its_slow_misalignment() -> None:
+    error = np.array([np.abs(np.subtract(descend(x), p)) for p, x in map(case, range(40))])
+    # Measured over 500 cases: 7.6e-4, 1.7e-3 and 6.9e-4 after 50 iterations at 1 mg.
+    for part, mark in zip(np.split(error.mean(axis=0), 3), (7.6e-4, 1.7e-3, 6.9e-4), strict=True):
+        assert 0.6 * mark < part.mean() < 1.6 * mark
+
+
+def test_the_printed_sum_diverges_and_the_mean_does_not() -> None:
+    _, points = case(1)
+    p = START.copy()
+    for _ in range(50):
+        here = objective(p, points)
+        slope = [(objective(p + 1e-5 * e, points) - here) / 1e-5 for e in np.eye(9)]
+        p = p - RATES * len(points) * np.array(slope)
+        if not np.isfinite(p).all() or np.abs(p).max() > 1e3:
+            break
+    else:
+        pytest.fail("eq. (12) as printed should diverge")
+    assert np.abs(norm_errors(descend(points), points)).max() < 0.01
+
+
+def one_number_at_a_time(points: Array, form: FixedPoint, iterations: int) -> list[int]:
+    """The same arithmetic as a microcontroller's loops, in Python's exact integers."""
+
+    def shifted(value: int) -> int:
+        return (value + (1 << (form.fraction - 1))) >> form.fraction
+
+    v = [[round(float(c) * form.one) for c in point] for point in points]
+    p = [form.one] * 3 + [0] * 6
+    rates = [round(float(r) * form.one) for r in RATES]
+
+    def total(p: list[int]) -> int:
+        out = 0
+        for point in v:
+            x, y, z = (point[k] + p[6 + k] for k in range(3))
+            a = shifted(p[0] * x)
+            b = shifted(p[3] * x + p[1] * y)
+            c = shifted(p[4] * x + p[5] * y + p[2] * z)
+            excess = shifted(a * a + b * b + c * c) - form.one
+            out += excess * excess
+        assert out < 1 << (2 * form.bits - 1)
+        return out
+
+    for _ in range(iterations):
+        here = total(p)
+        slope = []
+        for k in range(9):
+            change = total([x + form.step * (i == k) for i, x in enumerate(p)]) - here
+            divisor = form.step * len(v)
+            size = (abs(change) + divisor // 2) // divisor
+            slope.append(size if change >= 0 else -size)
+        p = [x - shifted(r * g) for x, r, g in zip(p, rates, slope, strict=True)]
+    return p
+
+
+@pytest.mark.parametrize("form", [INT32, INT16], ids=["int32", "int16"])
+def test_fixed_point_is_exact_to_the_bit(form: FixedPoint) -> None:
+    for seed in range(3):
+        _, points = case(seed)
+        exact = one_number_at_a_time(points, form, 50)
+        assert np.array_equal(descend_fixed(points, form) * form.one, exact)
+
+
+def test_fixed_point_costs_what_it_must() -> None:
+    for seed in range(5):
+        p, points = case(seed)
+        there = descend(points)
+        assert np.abs(descend_fixed(points, INT32) - there).max() < 1e-5
+        # Steps of 0.01 shift the minimum by about half a step, and slow misalignment more.
+        assert np.abs(descend_fixed(points, INT16) - p).max() < 0.06
+
+
+def test_a_number_that_outgrows_its_bits_is_no_result() -> None:
+    with pytest.raises(NotConverged):
+        descend_fixed(3.0 * case(1)[1], INT16)
+    with pytest.raises(NotConverged):
+        descend(9.8 * case(1)[1])
+
+
+def test_the_closed_form_is_exact_without_misalignment() -> None:
+    p, points = case(4, noise=0.0, off_diagonal=0.0)
+    assert np.allclose(closed_form(points), p, atol=1e-9)
+    with pytest.raises(Undetermined):
+        closed_form(np.array([[1.0, 0, 0]] * 18))
+
+
+def test_the_global_optimum_is_no_worse_than_the_descent() -> None:
+    _, points = case(5)
+    assert objective(global_optimum(points), points) <= objective(descend(points), points)
+
+
+def test_theta_is_the_papers_p_turned_around() -> None:
+    p, _ = case(6)
+    theta = published_theta(p, STANDARD_GRAVITY)
+    truth = np.random.default_rng(0).standard_normal((20, 3))
+    sensitivity = np.eye(3) + np.diag(theta[3:6])
+    sensitivity[[1, 2, 2], [0, 0, 1]] = theta[6:]
+    reading = truth @ sensitivity.T + theta[:3] * MG / STANDARD_GRAVITY
+    assert np.allclose(apply(p, reading), truth, atol=1e-12)
+    assert improvement(p, reading / np.linalg.norm(truth, axis=1)[:, None]) > 0.0
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("published") / "days.h5"
+    plan = WeekPlan(days=1.0, rate=20.0)
+    (whole,) = simulated_blocks(plan, 3, block=plan.days * 86400.0)
+    write(whole, path)
+    return path
+
+
+@pytest.mark.parametrize("arithmetic", ["float", "int32", "int16"])
+def test_as_published_writes_and_verifies(recording: Path, tmp_path: Path, arithmetic: str) -> None:
+    arguments = ["actigraph", str(recording), "-o", str(tmp_path), "-q", "--as-published",
+                 "--arithmetic", arithmetic]  # fmt: skip
+    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    assert result.exception is None
+    assert result.return_value == 0
+    report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert len(report["points_g"]) == len(report["control_points_g"]) == 18
+    methods = report["methods"]
+    assert methods["gradient descent"]["improvement_percent"] > 200.0
+    assert methods["global"]["fitted_mg"] <= methods["gradient descent"]["fitted_mg"] + 1e-3
+    corrected = read_calibration(tmp_path / "calibration.yaml").apply(
+        np.array(report["control_points_g"]) * STANDARD_GRAVITY
+    )
+    error = np.abs(np.linalg.norm(corrected, axis=1) - STANDARD_GRAVITY).mean() / MG
+    names = {"float": "", "int32": ", 32-bit", "int16": ", 16-bit"}
+    chosen = methods[f"gradient descent{names[arithmetic]}"]
+    assert error == pytest.approx(chosen["verified_mg"], rel=1e-6)
+
+
+def test_all_windows_beat_eighteen_points(recording: Path, tmp_path: Path) -> None:
+    raw = read(recording).channels["imu0/acceleration"].values
+    assert raw.shape[1] == 3
+    for out, extra in (("paper", ["--as-published"]), ("ours", ["--no-loop"])):
+        arguments = ["actigraph", str(recording), "-o", str(tmp_path / out), "-q", *extra]
+        CliRunner().invoke(cli.cli, arguments, standalone_mode=False, catch_exceptions=False)
+    truth = WeekPlan().sensor
+    distance = {}
+    for out in ("paper", "ours"):
+        found = {
+            p.name: p.value
+            for p in read_calibration(tmp_path / out / "calibration.yaml").parameters
+        }
+        wanted = [*truth["bias"], *truth["scale"], *truth["non_orthogonality"]]
+        weight = np.repeat([1.0, 1e3, 1e3], 3)
+        distance[out] = np.abs(weight * (np.array(list(found.values())) - wanted)).mean()
+    assert distance["ours"] < 0.2 * distance["paper"]

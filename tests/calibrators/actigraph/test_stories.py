@@ -1,0 +1,161 @@
+"""Weeks with an undeclared effect must end with it named; clean weeks with nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.simulation import (
+    Week,
+    WeekPlan,
+    code_steps,
+    simulated_week,
+)
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect, Response
+from imucalib.core.parameter import Parameter
+from imucalib.effects import catalogue
+from imucalib.estimators.least_squares import fit
+from imucalib.loop import evidence
+from imucalib.loop.candidates import effect_candidates
+from imucalib.loop.found import LoopSettings
+from imucalib.units import MG, STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+DAYS = 4.0
+RULES = LoopSettings(draws=299)
+
+
+def solved(week: Week, seed: int, request: ActigraphRequest | None = None) -> ActigraphResult:
+    asked = request or ActigraphRequest(rules=RULES)
+    return calibrate(week.runs, week.scanned, asked, np.random.default_rng(seed))
+
+
+def knowing(week: Week, effect: str, extra: dict[str, Effect] | None = None) -> float:
+    """Held-out error (mg) of one who knows which effect it is."""
+    request = ActigraphRequest(declare=(effect,), loop=False, extra_effects=extra or {})
+    return solved(week, 0, request).error.held_out.final
+
+
+def found_names(result: ActigraphResult) -> set[str]:
+    assert result.loop is not None
+    steps = result.loop.steps
+    every = [name for s in steps for name in (s.effect, *s.aliases)]
+    return {name.partition("@")[0] for name in every}
+
+
+STORIES = {
+    "temperature_bias": (0.8, -0.5, 1.2),
+    "bias_step@155555s": (3.0, -2.0, 4.0),
+    "cubic": (6.0, -5.0, 8.0),
+    "thermal_lag@1.5h": (0.8, -0.5, 1.2),
+    "bias_drift": (2.0, 1.0, -3.0),
+}
+
+
+@pytest.mark.parametrize("effect", STORIES)
+def test_an_undeclared_effect_is_named_and_removed(effect: str) -> None:
+    week = simulated_week(WeekPlan(days=DAYS, plant={effect: STORIES[effect]}), 3)
+    result = solved(week, 3)
+    assert effect.partition("@")[0] in found_names(result)
+    assert result.error.held_out.final <= 1.3 * knowing(week, effect)
+    assert result.error.held_out.final < 0.8 * result.error.held_out.base
+
+
+def the_very_converter() -> Effect:
+    """The planted curve itself, its size on each axis unknown."""
+    shape = code_steps(1.0)
+
+    def basis(x: Array, context: Context) -> Array:
+        return np.asarray(np.eye(3) * MG * shape(x / STANDARD_GRAVITY)[..., None])
+
+    def basis_dx(x: Array, context: Context) -> Array:
+        out = np.zeros((*x.shape, 3, 3))
+        step = 1e-6
+        slope = (shape(x / STANDARD_GRAVITY + step) - shape(x / STANDARD_GRAVITY - step)) / 2 / step
+        for axis in range(3):
+            out[..., axis, axis, axis] = slope[..., axis] * MG / STANDARD_GRAVITY
+        return out
+
+    each = tuple(Parameter(f"planted_{a}", "mg", 1.0, 30.0) for a in "xyz")
+    return Response("planted", "s", "y = x", "s", "s", each=each, basis=basis, basis_dx=basis_dx)
+
+
+def test_a_converters_curve_is_found_and_removed() -> None:
+    week = simulated_week(WeekPlan(days=DAYS, curve=code_steps(2.4)), 4)
+    result = solved(week, 4)
+    assert found_names(result) == {"converter"}
+    oracle = knowing(week, "planted", {"planted": the_very_converter()})
+    assert result.error.held_out.final <= 1.3 * oracle
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_clean_week_stays_as_it_is(seed: int) -> None:
+    result = solved(simulated_week(WeekPlan(days=2.0), 100 + seed), seed)
+    assert result.loop is not None
+    assert not result.loop.steps
+    assert not result.declined
+
+
+def test_strange_runs_count_less_and_change_little() -> None:
+    week = simulated_week(WeekPlan(days=2.0), 9)
+    week.runs.mean[::100] += 30.0 * MG  # in a moving car
+    result = solved(week, 9, ActigraphRequest(loop=False))
+    assert result.light >= 4
+    truth = np.concatenate([week.plan.sensor[name] for name in result.final.model.names])
+    z = (result.final.theta - truth) / result.final.sd
+    assert np.abs(z).max() < 4.0
+
+
+def test_unexplained_structure_widens_what_is_stated() -> None:
+    z: list[Array] = []
+    narrow: list[Array] = []
+    for seed in range(6):
+        week = simulated_week(WeekPlan(days=2.0), 40 + seed)
+        # A bias that wanders from hour to hour, which no effect of the catalogue follows.
+        rng = np.random.default_rng(seed)
+        hour = (week.runs.time / 7200.0).astype(int)
+        week.runs.mean[:] += 1.5 * MG * rng.standard_normal((hour.max() + 1, 3))[hour]
+        result = solved(week, seed)
+        assert result.loop is not None
+        assert result.loop.unexplained
+        truth = np.concatenate([week.plan.sensor[name] for name in result.base.model.names])
+        away = result.base.theta - truth
+        narrow.append(away / result.base.sd)
+        z.append(away / result.base.sd / result.widened)
+    assert np.std(narrow) > 1.5
+    assert np.std(z) < 1.4
+
+
+def test_evidence_by_gram_matrix_is_the_evidence() -> None:
+    week = simulated_week(WeekPlan(days=0.5), 2)
+    found = solved(week, 2, ActigraphRequest(loop=False)).final
+    assert found.at.residual.size < evidence._MANY
+    candidates, _ = effect_candidates(found, catalogue().values())
+    direct = evidence._score_few(found, candidates, np.random.default_rng(0), 400, 1.0)
+    gram = evidence._score_many(found, candidates, np.random.default_rng(1), 400, 1.0)
+    one, two = ({s.name: s for s in scores} for scores in (direct, gram))
+    assert set(one) == set(two)
+    for name, score in one.items():
+        assert two[name].evidence == pytest.approx(score.evidence, abs=1e-6)
+        assert two[name].left == pytest.approx(score.left, rel=1e-6)
+        assert two[name].strength == pytest.approx(score.strength, rel=1e-6)
+        assert abs(two[name].p - score.p) < 0.12
+
+
+def test_a_thinned_search_finds_the_same() -> None:
+    week = simulated_week(WeekPlan(days=DAYS, plant={"temperature_bias": (0.3, 0.0, 0.0)}), 6)
+    few = ActigraphRequest(rules=LoopSettings(draws=299, most_scored=700))
+    assert found_names(solved(week, 6, few)) == {"temperature_bias"}
+
+
+def test_the_fit_is_the_same_from_far_away() -> None:
+    week = simulated_week(WeekPlan(days=0.5), 7)
+    result = solved(week, 7, ActigraphRequest(loop=False)).final
+    far = result.theta + np.array([80.0, -80, 80, 0.08, 0.08, -0.08, 0.05, -0.05, 0.05])
+    again = fit(result.model, result.observations, start=far)
+    assert again.converged
+    assert np.allclose((again.theta - result.theta) / result.sd, 0.0, atol=1e-3)

@@ -1,0 +1,196 @@
+"""Weak coverage: what the postures leave open stays nominal, and its uncertainty covers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from numpy.typing import NDArray
+
+from imucalib import cli
+from imucalib.calibration.file import read as read_calibration
+from imucalib.calibrators.actigraph.observations import observations_of, quantisation
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.run import run_of
+from imucalib.calibrators.actigraph.simulation import Week, WeekPlan, simulated_week
+from imucalib.calibrators.actigraph.weak import NINE, base_fit, from_data, is_weak
+from imucalib.core.model import Model
+from imucalib.effects import named
+from imucalib.errors import Undetermined, UnreadableInput
+from imucalib.estimators.least_squares import fit
+from imucalib.loop.held_out import errors, held_out
+from imucalib.report.actigraph.document import actigraph_document
+from imucalib.report.render.text import render_text
+from imucalib.units import MG, STANDARD_GRAVITY
+from worlds.places import DATA
+
+Array = NDArray[np.float64]
+FOLDER = DATA / "actigraph"
+TAS = "read_gt3x_TAS1H30182785_2019-09-17"
+needs_data = pytest.mark.skipif(not FOLDER.is_dir(), reason="real recordings are not here")
+G = STANDARD_GRAVITY
+MODEL = Model(tuple(named(name) for name in NINE))
+TYPICAL = np.array([50.0] * 3 + [0.03] * 3 + [0.02] * 3)
+
+
+def short(rng: np.random.Generator, n: int) -> tuple[Week, Array]:
+    """A few postures of a sensor drawn from what data sheets let one expect, and its truth."""
+    truth = TYPICAL * rng.standard_normal(9)
+    sensor = {name: tuple(truth[3 * k : 3 * k + 3]) for k, name in enumerate(NINE)}
+    plan = WeekPlan(days=0.05, sensor=sensor, scatter=float(rng.uniform(0.4, 1.5)))
+    week = simulated_week(plan, int(rng.integers(1 << 30)))
+    rows = np.sort(rng.choice(week.runs.n, n, replace=False))
+    runs = week.runs
+    few = replace(runs, mean=runs.mean[rows], windows=runs.windows[rows], time=runs.time[rows],
+                  temperature=runs.temperature[rows])  # fmt: skip
+    return replace(week, runs=few), truth
+
+
+@pytest.mark.parametrize("n", [1, 4, 9, 12])
+def test_stated_uncertainty_covers_with_few_postures(n: int) -> None:
+    rng = np.random.default_rng(n)
+    z, weak = [], 0
+    for _ in range(60):
+        week, truth = short(rng, n)
+        found, _ = base_fit(MODEL, observations_of(week.runs, week.scanned, G), week.runs)
+        assert found.converged
+        weak += is_weak(found)
+        z.append((found.theta - truth) / found.sd)
+    assert weak >= (40 if n < 12 else 1)
+    assert 0.85 < np.std(z) < 1.15
+    assert np.abs(np.mean(z)) < 0.15
+
+
+def test_one_posture_moves_only_what_it_shows() -> None:
+    week, _ = short(np.random.default_rng(0), 1)
+    up = replace(week.runs, mean=G * np.array([[0.0, 0.0, 1.02]]))
+    found, _ = base_fit(MODEL, observations_of(up, week.scanned, G), up)
+    share = dict(zip([p.name for p in found.parameters], from_data(found), strict=True))
+    assert share["bias_z"] > 0.5
+    assert 0.1 < share["scale_z"] < 0.5
+    assert all(v < 0.01 for k, v in share.items() if k not in ("bias_z", "scale_z"))
+    # The prior shares 20 mg out by variances: 50 mg of bias against 30 mg of scale at 1 g.
+    assert found.theta[2] / 50.0**2 == pytest.approx(1e3 * found.theta[5] / 30.0**2, rel=0.05)
+    assert found.theta[2] + 1e3 * found.theta[5] == pytest.approx(20.0, abs=1.0)
+
+
+def test_a_prior_far_away_changes_nothing() -> None:
+    week = simulated_week(WeekPlan(days=2.0, scatter=1.0), 2)
+    data = observations_of(week.runs, week.scanned, G)
+    plain, wide = fit(MODEL, data), fit(MODEL, data, prior=1e6 * TYPICAL)
+    assert np.allclose(plain.theta, wide.theta, rtol=0.0, atol=1e-3 * plain.sd)
+    assert np.allclose(plain.sd, wide.sd, rtol=0.01)
+    assert not is_weak(plain)
+
+
+def test_held_out_fits_keep_the_prior() -> None:
+    week, _ = short(np.random.default_rng(5), 6)
+    data = replace(observations_of(week.runs, week.scanned, G), group=np.arange(6))
+    found = fit(MODEL, data, prior=TYPICAL)
+    for row in range(6):
+        rest = fit(MODEL, data.without(np.array([row])), prior=TYPICAL, noise=None)
+        again = errors(rest, rest.theta, data.take(np.array([row]))).error[0, 0, 0]
+        assert held_out(found).error[row, 0, 0] == pytest.approx(again, abs=0.1 * 9.80665e-3 * 50)
+
+
+def test_postures_in_one_plane_are_weak_and_said_so() -> None:
+    week = simulated_week(WeekPlan(days=1.0), 5)
+    flat = week.runs.mean.copy()
+    flat[:, 2] = 0.0
+    flat *= G / np.linalg.norm(flat, axis=1, keepdims=True)
+    flat += 0.004 * np.random.default_rng(0).standard_normal(flat.shape)
+    lying = replace(week.runs, mean=flat)
+    run = run_of(lying, week.scanned, ActigraphRequest(), lambda text: None)
+    assert (run.outcome.status, run.outcome.exit_code) == ("weak", 4)
+    assert run.outcome.loop is None
+    assert "never z up, z down" in run.outcome.reasons[0]
+    assert "bias_z" in run.outcome.reasons[0]
+    assert "bias_x" not in run.outcome.reasons[0]
+
+
+@needs_data
+def test_a_recording_and_its_export_calibrate_alike(tmp_path: Path) -> None:
+    found, pages = [], []
+    for suffix in (".gt3x", ".csv.gz"):
+        out = tmp_path / suffix
+        arguments = ["actigraph", str(FOLDER / f"{TAS}{suffix}"), "-o", str(out)]
+        result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+        assert result.exception is None
+        assert result.return_value == 4
+        found.append(read_calibration(out / "calibration.yaml"))
+        pages.append(json.loads((out / "report.json").read_text(encoding="utf-8")))
+        assert "never x up, y up, y down" in " ".join(result.output.split())
+        assert "data, %" in (out / "report.html").read_text(encoding="utf-8")
+    for one, two in zip(found[0].parameters, found[1].parameters, strict=True):
+        assert abs(one.value - two.value) < 0.5 * np.hypot(one.sd, two.sd)
+    assert found[0].status == pages[0]["status"] == "weak"
+    assert found[0].facts["from_data"]["scale_z"] > 0.99
+    assert found[0].facts["from_data"]["cross_zy"] < 0.05
+    # Nothing is claimed: on postures that were not fitted it is no better than the raw reading.
+    error = pages[0]["error_mg"]
+    assert error["final_held_out"] > error["raw"]
+    assert any("worse than no calibration" in reason for reason in pages[0]["reasons"])
+
+
+def test_nothing_at_rest_is_refused(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    walk = np.sin(np.cumsum(rng.standard_normal((4000, 3)), axis=0))
+    rows = np.column_stack([np.arange(4000) / 50.0, walk])
+    path = tmp_path / "moving.csv"
+    np.savetxt(path, rows, "%.4f", ",", header="time_s,acc_x_g,acc_y_g,acc_z_g", comments="")
+    arguments = ["actigraph", str(path), "--acc-unit", "g"]
+    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    assert isinstance(result.exception, Undetermined | UnreadableInput)
+
+
+def test_a_coarse_resolution_is_in_the_uncertainty() -> None:
+    step = 15.6 * MG  # a quarter of a hundredth of the range, as old loggers have it
+    z: dict[bool, list[Array]] = {True: [], False: []}
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        week, truth = short(rng, 20)
+        coarse = np.round(week.runs.mean / step) * step
+        quiet = np.full(3, step / np.sqrt(12.0))
+        for known, found_z in z.items():
+            resolution = np.full(3, step if known else 0.0)
+            runs = replace(week.runs, mean=coarse, noise=quiet, resolution=resolution)
+            found, _ = base_fit(MODEL, observations_of(runs, week.scanned, G), runs)
+            found_z.append((found.theta - truth) / found.sd)
+    assert 0.75 < np.std(z[True]) < 1.1
+    assert np.std(z[False]) > 1.2 * np.std(z[True])
+
+
+def test_a_coarse_resolution_is_said_so() -> None:
+    week = simulated_week(WeekPlan(days=1.0), 3)
+    step = 12.0 * MG
+    coarse = np.round(week.runs.mean / step) * step
+    runs = replace(
+        week.runs, mean=coarse, noise=np.full(3, 0.29 * step), resolution=np.full(3, step)
+    )
+    run = run_of(runs, week.scanned, ActigraphRequest(), lambda text: None)
+    assert run.outcome.loop is not None
+    assert "3.5 mg" in run.outcome.loop.missing["quantisation"]
+    words = " ".join(render_text(actigraph_document(run), 200, color=False).split())
+    assert "the smallest step, 12 mg, does not average out: 3.5 mg a posture" in words
+    fine = replace(runs, noise=np.full(3, 0.6 * step))
+    assert quantisation(fine) == 0.0
+
+
+def test_clipped_rests_are_left_out_and_said_so() -> None:
+    from imucalib.recording.recording import Channel, Recording
+    from imucalib.rests.runs import posture_runs, scan
+
+    rng = np.random.default_rng(1)
+    values = G * np.repeat([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [0.9, 0.3, 0.3]], 1200, axis=0)
+    values += 4.0 * MG * rng.standard_normal(values.shape)
+    values[2400:, 0] = 0.85 * G  # the end of its range
+    channel = Channel(np.arange(3600) / 20.0, values, "m/s2", "acceleration", "imu0", 20.0)
+    scanned = scan([Recording({"imu0/acceleration": channel}, "made", "made", "")], 10.0)
+    runs = posture_runs(scanned)
+    assert runs.n == 2
+    run = run_of(runs, scanned, ActigraphRequest(), lambda text: None)
+    assert any("60 s of clipped samples left out" in note for note in run.outcome.notes)

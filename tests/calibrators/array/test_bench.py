@@ -1,0 +1,211 @@
+"""`imucal array` from a bench log to its files, and what it says of logs that cannot work."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from imucalib import cli
+from imucalib.calibrators.array.board import board_names, read_board
+from imucalib.calibrators.array.calibrate import ArrayRun, calibrate_array
+from imucalib.calibrators.array.logs import repeatability
+from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
+from imucalib.errors import Undetermined, UnreadableInput
+from imucalib.readers import read
+from imucalib.recording.recording import Channel, Recording
+from imucalib.report.array.files import write_draws
+from imucalib.writers import write
+from worlds.places import DATA
+
+BOARD = read_board("mimu4444_corners")
+PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=25.0, gyro_gain=0.0)
+FOLDER = DATA / "mimu4444"
+
+
+def calibrate(recording: Recording, **options: object) -> ArrayRun:
+    request = replace(ArrayRequest(BOARD, samples=150), **options)  # type: ignore[arg-type]
+    return calibrate_array(recording, request, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def log() -> SimulatedLog:
+    return simulated_log(BOARD, PLAN, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def run(log: SimulatedLog) -> ArrayRun:
+    return calibrate(log.recording)
+
+
+def changed(recording: Recording, **channels: Channel) -> Recording:
+    return replace(recording, channels={**recording.channels, **channels})
+
+
+def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: ArrayRun) -> None:
+    assert run.segments.n >= 9
+    assert run.static.residual < 0.02
+    # The frame is the triads' mean one, turned a little against the true board.
+    truth, found = log.positions[1:], run.final.mean[1:]
+    left, _, right = np.linalg.svd(truth.T @ found)
+    z = (found - truth @ left @ right) / run.final.sd[1:]
+    assert np.sqrt(np.mean(z * z)) < 2.0
+    assert run.final.convergence.reached()
+
+
+def test_gains_and_biases_come_from_gravity(run: ArrayRun) -> None:
+    assert run.static.gain_sd.max() < 5e-3
+    turned = np.linalg.inv(run.static.gain) - np.eye(3)
+    assert 0.003 < np.abs(turned).max() < 0.06
+
+
+@pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
+def test_every_format_gives_the_same_numbers(
+    suffix: str, log: SimulatedLog, run: ArrayRun, tmp_path: Path
+) -> None:
+    path = tmp_path / f"log.{suffix}"
+    write(log.recording, path)
+    again = calibrate(read(path))
+    assert again.final.mean == pytest.approx(run.final.mean, abs=1e-9)
+
+
+def test_shuffled_channels_change_nothing(log: SimulatedLog, run: ArrayRun) -> None:
+    names = sorted(log.recording.channels, reverse=True)
+    shuffled = replace(log.recording, channels={n: log.recording.channels[n] for n in names})
+    assert np.array_equal(calibrate(shuffled).final.mean, run.final.mean)
+
+
+def test_a_missing_imu_is_named(log: SimulatedLog) -> None:
+    left = {n: c for n, c in log.recording.channels.items() if c.triad != "imu3"}
+    with pytest.raises(UnreadableInput, match="missing: imu3"):
+        calibrate(replace(log.recording, channels=left))
+
+
+def test_a_missing_gyro_is_named(log: SimulatedLog) -> None:
+    left = {n: c for n, c in log.recording.channels.items() if n != "imu3/angular_rate"}
+    with pytest.raises(UnreadableInput, match="imu3 has no angular rate"):
+        calibrate(replace(log.recording, channels=left))
+
+
+def test_a_dead_axis_is_named(log: SimulatedLog) -> None:
+    gyro = log.recording.channels["imu2/angular_rate"]
+    dead = replace(gyro, values=gyro.values * np.array([1.0, 0.0, 1.0]))
+    with pytest.raises(UnreadableInput, match="imu2/angular_rate: axis y never changes"):
+        calibrate(changed(log.recording, **{"imu2/angular_rate": dead}))
+
+
+def test_different_rates_are_refused(log: SimulatedLog) -> None:
+    gyro = log.recording.channels["imu2/angular_rate"]
+    slow = Channel(gyro.t[::2], gyro.values[::2], gyro.unit, gyro.quantity, "imu2", 50.0)
+    with pytest.raises(UnreadableInput, match="different rates, 50 to 100 Hz"):
+        calibrate(changed(log.recording, **{"imu2/angular_rate": slow}))
+
+
+def test_lost_samples_are_left_out_of_all(log: SimulatedLog) -> None:
+    acc = log.recording.channels["imu2/acceleration"]
+    keep = np.ones(acc.t.size, dtype=bool)
+    keep[5000:5010] = False
+    short = replace(acc, t=acc.t[keep], values=acc.values[keep])
+    found = calibrate(changed(log.recording, **{"imu2/acceleration": short}))
+    assert any("10 without a partner left out" in text for text in found.notes)
+
+
+def test_a_unit_mistake_is_refused(log: SimulatedLog) -> None:
+    channels = {
+        n: replace(c, values=c.values / 9.80665) if c.quantity == "acceleration" else c
+        for n, c in log.recording.channels.items()
+    }
+    with pytest.raises(Undetermined, match="unit"):
+        calibrate(replace(log.recording, channels=channels))
+
+
+def test_a_wrong_mounting_is_refused(log: SimulatedLog) -> None:
+    rotations = BOARD.rotations.copy()
+    rotations[5] = np.eye(3)
+    with pytest.raises(Undetermined, match="imu5 differs from the board's drawing"):
+        calibrate(log.recording, board=replace(BOARD, rotations=rotations))
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        (replace(PLAN, poses=5), "at least 9 are needed"),
+        (replace(PLAN, seconds=0.0), "too little rotation"),
+        (replace(PLAN, twist=10.0), "too little rotation"),
+    ],
+)
+def test_logs_that_cannot_answer(plan: LogPlan, message: str) -> None:
+    log = simulated_log(BOARD, plan, np.random.default_rng(1))
+    with pytest.raises(Undetermined, match=message):
+        calibrate(log.recording)
+
+
+def test_two_logs_of_one_board(run: ArrayRun) -> None:
+    found = repeatability((run, run))
+    assert found.z_rms == pytest.approx(0.0, abs=1e-6)
+    assert found.mean == pytest.approx(run.final.mean, abs=1e-8)
+    assert found.sd[1:] == pytest.approx(run.final.sd[1:] / np.sqrt(2), rel=1e-6)
+
+
+def test_draws_are_readable(run: ArrayRun, tmp_path: Path) -> None:
+    write_draws(run, tmp_path / "draws.nc")
+    with h5py.File(tmp_path / "draws.nc") as file:
+        data = file["posterior/position_mm"]
+        assert [d.keys()[0] for d in data.dims] == ["chain", "draw", "imu", "axis"]
+        assert data[...].mean(axis=(0, 1)) == pytest.approx(1e3 * run.final.mean)
+
+
+def test_boards_that_come_along() -> None:
+    assert board_names() == ("mimu4444", "mimu4444_corners")
+    whole = read_board("mimu4444")
+    assert whole.count == 32
+    assert whole.drawn[1] == pytest.approx([0.0, 0.0, -2e-3])
+    distances = np.linalg.norm(whole.positions[:, None] - whole.positions, axis=2)
+    assert np.sort(distances + 9.0 * np.eye(32), axis=1)[:, 1] == pytest.approx(np.full(32, 6.3e-3))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("imus: 3", "incomplete"),
+        ("imus: [{name: a, position: [0, 0, 0]}]", "four or more"),
+        ("[", "not a YAML"),
+    ],
+)
+def test_bad_boards(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "board.yaml"
+    path.write_text(text)
+    with pytest.raises(UnreadableInput, match=message):
+        read_board(path)
+
+
+def test_the_command_writes_its_files(log: SimulatedLog, tmp_path: Path) -> None:
+    path = tmp_path / "log.h5"
+    write(log.recording, path)
+    arguments = ["array", str(path), "--board", "mimu4444_corners", "--samples", "100"]
+    arguments += ["-o", str(tmp_path / "out"), "--json", "-q"]
+    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    assert result.return_value == 0, result.output
+    content = json.loads(result.stdout)
+    assert content["diagnostics"]["largest_rhat"] < 1.01
+    assert len(content["positions_mm"]) == 8
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "calibration.yaml", "report.html", "report.json"
+    }  # fmt: skip
+
+
+@pytest.mark.skipif(not FOLDER.exists(), reason="real data folder absent")
+def test_a_measured_board() -> None:
+    """Underside accelerometers lie half a millimetre off the packages' middle, as published."""
+    run = calibrate(read(FOLDER / "exp_1.h5"), gravity=9.8189, samples=400)
+    off = 1e3 * (run.final.mean - BOARD.drawn)
+    under = off[1::2].mean(axis=0)
+    assert under == pytest.approx([-0.55, -0.45, -0.18], abs=0.15)
+    assert np.abs(off[2::2].mean(axis=0)).max() < 0.2
+    assert run.exit_code == 5

@@ -1,0 +1,409 @@
+"""The array's loop: planted errors are named and undone, a clean log is left alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.array.corrected import corrected_samples, gyro_gains
+from imucalib.calibrators.array.declared import Asked, named_effect, with_declared
+from imucalib.calibrators.array.loop import ARRAY_RULES, ArrayLoop, close_array_loop
+from imucalib.calibrators.array.setup import array_setup
+from imucalib.calibrators.array.terms import rest_terms
+from imucalib.calibrators.array.worth import worth
+from imucalib.core.array_motion import ArrayMotion
+from imucalib.effects.array import array_catalogue
+from imucalib.errors import Undetermined, UsageError
+from imucalib.estimators.array.gram import Columns, gram
+from imucalib.estimators.array.noise import SensorNoise, chosen_noise, fitted_noise
+from imucalib.estimators.array.samples import Readings, Weights, fit_samples
+from imucalib.recording.recording import Channel
+from imucalib.report.array.loop import array_candidate_section, array_loop_section, loop_dict
+from imucalib.report.document import Document, Text
+from imucalib.report.render.html import render_html
+from imucalib.report.render.text import render_text
+from imucalib.units import DEG
+from worlds.array import corners, skew
+from worlds.array_stories import BOARD, PLAN, STORIES, closed, named, planted_log, positions_z
+from worlds.places import DATA, ROOT
+
+FOLDER = DATA / "mimu4444"
+each_effect = pytest.mark.parametrize(
+    "effect", array_catalogue().values(), ids=list(array_catalogue())
+)
+
+
+@pytest.fixture(scope="module")
+def clean() -> ArrayLoop:
+    return closed(planted_log("clean", 5)[0], 150)
+
+
+@pytest.mark.parametrize("name", [n for n in STORIES if n != "clean"])
+def test_a_planted_error_is_named(name: str) -> None:
+    recording, true = planted_log(name, 11)
+    found = closed(recording, 200)
+    assert STORIES[name][0] in named(found), [s.effect for s in found.steps]
+    if STORIES[name][0] != "sensing_elements":  # they share directions with the positions
+        assert np.sqrt(np.mean(positions_z(found, true) ** 2)) < 1.6
+    assert found.after.acceleration <= found.before.acceleration * 1.05
+
+
+def test_a_clean_log_is_left_alone(clean: ArrayLoop) -> None:
+    assert clean.verdict == "nothing missing"
+    assert clean.base.noise[0].sigma == pytest.approx(PLAN.sigma, rel=0.05)
+    assert clean.base.noise[1].sigma == pytest.approx(PLAN.sigma_gyro * DEG, rel=0.05)
+    again = [closed(planted_log("clean", seed)[0], 150) for seed in range(20, 26)]
+    assert sum(bool(found.steps) for found in again) <= 1
+
+
+def test_sizes_come_with_their_uncertainty() -> None:
+    found = closed(planted_log("common gyro delay, 1 ms", 3)[0], 200)
+    term = next(t for t in found.final.found if t.name == "gyro_delay")
+    sd = float(found.final.sd_of(term)[0])
+    assert sd < 0.05
+    assert abs(float(term.theta[0]) - 1.0) < 4.0 * sd
+    assert worth(found.final, term) > 50.0
+
+
+def test_what_no_motion_shows_is_listed_with_its_weight(clean: ArrayLoop) -> None:
+    """1 % of common gyro scale is 2 % of the array's size, however it is computed."""
+    size = 0.02 * np.sqrt(np.mean(clean.final.r[1:] ** 2))
+    assert clean.absorbed["common_gyro_scale"] == pytest.approx(size, rel=0.02)
+    assert {"common_accelerometer_scale", "common_accelerometer_bias"} <= set(clean.absorbed)
+    assert clean.missing["gyro_sample_age"] == "no gyro shows a beat line"
+
+
+def test_unexplained_structure_is_said_and_not_named() -> None:
+    """An accelerometer error that follows |ω| in a wave is in no catalogue."""
+    recording, _ = planted_log("clean", 8)
+    t = recording.channels["imu0/angular_rate"].t
+    speed = np.linalg.norm(recording.channels["imu0/angular_rate"].values, axis=1)
+    wave = 0.3 * np.sin(speed / speed.max() * 9.0)[:, None] * np.array([1.0, -0.6, 0.4])
+    moving = t > PLAN.poses * PLAN.pose_seconds
+    channels = dict(recording.channels)
+    for imu in BOARD.imus:
+        channel = channels[f"{imu}/acceleration"]
+        values = channel.values + wave * moving[:, None]
+        channels[f"{imu}/acceleration"] = replace(channel, values=values)
+    found = closed(replace(recording, channels=channels), 200)
+    assert any("accelerometer error against" in u.name for u in found.unexplained)
+    assert found.verdict in ("unexplained", "explained in part")
+
+
+def test_heavy_tails_are_taken_in() -> None:
+    rng = np.random.default_rng(2)
+    tails = rng.standard_t(4.0, size=(400, 8, 3))
+    plain = rng.standard_normal((400, 8, 3))
+    speed, first = rng.uniform(5.0, 30.0, 400), np.arange(400) % 2 == 0
+    square = np.sum(plain**2, axis=2)
+    assert chosen_noise(square, speed, first, robust=True).plain
+    # Independent tails on three axes are lighter than those of one vector.
+    found = chosen_noise(np.sum(tails**2, axis=2), speed, first, robust=True)
+    assert found.freedom <= 10.0
+    grown = square * (1.0 + (speed / 10.0) ** 2)[:, None]
+    noise = chosen_noise(grown, speed, first, robust=True)
+    assert noise.growth > 0.0
+    assert not np.isfinite(noise.freedom)
+    assert noise.variance(np.array([20.0]))[0, 0] == pytest.approx(5.0, rel=0.3)
+    assert fitted_noise(square, speed, growth=False, tails=False).sigma == pytest.approx(
+        1.0, rel=0.03
+    )
+
+
+def test_the_motion_is_taken_out_exactly() -> None:
+    """Gram matrices against columns projected sample by sample by a dense QR."""
+    rng = np.random.default_rng(4)
+    r = corners(5)
+    t, k = 7, 5
+    w, spin = rng.normal(size=(t, 3)) * 15.0, rng.normal(size=(t, 3)) * 300.0
+    turn = skew(w) @ skew(w) + skew(spin)
+    y = np.einsum("tij,kj->tki", turn, r) + rng.normal(size=(t, 1, 3)) * 9.0
+    y += rng.normal(size=y.shape) * 0.1
+    g = w[:, None] + rng.normal(size=(t, k, 3)) * 0.01
+    weights = Weights(rng.uniform(50.0, 150.0, (t, k)), rng.uniform(5e3, 2e4, (t, k)))
+    sampled = fit_samples(Readings(y, g), weights, r, w)
+    blocks = [
+        Columns(rng.normal(size=(t, k, 3, 2)), False, False),
+        Columns(rng.normal(size=(t, k, 3, 3)), True, True),
+    ]
+    found = gram(sampled, blocks, np.arange(t))
+    dense = np.zeros((t, 6 * k, 2 * k + 3))
+    residual, motion = np.zeros((t, 6 * k)), np.zeros((t, 6 * k, 9))
+    for i in range(k):
+        a, b = slice(3 * i, 3 * i + 3), slice(3 * (k + i), 3 * (k + i) + 3)
+        root = np.sqrt(weights.acceleration[:, i])[:, None], np.sqrt(weights.rate[:, i])[:, None]
+        dense[:, a, 2 * i : 2 * i + 2] = blocks[0].basis[:, i] * root[0][..., None]
+        dense[:, b, 2 * k :] = blocks[1].basis[:, i] * root[1][..., None]
+        residual[:, a] = sampled.off.acceleration[:, i] * root[0]
+        residual[:, b] = sampled.off.rate[:, i] * root[1]
+        motion[:, a] = sampled.arms[:, i] * root[0][..., None]
+        motion[:, b, 6:] = np.eye(3) * root[1][..., None]
+    q = np.linalg.qr(motion)[0]
+    dense -= q @ (q.transpose(0, 2, 1) @ dense)
+    residual -= (q @ (q.transpose(0, 2, 1) @ residual[..., None]))[..., 0]
+    flat = dense.reshape(-1, dense.shape[2])
+    assert found.matrix == pytest.approx(flat.T @ flat, rel=1e-8, abs=1e-6)
+    assert found.along == pytest.approx(flat.T @ residual.ravel(), rel=1e-6, abs=1e-5)
+    assert found.power == pytest.approx(float(np.sum(residual**2)), rel=1e-8)
+
+
+def _motion(k: int = 3) -> ArrayMotion:
+    rng = np.random.default_rng(6)
+    turns = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(k)])
+    return ArrayMotion(
+        tuple(f"imu{i}" for i in range(k)), np.arange(4.0), np.linspace(0.0, 1.0, 4),
+        rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, k, 3)),
+        rng.normal(size=(4, k, 3)), turns, rng.uniform(-0.5, 0.5, (4, k)),
+    )  # fmt: skip
+
+
+@each_effect
+def test_every_array_effect_says_what_it_is(effect: object) -> None:
+    from imucalib.core.array_motion import ArrayEffect
+
+    assert isinstance(effect, ArrayEffect)
+    motion = _motion()
+    basis = effect.basis(motion)
+    assert basis.shape == (4, 3, 3, len(effect.each))
+    assert np.isfinite(basis).all()
+    assert np.abs(basis).max() > 0.0
+    count = len(effect.each) * (1 if effect.shared else 3)
+    assert len(effect.parameters(motion.imus)) == count
+    for text in (effect.sentence, effect.equation, effect.source, effect.identify):
+        assert text
+    for parameter in effect.each:
+        assert parameter.unit
+        assert 0.0 < parameter.typical < parameter.plausible
+
+
+def test_every_array_effect_is_documented() -> None:
+    text = (ROOT / "docs" / "array.md").read_text(encoding="utf-8")
+    assert not [name for name in array_catalogue() if f"`{name}`" not in text]
+
+
+def test_the_catalogue_knows_the_chip_axes() -> None:
+    """A scale acts on the package's own axis, wherever it points on the board."""
+    motion = _motion()
+    basis = array_catalogue()["gyro_scale"].basis(motion)
+    for k in range(3):
+        turn = motion.rotations[k]
+        expected = 0.01 * turn @ np.diag([2.0, 0.0, -1.0]) @ turn.T @ motion.rate[1]
+        assert basis[1, k] @ np.array([2.0, 0.0, -1.0]) == pytest.approx(expected)
+
+
+def test_corrected_readings_hold_no_effect(clean: ArrayLoop) -> None:
+    data = corrected_samples(clean.final)
+    assert data.samples == len(clean.final.setup.inner)
+    assert gyro_gains(clean.final) == pytest.approx(np.broadcast_to(np.eye(3), (8, 3, 3)))
+    found = closed(planted_log("gyro scale of each IMU, 2 %", 2)[0], 150)
+    assert np.abs(gyro_gains(found.final) - np.eye(3)).max() == pytest.approx(0.045, abs=0.03)
+
+
+def test_reports_carry_the_loop(clean: ArrayLoop) -> None:
+    for found in (clean, closed(planted_log("bad accelerometer, 1 %", 4)[0], 150)):
+        sections = array_loop_section(found), array_candidate_section(found)
+        document = Document("array", Text("done", "ok"), sections)
+        assert "Residuals before and after" in render_text(document, 100, color=False)
+        assert "common_gyro_scale" in render_html(document)
+        content = json.loads(json.dumps(loop_dict(found), allow_nan=False))
+        assert content["verdict"] == found.verdict
+        assert len(content["steps"]) == len(found.steps)
+        assert {c["name"] for c in content["candidates"]} >= {"gyro_delay", "accelerometer_cubic"}
+
+
+def test_too_broken_a_motion_is_not_searched() -> None:
+    from worlds.array_stories import moving_of
+
+    moving, _ = moving_of(planted_log("clean", 1)[0])
+    holes = replace(moving, good=moving.good[::2])
+    assert array_setup(holes, BOARD, 150, robust=True) is None
+
+
+def test_a_plain_noise_is_plain() -> None:
+    noise = SensorNoise(0.1, 0.0, np.inf, np.ones(4))
+    assert noise.plain
+    assert not replace(noise, freedom=4.0).plain
+
+
+@pytest.mark.skipif(not FOLDER.exists(), reason="real data folder absent")
+def test_a_measured_boards_clocks_delay_and_elements() -> None:
+    from imucalib.readers import read
+    from worlds.array_stories import moving_of
+
+    moving, static = moving_of(read(FOLDER / "exp_1.h5"))
+    setup = array_setup(moving, BOARD, 240, robust=True)
+    assert setup is not None
+    found = close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(0))
+    names = {step.effect for step in found.steps}
+    assert {"gyro_sample_age", "gyro_scale", "gyro_misalignment", "gyro_delay",
+            "sensing_elements"} <= names  # fmt: skip
+    assert found.after.rate < 2.0
+    assert found.after.acceleration < 0.25
+    assert found.final.noise[0].freedom < 10.0
+    span = next(t for t in found.final.found if t.name == "gyro_sample_age")
+    assert float(span.theta[0]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_channels_stay_what_they_are() -> None:
+    """The loop must not write into the recording."""
+    recording, _ = planted_log("bad accelerometer, 1 %", 9)
+    kept = {n: c.values.copy() for n, c in recording.channels.items()}
+    closed(recording, 120)
+    for name, channel in recording.channels.items():
+        assert isinstance(channel, Channel)
+        assert np.array_equal(channel.values, kept[name])
+
+
+def test_a_declared_effect_is_in_the_model_and_others_can_be_left_out() -> None:
+    from worlds.array_stories import moving_of
+
+    recording, true = planted_log("common gyro delay, 1 ms", 3)
+    moving, static = moving_of(recording)
+    setup = array_setup(moving, BOARD, 150, robust=True)
+    assert setup is not None
+
+    def loop(asked: Asked) -> ArrayLoop:
+        rng = np.random.default_rng(0)
+        return close_array_loop(setup, rest_terms(static), moving, rng, asked=asked)
+
+    declared = loop(Asked(declare=("gyro_delay",)))
+    term = next(t for t in declared.final.found if t.name == "gyro_delay")
+    assert abs(float(term.theta[0]) - 1.0) < 4.0 * float(declared.final.sd_of(term)[0])
+    assert "gyro_delay" not in named(declared)
+    assert np.sqrt(np.mean(positions_z(declared, true) ** 2)) < 1.6
+    assert loop_dict(declared)["declared"][0]["effect"] == "gyro_delay"
+    text = render_text(Document("a", Text("b"), (array_loop_section(declared),)), 100, color=False)
+    assert "Declared effects" in text
+    without = loop(Asked(without=("gyro_delay",)))
+    assert "gyro_delay" not in {s.effect for s in without.steps}
+    only = loop(Asked(only=("gyro_scale",)))
+    assert {s.effect.partition("@")[0] for s in only.steps} <= {"gyro_scale"}
+    quiet = loop(Asked(declare=("gyro_scale@imu3",), search=False))
+    assert not quiet.steps
+    assert not quiet.unexplained
+    assert [t.name for t in quiet.final.found] == ["gyro_scale@imu3"]
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("gyro_dela", "no array effect is called"),
+        ("gyro_scale@imu99", "has no IMU"),
+        ("gyro_delay@imu3", "acts on all IMUs alike"),
+    ],
+)
+def test_names_of_effects_are_checked(name: str, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        Asked(only=(name,)).skipped(BOARD.imus)
+    with pytest.raises(UsageError, match=says):
+        named_effect(name, BOARD.imus)
+
+
+def test_what_the_motion_does_not_show_cannot_be_declared(clean: ArrayLoop) -> None:
+    from worlds.array_stories import moving_of
+
+    moving, _ = moving_of(planted_log("clean", 5)[0])
+    with pytest.raises(Undetermined, match="beat line"):
+        with_declared(clean.base, ("gyro_sample_age",), moving)
+    with pytest.raises(Undetermined, match="common_gyro_scale was declared"):
+        with_declared(clean.base, ("common_gyro_scale",), moving)
+
+
+def test_a_drifting_delay_is_no_beat() -> None:
+    """One chip on a slow clock: said to be that IMU's, not named as something else."""
+    recording, _ = planted_log("clean", 12)
+    t = recording.channels["imu3/angular_rate"].t
+    rate = recording.channels["imu3/angular_rate"]
+    late = 2e-4 * (np.clip((t - 42.0) / 14.0, 0.0, 1.0) - 0.5)
+    values = rate.values - late[:, None] * np.gradient(rate.values, t, axis=0) * (t > 42.0)[:, None]
+    channels = {**recording.channels, "imu3/angular_rate": replace(rate, values=values)}
+    found = closed(replace(recording, channels=channels), 200)
+    assert found.missing["gyro_sample_age"] == "no gyro shows a beat line"
+    assert not found.steps
+    assert found.unexplained[0].name == "gyro delay of imu3 against time"
+
+
+def test_an_imu_that_moves_is_pointed_at() -> None:
+    recording, _ = planted_log("clean", 13)
+    t = recording.channels["imu5/angular_rate"].t
+    rate = BOARD.rotations[5] @ recording.channels["imu5/angular_rate"].values[..., None]
+    w = rate[..., 0]
+    spin = np.gradient(w, t, axis=0)
+    late = np.flatnonzero(t > 50.0)
+    channel = recording.channels["imu5/acceleration"]
+    values = channel.values.copy()
+    off = np.array([2e-4, -1e-4, 1e-4])
+    felt = np.cross(w, np.cross(w, off)) + np.cross(spin, off)
+    values[late] += felt[late] @ BOARD.rotations[5]
+    channels = {**recording.channels, "imu5/acceleration": replace(channel, values=values)}
+    found = closed(replace(recording, channels=channels), 200)
+    assert any(u.name == "position of imu5 against time" for u in found.unexplained)
+
+
+def test_the_command_lists_array_effects() -> None:
+    from click.testing import CliRunner
+
+    from imucalib import cli
+
+    shown = CliRunner().invoke(cli.cli, ["effects"], standalone_mode=False).output
+    assert "Effects of an array" in shown
+    assert "gyro_sample_age" in shown
+    one = CliRunner().invoke(cli.cli, ["effects", "gyro_delay"], standalone_mode=False).output
+    assert "y(t) = ω(t - τ)" in one
+    plain = CliRunner().invoke(cli.cli, ["effects", "gyro_cubic", "--json"], standalone_mode=False)
+    assert json.loads(plain.output)[0]["stage"] == "array: gyros"
+    refused = CliRunner().invoke(
+        cli.cli,
+        ["array", "log.h5", "--board", "mimu4444_corners", "--declare", "gyro_dela"],
+        standalone_mode=False,
+    )
+    assert isinstance(refused.exception, UsageError)
+
+
+def test_curves_correct_what_has_no_name_where_it_helps() -> None:
+    """An IMU that moves: its mean position comes nearer, and no cause is claimed."""
+    from worlds.array_stories import moving_of
+
+    recording, true = planted_log("clean", 14)
+    rate = recording.channels["imu5/angular_rate"]
+    w = (BOARD.rotations[5] @ rate.values[..., None])[..., 0]
+    spin = np.gradient(w, rate.t, axis=0)
+    off = np.array([3e-4, -2e-4, 2e-4])
+    late = np.clip((rate.t - 42.0) / 14.0, 0.0, 1.0)[:, None] - 0.5
+    felt = late * (np.cross(w, np.cross(w, off)) + np.cross(spin, off))
+    channel = recording.channels["imu5/acceleration"]
+    values = channel.values + felt @ BOARD.rotations[5]
+    channels = {**recording.channels, "imu5/acceleration": replace(channel, values=values)}
+    moving, static = moving_of(replace(recording, channels=channels))
+    setup = array_setup(moving, BOARD, 200, robust=True)
+    assert setup is not None
+    rules = replace(ARRAY_RULES, curves=True)
+    found = close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(0), rules)
+    assert [s.effect for s in found.steps] == ["curve of position of imu5 against time"]
+    assert not found.steps[0].certain
+    assert found.verdict == "unexplained"
+    assert found.after.acceleration < found.before.acceleration
+    assert np.abs(found.final.r - true).max() < 5e-5
+    text = render_text(Document("a", Text("b"), (array_loop_section(found),)), 200, color=False)
+    assert "corrected by a curve: position of imu5 against time" in " ".join(text.split())
+
+
+def test_the_file_says_what_the_clocks_were() -> None:
+    from imucalib.calibrators.array.ages import beats
+    from imucalib.calibrators.array.calibration import effect_list
+
+    found = closed(planted_log("clock skew, 1 ms", 11)[0], 200)
+    assert found.ages is not None
+    entry = next(e for e in effect_list(found) if e["effect"] == "gyro_sample_age")
+    assert [b["imu"] for b in entry["beats"] if b] == list(BOARD.imus)
+    t = found.final.setup.t
+    for k, beat in enumerate(beats(found.ages, t)):
+        assert beat is not None
+        assert 0.3 < abs(beat.frequency) < 3.0
+        assert beat.wander < 0.1
+        line = beat.frequency * (t - beat.at) + beat.phase
+        away = (found.ages.wave[:, k] + 0.5 - line + 0.5) % 1.0 - 0.5
+        assert np.sqrt(np.mean(away**2)) == pytest.approx(beat.wander, abs=0.02)

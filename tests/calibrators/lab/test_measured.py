@@ -1,0 +1,137 @@
+"""`imucal lab` on measured data: paper 004's table, instruments at rest. Skipped where absent."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.lab.advice import fixture_curve
+from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
+from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+from imucalib.calibrators.lab.position_table import read_position_table
+from imucalib.calibrators.lab.request import LabRequest, as_published
+from imucalib.calibrators.lab.run import LabRun, run_lab
+from imucalib.recording.mapping import FieldMapping
+from imucalib.units import DEG, MG
+from worlds.places import DATA
+
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the measured data are not here")
+REPAIR = ((10, "y", -58593.0),)
+
+
+def paper(request: LabRequest) -> LabRun:
+    return run_lab(read_position_table(DATA / "lab_table" / "table1_as_printed.csv"), request)
+
+
+@pytest.fixture(scope="module")
+def repaired() -> LabRun:
+    return paper(LabRequest(gravity=9.8061, fixes=REPAIR))
+
+
+def test_the_misprint_of_row_10_is_found_unprompted() -> None:
+    run = paper(LabRequest(gravity=9.8061))
+    loop = run.result.loop
+    assert loop is not None
+    (record,) = loop.records
+    assert (record.where, record.channel, record.likely) == ("row 10", "y", "lost sign of y")
+    assert abs(record.size - 117.2) < 3.0 * record.sd
+    assert "--fix 10:y=-58593" in run.outcome.undecided[0]
+    assert run.outcome.exit_code == 5
+
+
+def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> None:
+    loop = repaired.result.loop
+    assert loop is not None
+    assert [s.effect for s in loop.steps] == ["inclination_zero", "inclination_scale"]
+    assert not loop.records
+    assert not loop.unexplained
+    shift, _, half = fixture_curve(loop.final, np.array([50.0 * DEG]))
+    assert shift[0] - half[0] <= 1.37 <= shift[0] + half[0]
+    refused = {s.name: s.p for s in loop.scores}
+    assert all(refused[name] > 0.2 for name in ("quadratic", "cubic", "bias_drift", "cross_axis"))
+    assert any("Tool-face scatters by 0.40 deg" in a for a in repaired.outcome.advice)
+
+
+def test_held_out_errors_reach_the_marks(repaired: LabRun) -> None:
+    left_out = attitude_errors(repaired.result.splits[0].final, 9.8061)
+    assert worst(left_out.inclination) <= 0.55
+    assert rms(left_out.inclination) <= 0.16
+    assert worst(left_out.tool_face) <= 0.90
+    assert rms(left_out.tool_face) <= 0.40
+    assert repaired.result.angles is not None
+    assert rms(repaired.result.angles.norm) <= 1.3
+
+
+def test_the_papers_split() -> None:
+    """The model that all rows ask for, fitted on rows 1-20 and tested on rows 21-32."""
+    settings = LabSettings(loop=False, declare=("inclination_zero", "inclination_scale"))
+    train = tuple(range(1, 21))
+    run = paper(LabRequest(gravity=9.8061, fixes=REPAIR, train=train, settings=settings))
+    test = attitude_errors(run.result.splits[-1].final, 9.8061)
+    assert run.result.splits[-1].name == "test set"
+    assert worst(test.inclination) <= 0.25
+    assert rms(test.inclination) <= 0.19
+
+
+def test_as_published_is_the_printed_table_2() -> None:
+    run = paper(as_published(LabRequest(fixes=REPAIR)))
+    printed = np.genfromtxt(
+        DATA / "lab_table" / "table2_as_printed.csv", delimiter=",", skip_header=1
+    )
+    fit, whole = run.result.final, run.result.observations
+    corrected = fit.model.correct(fit.theta, whole.reading, whole.context)[:, 0]
+    assert np.abs(corrected - printed[:, :3]).max() <= 0.005
+    assert any("leaves open" in reason for reason in run.outcome.reasons)
+
+
+def test_swapped_headings_are_said_not_swapped() -> None:
+    from imucalib.errors import UsageError
+
+    columns = {"inclination": "toolface_deg", "tool_face": "inclination_deg"}
+    table = read_position_table(DATA / "lab_table" / "table1_as_printed.csv", columns)
+    with pytest.raises(UsageError, match="--swap-angles"):
+        run_lab(table, LabRequest(gravity=9.8061))
+
+
+@pytest.mark.parametrize("name", ["ab", "ai"])
+def test_cave_instruments_at_rest(tmp_path: Path, name: str) -> None:
+    """Leave-one-out took part in the choice and flatters it: 24 shots prove less than it says."""
+    shots = json.loads((DATA / "cave_accel" / f"{name}.json").read_text())["shots"]["grav"]
+    path = tmp_path / f"{name}.csv"
+    np.savetxt(
+        path, np.array(shots[:72]).reshape(24, 3), delimiter=",", header="x,y,z", comments=""
+    )
+    run = calibrate_files(LabFiles(path), LabRequest(reference="norm"), lambda text: None)
+    error = run.outcome.error.held_out
+    assert run.result.loop is not None
+    assert run.result.loop.steps
+    chosen_with, anew = run.result.splits
+    assert chosen_with.final.rms() < 0.75 * chosen_with.base.rms()
+    assert anew.name == "searched anew"
+    assert anew.final.rms() > 1.1 * chosen_with.final.rms()
+    assert error.final == pytest.approx(anew.final.rms() / MG)
+    assert error.final < error.base < 0.1 * error.raw
+
+
+@pytest.mark.parametrize("name", ["imu0.log", "imu1.log"])
+def test_nothing_is_found_where_nothing_holds_out(name: str) -> None:
+    mapping = FieldMapping(acc=("1", "2", "3"), acc_unit="m/s2", rate=100.0)
+    files = LabFiles(DATA / "mpu9150_tumble" / name, mapping=mapping)
+    run = calibrate_files(files, LabRequest(reference="norm"), lambda text: None)
+    assert run.result.loop is not None
+    assert run.result.loop.verdict == "nothing missing"
+    assert run.outcome.error.held_out.final < 0.5
+
+
+def test_the_norm_says_which_positions_are_missing() -> None:
+    """Rows 1-20 lie on one meridian and one cone: by the norm alone they leave one thing open."""
+    from imucalib.errors import Undetermined
+
+    request = LabRequest(reference="norm", gravity=9.8061, fixes=REPAIR)
+    with pytest.raises(Undetermined, match="cannot be told from"):
+        paper(replace(request, train=tuple(range(1, 21))))

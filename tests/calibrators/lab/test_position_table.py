@@ -1,0 +1,240 @@
+"""Position tables: every dialect that is promised, and every mistake named by row and column."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imucalib.calibrators.lab.position_table import ROLES, PositionTable, read_position_table
+from imucalib.errors import ImucalError, UnreadableInput, UsageError
+
+PLAIN = "inclination,tool_face,x,y,z\n0,0,-11.5,966.25,31\n10,90,938,-14,209.5\n"
+
+
+def _write(folder: Path, text: str | bytes, name: str = "table.csv") -> Path:
+    path = folder / name
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return path
+
+
+def _refused(path: Path, kind: type[ImucalError] = UnreadableInput) -> ImucalError:
+    with pytest.raises(kind) as caught:
+        read_position_table(path)
+    assert str(path) in caught.value.where
+    return caught.value
+
+
+def test_a_plain_table(tmp_path: Path) -> None:
+    path = _write(tmp_path, PLAIN)
+    table = read_position_table(path)
+    assert table.n == 2
+    assert list(table.row) == [1, 2]
+    assert np.array_equal(table.raw(), [[-11.5, 966.25, 31.0], [938.0, -14.0, 209.5]])
+    assert np.array_equal(table.columns["tool_face"], [0.0, 90.0])
+    assert table.sha256 == hashlib.sha256(PLAIN.encode()).hexdigest()
+    assert table.path == str(path)
+    assert table.unit == {}
+    assert "x" in table
+    assert "temperature" not in table
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAIN.replace(",", ";"),
+        PLAIN.replace(",", "\t"),
+        PLAIN.replace(".", ",").replace(",tool_face,x,y,z", ";tool_face;x;y;z").replace(
+            "0,0,-11,5,966,25,31", "0;0;-11,5;966,25;31"
+        ).replace("10,90,938,-14,209,5", "10;90;938;-14;209,5"),
+        "\ufeff" + PLAIN,
+        PLAIN.replace("\n", "\r\n"),
+        "# bench 3, October\n\n" + PLAIN.replace("\n10", "\n# a note\n\n10"),
+        PLAIN.replace(",", " , "),
+        PLAIN.replace("tool_face", '"tool_face"'),
+        PLAIN.replace("938", "9.38e2"),
+        PLAIN.rstrip("\n"),
+    ],
+    ids=["semicolon", "tab", "decimal comma", "bom", "crlf", "comments", "spaces", "quotes",
+         "exponent", "no last newline"],
+)  # fmt: skip
+def test_dialects_read_alike(tmp_path: Path, text: str) -> None:
+    table = read_position_table(_write(tmp_path, text))
+    assert np.array_equal(table.raw(), [[-11.5, 966.25, 31.0], [938.0, -14.0, 209.5]])
+    assert np.array_equal(table.columns["inclination"], [0.0, 10.0])
+
+
+@pytest.mark.parametrize("role", sorted(ROLES))
+def test_every_synonym_of_a_heading(tmp_path: Path, role: str) -> None:
+    for heading in ROLES[role]:
+        for shown in (heading, heading.upper(), f" {heading} "):
+            kept = ["inclination", "tool_face", "x", "y", "z"]
+            names = [shown if name == role else name for name in kept]
+            if role not in kept:
+                names.append(shown)
+            text = ",".join(names) + "\n" + ",".join("12345678"[: len(names)]) + "\n"
+            table = read_position_table(_write(tmp_path, text))
+            assert table.columns[role][0] == names.index(shown) + 1.0
+            assert role not in table.unit
+
+
+@pytest.mark.parametrize(
+    ("heading", "unit"),
+    [("x_mg", "mg"), ("x [g]", "g"), ("raw_x (m/s2)", "m/s2"), ("acc_x_ug", "ug"), ("x[mg]", "mg")],
+)
+def test_the_heading_states_the_unit(tmp_path: Path, heading: str, unit: str) -> None:
+    table = read_position_table(_write(tmp_path, PLAIN.replace(",x,", f",{heading},")))
+    assert table.unit == {"x": unit}
+    assert table.names["x"] == heading
+
+
+def test_angle_units_and_words_that_end_like_one(tmp_path: Path) -> None:
+    text = PLAIN.replace("inclination", "inc").replace("tool_face", "toolface_rad")
+    table = read_position_table(_write(tmp_path, text.replace("z\n", "z\n", 1)))
+    assert table.unit == {"tool_face": "rad"}
+    text = PLAIN.replace("z\n", "z,temp_degC,samples\n").replace("31\n", "31,20,5\n")
+    table = read_position_table(_write(tmp_path, text.replace("209.5\n", "209.5,21,6\n")))
+    assert table.unit == {"temperature": "degc"}
+
+
+def test_columns_can_be_named(tmp_path: Path) -> None:
+    path = _write(tmp_path, PLAIN.replace("inclination", "dial A").replace("tool_face", "dial B"))
+    assert "no column for inclination, tool_face" in _refused(path).what
+    chosen = {"inclination": "dial A", "tool_face": "dial B"}
+    assert np.array_equal(read_position_table(path, chosen).columns["inclination"], [0.0, 10.0])
+    for bad, words in (({"incl": "dial A"}, "unknown column role"),
+                       ({"inclination": "dial C"}, "no column is called 'dial C'")):  # fmt: skip
+        with pytest.raises(UsageError, match=words) as caught:
+            read_position_table(path, bad)
+        assert caught.value.remedy
+
+
+def test_two_columns_for_one_role(tmp_path: Path) -> None:
+    path = _write(tmp_path, PLAIN.replace("x,y", "x,raw_x").replace("z\n", "y,z\n", 1))
+    error = _refused(_write(tmp_path, "incl,inclination,tf,x,y,z\n1,2,3,4,5,6\n"))
+    assert "several columns could be inclination" in error.what
+    assert "--columns inclination=incl" in error.remedy
+    assert read_position_table(
+        _write(tmp_path, "incl,inclination,tf,x,y,z\n1,2,3,4,5,6\n"), {"inclination": "incl"}
+    ).columns["inclination"] == [1.0]
+    assert path.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "what", "where"),
+    [
+        ("", "file is empty", ""),
+        ("\n\n# only notes\n", "no rows", ""),
+        ("inclination,tool_face,x,y,z\n", "heading but no rows", ""),
+        ("1,2,3,4,5\n6,7,8,9,10\n", "numbers, not headings", "line 1"),
+        (PLAIN.replace("x,y", "x,x"), "same heading", "line 1"),
+        (PLAIN.replace("10,90,", "10,90,7,"), "6 cells where the heading has 5", "row 2"),
+        (PLAIN.replace("10,90,", "10,"), "4 cells where the heading has 5", "row 2"),
+        (PLAIN.replace("209.5", "2o9.5"), "'2o9.5' is not a number", "row 2, column z"),
+        (PLAIN.replace("966.25", ""), "cell is empty", "row 1, column y"),
+        (PLAIN.replace("966.25", "nan"), "'nan' is not a number", "row 1, column y"),
+        (PLAIN.replace("\n10,", "\ninf,"), "'inf' is not a number", "row 2, column inclination"),
+        (PLAIN.replace("y,z", "b,c"), "no column for y, z", ""),
+    ],
+)
+def test_mistakes_are_named_where_they_are(
+    tmp_path: Path, text: str, what: str, where: str
+) -> None:
+    error = _refused(_write(tmp_path, text))
+    assert what in error.what
+    assert error.where.endswith(where)
+
+
+def test_rows_count_without_heading_and_notes(tmp_path: Path) -> None:
+    text = "# a note\n" + PLAIN.replace("\n10", "\n# b\n\n10") + "20,0,1,x,2\n"
+    assert _refused(_write(tmp_path, text)).where.endswith("row 3, column y")
+
+
+def test_not_a_text_file(tmp_path: Path) -> None:
+    error = _refused(_write(tmp_path, b"inclination,x\n\xff\xfe1,2\n"))
+    assert "not a text file" in error.what
+    assert error.where.endswith("byte 14")
+
+
+def test_no_such_file(tmp_path: Path) -> None:
+    assert "no such file" in _refused(tmp_path / "absent.csv").what
+    assert "no such file" in _refused(tmp_path).what
+
+
+def test_without_angles_or_readings(tmp_path: Path) -> None:
+    bare = _write(tmp_path, "inclination,tool_face\n1,2\n")
+    assert read_position_table(bare, need_raw=False).n == 1
+    assert "no column for x, y, z" in _refused(bare).what
+
+
+def _hdf5(folder: Path, **datasets: object) -> Path:
+    path = folder / "table.h5"
+    with h5py.File(path, "w") as file:
+        for name, values in datasets.items():
+            file[name.replace("__", "/")] = values
+    return path
+
+
+def test_hdf5_columns(tmp_path: Path) -> None:
+    path = _hdf5(tmp_path, bench__inclination=[0.0, 10.0], bench__tool_face=[0, 90], x=[1.0, 2.0],
+                 y=[3.0, 4.0], z=[5.5, 0.1])  # fmt: skip
+    table = read_position_table(path)
+    assert np.array_equal(table.raw(), [[1.0, 3.0, 5.5], [2.0, 4.0, 0.1]])
+    assert np.array_equal(table.columns["tool_face"], [0.0, 90.0])
+
+
+def test_hdf5_matrix_and_table(tmp_path: Path) -> None:
+    raw = np.random.default_rng(1).standard_normal((3, 3))
+    path = _hdf5(tmp_path, inclination=[0.0, 1.0, 2.0], tool_face=[3.0, 4.0, 5.0], raw=raw)
+    assert np.array_equal(read_position_table(path).raw(), raw)
+    fields = [(name, "f8") for name in ("inclination", "tool_face", "x", "y", "z")]
+    rows = np.array([(1.0, 2.0, 3.0, 4.0, 5.0)], dtype=fields)
+    assert np.array_equal(read_position_table(_hdf5(tmp_path, rows=rows)).raw(), [[3.0, 4.0, 5.0]])
+
+
+def test_hdf5_mistakes(tmp_path: Path) -> None:
+    path = _hdf5(tmp_path, inclination=[0.0, 1.0], tool_face=[0.0], x=[1.0], y=[1.0], z=[1.0])
+    assert "different length" in _refused(path).what
+    path = _hdf5(tmp_path, inclination=[0.0, np.nan], tool_face=[0.0, 1.0], raw=np.ones((2, 3)))
+    assert _refused(path).where.endswith("row 2, column inclination")
+    broken = _write(tmp_path, path.read_bytes()[:200], "broken.h5")
+    assert "HDF5" in _refused(broken).what
+    assert "no column" in _refused(_hdf5(tmp_path, note=[1.0, 2.0])).what
+
+
+def test_every_truncation_is_a_table_or_a_clear_refusal(tmp_path: Path) -> None:
+    found: list[PositionTable | str] = []
+    for size in range(len(PLAIN)):
+        try:
+            found.append(read_position_table(_write(tmp_path, PLAIN[:size])))
+        except UnreadableInput as error:
+            found.append(error.where)
+    refused = [where for where in found if isinstance(where, str)]
+    assert all("table.csv" in where for where in refused)
+    # A row that is cut off before its last cell is refused: all but three cuts before there.
+    assert len(refused) == PLAIN.rindex(",") + 2 - len("\n31")
+
+
+@given(
+    st.lists(
+        st.lists(
+            st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=5, max_size=5
+        ),
+        min_size=1,
+        max_size=6,
+    )
+)
+def test_numbers_come_back_bit_by_bit(rows: list[list[float]]) -> None:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        text = "inclination,tool_face,x,y,z\n"
+        text += "".join(",".join(map(repr, row)) + "\n" for row in rows)
+        table = read_position_table(_write(Path(folder), text))
+    roles = ("inclination", "tool_face", "x", "y", "z")
+    assert np.array_equal(np.stack([table.columns[r] for r in roles], axis=-1), np.array(rows))

@@ -1,0 +1,277 @@
+"""`imucal inspect` as a user meets it: what it shows, what it saves, what it says when wrong."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from imucalib import readers, writers
+from imucalib.cli import cli
+from imucalib.errors import ImucalError
+from imucalib.inspection.inspection import inspect_recording
+from imucalib.recording.mapping import load_mapping
+from imucalib.recording.recording import Channel, Recording
+from imucalib.report.inspection import inspection_document
+from imucalib.report.render.text import render_text
+from worlds.bag_logs import ros1_bag, ros2_bag
+from worlds.mcap_logs import START, Reading, cdr, packed, write_log
+
+RATE, PER_SIDE = 100.0, 500
+SIDES = ((0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0, -1, 0), (-1, 0, 0))
+
+
+def tumble(seed: int = 0) -> list[Reading]:
+    """Six sides, still on each, turned by hand in between."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for k, side in enumerate(SIDES):
+        for i in range(PER_SIDE):
+            moving = i > 0.8 * PER_SIDE
+            a = 9.81 * np.array(side) + rng.normal(0, 2.0 if moving else 0.02, 3)
+            w = rng.normal(0, 0.5 if moving else 0.003, 3)
+            at = START + round((k * PER_SIDE + i) * 1e9 / RATE)
+            rows.append(Reading(at, tuple(a.tolist()), tuple(w.tolist())))
+    return rows
+
+
+ROWS = tumble()
+
+
+def mcap(path: Path) -> Path:
+    return write_log(path / "one.mcap", {"/imu/data": packed(ROWS, cdr)})
+
+
+def mcap_with_four(path: Path) -> Path:
+    topics = {f"/imu{k}/data": packed(tumble(k), cdr) for k in range(4)}
+    return write_log(path / "four.mcap", topics)
+
+
+def damaged_mcap(path: Path) -> Path:
+    file = mcap(path)
+    data = bytearray(file.read_bytes())
+    data[len(data) // 3] ^= 4
+    file.write_bytes(data[: int(0.8 * len(data))])
+    return file
+
+
+def json_mcap(path: Path) -> Path:
+    trees = [
+        (r.ns, json.dumps({"t": r.ns, "body": {"sf": list(r.acc), "rot": list(r.gyro)}}).encode())
+        for r in ROWS
+    ]
+    states = [(r.ns, b'{"mode": 1}') for r in ROWS[::100]]
+    logs = {"/stm/readings": trees, "/stm/state": states}
+    schema = ("my.Sample", "jsonschema", b"{}")
+    return write_log(path / "json.mcap", logs, schema=schema, encoding="json")
+
+
+def csv(path: Path) -> Path:
+    lines = ["t [s];ax [g];ay [g];az [g]"]
+    for r in ROWS:
+        cells = [(r.ns - START) * 1e-9, *(a / 9.80665 for a in r.acc)]
+        lines.append(";".join(f"{c:.6f}".replace(".", ",") for c in cells))
+    file = path / "a.csv"
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def nameless_csv(path: Path) -> Path:
+    rows = [f"{i},{r.acc[0]:.3f},{r.acc[1]:.3f},{r.acc[2]:.3f},7" for i, r in enumerate(ROWS)]
+    file = path / "bare.csv"
+    file.write_text("n,ch1,ch2,ch3,flag\n" + "\n".join(rows) + "\n")
+    return file
+
+
+def hdf5(path: Path) -> Path:
+    writers.write(readers.read(mcap(path)), path / "own.h5")
+    return path / "own.h5"
+
+
+def foreign_hdf5(path: Path) -> Path:
+    with h5py.File(path / "lab.h5", "w") as file:
+        file["run/samples"] = np.array([r.acc for r in ROWS])
+        file["run/stamp"] = np.array([(r.ns - START) * 1e-9 for r in ROWS])
+        file["meta"] = np.arange(7)
+    return path / "lab.h5"
+
+
+def ros1(path: Path) -> Path:
+    return ros1_bag(path / "a.bag", {"/imu": ROWS})
+
+
+def ros2(path: Path) -> Path:
+    return ros2_bag(path / "bag", {"/imu": ROWS})
+
+
+def ros2_file(path: Path) -> Path:
+    return ros2(path) / "bag.db3"
+
+
+def packed_bag(path: Path) -> Path:
+    return ros2_bag(path / "bag", {"/imu": ROWS}, mode="MESSAGE")
+
+
+FILES = [mcap, mcap_with_four, damaged_mcap, csv, hdf5, ros1, ros2, ros2_file, packed_bag]
+Made = Callable[[Path], Path]
+
+
+def inspect(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, ["inspect", *map(str, arguments)], catch_exceptions=True)
+
+
+@pytest.mark.parametrize("made", FILES)
+def test_every_kind_of_file_is_told(made: Made, tmp_path: Path) -> None:
+    result = inspect(made(tmp_path))
+    assert result.exit_code == 0, result.output
+    for word in ("imu0/acceleration", "still segment", "norm at rest", "Next", "--save-mapping"):
+        assert word in result.stdout
+    assert max(map(len, result.stdout.splitlines())) <= 80
+    assert ("CAUTION" in result.stdout) == (made is damaged_mcap)
+
+
+@pytest.mark.parametrize("made", FILES)
+def test_a_saved_mapping_gives_the_same_reading(made: Made, tmp_path: Path) -> None:
+    file, mapping = made(tmp_path), tmp_path / "m.yaml"
+    first = inspect(file, "--json", "--save-mapping", mapping)
+    again = inspect(file, "--json", "--mapping", mapping)
+    assert first.exit_code == again.exit_code == 0
+    one, two = json.loads(first.stdout), json.loads(again.stdout)
+    assert one["mapping"] == two["mapping"]
+    assert one["channels"] == two["channels"]
+    a, b = readers.read(file), readers.read(file, load_mapping(mapping))
+    assert a.channels.keys() == b.channels.keys()
+    for name, channel in a.channels.items():
+        np.testing.assert_array_equal(channel.values, b.channels[name].values)
+        np.testing.assert_array_equal(channel.t, b.channels[name].t)
+    assert (a.start_ns, a.gaps) == (b.start_ns, b.gaps)
+
+
+def test_damage_is_told_and_strict_refuses(tmp_path: Path) -> None:
+    file = damaged_mcap(tmp_path)
+    assert "part of it is lost" in inspect(file).stdout
+    result = inspect(file, "--strict")
+    assert isinstance(result.exception, ImucalError)
+    assert result.exception.exit_code == 3
+
+
+@pytest.mark.parametrize(
+    ("made", "options"),
+    [
+        (json_mcap, ("--acc", "/stm/readings:body.sf", "--gyro", "/stm/readings:body.rot",
+                     "--gyro-unit", "rad/s")),
+        (nameless_csv, ("--acc", "ch1,ch2,ch3", "--rate", "100")),
+        (foreign_hdf5, ("--acc", "/run/samples")),
+    ],
+)  # fmt: skip
+def test_an_unknown_layout_lists_its_fields_and_the_option_that_reads_it(
+    made: Made, options: tuple[str, ...], tmp_path: Path
+) -> None:
+    file = made(tmp_path)
+    error = inspect(file).exception
+    assert isinstance(error, ImucalError)
+    assert f"--acc {options[1]}" in str(error)
+    assert "median norm 9.8" in str(error)
+    result = inspect(file, *options)
+    assert result.exit_code == 0, result.exception
+    assert "6 still segments; nothing is wrong" in result.stdout
+
+
+def test_a_topic_listing_has_type_count_and_rate(tmp_path: Path) -> None:
+    text = str(inspect(json_mcap(tmp_path)).exception)
+    assert "/stm/readings: 3000 x, my.Sample (json), 100 Hz" in text
+    assert "/stm/state: 30 x, my.Sample (json), 1 Hz" in text
+
+
+@pytest.mark.parametrize(
+    ("made", "options", "match"),
+    [
+        (mcap, ("--acc", "/nope"), r"'/nope' is not a topic[^$]*/imu/data: 3000 x"),
+        (ros1, ("--acc", "/nope"), r"'/nope' is not a topic[^$]*/imu: 3000 x"),
+        (mcap, ("--acc", "/imu/data:nope"), "no 3-vector 'nope'.*linear_acceleration"),
+        (mcap, ("--time", "nope"), "no time 'nope'.*log_time"),
+        (csv, ("--acc", "a,b,c"), "no column 'a'.*ax"),
+        (csv, ("--acc", "2,3"), "2 columns do not make triads"),
+        (csv, ("--acc", "2,3,99"), "no column '99'"),
+        (csv, ("--acc-unit", "furlong"), "--acc-unit: unknown unit 'furlong'.*m/s2"),
+        (csv, ("--gyro-unit", "furlong", "--gyro", "ax [g],ay [g],az [g]"), "unknown unit"),
+        (csv, ("--preset", "nokia"), "unknown preset 'nokia'.*euroc"),
+        (csv, ("--axis-map", "x,y"), "x, y and z once each"),
+        (csv, ("--time-unit", "days"), "unknown time unit 'days'"),
+        (csv, ("--decimal", ";"), "decimal mark"),
+        (csv, ("--rate", "0"), "not a positive number"),
+        (foreign_hdf5, ("--acc", "/nope"), "no dataset '/nope'.*/run/samples"),
+    ],
+)
+def test_a_wrong_mapping_is_named_with_what_there_is(
+    made: Made, options: tuple[str, ...], match: str, tmp_path: Path
+) -> None:
+    error = inspect(made(tmp_path), *options).exception
+    assert isinstance(error, ImucalError)
+    assert error.exit_code in (2, 3)
+    import re
+
+    assert re.search(match, str(error), re.DOTALL), str(error)
+
+
+def test_a_wrong_unit_shows_in_the_verdict(tmp_path: Path) -> None:
+    result = inspect(hdf5(tmp_path), "--acc-unit", "mg")
+    assert "not that of gravity" in result.stdout.replace("\n", " ")
+
+
+def test_raw_counts_ask_for_their_scale(tmp_path: Path) -> None:
+    rows = [",".join(str(round(a * 208.8)) for a in r.acc) for r in ROWS]
+    (tmp_path / "c.csv").write_text("ax,ay,az\n" + "\n".join(rows) + "\n")
+    options = ("--rate", "100", "--acc-unit", "counts")
+    assert "--lsb 2048" in inspect(tmp_path / "c.csv", *options).stdout
+    result = inspect(tmp_path / "c.csv", *options, "--lsb", "2048")
+    assert "nothing is wrong" in result.stdout
+
+
+def test_csv_options_reach_the_reader(tmp_path: Path) -> None:
+    lines = ["made by a logger", "x, y, z in front of nothing"]
+    lines += ["\t".join(f"{a:.5f}".replace(".", ",") for a in r.acc) for r in ROWS]
+    (tmp_path / "odd.txt").write_text("\n".join(lines) + "\n")
+    result = inspect(
+        tmp_path / "odd.txt", "--skip", "2", "--decimal", ",", "--delimiter", "tab",
+        "--rate", "100", "--acc", "1,2,3", "--acc-unit", "m/s2",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.exception
+    assert "6 still segments; nothing is wrong" in result.stdout
+
+
+def test_a_bag_without_rosbags_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = ros1(tmp_path)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    error = inspect(file).exception
+    assert isinstance(error, ImucalError)
+    assert "pip install 'imucalib[ros]'" in str(error)
+
+
+@pytest.mark.parametrize("width", [40, 80, 120, 200])
+def test_no_line_is_wider_than_the_terminal(width: int, tmp_path: Path) -> None:
+    found = inspect_recording(readers.blocks(mcap_with_four(tmp_path)))
+    text = render_text(inspection_document(found), width, color=False)
+    assert max(map(len, text.splitlines())) <= width
+    assert "imu0 to imu3 (4): time from header.stamp" in " ".join(text.split())
+
+
+def test_an_axis_that_never_turned_is_marked() -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(2000) / RATE
+    values = np.array([0.0, 0.0, 9.81]) + rng.normal(0, 0.02, (2000, 3))
+    channel = Channel(t, values, "m/s2", "acceleration", "imu0", RATE)
+    found = inspect_recording([Recording({"imu0/acceleration": channel}, "f", "made", "")])
+    text = render_text(inspection_document(found), 80, color=False)
+    row = next(line for line in text.splitlines() if line.startswith("! imu0"))
+    assert row.split() == [
+        "!", "imu0", "+0.00", "to", "+0.00", "+0.00", "to", "+0.00", "+1.00", "to", "+1.00",
+    ]  # fmt: skip

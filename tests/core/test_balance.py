@@ -1,0 +1,286 @@
+"""The mixed model behind every fit, against its definition with dense matrices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import null_space
+from scipy.stats import multivariate_normal
+
+from imucalib.core.balance import Balanced, Noise, balance, setting_errors, whitener
+from imucalib.core.fit import Fit
+from imucalib.core.references import Directions, KnownNorm
+from imucalib.effects.record_error import record_error
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.estimators.variance import estimate_noise
+from imucalib.loop.held_out import log_predictive, theta_without
+from worlds.bench import NINE, NOISE, base_model, bench, draw, ordinary_theta, tumble
+
+Array = NDArray[np.float64]
+
+
+@cache
+def _known() -> Fit:
+    """24 positions; fives share an inclination setting, so neighbours are correlated."""
+    model, data = base_model(), bench(21, 24, shared=True)
+    return fit_model(model, draw(model, ordinary_theta(model, data, 22), data, 23))
+
+
+@cache
+def _norm() -> Fit:
+    model, data = base_model(NINE), tumble(24, 24)
+    known = bench(24, 24)
+    theta = ordinary_theta(model, data, 25)
+    return fit_model(model, data.with_reading(draw(model, theta, known, 26).reading))
+
+
+def _dense(at: Balanced, noise: Noise) -> Array:
+    """V by its definition, in units of the declared noise."""
+    covariance = noise.factor**2 * np.eye(at.residual.size)
+    for matrix, sd in zip(at.settings, noise.sd, strict=True):
+        covariance += sd**2 * matrix @ matrix.T
+    return covariance
+
+
+def _restricted(at: Balanced, noise: Noise) -> float:
+    """REML by its definition: the density of the contrasts that no parameter moves."""
+    contrasts = null_space(at.jacobian.T)
+    covariance = contrasts.T @ _dense(at, noise) @ contrasts
+    return float(multivariate_normal(cov=covariance).logpdf(contrasts.T @ at.residual))
+
+
+def test_fits_converge() -> None:
+    assert _known().converged
+    assert _norm().converged
+    assert min(_known().noise.sd) > 0.0
+
+
+def test_restricted_likelihood_is_the_density_of_contrasts() -> None:
+    at, start = _known().at, _known().noise
+    base = estimate_noise(at, start, fixed=True).log_likelihood - _restricted(at, start)
+    for factor, a, b in product((0.7, 1.5), (0.5, 2.0), (0.0, 1.3)):
+        noise = replace(start, factor=factor, sd=(a * start.sd[0], b * start.sd[1]))
+        found = estimate_noise(at, noise, fixed=True).log_likelihood
+        assert found - _restricted(at, noise) == pytest.approx(base, abs=1e-6)
+
+
+def test_restricted_likelihood_without_settings() -> None:
+    at = _norm().at
+    differences = [
+        estimate_noise(at, Noise(factor), fixed=True).log_likelihood
+        - _restricted(at, Noise(factor))
+        for factor in (0.5, 1.0, 3.0)
+    ]
+    assert np.ptp(differences) < 1e-8
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_noise_found_is_the_most_likely(seed: int) -> None:
+    model, data = base_model(), bench(seed, 30, shared=seed % 2 == 0)
+    found = fit_model(model, draw(model, ordinary_theta(model, data, 1), data, 50 + seed))
+    best = _restricted(found.at, found.noise)
+    for scales in product((0.9, 1.0, 1.1), repeat=3):
+        sd = tuple(max(s * v, 1e-5) for s, v in zip(scales[1:], found.noise.sd, strict=True))
+        other = replace(found.noise, factor=scales[0] * found.noise.factor, sd=sd)
+        assert _restricted(found.at, other) <= best + 1e-5
+    # Nor is there a better one far away, with a component absent or large.
+    for a, b in product((1e-6, 1e-4, 4e-4, 4e-3), repeat=2):
+        noise = replace(found.noise, sd=(a, b))
+        assert _restricted(found.at, noise) <= best + 1e-5
+
+
+def test_covariance_is_generalised_least_squares() -> None:
+    fit = _known()
+    inverse = np.linalg.inv(_dense(fit.at, fit.noise))
+    expected = np.linalg.inv(fit.at.jacobian.T @ inverse @ fit.at.jacobian)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.abs((fit.covariance - expected) / scale).max() < 1e-6
+    # θ is stationary: no combination of parameters explains any of what is left.
+    gradient = fit.at.jacobian.T @ inverse @ fit.at.residual
+    assert float(gradient @ expected @ gradient) < 1e-8
+
+
+def test_chi2_is_the_weighted_residual() -> None:
+    fit = _known()
+    white = np.linalg.solve(_dense(fit.at, fit.noise), fit.at.residual)
+    assert fit.chi2 == pytest.approx(fit.noise.factor**2 * float(fit.at.residual @ white), rel=1e-9)
+    assert fit.dof == fit.at.residual.size - fit.theta.size
+
+
+def test_covariance_slope_by_noise() -> None:
+    fit = _known()
+    for k in range(3):
+        values = np.array([fit.noise.factor, *fit.noise.sd])
+        found = []
+        for sign in (1.0, -1.0):
+            moved = values.copy()
+            moved[k] *= np.exp(sign * 1e-4)
+            noise = Noise(moved[0], fit.noise.component, tuple(moved[1:]))
+            found.append(estimate_noise(fit.at, noise, fixed=True).covariance)
+        numeric = (found[0] - found[1]) / 2e-4
+        scale = np.sqrt(np.outer(np.diag(fit.covariance), np.diag(fit.covariance)))
+        assert np.abs((numeric - fit.slope[k]) / scale).max() < 1e-5
+
+
+def test_whitener_makes_noise_white() -> None:
+    fit = _known()
+    ratio = tuple(sd / fit.noise.factor for sd in fit.noise.sd)
+    white = whitener(fit.at.settings, ratio)
+    covariance = _dense(fit.at, fit.noise) / fit.noise.factor**2
+    assert np.abs(white(white(covariance).T) - np.eye(len(covariance))).max() < 1e-9
+    assert white.log_det == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-10)
+    columns = np.ones((3, 2))
+    assert whitener((), ())(columns) is columns
+    assert whitener(fit.at.settings, (0.0, 0.0)).log_det == 0.0
+
+
+def test_setting_errors_are_the_conditional_mean() -> None:
+    """E[η | r] of the joint Gaussian of η and r = N η + noise."""
+    fit = _known()
+    misfit = fit.at.residual
+    covariance = _dense(fit.at, fit.noise)
+    expected = np.concatenate(
+        [sd**2 * m.T @ np.linalg.solve(covariance, misfit)
+         for m, sd in zip(fit.at.settings, fit.noise.sd, strict=True)]
+    )  # fmt: skip
+    assert np.allclose(setting_errors(fit.at, fit.noise, misfit), expected, rtol=1e-7, atol=1e-14)
+    assert np.allclose(fit.eta, expected, atol=1e-9)
+
+
+def test_setting_errors_find_what_was_planted() -> None:
+    model, data = base_model(), bench(31, 40, shared=True)
+    rng = np.random.default_rng(32)
+    reference = data.reference
+    eta = 0.05 * np.pi / 180.0 * rng.standard_normal(reference.eta_size)
+    theta = ordinary_theta(model, data, 33)
+    clean = model.predict(theta, reference.truth(eta), data.context).reading
+    noisy = data.with_reading(clean + data.sigma * rng.standard_normal(clean.shape))
+    found = fit_model(model, noisy)
+    assert np.corrcoef(found.eta, eta)[0, 1] > 0.9
+
+
+def tangent_leak(fit: Fit) -> float:
+    """Change of the balanced residual when all directions move, as a share of the move."""
+    data, reference = fit.observations, fit.observations.reference
+    step = 1e-5 * np.random.default_rng(5).standard_normal(reference.eta_size)
+    away = reference.move(fit.eta, step)
+    before, after = (balance(fit.model, fit.theta, eta, data) for eta in (fit.eta, away))
+    size = np.abs(reference.truth(away) - reference.truth(fit.eta)).max() / data.sigma.min()
+    assert size > 1e-2  # the move itself is seen by the readings
+    # The sign of what is kept is free.
+    return float(np.abs(np.abs(after.residual) - np.abs(before.residual)).max() / size)
+
+
+def test_moving_a_direction_leaves_the_projected_residual() -> None:
+    assert _norm().at.residual.size == _norm().observations.n
+    assert tangent_leak(_norm()) < 1e-4
+
+
+def test_a_forgotten_projection_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(self: KnownNorm, eta: Array) -> Directions:
+        return Directions(np.zeros((self.n, 1, 3, 0)), np.zeros((self.n, 0), np.intp), ())
+
+    monkeypatch.setattr(KnownNorm, "directions", none)
+    assert tangent_leak(_norm()) > 1e-2
+
+
+def test_projection_is_orthonormal_and_square_to_the_free_directions() -> None:
+    fit = _norm()
+    reference, keep = fit.observations.reference, fit.at.keep
+    prediction = fit.model.predict(fit.theta, reference.truth(fit.eta), fit.observations.context)
+    free = (prediction.d_truth @ reference.directions(fit.eta).derivative)[:, 0]
+    free = free / fit.at.sigma[..., None]
+    assert np.abs(keep.transpose(0, 2, 1) @ free).max() < 1e-9 * np.abs(free).max()
+    assert np.allclose(keep.transpose(0, 2, 1) @ keep, 1.0, atol=1e-12)
+
+
+def test_candidate_columns_pass_the_same_projection() -> None:
+    fit = _norm()
+    prediction = fit.model.predict(
+        fit.theta, fit.observations.reference.truth(fit.eta), fit.observations.context
+    )
+    assert np.allclose(fit.at.columns(prediction.d_theta), fit.at.jacobian, atol=1e-9)
+
+
+def literal_log_predictive(fit: Fit) -> float:
+    """Each group's density by the others' generalised least squares, all matrices dense."""
+    at = fit.at
+    covariance = _dense(at, fit.noise)
+    keys, total = fit.observations.group[at.owner], 0.0
+    for key in np.unique(keys):
+        out = keys == key
+        j, r = at.jacobian[~out], at.residual[~out]
+        inverse = np.linalg.inv(covariance[np.ix_(~out, ~out)])
+        spread = np.linalg.inv(j.T @ inverse @ j)
+        theta = spread @ j.T @ inverse @ r
+        cross = covariance[np.ix_(out, ~out)] @ inverse
+        mean = at.jacobian[out] @ theta + cross @ (r - j @ theta)
+        slope = at.jacobian[out] - cross @ j
+        block = covariance[np.ix_(out, out)] - cross @ covariance[np.ix_(~out, out)]
+        block = block + slope @ spread @ slope.T
+        away = at.residual[out] - mean
+        total += -0.5 * float(away @ np.linalg.solve(block, away))
+        total += -0.5 * float(np.linalg.slogdet(block)[1])
+    return total
+
+
+@pytest.mark.parametrize("groups", [1, 3], ids=["rows", "threes"])
+def test_log_predictive_is_literal_leave_one_group_out(groups: int) -> None:
+    for fit in (_known(), _norm()):
+        group = np.arange(fit.observations.n) // groups
+        grouped = replace(fit, observations=replace(fit.observations, group=group))
+        # In nats: the comparison of two models needs about one.
+        assert log_predictive(grouped) == pytest.approx(literal_log_predictive(grouped), abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["known", "norm"])
+def test_leaving_rows_out_is_a_full_refit(kind: str) -> None:
+    fit = _known() if kind == "known" else _norm()
+    moved = 0.0
+    for rows in (np.array([0]), np.array([7, 8]), np.arange(10, 15)):
+        refit = fit_model(
+            fit.model, fit.observations.without(rows), start=fit.theta, noise=fit.noise
+        )
+        assert refit.converged
+        away = theta_without(fit, rows) - refit.theta
+        # One Gauss-Newton step: what is left is second order, far below the uncertainty.
+        assert np.all(np.abs(away) < 0.02 * refit.sd)
+        moved = max(moved, float(np.max(np.abs(refit.theta - fit.theta) / refit.sd)))
+    assert moved > 0.2
+
+
+def test_noise_that_is_given_is_kept() -> None:
+    model, data = base_model(), bench(41, 24)
+    noisy = draw(model, ordinary_theta(model, data, 1), data, 42)
+    found = fit_model(model, noisy, noise=NOISE)
+    assert found.noise == NOISE
+    assert np.all(found.noise_sd == 0.0)
+
+
+def test_fewer_positions_leave_directions_open_in_words() -> None:
+    model, data = base_model(), bench(43, 24, exact=True)
+    level = np.flatnonzero(np.abs(data.context["inclination"]) < 0.3)
+    found = fit_model(model, draw(model, model.start(data.context), data, 1).take(level[:3]))
+    assert found.null_directions
+    assert all("bias" in w or "scale" in w or "mount" in w or "cross" in w
+               for w in found.null_directions)  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [1, 13, 15, 18, 55, 58])
+def test_a_free_gross_error_is_not_mistaken_for_a_setting(seed: int) -> None:
+    """From the plain start, the fit finds what it finds when it starts at the truth."""
+    rng = np.random.default_rng(seed)
+    data, axis, row = bench(seed, 20, shared=seed % 2 == 1), "xyz"[seed % 3], int(rng.integers(20))
+    model = base_model().plus(record_error(row, "it", axis))
+    theta = ordinary_theta(model, data, seed)
+    theta[-1] = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(1.3, 3.3)  # mg
+    noisy = draw(model, theta, data, seed)
+    plain, near = fit_model(model, noisy), fit_model(model, noisy, start=theta)
+    assert plain.converged
+    assert plain.log_likelihood == pytest.approx(near.log_likelihood, abs=1e-3)
+    assert abs(plain.theta[-1] - theta[-1]) < 4.5 * plain.sd[-1]

@@ -1,0 +1,150 @@
+"""What is known of the truth: its values, its free directions, and its subsets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
+
+Array = NDArray[np.float64]
+G = 9.8061
+QUARTER = np.pi / 2.0
+inclinations = st.floats(-QUARTER, QUARTER)
+turns = st.floats(0.0, 2.0 * np.pi, exclude_max=True)
+
+
+def _known_vector(**changes: Any) -> KnownVector:
+    rng = np.random.default_rng(2)
+    settings: dict[str, Any] = {
+        "inclination": rng.uniform(-1.5, 1.5, 6),
+        "tool_face": rng.uniform(0.0, 6.0, 6),
+        "gravity": G,
+        "inclination_setting": np.array([0, 0, 1, 1, 2, 2]),
+        "tool_face_setting": np.array([0, 1, 1, 2, 3, 3]),
+    }
+    return KnownVector(**{**settings, **changes})
+
+
+def _known_norm() -> tuple[KnownNorm, Array]:
+    reference = KnownNorm(6, G)
+    return reference, reference.start(np.random.default_rng(3).standard_normal((6, 1, 3)))
+
+
+@given(inclinations, turns)
+def test_a_direction_has_length_one_and_gives_its_angles_back(i: float, t: float) -> None:
+    vector = unit_vector(np.array([i]), np.array([t]))
+    assert np.linalg.norm(vector) == pytest.approx(1.0, abs=1e-15)
+    back_i, back_t = angles_of(vector)
+    assert back_i[0] == pytest.approx(i, abs=2e-8)
+    # Near the vertical the tool-face is lost in proportion; compare on the circle.
+    away = np.mod(back_t[0] - t + np.pi, 2.0 * np.pi) - np.pi
+    assert abs(away) * np.cos(i) < 1e-14
+
+
+@given(st.lists(st.floats(-20.0, 20.0), min_size=3, max_size=3))
+def test_angles_give_the_vector_back(values: list[float]) -> None:
+    vector = np.array(values)
+    size = float(np.linalg.norm(vector))
+    i, t = angles_of(vector)
+    assert 0.0 <= t <= 2.0 * np.pi
+    assert np.allclose(size * unit_vector(i, t), vector, atol=1e-14 * max(size, 1.0))
+
+
+def test_the_axes_are_the_papers() -> None:
+    level, up, east = (unit_vector(np.array(i), np.array(t)) for i, t in
+                       ((0.0, 0.0), (QUARTER, 1.0), (0.0, QUARTER)))  # fmt: skip
+    assert np.allclose(level, [0.0, 1.0, 0.0])
+    assert np.allclose(up, [0.0, 0.0, 1.0])
+    assert np.allclose(east, [1.0, 0.0, 0.0])
+
+
+def test_known_vector_truth_and_shared_settings() -> None:
+    reference = _known_vector()
+    assert reference.eta_size == 3 + 4
+    eta = np.zeros(7)
+    assert np.allclose(
+        reference.truth(eta)[:, 0], G * unit_vector(reference.inclination, reference.tool_face)
+    )
+    eta[1], eta[3 + 1] = 0.01, -0.02  # inclination setting 1, tool-face setting 1
+    i, t = angles_of(reference.truth(eta)[:, 0])
+    assert np.allclose(i - reference.inclination, [0, 0, 0.01, 0.01, 0, 0], atol=1e-13)
+    assert np.allclose(
+        np.mod(t - reference.tool_face + 1.0, 2 * np.pi) - 1.0, [0, -0.02, -0.02, 0, 0, 0]
+    )
+
+
+def _slope_error(reference: Reference, eta: Array) -> float:
+    """d truth / d η against central differences along the reference's own moves."""
+    found = reference.directions(eta)
+    worst = 0.0
+    for entry in range(reference.eta_size):
+        step = np.zeros(reference.eta_size)
+        step[entry] = 1e-5
+        up, down = (reference.truth(reference.move(eta, s)) for s in (step, -step))
+        analytic = np.zeros_like(up)
+        for column in range(found.index.shape[1]):
+            rows = found.index[:, column] == entry
+            analytic[rows] += found.derivative[rows, :, :, column]
+        worst = max(worst, float(np.abs((up - down) / 2e-5 - analytic).max()))
+    return worst
+
+
+def test_free_directions_are_the_derivatives() -> None:
+    reference = _known_vector()
+    eta = 0.05 * np.random.default_rng(4).standard_normal(reference.eta_size)
+    assert _slope_error(reference, eta) < 1e-8
+    norm, at = _known_norm()
+    assert _slope_error(norm, at) < 1e-8
+
+
+def test_every_entry_of_eta_belongs_to_one_component() -> None:
+    reference = _known_vector()
+    index = reference.directions(np.zeros(7)).index
+    assert set(index[:, 0]) == {0, 1, 2}
+    assert set(index[:, 1]) == {3, 4, 5, 6}
+    assert reference.directions(np.zeros(7)).component == KnownVector.COMPONENTS
+
+
+def test_exact_angles_have_no_free_direction() -> None:
+    found = _known_vector(setting_errors=False).directions(np.zeros(7))
+    assert found.derivative.shape == (6, 1, 3, 0)
+    assert found.component == ()
+
+
+def test_known_norm_keeps_the_norm_and_is_flat() -> None:
+    reference, eta = _known_norm()
+    moved = reference.move(eta, 0.3 * np.random.default_rng(5).standard_normal(12))
+    assert np.allclose(np.linalg.norm(reference.truth(moved), axis=-1), G, rtol=1e-14)
+    found = reference.directions(eta)
+    assert found.component == (None, None)
+    # The two tangents are square to the direction and to each other, of length g.
+    full = np.concatenate([found.derivative[:, 0], reference.truth(eta)[:, 0, :, None]], axis=-1)
+    assert np.allclose(full.transpose(0, 2, 1) @ full, G**2 * np.eye(3), atol=1e-12 * G**2)
+
+
+@given(st.lists(st.integers(0, 5), min_size=1, max_size=6))
+def test_a_subset_keeps_what_rows_share(rows: list[int]) -> None:
+    reference, picked = _known_vector(), np.array(rows)
+    part = reference.take(picked)
+    assert part.n == len(rows)
+    assert np.array_equal(part.truth(np.zeros(part.eta_size)), reference.truth(np.zeros(7))[picked])
+    pairs = ((reference.inclination_setting, part.inclination_setting),
+             (reference.tool_face_setting, part.tool_face_setting))  # fmt: skip
+    for whole, own in pairs:
+        same = whole[picked][:, None] == whole[picked][None]
+        assert np.array_equal(own[:, None] == own[None], same)
+    # No setting without a row remains: each would be a free number that nothing determines.
+    assert part.eta_size == len(np.unique(part.directions(np.zeros(part.eta_size)).index))
+    assert KnownNorm(6, G).take(picked).n == len(rows)
+
+
+def test_a_subset_keeps_exact_angles_exact() -> None:
+    part = _known_vector(setting_errors=False).take(np.array([0, 3]))
+    assert part.setting_errors is False
+    assert part.gravity == G

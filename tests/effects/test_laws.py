@@ -1,0 +1,276 @@
+"""Laws that every effect of the catalogue keeps; a new effect is tested by being there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from imucalib.core.context import Context
+from imucalib.core.effect import Action, Effect
+from imucalib.core.model import Model
+from imucalib.effects import catalogue, load_file, named
+from imucalib.effects.record_error import record_error
+from imucalib.errors import UsageError
+from imucalib.estimators.least_squares import fit
+from imucalib.loop.candidates import effect_candidates
+from imucalib.loop.evidence import score
+from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
+
+Array = NDArray[np.float64]
+EFFECTS: dict[str, Effect] = {
+    **catalogue(),
+    "record_error": record_error(7, "row 8"),
+    "record_error_y": record_error(7, "row 8", "y"),
+    **{
+        name: named(name)
+        for name in (
+            "bias_step@2000s",
+            "curve@bias:order:0:1:4",
+            "curve@bias:tool_face:0:6.2832:4",
+            "curve@response:y:-1:1:6",
+            "curve@inclination:temperature:10:40:3",
+            "curve@tool_face:tool_face:0:6.2832:4",
+        )
+    },
+}
+UNITS = {"mg", "deg", "1", "mg/g", "mg/g2", "mg/g3", "mg/degC", "mg/g/degC", "deg per 90 deg"}
+each_effect = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+each_context = pytest.mark.parametrize("triads", [("imu0",), ("a", "b")], ids=["one", "two"])
+
+
+def _context(triads: tuple[str, ...] = ("imu0",)) -> Context:
+    return replace(bench(1, 12).context, triads=triads)
+
+
+def _force(context: Context) -> Array:
+    rng = np.random.default_rng(3)
+    return GRAVITY * rng.standard_normal((context.n, len(context.triads), 3))
+
+
+def _typical(effect: Effect, context: Context) -> Array:
+    return np.array([p.typical for p in effect.parameters(context)])
+
+
+def _mid_theta(effect: Effect, context: Context) -> Array:
+    typical = _typical(effect, context)
+    return typical * np.random.default_rng(4).uniform(-2.0, 2.0, typical.size)
+
+
+@each_effect
+@each_context
+def test_absent_at_the_start(effect: Effect, triads: tuple[str, ...]) -> None:
+    context = _context(triads)
+    start = np.array([p.start for p in effect.parameters(context)])
+    assert start.size > 0
+    action = effect.act(start, _force(context), context)
+    assert np.array_equal(action.delta, np.zeros_like(action.delta))
+    assert np.array_equal(action.d_x, np.zeros((*action.delta.shape, 3)))
+
+
+def theta_slope_error(effect: Effect, context: Context) -> float:
+    """Largest difference of d_theta from central differences, per typical size, in m/s²."""
+    x, theta, typical = _force(context), _mid_theta(effect, context), _typical(effect, context)
+    analytic = effect.act(theta, x, context).d_theta
+    worst = 0.0
+    for k, size in enumerate(typical):
+        step = np.zeros_like(theta)
+        step[k] = 1e-3 * size
+        up, down = (effect.act(theta + s, x, context).delta for s in (step, -step))
+        numeric = (up - down) / (2.0 * step[k])
+        worst = max(worst, float(np.abs(numeric - analytic[..., k]).max()) * size)
+    return worst
+
+
+def x_slope_error(effect: Effect, context: Context) -> float:
+    """Largest difference of d_x from central differences (m/s² per m/s²)."""
+    x, theta = _force(context), _mid_theta(effect, context)
+    analytic = effect.act(theta, x, context).d_x
+    worst = 0.0
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = 1e-4
+        up, down = (effect.act(theta, x + s, context).delta for s in (step, -step))
+        worst = max(worst, float(np.abs((up - down) / 2e-4 - analytic[..., axis]).max()))
+    return worst
+
+
+@each_effect
+@each_context
+def test_slope_by_parameters(effect: Effect, triads: tuple[str, ...]) -> None:
+    assert theta_slope_error(effect, _context(triads)) < 1e-7
+
+
+@each_effect
+@each_context
+def test_slope_by_force(effect: Effect, triads: tuple[str, ...]) -> None:
+    assert x_slope_error(effect, _context(triads)) < 1e-8
+
+
+@each_effect
+@each_context
+def test_every_parameter_acts(effect: Effect, triads: tuple[str, ...]) -> None:
+    context = _context(triads)
+    slope = effect.act(_mid_theta(effect, context), _force(context), context).d_theta
+    assert slope.shape == (context.n, len(triads), 3, len(effect.parameters(context)))
+    assert np.all(np.abs(slope).max(axis=(0, 1, 2)) > 0.0)
+
+
+@each_effect
+def test_words_and_sizes(effect: Effect) -> None:
+    for text in (effect.sentence, effect.equation, effect.source, effect.identify):
+        assert len(text) > 5
+    assert "=" in effect.equation
+    assert effect.stage in ("fixture", "mounting", "sensor")
+    parameters = effect.parameters(_context())
+    assert len({p.name for p in parameters}) == len(parameters)
+    for p in parameters:
+        assert p.unit in UNITS
+        assert 0.0 < 5.0 * p.typical <= p.plausible
+
+
+def test_parameter_names_are_unique_over_the_catalogue() -> None:
+    names = [p.name for effect in catalogue().values() for p in effect.parameters(_context())]
+    assert len(names) == len(set(names))
+
+
+@each_effect
+def test_says_what_is_missing(effect: Effect) -> None:
+    context = _context()
+    assert effect.missing(context) == ""
+    for need in effect.needs:
+        rest = {name: v for name, v in context.covariates.items() if name != need}
+        assert need.replace("_", " ") in effect.missing(replace(context, covariates=rest))
+        still = {**context.covariates, need: np.ones(context.n)}
+        assert "does not vary" in effect.missing(replace(context, covariates=still))
+
+
+@each_effect
+def test_reads_only_what_it_needs(effect: Effect) -> None:
+    context = _context()
+    own = {name: context[name] for name in effect.needs}
+    bare = replace(context, covariates=own)
+    theta = _mid_theta(effect, context)
+    a, b = (effect.act(theta, _force(context), c).delta for c in (context, bare))
+    assert np.array_equal(a, b)
+
+
+@each_effect
+def test_subset_keeps_the_meaning(effect: Effect) -> None:
+    context, rows = _context(), np.array([2, 7, 9])
+    theta, x = _mid_theta(effect, context), _force(context)
+    whole = effect.act(theta, x, context).delta[rows]
+    assert np.allclose(effect.act(theta, x[rows], context.take(rows)).delta, whole, atol=1e-13)
+
+
+@each_effect
+def test_fixture_and_mounting_keep_the_norm(effect: Effect) -> None:
+    if effect.stage == "sensor":
+        return
+    context = _context()
+    x = _force(context)
+    turned = x + effect.act(_mid_theta(effect, context), x, context).delta
+    assert np.allclose(np.linalg.norm(turned, axis=-1), np.linalg.norm(x, axis=-1), rtol=1e-13)
+
+
+INVERTIBLE = [e for e in EFFECTS.values() if e.stage != "fixture"]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.sampled_from(INVERTIBLE), min_size=1, max_size=6, unique_by=lambda e: e.name),
+    st.integers(0, 2**31),
+)
+def test_correct_inverts_predict(effects: list[Effect], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    context, model = _context(), Model(tuple(effects))
+    truth = GRAVITY * rng.uniform(-1.0, 1.0, (context.n, 1, 3))
+    typical = np.array([p.typical for p in model.parameters(context)])
+    theta = np.where(typical < 50.0, typical, 20.0) * rng.uniform(-1.0, 1.0, typical.size)
+    reading = model.predict(theta, truth, context).reading
+    assert np.allclose(model.correct(theta, reading, context), truth, rtol=0.0, atol=1e-11)
+
+
+def test_model_slopes_chain_over_all_effects() -> None:
+    context, model = _context(), Model(tuple(EFFECTS.values()))
+    x, typical = _force(context), np.array([p.typical for p in model.parameters(context)])
+    theta = typical * np.random.default_rng(5).uniform(-1.0, 1.0, typical.size)
+    whole = model.predict(theta, x, context)
+    for k, size in enumerate(typical):
+        step = np.zeros_like(theta)
+        step[k] = 1e-3 * size
+        up, down = (model.predict(theta + s, x, context).reading for s in (step, -step))
+        numeric = (up - down) / (2.0 * step[k])
+        assert np.abs(numeric - whole.d_theta[..., k]).max() * size < 1e-6
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = 1e-4
+        up, down = (model.predict(theta, x + s, context).reading for s in (step, -step))
+        assert np.abs((up - down) / 2e-4 - whole.d_truth[..., axis]).max() < 1e-7
+
+
+@each_effect
+def test_recovered_within_its_uncertainty(effect: Effect) -> None:
+    data = bench(11)
+    base = base_model()
+    model = base if effect.name in base.names else base.plus(effect)
+    theta, part = ordinary_theta(model, data, 12), model.slices(data.context)[effect.name]
+    typical = _typical(effect, data.context)
+    theta[part] = 5.0 * typical * np.where(np.arange(typical.size) % 2, -1.0, 1.0)
+    found = fit(model, draw(model, theta, data, 13))
+    assert found.converged
+    if "Absorbed" in effect.identify:
+        assert any(effect.name in words for words in found.null_directions)
+        alone = fit(base, draw(base, ordinary_theta(base, data, 12), data, 13))
+        candidates, _ = effect_candidates(alone, [effect])
+        assert score(alone, candidates, np.random.default_rng(0), draws=1)[0].absorbed
+        return
+    assert not found.null_directions
+    sd = found.sd[part]
+    assert np.all(np.abs(found.theta[part] - theta[part]) < 4.5 * sd)
+    # Determined at all: what was planted stands out of its own uncertainty.
+    assert np.all(sd < typical)
+
+
+def test_a_wrong_sign_of_a_slope_is_caught() -> None:
+    for name in ("bias", "quadratic", "inclination_zero", "temperature_scale"):
+        effect, context = _Wrong(named(name), "d_theta"), _context()
+        assert theta_slope_error(effect, context) > 1e-3
+        assert x_slope_error(_Wrong(named("scale"), "d_x"), context) > 1e-3
+
+
+class _Wrong:
+    """An effect with one slope of the wrong sign."""
+
+    def __init__(self, effect: Effect, slope: str) -> None:
+        self._effect, self._slope = effect, slope
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._effect, name)
+
+    def act(self, theta: Array, x: Array, context: Context) -> Action:
+        action = self._effect.act(theta, x, context)
+        return replace(action, **{self._slope: -getattr(action, self._slope)})
+
+
+def test_a_users_file_adds_effects(tmp_path: object) -> None:
+    path = tmp_path / "own.py"  # type: ignore[operator]
+    path.write_text(
+        "from dataclasses import replace\nfrom imucalib.effects import named\n"
+        "EFFECTS = (replace(named('bias'), name='own_bias'),)\n"
+    )
+    assert list(load_file(path)) == ["own_bias"]
+    path.write_text("EFFECTS = ()\n")
+    with pytest.raises(UsageError, match="no EFFECTS"):
+        load_file(path)
+    with pytest.raises(UsageError, match="not a Python file"):
+        load_file(path.with_name("absent.py"))
+
+
+def test_an_unknown_name_gets_the_nearest() -> None:
+    with pytest.raises(UsageError, match="quadratic"):
+        named("quadratik")

@@ -1,0 +1,288 @@
+"""Evidence: planted physics scores highest, nothing scores nothing, and p means what it says."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations
+from imucalib.effects import catalogue, named
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop import held_out as held_out_module
+from imucalib.loop import noise_grid as evidence_grid
+from imucalib.loop.candidates import (
+    correlated_noise,
+    effect_candidates,
+    effect_columns,
+    probes,
+    record_candidates,
+)
+from imucalib.loop.evidence import Candidate, Score, apart, score
+from imucalib.loop.held_out import errors, fitted, held_out
+from imucalib.loop.record_errors import diagnose
+from imucalib.units import MG
+from worlds.bench import (
+    BASE,
+    NINE,
+    base_model,
+    bench,
+    draw,
+    ordinary_theta,
+    tumble,
+)
+
+Array = NDArray[np.float64]
+SEARCHED = [
+    name for name, e in catalogue().items() if name not in BASE and "Absorbed" not in e.identify
+]
+
+
+def _planted(name: str, seed: int, size: float = 5.0, n: int = 30) -> Fit:
+    """A base fit of data that hold one effect more, `size` times its typical size."""
+    base, data = base_model(), bench(seed, n)
+    model = base.plus(named(name))
+    theta = ordinary_theta(model, data, seed + 1)
+    typical = [p.typical for p in named(name).parameters(data.context)]
+    part = model.slices(data.context)[name]
+    theta[part] = size * np.array(typical) * (-1.0) ** np.arange(len(typical))
+    return fit_model(base, draw(model, theta, data, seed + 2))
+
+
+def _clean(seed: int, n: int = 24) -> Fit:
+    base, data = base_model(), bench(seed, n)
+    return fit_model(base, draw(base, ordinary_theta(base, data, seed), data, 1000 + seed))
+
+
+@cache
+def _one_clean() -> Fit:
+    return _clean(0)
+
+
+def _everything(fit: Fit) -> tuple[Candidate, ...]:
+    found, _ = effect_candidates(fit, catalogue().values())
+    return found + probes(fit) + correlated_noise(fit)
+
+
+def _scores(fit: Fit, draws: int = 99) -> tuple[Score, ...]:
+    return score(fit, _everything(fit), np.random.default_rng(7), draws=draws)
+
+
+@pytest.mark.parametrize("name", SEARCHED)
+def test_what_was_planted_scores_highest(name: str) -> None:
+    found = _scores(_planted(name, 61), draws=19)
+    assert found[0].name == name
+    assert found[0].p == 1 / 20  # the least that 19 draws can give
+    assert found[0].evidence > found[1].evidence + 3.0
+    assert found[0].share > 0.3
+    assert not found[0].absorbed
+
+
+def test_an_absorbed_effect_claims_nothing() -> None:
+    fit = _planted("tool_face_zero", 62)
+    mine = next(s for s in _scores(fit) if s.name == "tool_face_zero")
+    assert mine.absorbed
+    assert (mine.evidence, mine.p, mine.strength) == (0.0, 1.0, 0.0)
+
+
+def _null_p_values(count: int = 60) -> Array:
+    return np.array([_scores(_clean(seed, 16), draws=49)[0].p for seed in range(count)])
+
+
+def test_p_values_of_clean_data_are_uniform() -> None:
+    """Counts within the 0.2 % bounds of the binomial at each level."""
+    p = _null_p_values()
+    for level, low, high in ((0.1, 1, 13), (0.5, 18, 42), (0.9, 47, 59)):
+        assert low <= int(np.sum(p <= level)) <= high, (level, np.sort(p))
+    assert p.min() >= 1 / 50
+
+
+def test_p_is_for_the_best_of_all_candidates() -> None:
+    """The same evidence among more candidates has the larger p."""
+    fit = _planted("cubic", 63, 0.4)
+    every = _everything(fit)
+    mine = tuple(c for c in every if c.name == "cubic")
+    alone = score(fit, mine, np.random.default_rng(1), draws=199)[0]
+    among = next(
+        s for s in score(fit, every, np.random.default_rng(1), draws=199) if s.name == "cubic"
+    )
+    assert among.evidence == pytest.approx(alone.evidence, abs=1e-9)
+    assert 0.005 < alone.p < among.p
+
+
+def _dense_evidence(fit: Fit, columns: Array) -> float:
+    """The definition: restricted likelihood with V + τ² G Gᵀ, profiled over noise and grids."""
+    at = fit.at
+    n, p = at.jacobian.shape
+
+    def log_density(ratio: tuple[float, ...], tau: float) -> float:
+        v = np.eye(n) + tau**2 * columns @ columns.T / fit.noise.factor**2
+        for matrix, rho in zip(at.settings, ratio, strict=True):
+            v += rho**2 * matrix @ matrix.T
+        inverse = np.linalg.inv(v)
+        info = at.jacobian.T @ inverse @ at.jacobian
+        right = inverse @ at.residual
+        gain = at.jacobian.T @ right
+        power = float(at.residual @ right - gain @ np.linalg.solve(info, gain))
+        dets = np.linalg.slogdet(v)[1] + np.linalg.slogdet(info)[1]
+        return float(-0.5 * (dets + (n - p) * np.log(power)))
+
+    shrink = evidence_grid.SHRINK
+    fitted_ratio = [sd / fit.noise.factor for sd in fit.noise.sd]
+    grid = list(product(*(tuple(s * r for s in shrink) for r in fitted_ratio)))
+    without = max(log_density(ratio, 0.0) for ratio in grid)
+    taus = (0.1, 0.3, 1.0, 3.0, 10.0)
+    return max(log_density(ratio, tau) for ratio in grid for tau in taus) - without
+
+
+@pytest.mark.parametrize("name", ["cubic", "temperature_bias", "inclination_zero"])
+def test_evidence_is_its_definition(name: str) -> None:
+    fit = _planted("cubic", 64, 0.5, n=14)
+    columns = effect_columns(fit, named(name))
+    found = score(fit, (Candidate(name, "effect", columns),), np.random.default_rng(0), draws=1)
+    assert found[0].evidence == pytest.approx(_dense_evidence(fit, columns), abs=1e-6)
+
+
+def test_evidence_by_the_norm_alone_is_its_definition() -> None:
+    fit = _tumbled("cubic", 65)
+    columns = effect_columns(fit, named("cubic"))
+    found = score(fit, (Candidate("cubic", "effect", columns),), np.random.default_rng(0), draws=1)
+    assert found[0].evidence == pytest.approx(_dense_evidence(fit, columns), abs=1e-6)
+
+
+def _tumbled(name: str, seed: int, size: float = 5.0) -> Fit:
+    base, data, known = base_model(NINE), tumble(seed, 40), bench(seed, 40, exact=True)
+    model = base.plus(named(name))
+    theta = ordinary_theta(model, data, seed + 1)
+    part = model.slices(data.context)[name]
+    theta[part] = size * np.array([p.typical for p in named(name).parameters(data.context)])
+    return fit_model(base, data.with_reading(draw(model, theta, known, seed + 2).reading))
+
+
+@pytest.mark.parametrize("name", ["temperature_bias", "quadratic", "bias_step", "scale_drift"])
+def test_planted_physics_is_found_by_the_norm_alone(name: str) -> None:
+    found = _scores(_tumbled(name, 66), draws=19)
+    assert found[0].name == name
+    assert found[0].p == 1 / 20
+
+
+def test_columns_are_what_the_effect_does_to_the_balance() -> None:
+    """A candidate's columns against the change of the residual that a small effect makes."""
+    fit = _one_clean()
+    for name in ("cubic", "temperature_scale", "inclination_zero", "tool_face_eccentricity"):
+        effect = named(name)
+        columns = effect_columns(fit, effect)
+        model, context = fit.model.plus(effect), fit.observations.context
+        typical = np.array([p.typical for p in effect.parameters(context)])
+        theta = model.start(context)
+        slices = model.slices(context)
+        for own, part in fit.model.slices(context).items():
+            theta[slices[own]] = fit.theta[part]
+        truth = fit.observations.reference.truth(fit.eta)
+        for k in range(typical.size):
+            both = []
+            for sign in (1.0, -1.0):
+                moved = theta.copy()
+                moved[slices[name].start + k] = sign * 1e-4 * typical[k]
+                reading = model.predict(moved, truth, context).reading
+                both.append((reading / fit.observations.sigma).ravel())
+            slope = (both[0] - both[1]) / 2e-4
+            assert np.allclose(slope, columns[:, k], atol=1e-4 * np.abs(columns).max())
+
+
+def test_effects_that_cannot_be_tested_say_why() -> None:
+    fit = _one_clean()
+    context = fit.observations.context
+    kept = {n: v for n, v in context.covariates.items() if n not in ("temperature", "sweep")}
+    bare = Observations(
+        fit.observations.reading, fit.observations.sigma, fit.observations.reference,
+        type(context)(context.n, kept), fit.observations.group, fit.observations.label,
+    )  # fmt: skip
+    found, missing = effect_candidates(fit_model(fit.model, bare), catalogue().values())
+    assert missing["temperature_bias"] == "no temperature was recorded"
+    assert missing["bias_step"] == "no sweep was recorded"
+    names = {c.name for c in found}
+    assert not names & set(missing)
+    assert names | set(missing) | set(BASE) == set(catalogue())
+
+
+def test_an_alias_is_not_apart_and_others_are() -> None:
+    fit = _planted("bias_drift", 61)
+    every = {c.name: c for c in _everything(fit)}
+    drift, warm = every["bias_drift"], every["temperature_bias"]
+    strength = apart(fit, drift, Candidate("nothing", "effect", 0.0 * drift.columns))
+    assert strength > 5.0
+    assert apart(fit, drift, drift) < 1e-6 * strength
+    turned = Candidate("turned", "effect", drift.columns @ np.diag([2.0, -1.0, 0.5]))
+    assert apart(fit, drift, turned) < 1e-6 * strength
+    assert apart(fit, drift, warm) > 0.5 * strength
+    # Half of one and half of the other: at an angle between.
+    mixed = Candidate("mixed", "effect", drift.columns / 2.0 + warm.columns / 2.0)
+    assert 0.05 * strength < apart(fit, drift, mixed) < apart(fit, drift, warm)
+
+
+@pytest.mark.parametrize(("row", "axis"), [(5, "x"), (11, "z")])
+def test_a_gross_error_of_one_record_is_found(row: int, axis: str) -> None:
+    base, data = base_model(), bench(67, 30)
+    noisy = draw(base, ordinary_theta(base, data, 68), data, 69)
+    reading = noisy.reading.copy()
+    reading[row, 0, "xyz".index(axis)] += 30.0 * MG
+    fit = fit_model(base, noisy.with_reading(reading))
+    best = score(fit, record_candidates(fit), np.random.default_rng(0), draws=99)[0]
+    assert (best.name, best.p) == (f"{row}:{axis}", 1 / 100)
+    found = diagnose(fit, row, axis, best.p, best.evidence)
+    assert abs(found.size - 30.0) < 4.5 * found.sd
+    assert found.where == f"row {row + 1}"
+
+
+def test_a_gross_error_is_found_by_the_norm_alone() -> None:
+    base, data, known = base_model(NINE), tumble(70, 40), bench(70, 40, exact=True)
+    reading = draw(base, ordinary_theta(base, data, 1), known, 2).reading.copy()
+    reading[9, 0] *= 1.01
+    fit = fit_model(base, data.with_reading(reading))
+    best = score(fit, record_candidates(fit), np.random.default_rng(0), draws=99)[0]
+    assert (best.name, best.p) == ("9:norm", 1 / 100)
+
+
+def held_out_gap(fit: Fit) -> float:
+    """Largest difference (m/s²) of held-out errors from those of literal refits, over the noise."""
+    found, worst = held_out(fit).error, 0.0
+    for row in range(fit.observations.n):
+        rows = np.array([row])
+        rest = fit_model(
+            fit.model, fit.observations.without(rows), start=fit.theta, noise=fit.noise
+        )
+        literal = errors(rest, rest.theta, fit.observations.take(rows)).error[0]
+        worst = max(worst, float(np.abs(found[row] - literal).max()))
+    return worst / (fit.noise.factor * float(fit.observations.sigma.min()))
+
+
+def test_held_out_errors_are_those_of_literal_refits() -> None:
+    fit = _one_clean()
+    assert held_out_gap(fit) < 0.01
+    assert held_out(fit).rms() > fitted(fit).rms()
+
+
+def test_in_sample_errors_passed_off_as_held_out_are_caught(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(held_out_module, "theta_without", lambda fit, rows: fit.theta)
+    assert held_out_gap(_one_clean()) > 0.1
+
+
+def test_p_values_without_a_family_are_caught() -> None:
+    """A search that trusts each candidate alone calls far too many clean data sets deficient."""
+    small = 0
+    for seed in range(6):
+        fit = _clean(seed, 16)
+        alone = [
+            score(fit, (c,), np.random.default_rng(7), draws=19)[0].p
+            for c in effect_candidates(fit, catalogue().values())[0]
+        ]
+        small += min(alone) <= 0.1
+    # Above the 0.2 % bound of a Binomial(6, 0.1).
+    assert small >= 4

@@ -1,0 +1,186 @@
+"""Laws of the closed loop, and proof that a broken engine breaks them.
+
+Each fault that would make the loop lie is planted and must be seen: a correction of the wrong sign,
+a forgotten projection, an error in the sample that is passed off as held out.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.effects import catalogue, named
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop import cross_fit
+from imucalib.loop import noise_grid as evidence_grid
+from imucalib.loop.candidates import effect_candidates
+from imucalib.loop.closed_loop import close_loop
+from imucalib.loop.cross_fit import cross_fitted
+from imucalib.loop.evidence import score
+from imucalib.loop.found import Loop, LoopSettings
+from imucalib.loop.held_out import errors
+from imucalib.loop.noise_checks import beyond_declared, heavy_tails, noise_doubts
+from imucalib.loop.records import extended
+from worlds.bench import base_model, bench, draw, ordinary_theta
+
+Array = NDArray[np.float64]
+RULES = LoopSettings(draws=59, alpha=0.1)
+JUNK = ("quadratic", "cubic", "cross_axis", "temperature_scale", "warm_up")
+
+
+def planted(name: str, size: float, seed: int = 5, n: int = 40) -> Observations:
+    base, data = base_model(), bench(seed, n)
+    model = base.plus(named(name))
+    theta, part = ordinary_theta(model, data, seed), model.slices(data.context)[name]
+    theta[part] = size * np.array([p.typical for p in named(name).parameters(data.context)])
+    return draw(model, theta, data, seed + 1)
+
+
+def clean(seed: int, n: int = 40) -> Observations:
+    base, data = base_model(), bench(seed, n)
+    return draw(base, ordinary_theta(base, data, seed), data, seed + 100)
+
+
+def searched(data: Observations, names: tuple[str, ...]) -> Loop:
+    effects: dict[str, Effect] = {name: named(name) for name in names}
+    return close_loop(base_model(), data, effects, np.random.default_rng(0), RULES)
+
+
+def test_a_correction_of_the_wrong_sign_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = planted("cubic", 3.0)
+    assert [s.effect for s in searched(data, ("cubic",)).steps] == ["cubic"]
+    right = Model.correct
+
+    def wrong(self: Model, theta: Array, reading: Array, context: Context) -> Array:
+        turned, slices = theta.copy(), self.slices(context)
+        if "cubic" in slices:
+            turned[slices["cubic"]] *= -1.0
+        return right(self, turned, reading, context)
+
+    monkeypatch.setattr(Model, "correct", wrong)
+    loop = searched(data, ("cubic",))
+    assert not loop.steps
+    assert "does not hold out" in dict(loop.rejected)["cubic"]
+
+
+def silent(fit: Fit) -> float:
+    """Evidence for an effect that the fitted parameters absorb: nothing, whatever the data."""
+    candidates, _ = effect_candidates(fit, [named("tool_face_zero")])
+    return score(fit, candidates, np.random.default_rng(0), draws=19)[0].evidence
+
+
+def test_a_forgotten_projection_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = fit_model(base_model(), planted("tool_face_zero", 3.0))
+    assert silent(fit) == 0.0
+    base, point = Fit.white_basis, evidence_grid._at_point
+
+    def without(found: Fit) -> tuple[evidence_grid.Whitener, Array]:
+        white, basis = base(found)
+        return white, np.zeros_like(basis)
+
+    monkeypatch.setattr(Fit, "white_basis", without)
+    monkeypatch.setattr(
+        evidence_grid, "_at_point", lambda j, *rest: replace(point(j, *rest), basis=0.0 * j)
+    )
+    candidates, _ = effect_candidates(fit, [named("tool_face_zero")])
+    assert not score(fit, candidates, np.random.default_rng(0), draws=19)[0].absorbed
+
+
+def claimed_gain(seed: int) -> float:
+    """Held-out error after over before, where an effect was taken that the data lack."""
+    data = clean(seed)
+    plain = fit_model(base_model(), data)
+    final = plain
+    for name in JUNK:
+        final = extended(final, named(name))
+    loop = Loop(plain, final, plain, final, bar=-1e9)
+    effects = {name: named(name) for name in JUNK}
+    before, after = cross_fitted(loop, effects, np.random.default_rng(seed), RULES)
+    return after.rms() / before.rms()
+
+
+def test_what_the_data_lack_gains_nothing_on_data_that_took_no_part() -> None:
+    assert np.mean([claimed_gain(seed) for seed in (1, 2, 3)]) >= 1.0
+
+
+def test_an_error_in_the_sample_passed_off_as_held_out_is_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def in_sample(loop: Loop, *rest: object) -> Fit:
+        return loop.final
+
+    monkeypatch.setattr(cross_fit, "_searched", in_sample)
+    assert np.mean([claimed_gain(seed) for seed in (1, 2, 3)]) < 0.97
+
+
+def test_an_effect_gains_on_data_that_took_no_part() -> None:
+    loop = searched(planted("cubic", 2.0), ("cubic", "cross_axis"))
+    effects = {name: named(name) for name in ("cubic", "cross_axis")}
+    before, after = cross_fitted(loop, effects, np.random.default_rng(0), RULES)
+    assert after.rms() < 0.7 * before.rms()
+    assert before.error.shape == after.error.shape == (40, 1, 3)
+    rows = np.array([3, 11])
+    alone = errors(loop.final, loop.final.theta, loop.plain.observations.take(rows))
+    assert not np.allclose(alone.error, after.error[rows])  # fitted with them, so not held out
+
+
+def test_heavy_tails_are_said_and_normal_ones_are_not() -> None:
+    base, data = base_model(), bench(3, 120, exact=True)
+    theta = ordinary_theta(base, data, 3)
+    normal = fit_model(base, draw(base, theta, data, 1))
+    clean_reading = draw(base, theta, data, 1).reading
+    wild = np.random.default_rng(2).standard_t(2.5, clean_reading.shape) * data.sigma
+    heavy = fit_model(base, data.with_reading(clean_reading + wild))
+    assert heavy_tails(normal, np.random.default_rng(0), 400) > 0.01
+    assert heavy_tails(heavy, np.random.default_rng(0), 400) < 0.005
+    names = [u.name for u in noise_doubts(heavy, np.random.default_rng(0), LoopSettings())]
+    assert names == ["heavy tails"]
+
+
+def test_more_scatter_than_declared_is_said() -> None:
+    base, data = base_model(), bench(3, 60, exact=True)
+    drawn = draw(base, ordinary_theta(base, data, 3), data, 1)
+    as_declared = fit_model(base, drawn)
+    small = fit_model(base, replace(drawn, sigma=drawn.sigma / 1.6))
+    assert beyond_declared(as_declared) > 0.01
+    assert beyond_declared(small) < 1e-4
+    rng = np.random.default_rng(0)
+    assert not noise_doubts(small, rng, LoopSettings())  # nobody stands for that sigma
+    said = noise_doubts(small, rng, LoopSettings(declared=True))
+    assert re.fullmatch(r"scatter 1\.[4-8] times the declared noise", said[0].name)
+
+
+def test_a_record_that_an_effect_explains_comes_back() -> None:
+    """Positions that carry an effect look like wrong records: none may be lost to one."""
+    for seed in (5, 6):
+        data = planted("cubic", 6.0, seed=seed)
+        loop = searched(data, ("cubic", "quadratic"))
+        assert [s.effect for s in loop.steps] == ["cubic"]
+        assert not loop.records
+
+
+def test_a_curve_corrects_without_a_name() -> None:
+    base, data = base_model(), bench(5, 60)
+    drawn = draw(base, ordinary_theta(base, data, 5), data, 6)
+    order = data.context["order"]
+    wave = 0.03 * np.sin(2.0 * np.pi * order)[:, None, None] * np.array([1.0, -0.5, 0.8])
+    bent = drawn.with_reading(drawn.reading + wave)
+    effects = {"cubic": named("cubic")}
+    rng = np.random.default_rng(0)
+    plain = close_loop(base, bent, effects, rng, RULES)
+    assert plain.verdict == "unexplained"
+    loop = close_loop(base, bent, effects, rng, replace(RULES, curves=True))
+    assert [s.effect.split(":")[:2] for s in loop.curves] == [["curve@bias", "order"]]
+    assert loop.verdict == "unexplained"
+    assert not loop.named
+    assert loop.curves[0].checked_after < 0.4 * loop.curves[0].checked_before
+    assert set(catalogue()).isdisjoint(s.effect for s in loop.steps)

@@ -1,0 +1,482 @@
+"""Text tables: the right numbers or a clear error, in every dialect."""
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from imucalib import readers
+from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Recording
+from imucalib.units import DEG, STANDARD_GRAVITY
+from worlds.places import DATA
+
+G = STANDARD_GRAVITY
+needs_data = pytest.mark.skipif(not DATA.exists(), reason="real data folder absent")
+
+
+def at_rest(n: int, seed: int = 0) -> np.ndarray:
+    """(n, 3) in g, gravity on z, rounded to 4 decimals as loggers do."""
+    rng = np.random.default_rng(seed)
+    return np.round(np.array([0.1, -0.2, 0.97]) + rng.normal(scale=0.003, size=(n, 3)), 4)
+
+
+def put(folder: Path, text: str, name: str = "a.csv") -> Path:
+    path = folder / name
+    path.write_bytes(text.encode())
+    return path
+
+
+def acc_of(recording: Recording, triad: str = "imu0") -> np.ndarray:
+    return recording.channels[f"{triad}/acceleration"].values
+
+
+def rows(values: np.ndarray, delimiter: str = ",", decimal: str = ".") -> list[str]:
+    return [delimiter.join(f"{v:.4f}".replace(".", decimal) for v in row) for row in values]
+
+
+def test_actigraph_raw(tmp_path: Path) -> None:
+    head = [
+        "------------ Data File Created By ActiGraph GT3X+ ActiLife v6.13.3 Firmware v1.7.2 "
+        "date format M/d/yyyy at 50 Hz  Filter Normal -----------",
+        "Serial Number: X", "Start Time 18:40:00", "Start Date 9/17/2019",
+        "Epoch Period (hh:mm:ss) 00:00:00", "Download Time 19:20:05", "Download Date 9/17/2019",
+        "Current Memory Address: 0", "Current Battery Voltage: 4.18     Mode = 12",
+        "--------------------------------------------------",
+        "Accelerometer X,Accelerometer Y,Accelerometer Z",
+    ]  # fmt: skip
+    values = at_rest(400)
+    values[100:150] = 0.0  # idle sleep
+    for header in (head, head[:-1]):
+        path = put(tmp_path, "\r\n".join([*header, *rows(values)]) + "\r\n")
+        found = readers.read(path)
+        channel = found.channels["imu0/acceleration"]
+        keep = np.r_[0:100, 150:400]
+        np.testing.assert_allclose(channel.values, values[keep] * G, rtol=1e-14)
+        np.testing.assert_array_equal(channel.t, keep / 50.0)
+        assert channel.rate == 50.0
+        assert [(g.start, g.stop) for g in found.gaps] == [(99 / 50, 150 / 50)]
+        assert found.start_ns == 1_568_745_600_000_000_000
+        assert any("50 rows of zeros" in n for n in found.notes)
+
+
+def test_actigraph_date_format_that_lies(tmp_path: Path) -> None:
+    head = (
+        "------ Data File Created By ActiGraph ActiLife date format dd/MM/yyyy at 30 Hz ------\n"
+        "Start Time 10:00:00\nStart Date 09-19-2017\nAccelerometer X,Accelerometer Y,"
+        "Accelerometer Z\n"
+    )
+    found = readers.read(put(tmp_path, head + "\n".join(rows(at_rest(90))) + "\n"))
+    assert found.start_ns == 1_505_815_200_000_000_000
+    assert any("swapped" in n for n in found.notes)
+
+
+def test_actigraph_epoch_counts_are_refused(tmp_path: Path) -> None:
+    head = (
+        "------ Data File Created By ActiGraph ActiLife date format M/d/yyyy ------\n"
+        "Epoch Period (hh:mm:ss) 00:00:05\n"
+    )
+    with pytest.raises(UnreadableInput, match="activity counts"):
+        readers.read(put(tmp_path, head + "12,3,45\n" * 50))
+
+
+def test_geneactiv(tmp_path: Path) -> None:
+    head = ["Device Type,GENEActiv", "Measurement Frequency,50.0 Hz", "Time Zone,GMT +01:00"]
+    head += [f"Field {k},value {k}" for k in range(97)]
+    values = at_rest(300)
+    lines = [
+        f"2012-05-01 10:00:{k // 50:02d}:{k % 50 * 20:03d},{row},12,0,25.5"
+        for k, row in enumerate(rows(values))
+    ]
+    found = readers.read(put(tmp_path, "\n".join(head + lines) + "\n"))
+    np.testing.assert_allclose(acc_of(found), values * G, rtol=1e-14)
+    np.testing.assert_allclose(found.channels["imu0/acceleration"].t, np.arange(300) / 50)
+    assert np.all(found.channels["imu0/temperature"].values == 25.5)
+    assert found.start_ns == 1_335_866_400_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("name", "reading", "triad"),
+    [
+        ("temperature_degC", 25.5, "imu0"),
+        ("temp_C", 25.5, "imu0"),
+        ("tempC", 25.5, "imu0"),
+        ("temperature (degC)", 25.5, "imu0"),
+        ("temp deg C", 25.5, "imu0"),
+        ("acc_temperature_celsius", 25.5, "imu0"),
+        ("Temp_F", 77.9, "imu0"),
+        ("temperature_K", 298.65, "imu0"),
+        ("wrist_temp_C", 25.5, "wrist"),
+    ],
+)
+def test_a_temperature_may_have_its_unit_in_its_name(
+    name: str, reading: float, triad: str, tmp_path: Path
+) -> None:
+    lines = [f"{k / 100:.2f},{row},{reading}" for k, row in enumerate(rows(at_rest(300)))]
+    axes = ",".join(f"{triad}_acc_{a}" if triad != "imu0" else f"acc_{a}" for a in "xyz")
+    found = readers.read(put(tmp_path, f"time,{axes},{name}\n" + "\n".join(lines) + "\n"))
+    assert set(found.channels) == {f"{triad}/acceleration", f"{triad}/temperature"}
+    np.testing.assert_allclose(found.channels[f"{triad}/temperature"].values, 25.5, rtol=1e-12)
+
+
+@pytest.mark.parametrize("stamp", ["unix", "text"])
+def test_axivity(stamp: str, tmp_path: Path) -> None:
+    values = at_rest(300)
+    if stamp == "unix":
+        times = [f"{1600000000 + k / 100:.4f}" for k in range(300)]
+    else:
+        times = [f"2020-09-13 12:26:{40 + k // 100:02d}.{k % 100 * 10:03d}" for k in range(300)]
+    lines = [f"{t},{r}" for t, r in zip(times, rows(values), strict=True)]
+    found = readers.read(put(tmp_path, "\n".join(lines) + "\n"))
+    np.testing.assert_allclose(acc_of(found), values * G, rtol=1e-14)
+    np.testing.assert_allclose(
+        found.channels["imu0/acceleration"].t, np.arange(300) / 100, atol=3e-7
+    )
+    assert found.start_ns == 1_600_000_000_000_000_000
+    assert any("-> unit g" in n for n in found.notes)
+
+
+def test_euroc_nanoseconds_are_exact(tmp_path: Path) -> None:
+    head = (
+        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+        "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+    )
+    stamps = 1403636579758555392 + 5_000_000 * np.arange(500)
+    values = at_rest(500) * 9.81
+    lines = [f"{t},0.01,0.02,-0.03,{r}" for t, r in zip(stamps, rows(values), strict=True)]
+    found = readers.read(put(tmp_path, "\r\n".join([head, *lines]) + "\r\n"))
+    assert found.start_ns == 1403636579758555392
+    np.testing.assert_array_equal(
+        found.channels["imu0/acceleration"].t, np.arange(500) * 5_000_000 / 1e9
+    )
+    np.testing.assert_array_equal(acc_of(found), np.round(values, 4))
+    assert np.all(found.channels["imu0/angular_rate"].values == [0.01, 0.02, -0.03])
+
+
+def test_xsens_mt(tmp_path: Path) -> None:
+    head = (
+        "// General information: \n//  MT Manager version: 2022.2.0 \n// Device information: \n"
+        "//  DeviceId: 0\n//  Update Rate: 100.0Hz\n// Coordinate system: ENU\n"
+        "PacketCounter\tSampleTimeFine\tYear\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z\tRoll\t\n"
+    )
+    values = np.round(at_rest(300) * G, 4)
+    lines = [
+        f"{5 + k}\tNaN\tNaN\t{r}\t0.1\t0.2\t0.3\t1.5\t" for k, r in enumerate(rows(values, "\t"))
+    ]
+    found = readers.read(put(tmp_path, head + "\n".join(lines) + "\n", "a.txt"))
+    np.testing.assert_array_equal(acc_of(found), values)
+    assert found.channels["imu0/acceleration"].rate == 100.0
+    assert found.channels["imu0/angular_rate"].unit == "rad/s"
+
+
+def test_several_imus_and_units_in_names(tmp_path: Path) -> None:
+    names = ["time_ms", *(f"imu{k}_{q}{a}" for k in range(3) for q in "ag" for a in "xyz")]
+    values = at_rest(200)
+    one = [f"{r},1.0,2.0,3.0" for r in rows(values)]
+    lines = [f"{10 * k},{one[k]},{one[k]},{one[k]}" for k in range(200)]
+    path = put(tmp_path, "\n".join([",".join(names), *lines]) + "\n")
+    found = readers.read(path, FieldMapping(gyro_unit="deg/s"))
+    assert len(found.channels) == 6
+    for k in range(3):
+        np.testing.assert_allclose(acc_of(found, f"imu{k}"), values * G, rtol=1e-14)
+        rates = found.channels[f"imu{k}/angular_rate"].values
+        np.testing.assert_allclose(rates, np.tile([1.0, 2.0, 3.0], (200, 1)) * DEG, rtol=1e-14)
+    unknown = readers.read(path).channels["imu0/angular_rate"]
+    assert unknown.unit == "counts"
+
+
+def test_quoted_decimal_comma_in_a_comma_table(tmp_path: Path) -> None:
+    values = at_rest(100)
+    lines = [",".join(f'"{c}"' for c in r.split(";")) for r in rows(values, ";", ",")]
+    path = put(tmp_path, "\n".join(['"X","Y","Z"', *lines]) + "\n")
+    found = readers.read(path, FieldMapping(rate=50, acc_unit="g"))
+    np.testing.assert_allclose(acc_of(found), values * G, rtol=1e-14)
+
+
+def test_a_file_that_begins_with_zeros_and_decimal_commas(tmp_path: Path) -> None:
+    values = at_rest(3000)
+    values[:600] = 0.0
+    lines = ["0;0;0"] * 600 + rows(values[600:], ";", ",")
+    path = put(tmp_path, "\n".join(["x;y;z", *lines]) + "\n")
+    found = readers.read(path, FieldMapping(rate=100))
+    np.testing.assert_allclose(acc_of(found), values * G, rtol=1e-14)
+
+
+def test_missing_values_become_gaps_and_are_never_filled(tmp_path: Path) -> None:
+    values = at_rest(200)
+    lines = rows(values)
+    lines[50], lines[51], lines[120], lines[121] = ",,", "NaN,NaN,NaN", "", "0.1,,0.2"
+    path = put(tmp_path, "\n".join(["x,y,z", *lines]) + "\n")
+    found = readers.read(path, FieldMapping(rate=100))
+    keep = np.setdiff1d(np.arange(200), [50, 51, 120, 121])
+    np.testing.assert_allclose(acc_of(found), values[keep] * G, rtol=1e-14)
+    np.testing.assert_array_equal(found.channels["imu0/acceleration"].t, keep / 100)
+    assert [(g.start, g.stop) for g in found.gaps] == [(0.49, 0.52), (1.19, 1.22)]
+    assert all(g.reason == "values missing" for g in found.gaps)
+
+
+def test_a_bad_cell_is_named_by_line_and_column(tmp_path: Path) -> None:
+    lines = rows(at_rest(500))
+    lines[321] = "0.1,0.x2,0.3"
+    path = put(tmp_path, "\n".join(["x,y,z", *lines]) + "\n")
+    with pytest.raises(UnreadableInput, match=r"line 323, column 2: '0\.x2' is not a number"):
+        readers.read(path, FieldMapping(rate=100))
+    lines[321] = "0.1,0.2"
+    path = put(tmp_path, "\n".join(["x,y,z", *lines]) + "\n")
+    with pytest.raises(UnreadableInput, match=r"line 323: 2 cells"):
+        readers.read(path, FieldMapping(rate=100))
+
+
+def test_a_shifted_row_is_never_read_as_numbers(tmp_path: Path) -> None:
+    lines = [f"{k * 10},{r},7" for k, r in enumerate(rows(at_rest(100)))]
+    lines[40] = lines[40].replace(".", ",", 1)  # one cell becomes two
+    path = put(tmp_path, "\n".join(["time_ms,x,y,z,temp", *lines]) + "\n")
+    with pytest.raises(UnreadableInput, match="line 42: 6 cells"):
+        readers.read(path)
+
+
+@pytest.mark.parametrize("scale", [0.2, 55.0, 4000.0])
+def test_implausible_units_are_refused(scale: float, tmp_path: Path) -> None:
+    path = put(tmp_path, "\n".join(["x,y,z", *rows(at_rest(300) * scale)]) + "\n")
+    with pytest.raises(UnreadableInput, match="norm at rest"):
+        readers.read(path, FieldMapping(rate=100))
+
+
+def test_a_stated_unit_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    path = put(tmp_path, "\n".join(["x [m/s2],y [m/s2],z [m/s2]", *rows(at_rest(300))]) + "\n")
+    with pytest.raises(UnreadableInput, match="as the file states"):
+        readers.read(path, FieldMapping(rate=100))
+    found = readers.read(path, FieldMapping(rate=100, acc_unit="g"))
+    np.testing.assert_allclose(acc_of(found), at_rest(300) * G, rtol=1e-14)
+
+
+def test_counts_offset_scale_and_axes(tmp_path: Path) -> None:
+    counts = np.array([[100, 200, 16484], [101, 201, 16485]] * 50)
+    text = "\n".join(" ".join(map(str, row)) for row in counts) + "\n"
+    mapping = FieldMapping(
+        acc=("1", "2", "3"), rate=100, lsb_per_g=(16384,), acc_offset=(100, 200, 100),
+        axis_map="y,-x,z",
+    )  # fmt: skip
+    found = acc_of(readers.read(put(tmp_path, text, "a.log"), mapping))
+    np.testing.assert_allclose(found[0], [0, 0, G], atol=1e-12)
+    np.testing.assert_allclose(found[1], [G / 16384, -G / 16384, G * 16385 / 16384], rtol=1e-12)
+
+
+def test_coarse_stamps_are_spread_and_said(tmp_path: Path) -> None:
+    values = at_rest(30 * 40)
+    lines = [f"2020-01-01 00:00:{k // 30:02d},{r}" for k, r in enumerate(rows(values)) if k >= 12]
+    found = readers.read(put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n"))
+    channel = found.channels["imu0/acceleration"]
+    assert channel.rate == pytest.approx(30.0)
+    np.testing.assert_allclose(channel.t, np.arange(12, 1200) / 30, atol=1e-9)
+    assert any("resolution of 1 s" in n for n in found.notes)
+    assert found.gaps == ()
+
+
+def test_time_gaps_back_steps_and_duplicates(tmp_path: Path) -> None:
+    t = np.arange(400) * 10
+    t[200:] += 500
+    t[300:] -= 1000
+    t[50] = t[49]
+    lines = [f"{a},{r}" for a, r in zip(t, rows(at_rest(400)), strict=True)]
+    found = readers.read(put(tmp_path, "\n".join(["time_ms,x,y,z", *lines]) + "\n"))
+    assert found.channels["imu0/acceleration"].t.size == 400
+    reasons = [g.reason for g in found.gaps if abs(g.stop - g.start - 0.02) > 1e-9]
+    assert reasons == ["no samples", "time steps back"]
+
+
+@pytest.mark.parametrize("zone", ["Z", "+02:00", "+0200 [Europe/Paris]"])
+def test_time_zones(zone: str, tmp_path: Path) -> None:
+    lines = [
+        f"2021-07-01T12:00:{k // 100:02d}.{k % 100 * 10:03d}{zone},{r}"
+        for k, r in enumerate(rows(at_rest(200)))
+    ]
+    found = readers.read(put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n"))
+    hours = 0 if zone == "Z" else 2
+    assert found.start_ns == (1_625_140_800 - hours * 3600) * 1_000_000_000
+    np.testing.assert_allclose(found.channels["imu0/acceleration"].t, np.arange(200) / 100)
+
+
+@pytest.mark.parametrize("form", ["{d}.{m}.2020 {c}", "{m}/{d}/2020 {c}", "{d}/{m}/2020 {c}"])
+def test_day_and_month(form: str, tmp_path: Path) -> None:
+    lines = [
+        form.format(d=25, m="03", c=f"10:00:{k // 50:02d}.{k % 50 * 2:02d}") + f";{r}"
+        for k, r in enumerate(rows(at_rest(200), ";", ","))
+    ]
+    found = readers.read(put(tmp_path, "\n".join(["time;x;y;z", *lines]) + "\n"))
+    assert found.start_ns == 1_585_130_400_000_000_000
+    np.testing.assert_allclose(found.channels["imu0/acceleration"].t, np.arange(200) / 50)
+
+
+def test_midnight_without_a_date(tmp_path: Path) -> None:
+    lines = []
+    for k, r in enumerate(rows(at_rest(400))):
+        s = (86398 + k / 100) % 86400
+        lines.append(f"{int(s // 3600):02d}:{int(s % 3600 // 60):02d}:{s % 60:06.3f},{r}")
+    found = readers.read(put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n"))
+    t = found.channels["imu0/acceleration"].t
+    np.testing.assert_allclose(np.diff(t), 0.01, atol=1e-9)
+
+
+def test_an_unclear_time_unit_is_asked_for(tmp_path: Path) -> None:
+    lines = [f"{k},{r}" for k, r in enumerate(rows(at_rest(200)))]
+    path = put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n")
+    with pytest.raises(UnreadableInput, match="--time-unit"):
+        readers.read(path, FieldMapping(time_unit=""))
+    lines = [f"{200 * k},{r}" for k, r in enumerate(rows(at_rest(200)))]
+    path = put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n")
+    with pytest.raises(UnreadableInput, match="--time-unit"):
+        readers.read(path)
+    found = readers.read(path, FieldMapping(time_unit="us"))
+    assert found.channels["imu0/acceleration"].rate == pytest.approx(5000.0)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_gzip_and_utf16_and_bom(packed: bool, tmp_path: Path) -> None:
+    text = "\n".join(["t [s],x,y,z", *(f"{k / 100},{r}" for k, r in enumerate(rows(at_rest(300))))])
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        data = (text + "\n").encode(encoding)
+        path = tmp_path / ("a.csv.gz" if packed else "a.csv")
+        path.write_bytes(gzip.compress(data) if packed else data)
+        np.testing.assert_allclose(acc_of(readers.read(path)), at_rest(300) * G, rtol=1e-14)
+
+
+def test_cut_gzip_gives_what_is_readable(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    values = np.round(at_rest(20000) + rng.normal(scale=0.01, size=(20000, 3)), 4)
+    data = gzip.compress(("\n".join(["x,y,z", *rows(values)]) + "\n").encode())
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(data[: len(data) // 2])
+    found = readers.read(path, FieldMapping(rate=100))
+    n = acc_of(found).shape[0]
+    assert n > 5000
+    np.testing.assert_allclose(acc_of(found), values[:n] * G, rtol=1e-14)
+    assert any("breaks off" in note for note in found.notes)
+    with pytest.raises(UnreadableInput):
+        readers.read(path, FieldMapping(rate=100), strict=True)
+
+
+def test_a_tail_of_zero_bytes_is_noted(tmp_path: Path) -> None:
+    path = put(tmp_path, "\n".join(["x,y,z", *rows(at_rest(100))]) + "\n" + "\0" * 4096)
+    found = readers.read(path, FieldMapping(rate=100))
+    assert acc_of(found).shape == (100, 3)
+    assert any("4096 zero bytes" in n for n in found.notes)
+
+
+def test_errors_of_the_mapping(tmp_path: Path) -> None:
+    path = put(tmp_path, "\n".join(["x,y,z", *rows(at_rest(100))]) + "\n")
+    with pytest.raises(UsageError, match="no column 'ax'"):
+        readers.read(path, FieldMapping(acc=("ax", "y", "z"), rate=100))
+    with pytest.raises(UsageError, match="do not make triads"):
+        readers.read(path, FieldMapping(acc=("x", "y"), rate=100))
+    with pytest.raises(UnreadableInput, match="--rate"):
+        readers.read(path)
+    with pytest.raises(UsageError, match="unknown unit 'furlong'"):
+        readers.read(path, FieldMapping(rate=100, acc_unit="furlong"))
+
+
+DELIMITERS = st.sampled_from([",", ";", "\t", " ", "|"])
+
+
+@st.composite
+def dialects(draw: st.DrawFn) -> tuple[str, np.ndarray, np.ndarray]:
+    """A text table in a random dialect, its times (s) and accelerations (g)."""
+    delimiter = draw(DELIMITERS)
+    decimal = "." if delimiter == "," else draw(st.sampled_from([".", ","]))
+    n = draw(st.integers(12, 80))
+    digits = draw(st.integers(2, 6))
+    values = at_rest(n, draw(st.integers(0, 9)))
+    values = np.round(values + np.arange(n)[:, None] * 1e-4, digits)
+    step = draw(st.sampled_from([5, 10, 20]))
+    unit, per = draw(st.sampled_from([("ms", 1), ("us", 1000), ("ns", 1_000_000)]))
+    start = draw(st.sampled_from([0, 37, 1_600_000_000_000]))
+    names = draw(
+        st.sampled_from(
+            ["t;ax;ay;az", "time;acc_x;acc_y;acc_z", "Time;Accel X;Accel Y;Accel Z", "stamp;x;y;z"]
+        )
+    ).split(";")
+    if delimiter == " ":
+        names = [name.replace(" ", "_") for name in names]
+    bracket = draw(st.booleans()) and delimiter != " "
+    names[0] += f" [{unit}]" if bracket else f"_{unit}"
+    order = draw(st.permutations(range(5)))
+    junk = draw(st.sampled_from(["7", "0.5".replace(".", decimal), "-12"]))
+    names.append("junk")
+    body = []
+    for k in range(n):
+        cells = [str((start + step * k) * per)]
+        cells += [f"{v:.{digits}f}".replace(".", decimal) for v in values[k]]
+        cells.append(junk)
+        body.append(delimiter.join(cells[i] for i in order))
+    quote = draw(st.booleans()) and delimiter != " "
+    header = delimiter.join(f'"{names[i]}"' if quote else names[i] for i in order)
+    tail = delimiter if draw(st.booleans()) and delimiter != " " else ""
+    above = draw(st.lists(st.sampled_from(["# a logger", "Serial: 12", "", "// note"]), max_size=4))
+    end = draw(st.sampled_from(["\n", "\r\n", "\r"]))
+    lines = [*above, draw(st.sampled_from(["", "# "])) + header + tail, *(b + tail for b in body)]
+    return end.join(lines) + end, step * np.arange(n) / 1000, values
+
+
+@given(table=dialects())
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_any_dialect_gives_the_right_numbers(
+    table: tuple[str, np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    text, t, values = table
+    found = readers.read(put(tmp_path, text))
+    np.testing.assert_allclose(acc_of(found), values * G, rtol=1e-13)
+    read_t = found.channels["imu0/acceleration"].t
+    np.testing.assert_allclose(read_t - read_t[0], t, atol=1e-9)
+
+
+@given(table=dialects(), data=st.data())
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_a_damaged_table_is_right_or_refused(
+    table: tuple[str, np.ndarray, np.ndarray], data: st.DataObject, tmp_path: Path
+) -> None:
+    """Any bytes put over any place: an error, or rows in which at most the hit ones differ."""
+    text, _, values = table
+    raw = bytearray(text.encode())
+    at = data.draw(st.integers(0, len(raw) - 1))
+    patch = data.draw(st.binary(min_size=1, max_size=8))
+    raw[at : at + len(patch)] = patch
+    path = tmp_path / "a.csv"
+    path.write_bytes(bytes(raw))
+    try:
+        found = readers.read(path)
+    except ImucalError:
+        return
+    got = acc_of(found)
+    assert got.shape[0] <= values.shape[0] + 8
+    want = {tuple(row) for row in np.round(values * G, 9)}
+    wrong = sum(tuple(row) not in want for row in np.round(got, 9))
+    assert wrong <= 2, "more rows changed than were hit"
+
+
+@needs_data
+def test_real_actigraph_export_reads_as_its_header_says() -> None:
+    found = readers.read(DATA / "actigraph" / "read_gt3x_TAS1H30182785_2019-09-17.csv.gz")
+    channel = found.channels["imu0/acceleration"]
+    np.testing.assert_allclose(channel.values[1], np.array([0.016, 0, 1.008]) * G, rtol=1e-14)
+    assert channel.rate == 100.0
+    assert found.start_ns == 1_568_745_600_000_000_000
+
+
+@needs_data
+def test_real_counts_are_never_taken_for_a_unit() -> None:
+    with pytest.raises(UnreadableInput, match="norm at rest = 55"):
+        readers.read(DATA / "xsens_mti" / "xsens_acc.txt")
+
+
+@needs_data
+def test_real_headerless_log_asks_for_its_columns() -> None:
+    with pytest.raises(UnreadableInput, match="6 columns have no names"):
+        readers.read(DATA / "mpu9150_tumble" / "imu0.log")

@@ -1,0 +1,303 @@
+"""Damaged MCAP files: what is intact is read, what is not is reported, nothing else is raised."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType
+
+from imucalib.errors import ImucalError, UnreadableInput
+from imucalib.readers import blocks, read
+from imucalib.readers.mcap.scan import Scanner
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Recording
+from worlds.mcap_logs import START, imu_log, readings, same_bits, values, write_log
+from worlds.places import DATA
+
+CONFORMANCE = DATA / "mcap_conformance"
+COMPRESSIONS = [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD]
+Message = tuple[int, int, int, int, bytes]
+
+
+def messages(path: Path) -> tuple[list[Message], Scanner]:
+    """Channel, sequence, log time, publish time and payload of every message."""
+    scanner = Scanner(path)
+    found: list[Message] = []
+    for block in scanner.blocks():
+        names = ("channel", "sequence", "log_time", "publish_time")
+        columns = [block.header(name).tolist() for name in names]
+        found += list(zip(*columns, block.payloads(), strict=True))
+    return found, scanner
+
+
+def chunk_spans(path: Path) -> list[tuple[int, int]]:
+    """First byte and end of every chunk record, by the official reader."""
+    spans = []
+    with path.open("rb") as file:
+        reader = StreamReader(file, emit_chunks=True)
+        records = reader.records
+        while True:
+            start = file.tell()
+            try:
+                record = next(records)
+            except StopIteration:
+                return spans
+            if type(record).__name__ == "Chunk":
+                spans.append((file.tell() - len_of(path, file.tell()), file.tell()))
+            assert start <= file.tell()
+
+
+def len_of(path: Path, end: int) -> int:
+    """Length of the chunk record that ends at a byte: found by trying its own length field."""
+    data = path.read_bytes()[:end]
+    for start in range(end - 49, 0, -1):
+        if (
+            data[start] == 6
+            and int.from_bytes(data[start + 1 : start + 9], "little") == end - start - 9
+        ):
+            return end - start
+    raise AssertionError
+
+
+@pytest.mark.skipif(not CONFORMANCE.exists(), reason="the real data folder is absent")
+def test_conformance_suite() -> None:
+    seen = 0
+    for expected in sorted(CONFORMANCE.rglob("*.json")):
+        records = json.loads(expected.read_text())["records"]
+        fields = [dict(r["fields"]) for r in records if r["type"] == "Message"]
+        names = ("channel_id", "sequence", "log_time", "publish_time")
+        want = [(*(int(f[n]) for n in names), bytes(map(int, f["data"]))) for f in fields]
+        topics = {
+            int(f["id"]): f["topic"]
+            for f in (dict(r["fields"]) for r in records if r["type"] == "Channel")
+        }
+        found, scanner = messages(expected.with_suffix(".mcap"))
+        assert found == want, expected
+        assert {n: t.name for n, t in scanner.topics.items()} == topics, expected
+        assert scanner.damages == [], expected
+        seen += 1
+    assert seen == 416
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("data_crc", [False, True])
+def test_every_flipped_bit_of_a_chunk_is_found(
+    tmp_path: Path, compression: CompressionType, data_crc: bool
+) -> None:
+    path = imu_log(
+        tmp_path / "a.mcap", 9, compression=compression, chunk_size=1000, enable_data_crcs=data_crc
+    )
+    intact, _ = messages(path)
+    data = path.read_bytes()
+    spans = chunk_spans(path)
+    sizes = [len(part) for part in by_chunk(path)]
+    start, stop = spans[1]
+    broken = tmp_path / "b.mcap"
+    harmless = 0
+    for at in range(start, stop):
+        for bit in range(8):
+            broken.write_bytes(data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :])
+            found, scanner = messages(broken)
+            if not scanner.damages:
+                assert found == intact, (at, bit)
+                harmless += 1
+            assert set(found) <= set(intact), (at, bit)
+            others = {*intact[: sizes[0]], *intact[sizes[0] + sizes[1] :]}
+            assert others <= set(found), (at, bit)
+    # Some bits of compressed data have no effect, as a match that may point to either of two
+    # equal places: the chunk's CRC covers the messages, which are unchanged; the file's covers all.
+    exact = data_crc or compression == CompressionType.NONE
+    assert harmless <= (0 if exact else 0.02 * 8 * (stop - start))
+
+
+def test_data_section_crc_finds_what_no_chunk_protects(tmp_path: Path) -> None:
+    path = imu_log(tmp_path / "a.mcap", 50, use_chunking=False, enable_data_crcs=True)
+    assert messages(path)[1].damages == []
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 1
+    path.write_bytes(data)
+    assert "CRC of the whole data section" in str(messages(path)[1].damages)
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_truncation_keeps_all_before_the_cut(tmp_path: Path, compression: CompressionType) -> None:
+    # Chunks larger than a block of the compressor, so that the cut one holds whole blocks.
+    path = imu_log(tmp_path / "a.mcap", 2200, compression=compression, chunk_size=400_000)
+    intact, _ = messages(path)
+    data, spans = path.read_bytes(), chunk_spans(path)
+    ends = [stop for _, stop in spans]
+    counts = np.cumsum([len(part) for part in by_chunk(path)])
+    chooser = random.Random(5)
+    cut_file = tmp_path / "b.mcap"
+    partial = 0
+    for _ in range(200):
+        cut = chooser.randrange(len(data))
+        cut_file.write_bytes(data[:cut])
+        if cut < 8:
+            with pytest.raises(UnreadableInput):
+                messages(cut_file)
+            continue
+        found, scanner = messages(cut_file)
+        whole = sum(end <= cut for end in ends)
+        sure = int(counts[whole - 1]) if whole else 0
+        assert found == intact[: len(found)]
+        assert len(found) >= sure
+        partial += len(found) > sure
+        assert scanner.damages
+    assert partial > 50
+
+
+def by_chunk(path: Path) -> list[list[bytes]]:
+    """Payloads by chunk."""
+    return [block.payloads() for block in Scanner(path).blocks()]
+
+
+def test_a_bad_chunk_costs_only_itself(tmp_path: Path) -> None:
+    path = imu_log(tmp_path / "a.mcap", 1000)
+    sizes = [len(part) for part in by_chunk(path)]
+    start, stop = chunk_spans(path)[3]
+    data = bytearray(path.read_bytes())
+    data[(start + stop) // 2] ^= 4
+    path.write_bytes(data)
+    recording = read(path)
+    lost = slice(sum(sizes[:3]), sum(sizes[:4]))
+    kept = np.delete(np.arange(1000), lost)
+    channel = recording.channels["imu0/acceleration"]
+    assert same_bits(channel.values, values(readings(1000), "acc")[kept])
+    (gap,) = recording.gaps
+    assert gap.start == pytest.approx((lost.start - 1) * 1e-3)
+    assert gap.stop == pytest.approx(lost.stop * 1e-3)
+    assert gap.reason == "imu0: a damaged part of the file"
+    assert any(
+        f"byte {start}: " in note and f"{sizes[3]} messages" in note for note in recording.notes
+    )
+    assert_same_in_blocks(path, recording)
+    with pytest.raises(UnreadableInput, match=f"damaged at byte {start}"):
+        read(path, strict=True)
+    with pytest.raises(UnreadableInput, match=f"damaged at byte {start}"):
+        list(blocks(path, strict=True))
+
+
+def assert_same_in_blocks(path: Path, whole: Recording) -> None:
+    pieces = list(blocks(path, block_samples=100))
+    joined = np.concatenate([p.channels["imu0/acceleration"].values for p in pieces])
+    assert same_bits(joined, whole.channels["imu0/acceleration"].values)
+    assert tuple(gap for piece in pieces for gap in piece.gaps) == whole.gaps
+    assert tuple(note for piece in pieces for note in piece.notes) == whole.notes
+
+
+def test_losing_the_chunk_that_defines_the_topic(tmp_path: Path) -> None:
+    path = imu_log(tmp_path / "a.mcap", 500)
+    first = len(by_chunk(path)[0])
+    start, stop = chunk_spans(path)[0]
+    data = bytearray(path.read_bytes())
+    data[(start + stop) // 2] ^= 1
+    path.write_bytes(data)
+    channel = read(path).channels["imu0/acceleration"]
+    assert same_bits(channel.values, values(readings(500), "acc")[first:])
+    path.write_bytes(data[:-100])  # without the summary nobody knows what the messages are
+    with pytest.raises(UnreadableInput, match="no IMU topic"):
+        read(path)
+
+
+def test_a_chunk_of_zeros_and_a_zero_tail(tmp_path: Path) -> None:
+    path = imu_log(tmp_path / "a.mcap", 1000)
+    data, (start, stop) = bytearray(path.read_bytes()), chunk_spans(path)[2]
+    whole = len(messages(path)[0])
+    lost = len(by_chunk(path)[2])
+    data[start:stop] = bytes(stop - start)
+    path.write_bytes(data)
+    found, scanner = messages(path)
+    assert len(found) == whole - lost
+    assert scanner.damages[0].offset == start
+    path.write_bytes(bytes(data) + bytes(4096))
+    found, scanner = messages(path)
+    assert len(found) == whole - lost
+    assert any("closing magic" in damage.reason for damage in scanner.damages)
+
+
+def test_unchunked_file_resumes_after_damage(tmp_path: Path) -> None:
+    path = imu_log(tmp_path / "a.mcap", 300, use_chunking=False)
+    intact, _ = messages(path)
+    data = bytearray(path.read_bytes())
+    at = len(data) // 2
+    data[at : at + 40] = b"\xff" * 40
+    at = data.index(b"\x05", at + 2000)
+    data[at + 1 : at + 9] = b"\xff" * 8
+    path.write_bytes(data)
+    found, scanner = messages(path)
+    assert len(found) >= 290
+    assert len(set(found) - set(intact)) <= 1  # its 40 bytes lie in a payload that no CRC covers
+    assert scanner.damages
+
+
+def test_foreign_and_empty_files(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    for content in (b"", b"x", b"\x89MCAP1\r\n" + bytes(100), bytes(5000)):
+        path.write_bytes(content)
+        with pytest.raises(ImucalError):
+            read(path)
+    path.write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(UnreadableInput, match="no IMU topic"):
+        read(path)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
+    """Small logs of every kind, to be damaged."""
+    folder = tmp_path_factory.mktemp("logs")
+    made = [imu_log(folder / "a", 40, compression=c, chunk_size=3000) for c in COMPRESSIONS]
+    made.append(imu_log(folder / "b", 40, use_chunking=False))
+    plain = made[0].read_bytes()
+    trees = [(START + i, json.dumps({"acc": r.acc}).encode()) for i, r in enumerate(readings(40))]
+    made.append(
+        write_log(folder / "c", {"/j": trees}, schema=("J", "jsonschema", b""), encoding="json",
+                  compression=CompressionType.NONE, chunk_size=700, enable_crcs=False)
+    )  # fmt: skip
+    unprotected = imu_log(
+        folder / "d", 40, compression=CompressionType.NONE, chunk_size=3000, enable_crcs=False
+    )
+    return [plain, *(p.read_bytes() for p in made[1:]), unprotected.read_bytes()]
+
+
+@settings(
+    max_examples=1500, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    kind=st.tuples(st.integers(0, 5), st.booleans()),
+    edits=st.lists(st.tuples(st.floats(0, 1), st.binary(min_size=1, max_size=9)), max_size=6),
+    cut=st.floats(0.02, 1) | st.just(1.0),
+)
+def test_damaged_bytes_give_a_recording_or_a_named_error(
+    tmp_path: Path,
+    logs: list[bytes],
+    kind: tuple[int, bool],
+    edits: list[tuple[float, bytes]],
+    cut: float,
+) -> None:
+    which, streamed = kind
+    data = bytearray(logs[which])
+    for place, content in edits:
+        at = int(place * (len(data) - 1))
+        data[at : at + len(content)] = content
+    path = tmp_path / "fuzz.mcap"
+    path.write_bytes(data[: max(1, int(cut * len(data)))])
+    try:
+        found = list(blocks(path, block_samples=10)) if streamed else [read(path)]
+    except ImucalError:
+        return
+    assert any(recording.channels for recording in found)
+
+
+def test_damage_is_the_same_for_a_mapping(tmp_path: Path) -> None:
+    path = imu_log(tmp_path / "a.mcap", 300)
+    path.write_bytes(path.read_bytes()[:-2000])
+    mapping = FieldMapping(acc=("/imu/data:linear_acceleration",))
+    assert any("damaged at byte" in note for note in read(path, mapping).notes)

@@ -1,0 +1,493 @@
+"""MCAP messages to channels: equal to the official decoder in every encoding; clocks, choices."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap_ros2.decoder import DecoderFactory
+
+from imucalib import units
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers import blocks, read, reader_for
+from imucalib.readers.joining import join
+from imucalib.recording.mapping import FieldMapping, from_dict
+from imucalib.recording.recording import Recording
+from worlds.mcap_logs import (
+    HEADER_ROS2,
+    IMU_ROS1,
+    IMU_ROS2,
+    SEPARATOR,
+    START,
+    Reading,
+    cdr,
+    imu_log,
+    official_cdr,
+    packed,
+    readings,
+    ros1,
+    same_bits,
+    values,
+    write_log,
+)
+
+COMPRESSIONS = [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD]
+ROS1 = ("sensor_msgs/Imu", "ros1msg", IMU_ROS1.encode())
+
+
+def official(path: Path, topic: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Stamps (ns), acceleration and angular rate by the official decoder."""
+    stamps, acc, gyro = [], [], []
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = reader.iter_decoded_messages(topics=[topic], log_time_order=False)
+        for _, _, _, message in found:
+            stamp, a, w = (
+                message.header.stamp,
+                message.linear_acceleration,
+                message.angular_velocity,
+            )
+            stamps.append(stamp.sec * 10**9 + stamp.nanosec)
+            acc.append((a.x, a.y, a.z))
+            gyro.append((w.x, w.y, w.z))
+    return np.array(stamps), np.array(acc), np.array(gyro)
+
+
+def assert_equals_official(recording: Recording, path: Path, topics: list[str]) -> None:
+    for i, topic in enumerate(topics):
+        stamps, acc, gyro = official(path, topic)
+        channel = recording.channels[f"imu{i}/acceleration"]
+        assert same_bits(channel.values, acc)
+        assert same_bits(recording.channels[f"imu{i}/angular_rate"].values, gyro)
+        assert recording.start_ns is not None
+        assert np.array_equal(np.rint(channel.t * 1e9).astype(int) + recording.start_ns, stamps)
+
+
+def assert_same(a: Recording, b: Recording) -> None:
+    assert a.channels.keys() == b.channels.keys()
+    for name, channel in a.channels.items():
+        assert same_bits(channel.t, b.channels[name].t)
+        assert same_bits(channel.values, b.channels[name].values)
+        assert channel.unit == b.channels[name].unit
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_equals_official_decoder(
+    tmp_path: Path, compression: CompressionType, count: int, chunked: bool
+) -> None:
+    topics = [f"/imu{i}/data" for i in range(count)]
+    logs = {
+        topic: packed(readings(900, seed=i, frame="imu" + "x" * i), official_cdr, delay=i)
+        for i, topic in enumerate(topics)
+    }
+    path = write_log(tmp_path / "a.mcap", logs, compression=compression, use_chunking=chunked)
+    recording = read(path, strict=True)
+    assert len(recording.channels) == 2 * count
+    assert recording.gaps == ()
+    assert_equals_official(recording, path, topics)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("frame", ["", "imu", "imulink", "base_link"])
+def test_every_plain_cdr(tmp_path: Path, order: str, version: int, frame: str) -> None:
+    rows = readings(300, frame=frame)
+    logs = {"/imu": packed(rows, lambda r: cdr(r, order, version))}
+    recording = read(write_log(tmp_path / "a.mcap", logs), strict=True)
+    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
+    assert same_bits(recording.channels["imu0/angular_rate"].values, values(rows, "gyro"))
+    assert recording.start_ns == START
+    if version == 1:
+        assert_equals_official(recording, tmp_path / "a.mcap", ["/imu"])
+
+
+def test_cdr_that_is_not_plain_is_named(tmp_path: Path) -> None:
+    logs = {"/imu": [(t, b"\0\x0b" + p[2:]) for t, p in packed(readings(5), cdr)]}
+    with pytest.raises(UnreadableInput, match=r"/imu: 5 x.*the CDR encapsulation 000b"):
+        read(write_log(tmp_path / "a.mcap", logs))
+
+
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    frames=st.lists(st.text(max_size=12).filter(lambda s: "\0" not in s), min_size=2, max_size=60)
+)
+def test_frame_names_of_any_length(tmp_path: Path, frames: list[str]) -> None:
+    rows = [
+        Reading(r.ns, r.acc, r.gyro, f) for r, f in zip(readings(len(frames)), frames, strict=True)
+    ]
+    path = write_log(tmp_path / "a.mcap", {"/imu": packed(rows, official_cdr)})
+    assert_equals_official(read(path, strict=True), path, ["/imu"])
+
+
+@pytest.mark.parametrize("frame", ["imu", "imulink"])
+def test_ros1(tmp_path: Path, frame: str) -> None:
+    rows = readings(300, frame=frame)
+    logs = {"/imu": packed(rows, ros1)}
+    recording = read(write_log(tmp_path / "a.mcap", logs, schema=ROS1, encoding="ros1"))
+    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
+    assert recording.start_ns == START
+
+
+def test_idl_schema_of_a_known_type(tmp_path: Path) -> None:
+    schema = ("sensor_msgs/msg/Imu", "ros2idl", b"module sensor_msgs {};")
+    rows = readings(50)
+    recording = read(write_log(tmp_path / "a.mcap", {"/imu": packed(rows, cdr)}, schema=schema))
+    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
+
+
+def test_compressed_messages(tmp_path: Path) -> None:
+    rows = readings(300)
+    squeeze = zstandard.ZstdCompressor().compress
+    logs = {"/imu": packed(rows, lambda r: squeeze(cdr(r)))}
+    recording = read(write_log(tmp_path / "a.mcap", logs), strict=True)
+    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
+
+
+def test_split_topics_become_one_triad(tmp_path: Path) -> None:
+    zero = (0.0, 0.0, 0.0)
+    acc = [Reading(r.ns, r.acc, zero) for r in readings(250, rate=250.0)]
+    gyro = [Reading(r.ns, zero, r.gyro) for r in readings(400, rate=400.0)]
+    logs = {"/camera/gyro/sample": packed(gyro, cdr), "/camera/accel/sample": packed(acc, cdr)}
+    recording = read(write_log(tmp_path / "a.mcap", logs))
+    assert set(recording.channels) == {"imu0/acceleration", "imu0/angular_rate"}
+    assert same_bits(recording.channels["imu0/acceleration"].values, values(acc, "acc"))
+    assert same_bits(recording.channels["imu0/angular_rate"].values, values(gyro, "gyro"))
+    assert recording.channels["imu0/angular_rate"].rate == pytest.approx(400.0)
+    assert recording.mapping["acc"] == ["/camera/accel/sample:linear_acceleration"]
+    assert recording.mapping["gyro"] == ["/camera/gyro/sample:angular_velocity"]
+
+
+def test_topics_sort_naturally(tmp_path: Path) -> None:
+    logs = {f"/imu{i}": packed(readings(20, seed=i), cdr) for i in (10, 2, 1)}
+    recording = read(write_log(tmp_path / "a.mcap", logs))
+    assert recording.mapping["acc"] == [f"/imu{i}:linear_acceleration" for i in (1, 2, 10)]
+
+
+def test_no_imu_lists_every_topic(tmp_path: Path) -> None:
+    logs = {"/chatter": [(START + i, b"\0\1\0\0\1\0\0\0\0") for i in range(3)]}
+    schema = ("std_msgs/msg/String", "ros2msg", b"string data")
+    with pytest.raises(UnreadableInput, match=r"/chatter: 3 x, std_msgs/msg/String \(cdr\)"):
+        read(write_log(tmp_path / "a.mcap", logs, schema=schema))
+
+
+def test_blocks_join_to_the_whole(tmp_path: Path) -> None:
+    logs = {f"/imu{i}": packed(readings(3000, seed=i, rate=500.0 + i), cdr) for i in range(2)}
+    del logs["/imu1"][1000:1040]
+    logs["/imu0"][500], logs["/imu0"][503] = logs["/imu0"][503], logs["/imu0"][500]
+    logs["/imu0"] = [(START + i, p) for i, (_, p) in enumerate(logs["/imu0"])]
+    path = write_log(tmp_path / "a.mcap", logs)
+    whole = read(path)
+    pieces = list(blocks(path, block_samples=400))
+    assert len(pieces) > 3
+    assert_same(join(pieces, "x"), whole)
+    assert join(pieces, "x").gaps == whole.gaps
+    assert join(pieces, "x").notes == whole.notes
+    assert (np.diff(whole.channels["imu0/acceleration"].t) > 0).all()
+    assert any("steps back in time" in note for note in whole.notes)
+    assert len(whole.gaps) == 1
+
+
+# -- clocks -----------------------------------------------------------------------------------
+
+
+def timed(path: Path, stamps: list[int], logs: list[int]) -> Recording:
+    rows = readings(len(stamps))
+    pairs = [
+        (log, cdr(Reading(ns, r.acc, r.gyro)))
+        for ns, log, r in zip(stamps, logs, rows, strict=True)
+    ]
+    return read(write_log(path, {"/imu": pairs}))
+
+
+@pytest.mark.parametrize("stamp", [0, START])
+def test_useless_stamps_fall_back_to_log_time(tmp_path: Path, stamp: int) -> None:
+    logs = [START + i * 5_000_000 for i in range(100)]
+    recording = timed(tmp_path / "a.mcap", [stamp] * 100, logs)
+    assert recording.channels["imu0/acceleration"].rate == pytest.approx(200.0)
+    assert recording.start_ns == START
+    assert any("time from log_time: the stamp" in note for note in recording.notes)
+
+
+def test_a_clock_that_jumps_falls_back_to_log_time(tmp_path: Path) -> None:
+    logs = [START + i * 5_000_000 for i in range(100)]
+    stamps = [log - (60 * 10**9 if i >= 50 else 0) for i, log in enumerate(logs)]
+    recording = timed(tmp_path / "a.mcap", stamps, logs)
+    assert recording.start_ns == START
+    assert any("jumps back by up to 59.995 s" in note for note in recording.notes)
+
+
+def test_boot_clock_has_no_date(tmp_path: Path) -> None:
+    stamps = [5 * 10**9 + i * 5_000_000 for i in range(100)]
+    recording = timed(tmp_path / "a.mcap", stamps, [START + i * 5_000_000 for i in range(100)])
+    assert recording.start_ns is None
+    assert recording.channels["imu0/acceleration"].t[0] == 0.0
+
+
+def test_repeats_and_gaps_are_counted(tmp_path: Path) -> None:
+    stamps = [START + i * 10_000_000 for i in range(300) if not 100 <= i < 150]
+    stamps[20] = stamps[19]
+    recording = timed(tmp_path / "a.mcap", stamps, [s + 7 for s in stamps])
+    assert any("1 times are equal to the one before" in note for note in recording.notes)
+    gap = next(g for g in recording.gaps if g.stop - g.start > 0.1)
+    assert (gap.start, gap.stop) == (pytest.approx(0.99), pytest.approx(1.5))
+    assert np.unique(np.diff(recording.channels["imu0/acceleration"].t)).size > 2
+
+
+def test_log_time_and_rate_on_request(tmp_path: Path) -> None:
+    path = imu_log(tmp_path / "a.mcap", 100)
+    assert read(path, FieldMapping(time="log_time")).start_ns == START + 1000
+    t = read(path, FieldMapping(rate=50.0)).channels["imu0/acceleration"].t
+    assert np.allclose(t, np.arange(100) / 50.0, atol=1e-9)
+
+
+# -- field paths ------------------------------------------------------------------------------
+
+
+def json_log(path: Path, trees: list[object], step: int = 10_000_000) -> Path:
+    pairs = [(START + i * step, json.dumps(tree).encode()) for i, tree in enumerate(trees)]
+    return write_log(path, {"/imu": pairs}, schema=("Imu", "jsonschema", b"{}"), encoding="json")
+
+
+def test_json_by_names_and_unit_by_norm(tmp_path: Path) -> None:
+    rows = readings(400, rate=100.0)
+    g = units.STANDARD_GRAVITY
+    trees = [
+        {
+            "timestamp": (r.ns - START) / 1e6,
+            "data": {
+                "accel": [v / g for v in r.acc],
+                "gyro": dict(zip("xyz", r.gyro, strict=True)),
+            },
+        }
+        for r in rows
+    ]
+    recording = read(json_log(tmp_path / "a.mcap", trees))
+    assert np.allclose(
+        recording.channels["imu0/acceleration"].values, values(rows, "acc"), atol=1e-12
+    )
+    assert recording.channels["imu0/angular_rate"].unit == "counts"
+    assert any("-> unit g" in note for note in recording.notes)
+    assert recording.channels["imu0/acceleration"].rate == pytest.approx(100.0)
+    assert recording.start_ns is None
+    assert recording.mapping["acc"] == ["/imu:data.accel"]
+
+
+def test_json_flat_names_and_utc_text(tmp_path: Path) -> None:
+    rows = readings(200, rate=100.0)
+    trees = [
+        {
+            "stamp": f"2024-01-01T00:00:{i / 100:05.2f}Z",
+            **{f"acc_{k}": v for k, v in zip("xyz", r.acc, strict=True)},
+            **{f"g{k}": v for k, v in zip("xyz", r.gyro, strict=True)},
+        }
+        for i, r in enumerate(rows)
+    ]
+    recording = read(json_log(tmp_path / "a.mcap", trees), FieldMapping(gyro_unit="rad/s"))
+    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
+    assert same_bits(recording.channels["imu0/angular_rate"].values, values(rows, "gyro"))
+    assert recording.start_ns == 1_704_067_200 * 10**9
+
+
+def test_many_triads_in_one_message_and_mapping_reads_again(tmp_path: Path) -> None:
+    rows = [readings(200, seed=i, rate=100.0) for i in range(3)]
+    trees = [
+        {f"s{k}": {"force": list(r.acc)} for k, r in enumerate(group)}
+        for group in zip(*rows, strict=True)
+    ]
+    path = json_log(tmp_path / "a.mcap", trees)
+    mapping = FieldMapping(
+        acc=("/imu:s0.force", "/imu:s1.force", "/imu:s2.force"),
+        acc_unit="m/s2",
+        triads=("a", "b", "c"),
+    )
+    recording = read(path, mapping)
+    assert list(recording.channels) == ["a/acceleration", "b/acceleration", "c/acceleration"]
+    for name, group in zip("abc", rows, strict=True):
+        assert same_bits(recording.channels[f"{name}/acceleration"].values, values(group, "acc"))
+    assert_same(read(path, from_dict(recording.mapping)), recording)
+
+
+def test_resolved_mapping_reads_the_same(tmp_path: Path) -> None:
+    logs = {f"/imu{i}": packed(readings(300, seed=i), cdr) for i in range(3)}
+    path = write_log(tmp_path / "a.mcap", logs)
+    recording = read(path)
+    assert_same(read(path, from_dict(recording.mapping)), recording)
+    only = read(path, FieldMapping(acc=("/imu2",)))
+    assert same_bits(
+        only.channels["imu0/angular_rate"].values, recording.channels["imu2/angular_rate"].values
+    )
+
+
+@pytest.mark.parametrize(
+    ("mapping", "message"),
+    [
+        (FieldMapping(acc=("/nothing",)), "'/nothing' is not a topic"),
+        (FieldMapping(acc=("/imu/data:orientation",)), "no 3-vector 'orientation'"),
+        (FieldMapping(time="header.seq"), "no time 'header.seq'"),
+        (FieldMapping(triads=("a", "b")), "2 triad names for 1 triads"),
+    ],
+)
+def test_wrong_mapping_is_a_usage_error(
+    tmp_path: Path, mapping: FieldMapping, message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        read(imu_log(tmp_path / "a.mcap", 50), mapping)
+
+
+def test_bad_json_messages_are_counted(tmp_path: Path) -> None:
+    good = [{"acc": list(r.acc)} for r in readings(50)]
+    trees: list[object] = [*good[:20], {"acc": [1.0, 2.0]}, {"acc": "x"}, 7, *good[20:]]
+    path = json_log(tmp_path / "a.mcap", trees)
+    recording = read(path)
+    assert recording.channels["imu0/acceleration"].values.shape == (50, 3)
+    assert any("3 messages cannot be decoded" in note for note in recording.notes)
+    with pytest.raises(UnreadableInput, match="/imu"):
+        read(path, strict=True)
+
+
+def test_wrong_length_messages_are_counted(tmp_path: Path) -> None:
+    pairs = packed(readings(200), cdr)
+    pairs[50] = (pairs[50][0], pairs[50][1][:-8])
+    pairs[60] = (pairs[60][0], b"")
+    pairs[70] = (pairs[70][0], pairs[70][1] + b"\0" * 8)
+    recording = read(write_log(tmp_path / "a.mcap", {"/imu": pairs}))
+    kept = [r for i, r in enumerate(readings(200)) if i not in (50, 60, 70)]
+    assert same_bits(recording.channels["imu0/acceleration"].values, values(kept, "acc"))
+    assert any("3 messages cannot be decoded" in note for note in recording.notes)
+
+
+def test_px4_names_state_their_units(tmp_path: Path) -> None:
+    text = (
+        "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 dt\nfloat32[3] accelerometer_m_s2\nuint8 n\n"
+    )
+    dtype = np.dtype(
+        [("e", "V4"), ("t", "<u8"), ("g", "<f4", 3), ("d", "<u4"), ("a", "<f4", 3), ("n", "u1")]
+    )
+    rows = readings(300, rate=250.0)
+    data = np.zeros(300, dtype=dtype)
+    data["e"] = np.void(b"\0\1\0\0")
+    data["t"] = [(r.ns - START) // 1000 + 9_000_000 for r in rows]
+    data["g"], data["a"] = values(rows, "gyro"), values(rows, "acc")
+    pairs = [(r.ns, row.tobytes()) for r, row in zip(rows, data, strict=True)]
+    schema = ("px4_msgs/msg/SensorCombined", "ros2msg", text.encode())
+    recording = read(write_log(tmp_path / "a.mcap", {"/fmu": pairs}, schema=schema))
+    channel = recording.channels["imu0/acceleration"]
+    assert (channel.unit, recording.channels["imu0/angular_rate"].unit) == ("m/s2", "rad/s")
+    assert same_bits(channel.values, data["a"].astype(np.float64))
+    assert channel.rate == pytest.approx(250.0)
+
+
+def test_sequences_and_nested_types(tmp_path: Path) -> None:
+    text = f"""string<=8 name
+uint8[] blob
+Sample[] samples
+float32 LIMIT=3.5
+{SEPARATOR}
+MSG: my/Sample
+std_msgs/Header header
+float64[3] acc
+{HEADER_ROS2}"""
+    from mcap_ros2._dynamic import serialize_dynamic
+
+    encode = serialize_dynamic("my/msg/Bundle", text)["my/msg/Bundle"]
+    rows = readings(60)
+    rng = np.random.default_rng(3)
+    pairs = []
+    for r in rows:
+        stamp = {"sec": r.ns // 10**9, "nanosec": r.ns % 10**9}
+        sample = {"header": {"stamp": stamp, "frame_id": "a"}, "acc": list(r.acc)}
+        blob = bytes(rng.integers(0, 256, rng.integers(0, 9), dtype=np.uint8))
+        pairs.append((r.ns, bytes(encode({"name": "q", "blob": blob, "samples": [sample]}))))
+    schema = ("my/msg/Bundle", "ros2msg", text.encode())
+    path = write_log(tmp_path / "a.mcap", {"/b": pairs}, schema=schema)
+    mapping = FieldMapping(acc=("/b:samples.0.acc",), time="samples.0.header.stamp")
+    recording = read(path, mapping, strict=True)
+    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
+    assert recording.start_ns == START
+
+
+def test_protobuf_by_names(tmp_path: Path) -> None:
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+
+    files = descriptor_pb2.FileDescriptorSet()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(files.file.add())
+    file = files.file.add(name="imu.proto", package="p", syntax="proto3")
+    file.dependency.append("google/protobuf/timestamp.proto")
+    vector = file.message_type.add(name="Vector")
+    for i, axis in enumerate("xyz", 1):
+        vector.field.add(name=axis, number=i, type=1, label=1)
+    imu = file.message_type.add(name="Imu")
+    kinds = [("timestamp", ".google.protobuf.Timestamp"), ("acceleration", ".p.Vector")]
+    kinds.append(("angular_velocity", ".p.Vector"))
+    for i, (name, kind) in enumerate(kinds, 1):
+        imu.field.add(name=name, number=i, type=11, label=1, type_name=kind)
+    pool = descriptor_pool.DescriptorPool()
+    for part in files.file:
+        pool.Add(part)
+    make = message_factory.GetMessageClass(pool.FindMessageTypeByName("p.Imu"))
+    rows = readings(150)
+    pairs = []
+    for r in rows:
+        vectors = [dict(zip("xyz", v, strict=True)) for v in (r.acc, r.gyro)]
+        stamp = {"seconds": r.ns // 10**9, "nanos": r.ns % 10**9}
+        built = make(timestamp=stamp, acceleration=vectors[0], angular_velocity=vectors[1])
+        pairs.append((r.ns + 5, built.SerializeToString()))
+    schema = ("p.Imu", "protobuf", files.SerializeToString())
+    path = write_log(tmp_path / "a.mcap", {"/imu": pairs}, schema=schema, encoding="protobuf")
+    recording = read(path, FieldMapping(gyro_unit="rad/s"))
+    assert same_bits(recording.channels["imu0/acceleration"].values, values(rows, "acc"))
+    assert same_bits(recording.channels["imu0/angular_rate"].values, values(rows, "gyro"))
+    assert recording.start_ns == START
+
+
+def test_protobuf_without_its_package_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "google.protobuf", None)
+    logs = {"/imu": [(START, b"\x08\x01")]}
+    path = write_log(
+        tmp_path / "a.mcap", logs, schema=("p.Imu", "protobuf", b""), encoding="protobuf"
+    )
+    with pytest.raises(UsageError, match=r"imucalib\[protobuf\]"):
+        read(path, FieldMapping(acc=("/imu",)))
+    with pytest.raises(UnreadableInput, match="need the protobuf package"):
+        read(path)
+
+
+def test_reader_recognises_only_its_magic(tmp_path: Path) -> None:
+    reader = reader_for(imu_log(tmp_path / "a.mcap", 5))
+    assert reader.name == "mcap"
+    assert not reader.recognises(tmp_path / "b", b"\x89HDF\r\n\x1a\n")
+
+
+def test_imu_schema_text_is_not_needed_for_the_official_layout() -> None:
+    from imucalib.readers.messages import definition as mcap_definition
+
+    own = mcap_definition.parse_definition("sensor_msgs/msg/Imu", mcap_definition.IMU_ROS2, False)
+    theirs = mcap_definition.parse_definition("sensor_msgs/msg/Imu", IMU_ROS2, False)
+    assert own.types == theirs.types
+
+
+def test_topics_of_one_type_with_different_fields(tmp_path: Path) -> None:
+    text = f"Sample[] samples\n{SEPARATOR}\nMSG: my/Sample\nfloat64[3] acc\n"
+    rows = readings(40)
+    logs = {}
+    for topic, count in (("/one", 1), ("/two", 2)):
+        head = b"\0\1\0\0" + count.to_bytes(4, "little") + bytes(4)
+        pairs = [(r.ns, head + np.array([r.acc] * count).tobytes()) for r in rows]
+        logs[topic] = pairs
+    schema = ("my/msg/Bundle", "ros2msg", text.encode())
+    path = write_log(tmp_path / "a.mcap", logs, schema=schema)
+    mapping = FieldMapping(acc=("/two:samples.1.acc", "/one:samples.0.acc"))
+    recording = read(path, mapping, strict=True)
+    for name in ("imu0", "imu1"):
+        assert same_bits(recording.channels[f"{name}/acceleration"].values, values(rows, "acc"))

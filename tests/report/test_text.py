@@ -1,0 +1,106 @@
+"""The terminal report: verdict first, brief sections only, never wider than the terminal."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rich.cells import cell_len
+
+from imucalib.report.document import Document, Plot, Section, Series, Table, Text
+from imucalib.report.render.text import render_text
+from worlds.report_demo import demo_document
+from worlds.report_strategies import DOCUMENTS
+
+ANSI = re.compile(r"\x1b\[[\d;]*m")
+
+
+def _lines(*blocks: Text | Table | Plot, width: int = 80) -> list[str]:
+    document = Document("d", Text("v"), (Section("s", blocks),))
+    return render_text(document, width, color=False).splitlines()
+
+
+@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(DOCUMENTS, st.integers(40, 140))
+def test_no_line_is_wider_than_the_terminal(document: Document, width: int) -> None:
+    plain = render_text(document, width, color=False)
+    assert max(cell_len(line) for line in plain.split("\n")) <= width
+    assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", plain)
+    assert ANSI.sub("", render_text(document, width, color=True)) == plain
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_demo_report_reads_on_one_page(width: int) -> None:
+    document = demo_document()
+    text = render_text(document, width, color=False)
+    lines = text.splitlines()
+    assert lines[0] == document.title
+    assert lines[2].startswith("! CAUTION: The 12-parameter model")
+    assert len(lines) < 110
+    for section in document.sections:
+        tables = [block for block in section.blocks if isinstance(block, Table)]
+        for table in tables if section.brief else ():
+            for row in table.rows:
+                assert any(_in_order(row, line) for line in lines)
+    assert "Error over inclination" not in text
+    assert "Not shown here  Detail, Readings" in text
+    assert not re.search(r"\bnan\b", text)
+
+
+def _in_order(cells: tuple[str, ...], line: str) -> bool:
+    return re.search(r"\s+".join(map(re.escape, cells)) + r"\s*$", line) is not None
+
+
+def test_wide_table_is_split_and_no_number_is_cut() -> None:
+    header = ("position", *(f"column {k}" for k in range(14)))
+    rows = tuple((f"p{i}", *(f"{i}.{k:05d}" for k in range(14))) for i in range(3))
+    lines = _lines(Table("t", header, rows, "l" + "r" * 14))
+    text = "\n".join(lines)
+    assert all(cell in text for row in rows for cell in row)
+    assert sum(line.startswith("p1 ") for line in lines) >= 2
+
+
+def test_long_words_of_a_table_fold_between_words() -> None:
+    row = ("free fall of the whole rig while the table was still turning", "12.5", "no")
+    lines = _lines(Table("t", ("effect", "size", "ok"), (row,) * 2, "lrl"), width=44)
+    assert sum("12.5" in line for line in lines) == 2
+    assert " ".join(" ".join(lines).replace("12.5  no", "").split()).count(row[0]) == 2
+
+
+def test_tones_show_without_colour_and_colour_only_on_request() -> None:
+    table = Table("t", ("a", "b"), (("1", "x"), ("2", "y")), "rl", tones={1: "bad"})
+    for tone, sign in (("ok", "✓ PASSED: v"), ("bad", "✗ FAILED: v"), ("plain", "v")):
+        document = Document("d", Text("v", tone), (Section("s", (table,)),))  # type: ignore[arg-type]
+        assert render_text(document, 80, color=False).splitlines()[2] == sign
+    lines = _lines(table, Text("note", "warning"))
+    assert "✗ 2  y" in lines
+    assert "! note" in lines
+    assert "\x1b[" in render_text(demo_document(), 80, color=True)
+
+
+def test_text_cannot_steer_the_terminal() -> None:
+    evil = "a\x1b[2Jb\x9b1mc\u202ed\re"
+    document = Document(evil, Text(evil, "bad"), (Section(evil, (Text(evil),)),), ((evil, evil),))
+    text = render_text(document, 80, color=False)
+    assert "a?[2Jb?1mc?d" in text
+    assert not set("\x1b\x9b\u202e\r") & set(text)
+
+
+def test_markup_of_the_printing_library_stays_text() -> None:
+    assert "[bold]x[/bold] :smile:" in _lines(Text("[bold]x[/bold] :smile:"))
+
+
+def test_plots_are_for_the_page_only() -> None:
+    bars = Series("before", np.arange(2.0), np.array([4.0, 2.0]), "bars")
+    assert _lines(Text("a"), Plot("p", "", "error", (bars,)), Text("b")) == _lines(
+        Text("a"), Text("b")
+    )
+
+
+def test_a_narrow_terminal_is_taken_as_forty_columns() -> None:
+    document = replace(demo_document(), footer=())
+    assert render_text(document, 5, color=False) == render_text(document, 40, color=False)

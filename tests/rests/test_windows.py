@@ -1,0 +1,124 @@
+"""Window statistics: blocked equals naive, whatever the shape, the type and the size of a block."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imucalib.readers import blocks, stored_blocks
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Channel
+from imucalib.rests.runs import scan
+from imucalib.rests.windows import WindowBuilder, window_statistics
+
+KINDS = ("f4", "f8", "i2", "u1", "i4", "i8", "f2")
+
+
+def drawn(seed: int, shape: tuple[int, int, int], kind: str, level: float) -> np.ndarray:
+    numbers = np.random.default_rng(seed).normal(level, 20.0, shape)
+    numbers[::3] = np.round(numbers[::3, :1])  # constant windows
+    return numbers.clip(0, 250).astype(kind)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    m=st.integers(1, 40),
+    w=st.integers(1, 300),
+    k=st.sampled_from((1, 3)),
+    kind=st.sampled_from(KINDS),
+    level=st.sampled_from((0.0, 100.0)),
+    cache=st.sampled_from((1, 4096, 1 << 19)),
+)
+def test_equal_to_naive(
+    seed: int, m: int, w: int, k: int, kind: str, level: float, cache: int
+) -> None:
+    cube = drawn(seed, (m, w, k), kind, level)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("imucalib.rests.windows._CACHE", cache)
+        patch.setattr("imucalib.rests.windows._EVERY", 1)
+        mean, variance, low, high, finest = window_statistics(cube)
+    exact = cube.astype(np.float64)
+    assert np.array_equal(low, exact.min(axis=1))
+    assert np.array_equal(high, exact.max(axis=1))
+    single = np.result_type(cube.dtype, np.float32) == np.float32
+    error = 3e-7 if single else 1e-13
+    reach = np.abs(exact - exact[:, :1]).max(axis=1)
+    assert np.all(np.abs(mean - exact.mean(axis=1)) <= error * reach + 1e-14 * np.abs(mean))
+    naive = exact.var(axis=1, ddof=1) if w > 1 else np.zeros((m, k))
+    assert np.all(np.abs(variance - naive) <= 10.0 * error * reach**2)
+    assert np.all(variance[high == low] == 0.0)
+    steps = np.abs(np.diff(exact, axis=1))
+    smallest = np.where(steps > 0, steps, np.inf).min(axis=(0, 1), initial=np.inf)
+    assert np.allclose(finest, smallest, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_variance_far_from_zero(kind: str) -> None:
+    """Noise of one part in ten thousand keeps its digits beside a large offset."""
+    rng = np.random.default_rng(4)
+    cube = (1e3 + 0.1 * rng.standard_normal((20, 1000, 3))).astype(kind)
+    _, variance, *_ = window_statistics(cube)
+    exact = cube.astype(np.float64).var(axis=1, ddof=1)
+    assert np.allclose(variance, exact, rtol=1e-5 if kind == "f4" else 1e-10)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from(("f4", "f8", "i2")),
+    axis_map=st.sampled_from(("", "-y,x,-z")),
+    offset=st.sampled_from(((), (3.0, -2.0, 1.0))),
+    holes=st.booleans(),
+)
+def test_statistics_of_stored_numbers(
+    seed: int, kind: str, axis_map: str, offset: tuple[float, ...], holes: bool
+) -> None:
+    """Statistics that are converted equal statistics of converted samples."""
+    rng = np.random.default_rng(seed)
+    numbers = (2048 * np.array([0.6, 0.0, 0.8]) + 9.0 * rng.standard_normal((9000, 3))).astype(kind)
+    if holes and kind != "i2":
+        numbers[4000:4100] = np.nan
+    mapping = FieldMapping(
+        acc_unit="counts", lsb_per_g=(2048.0,), rate=50.0, axis_map=axis_map, acc_offset=offset
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "day.h5"
+        with h5py.File(path, "w") as file:
+            file["accelerometer"] = numbers
+        one, two = (scan(make(path, mapping), 10.0) for make in (blocks, stored_blocks))
+    assert replace(one, windows=two.windows) == two
+    for name in ("first", "run", "start", "stop"):
+        assert np.array_equal(getattr(one.windows, name), getattr(two.windows, name))
+    for name in ("mean", "low", "high", "variance", "finest"):
+        found, known = getattr(two.windows, name), getattr(one.windows, name)
+        assert np.allclose(found, known, rtol=1e-5 if name == "variance" else 1e-12, atol=1e-7)
+
+
+def test_windows_given_away_stay_when_more_follow() -> None:
+    rng = np.random.default_rng(1)
+    builder = WindowBuilder(10)
+    parts = []
+    for k in range(12):
+        t = np.arange(40 * k, 40 * (k + 1)) / 10.0
+        values = rng.standard_normal((40, 3))
+        builder.add(Channel(t, values, "m/s2", "acceleration", "imu0", 10.0), [])
+        parts.append(values)
+        if k == 5:
+            half = builder.windows()
+            assert half is not None
+            kept = half.mean.copy()
+    whole = builder.windows()
+    assert whole is not None
+    assert np.array_equal(half.mean, kept)
+    mean = np.concatenate(parts).reshape(-1, 10, 3).mean(axis=1)
+    assert np.allclose(whole.mean, mean, rtol=0.0, atol=1e-14)
+    assert np.array_equal(whole.mean[: len(kept)], kept)
+    assert np.array_equal(whole.first, 10 * np.arange(48))

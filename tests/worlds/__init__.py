@@ -1,0 +1,1 @@
+"""Simulated sensors, logs and documents that several tests share."""

@@ -1,0 +1,140 @@
+"""Small arrays with one undeclared error each, as the tests and the benchmark plant them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.board import Board, read_board
+from imucalib.calibrators.array.log import array_log
+from imucalib.calibrators.array.loop import ArrayLoop, close_array_loop
+from imucalib.calibrators.array.moving import Moving, moving_part
+from imucalib.calibrators.array.setup import array_setup
+from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
+from imucalib.calibrators.array.static import StaticFit, fit_static
+from imucalib.core.array_motion import ArrayMotion
+from imucalib.effects.array import array_catalogue
+from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.segments import still_segments
+from imucalib.units import DEG
+
+Array = NDArray[np.float64]
+BOARD = read_board("mimu4444_corners")
+PLAN = LogPlan(
+    poses=14, pose_seconds=3.0, seconds=14.0, twist=800.0, force=20.0, gyro_gain=0.0, gain=0.005
+)
+#: name of the story -> the effect planted, and the size of each parameter in its unit
+STORIES: dict[str, tuple[str, float | Array]] = {
+    "clean": ("", 0.0),
+    "gyro scale of one IMU, 2 %": ("gyro_scale@imu3", 2.0),
+    "gyro scale of each IMU, 2 %": ("gyro_scale", 2.0),
+    "common gyro delay, 1 ms": ("gyro_delay", 1.0),
+    "clock skew, 1 ms": ("gyro_sample_age", 1.0),
+    "quadratic, 0.3 mg/g2": ("accelerometer_quadratic", 0.3),
+    "element positions, 0.5 mm": ("sensing_elements", 0.5),
+    "bad accelerometer, 1 %": ("accelerometer_scale@imu5", 0.01),
+}
+
+
+def planted_log(name: str, seed: int, plan: LogPlan = PLAN, board: Board = BOARD) -> tuple[
+    Recording, Array
+]:  # fmt: skip
+    """A bench log with the story's error, and the true positions (K, 3) m."""
+    rng = np.random.default_rng(seed)
+    effect, size = STORIES[name]
+    k = board.count
+    true = board.drawn + rng.normal(size=(k, 3)) * plan.scatter
+    true -= true[0]
+    t, w, _, force = simulated_motion(plan, rng)
+    spin = np.gradient(w, t, axis=0)
+    felt = lever_arm(w, spin, true) + force[:, None]
+    # The triads' mean is the board's frame: a mean error would turn it against the gyros.
+    gain = rng.normal(size=(k, 3, 3)) * plan.gain
+    gain += np.eye(3) - gain.mean(axis=0)
+    jerk = np.gradient(felt, t, axis=0)
+    beats = rng.uniform(0.3, 3.0, k) * rng.choice([-1.0, 1.0], k)
+    turns = t[:, None] * beats + rng.uniform(size=k)
+    motion = ArrayMotion(
+        board.imus, t, (t - t[0]) / np.ptp(t), w, spin, felt, jerk, board.rotations,
+        turns - np.floor(turns) - 0.5,
+    )  # fmt: skip
+    rate = np.repeat(w[:, None], k, axis=1)
+    if effect:
+        add = planted(effect, size, motion, rng)
+        moving = t > plan.poses * plan.pose_seconds
+        if effect.startswith("gyro"):
+            rate = rate + add
+        else:
+            # What rests would show is in the calibration by gravity: errors of the motion only.
+            felt = felt + add * (moving[:, None, None] if "@" in effect else 1.0)
+    channels = {}
+    for i, name_ in enumerate(board.imus):
+        turn = board.rotations[i].T
+        x = felt[:, i] @ (turn @ gain[i]).T + rng.normal(size=3) * plan.bias
+        y = rate[:, i] @ turn.T + rng.normal(size=3) * plan.gyro_bias * DEG
+        x += rng.normal(size=x.shape) * plan.sigma
+        y += rng.normal(size=y.shape) * plan.sigma_gyro * DEG
+        x = np.clip(x, -board.accelerometer_range, board.accelerometer_range)
+        y = np.clip(y, -board.gyroscope_range, board.gyroscope_range)
+        for quantity, unit, values in (("acceleration", "m/s2", x), ("angular_rate", "rad/s", y)):
+            channels[f"{name_}/{quantity}"] = Channel(t, values, unit, quantity, name_, plan.rate)
+    return Recording(channels, "simulated", "simulated", ""), true
+
+
+def planted(
+    effect: str, size: float | Array, motion: ArrayMotion, rng: np.random.Generator
+) -> Array:
+    """(T, K, 3) what the effect adds: one number as given, several at random of that size."""
+    name, _, only = effect.partition("@")
+    found = array_catalogue()[name]
+    basis = found.basis(motion)
+    if found.shared:
+        theta = np.full(basis.shape[3], size)
+        if basis.shape[3] > 1:
+            theta = rng.normal(size=basis.shape[3]) * size
+        return np.asarray(basis @ theta)
+    # A mean over all gyros' scales is the array's size, which no motion shows.
+    theta = rng.normal(size=(len(motion.imus), basis.shape[3])) * size
+    theta -= theta.mean()
+    if only:
+        theta[:] = 0.0
+        theta[motion.imus.index(only)] = size
+    return np.asarray(np.einsum("tkim,km->tki", basis, theta))
+
+
+def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, StaticFit]:
+    segments = still_segments(recording)
+    log, board = array_log(recording, board)
+    order = [segments.triads.index(name) for name in board.imus]
+    static = fit_static(segments, board, order, 9.80665)
+    return moving_part(log, static), static
+
+
+def closed(
+    recording: Recording, samples: int = 300, seed: int = 0, board: Board = BOARD
+) -> ArrayLoop:
+    from imucalib.calibrators.array.terms import rest_terms
+
+    moving, static = moving_of(recording, board)
+    setup = array_setup(moving, board, samples, robust=True)
+    assert setup is not None
+    return close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(seed))
+
+
+def named(found: ArrayLoop) -> set[str]:
+    """All effects found, with those that they cannot be told from."""
+    return {n for s in found.steps for n in (s.effect, *s.aliases)}
+
+
+def positions_z(found: ArrayLoop, true: Array) -> Array:
+    """(3 (K - 1),) errors of the positions in stated deviations, in the triads' mean frame."""
+    truth, r = true[1:], found.final.r[1:]
+    left, _, right = np.linalg.svd(truth.T @ r)
+    n = found.final.positions
+    sd = np.sqrt(np.diag(found.final.covariance)[:n] * found.dispersion)
+    return np.asarray((r - truth @ left @ right).ravel() / sd)
+
+
+__all__ = ["BOARD", "PLAN", "STORIES", "closed", "named", "planted_log", "positions_z", "replace"]

@@ -1,0 +1,6 @@
+"""Where the tests find what lies beside them."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT.parent / "shared" / "data"  #: measured recordings; what needs them is skipped without

@@ -1,0 +1,307 @@
+"""Recordings written to MCAP: read back bit for bit, readable by others, other topics kept."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from mcap_ros2.decoder import DecoderFactory
+
+from imucalib.errors import UsageError
+from imucalib.readers import read
+from imucalib.readers.mcap.scan import Scanner
+from imucalib.recording.mapping import FieldMapping, from_dict
+from imucalib.recording.recording import Channel, Recording
+from imucalib.writers import write
+from imucalib.writers.mcap.writer import write_with_topics_of
+from worlds.mcap_logs import (
+    IMU_ROS1,
+    START,
+    cdr,
+    imu_log,
+    packed,
+    readings,
+    ros1,
+    same_bits,
+    write_log,
+)
+
+
+def recording(
+    triads: list[str], count: int, *, seed: int = 0, start_ns: int | None = START, unit: str = ""
+) -> Recording:
+    """Random triads at 200 Hz whose times are whole nanoseconds."""
+    rng = np.random.default_rng(seed)
+    channels = {}
+    for i, triad in enumerate(triads):
+        t = (np.arange(count) * 5_000_000 + i * 1000) * 1e-9
+        acc = rng.normal((0, 0, 9.8), 0.05, (count, 3))
+        for name, values, own in (
+            ("acceleration", acc, "m/s2"),
+            ("angular_rate", acc * 0, "rad/s"),
+        ):
+            kind = unit or own
+            channels[f"{triad}/{name}"] = Channel(t, values, kind, name, triad, 200.0)
+    return Recording(channels, "made", "made", "", start_ns)
+
+
+def assert_equal(a: Recording, b: Recording) -> None:
+    assert a.channels.keys() == b.channels.keys()
+    assert a.start_ns == b.start_ns
+    for name, channel in a.channels.items():
+        other = b.channels[name]
+        assert same_bits(channel.t, other.t)
+        assert same_bits(channel.values, other.values)
+        assert (channel.unit, channel.quantity, channel.triad) == (
+            other.unit, other.quantity, other.triad,
+        )  # fmt: skip
+        assert other.rate == pytest.approx(channel.rate)
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    triads=st.lists(st.sampled_from(["imu0", "imu10", "left_foot", "b"]), min_size=1, unique=True),
+    count=st.integers(2, 3000),
+    start_ns=st.sampled_from([START, None]),
+    unit=st.sampled_from(["", "counts"]),
+)
+def test_round_trip(
+    tmp_path: Path, triads: list[str], count: int, start_ns: int | None, unit: str
+) -> None:
+    made = recording(triads, count, start_ns=start_ns, unit=unit)
+    write(made, tmp_path / "a.mcap")
+    back = read(tmp_path / "a.mcap", strict=True)
+    assert_equal(made, back)
+    assert back.gaps == ()
+
+
+def test_other_rates_and_temperature(tmp_path: Path) -> None:
+    made = recording(["imu0"], 500)
+    gyro = made.channels["imu0/angular_rate"]
+    slow = Channel(gyro.t[::2], gyro.values[::2] + 0.1, "rad/s", "angular_rate", "imu0", 100.0)
+    warm = np.linspace(20, 30, 50)[:, None]
+    temperature = Channel(gyro.t[::10], warm, "degC", "temperature", "imu0", 20.0)
+    channels = {
+        "imu0/acceleration": made.channels["imu0/acceleration"],
+        "imu0/angular_rate": slow,
+        "imu0/temperature": temperature,
+    }
+    made = replace(made, channels=channels)
+    write(made, tmp_path / "a.mcap")
+    assert_equal(made, read(tmp_path / "a.mcap", strict=True))
+
+
+def test_read_by_the_official_reader(tmp_path: Path) -> None:
+    made = recording(["a", "b2"], 4000)
+    path = tmp_path / "a.mcap"
+    write(made, path)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 8000
+        assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 1
+        found = list(reader.iter_decoded_messages())
+    assert [m.log_time for _, _, m, _ in found] == sorted(m.log_time for _, _, m, _ in found)
+    acc = np.array(
+        [
+            (d.linear_acceleration.x, d.linear_acceleration.y, d.linear_acceleration.z)
+            for _, c, _, d in found
+            if c.topic == "/b2/imu"
+        ]
+    )
+    assert same_bits(acc, made.channels["b2/acceleration"].values)
+    first = found[0][3]
+    assert (first.header.frame_id, first.orientation_covariance[0]) == ("a", -1.0)
+    assert first.header.stamp.sec * 10**9 + first.header.stamp.nanosec == START
+
+
+def test_messages_are_in_time_order_across_chunks(tmp_path: Path) -> None:
+    write(recording(["a", "b", "c"], 5000), tmp_path / "a.mcap")
+    scanner = Scanner(tmp_path / "a.mcap", strict=True)
+    times = [block.header("log_time").astype(np.int64) for block in scanner.blocks()]
+    assert len(times) > 3
+    assert (np.diff(np.concatenate(times)) >= 0).all()
+
+
+def raw_messages(path: Path) -> set[tuple[str, int, int, int, bytes]]:
+    """Topic, times, sequence and payload of every message."""
+    scanner = Scanner(path, strict=True)
+    found = set()
+    for block in scanner.blocks():
+        names = ("channel", "log_time", "publish_time", "sequence")
+        columns = zip(*(block.header(n).tolist() for n in names), strict=True)
+        for (number, *rest), payload in zip(columns, block.payloads(), strict=True):
+            found.add((scanner.topics[number].name, *rest, payload))
+    return found
+
+
+@pytest.mark.parametrize("date", [START, 4 * 10**9])
+def test_other_topics_are_copied_untouched(tmp_path: Path, date: int) -> None:
+    rows = [replace(r, ns=r.ns - START + date) for r in readings(500)]
+    logs = {
+        "/imu/data": [(START + i, cdr(r)) for i, r in enumerate(rows)],
+        "/odd": [(START + 500 * i, bytes([i]) * (i + 1)) for i in range(200)],
+        "/imu/raw": packed(readings(300, seed=4), cdr),
+    }
+    source = write_log(tmp_path / "a.mcap", logs)
+    del logs["/imu/raw"], logs["/imu/data"]
+    whole = read(write_log(tmp_path / "b.mcap", {"/imu/data": packed(rows, cdr)}))
+    channels = {n: replace(c, values=c.values * 1.01) for n, c in whole.channels.items()}
+    write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
+    before, after = raw_messages(source), raw_messages(tmp_path / "c.mcap")
+    replaced = {m for m in before if m[0] == "/imu/data"}
+    assert before - replaced <= after
+    assert len(after) == len(before)
+    times = [m[1] for m in after]
+    assert max(times) - min(times) < 10**9
+    back = read(tmp_path / "c.mcap", FieldMapping(acc=("/imu/data",)))
+    assert same_bits(
+        back.channels["imu0/acceleration"].values, channels["imu0/acceleration"].values
+    )
+    assert back.start_ns == whole.start_ns
+
+
+def full_messages(path: Path) -> list[tuple[int, int, int, bytes]]:
+    """Log time, publish time, sequence and payload of /imu/data, in file order."""
+    rows = []
+    scanner = Scanner(path, strict=True)
+    for block in scanner.blocks():
+        names = ("channel", "log_time", "publish_time", "sequence")
+        columns = zip(*(block.header(n).tolist() for n in names), strict=True)
+        for (number, *rest), payload in zip(columns, block.payloads(), strict=True):
+            if scanner.topics[number].name == "/imu/data":
+                rows.append((*rest, payload))
+    return rows
+
+
+PACKINGS = {
+    "cdr": (cdr, "<"),
+    "cdr big-endian": (lambda r: cdr(r, order=">"), ">"),
+    "cdr 2": (lambda r: cdr(r, version=2), "<"),
+    "ros1": (ros1, "<"),
+}
+
+
+@pytest.mark.parametrize("packing", PACKINGS)
+def test_corrected_messages_keep_all_their_other_bytes(tmp_path: Path, packing: str) -> None:
+    pack, order = PACKINGS[packing]
+    rows = readings(400)
+    rows = [replace(r, frame="imu_link"[: 3 + i % 3]) for i, r in enumerate(rows)]
+    rows[100], rows[130] = rows[130], rows[100]  # stamps step back
+    old = packing == "ros1"
+    schema = ("sensor_msgs/Imu", "ros1msg", IMU_ROS1.encode())
+    options = {"schema": schema, "encoding": "ros1"} if old else {}
+    logs = {"/imu/data": [(START + 7 * i, pack(r)) for i, r in enumerate(rows)]}
+    source = write_log(tmp_path / "a.mcap", logs, chunk_size=9000, **options)
+    whole = read(source)
+    channels = {
+        n: replace(c, values=c.values * 1.5 + 1) if "acceleration" in n else c
+        for n, c in whole.channels.items()
+    }
+    write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
+    before, after = full_messages(source), full_messages(tmp_path / "c.mcap")
+    assert len(before) == len(after) == 400
+    for one, two, reading in zip(before, after, rows, strict=True):
+        assert one[:3] == two[:3]
+        new = np.array(reading.acc) * 1.5 + 1
+        tail = struct.pack(f"{order}3d", *new)
+        at = len(one[3]) - 12 * 8
+        assert two[3] == one[3][:at] + tail + one[3][at + 24 :]
+    back = read(tmp_path / "c.mcap", strict=True)
+    for name, channel in channels.items():
+        assert same_bits(back.channels[name].values, channel.values)
+        assert same_bits(back.channels[name].t, channel.t)
+
+
+def test_messages_packed_one_by_one_are_written_anew(tmp_path: Path) -> None:
+    import zstandard
+
+    squeeze = zstandard.ZstdCompressor().compress
+    logs = {"/imu/data": [(r.ns, squeeze(cdr(r))) for r in readings(300)]}
+    source = write_log(tmp_path / "a.mcap", logs)
+    whole = read(source)
+    channels = {n: replace(c, values=c.values * 2.0) for n, c in whole.channels.items()}
+    write_with_topics_of(replace(whole, channels=channels), source, tmp_path / "c.mcap")
+    back = read(tmp_path / "c.mcap", from_dict(whole.mapping))
+    for name, channel in channels.items():
+        assert same_bits(back.channels[name].values, channel.values)
+
+
+def test_turned_axes_are_written_anew(tmp_path: Path) -> None:
+    source = imu_log(tmp_path / "a.mcap", 200)
+    whole = read(source, FieldMapping(axis_map="y,-x,z"))
+    write_with_topics_of(whole, source, tmp_path / "c.mcap")
+    back = read(tmp_path / "c.mcap")
+    for name, channel in whole.channels.items():
+        assert same_bits(back.channels[name].values, channel.values)
+
+
+def test_attachments_metadata_and_a_thermometer_are_kept(tmp_path: Path) -> None:
+    source = tmp_path / "a.mcap"
+    made = recording(["imu0"], 300)
+    warm = Channel(np.arange(30) * 0.05, np.full((30, 1), 21.5), "degC", "temperature", "imu0", 20)
+    write(replace(made, channels={**made.channels, "imu0/temperature": warm}), source)
+    note = b"a photo of the bench" * 50
+    packed_file = tmp_path / "b.mcap"
+    with source.open("rb") as old, packed_file.open("wb") as new:
+        writer = Writer(new)
+        writer.start("ros2")
+        reader = make_reader(old)
+        numbers: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            if channel.id not in numbers:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                meta = dict(channel.metadata)
+                numbers[channel.id] = writer.register_channel(channel.topic, "cdr", kind, meta)
+            writer.add_message(
+                numbers[channel.id], message.log_time, message.data, message.publish_time
+            )
+        writer.add_attachment(5, 6, "bench.jpg", "image/jpeg", note)
+        writer.add_metadata("rig", {"table": "7", "operator": "x"})
+        writer.finish()
+    whole = read(packed_file)
+    assert "imu0/temperature" in whole.channels
+    write_with_topics_of(whole, packed_file, tmp_path / "c.mcap")
+    with (tmp_path / "c.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        (kept,) = reader.iter_attachments()
+        assert (kept.name, kept.media_type, kept.data) == ("bench.jpg", "image/jpeg", note)
+        assert {kept.log_time, kept.create_time} == {5, 6}
+        (metadata,) = reader.iter_metadata()
+        assert (metadata.name, metadata.metadata) == ("rig", {"table": "7", "operator": "x"})
+        statistics = reader.get_summary().statistics
+        assert (statistics.attachment_count, statistics.metadata_count) == (1, 1)
+    assert raw_messages(tmp_path / "c.mcap") == raw_messages(packed_file)
+    assert_equal(whole, read(tmp_path / "c.mcap", strict=True))
+
+
+def test_a_channel_without_a_message_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
+    made = recording(["imu0"], 10)
+    odd = Channel(np.arange(3.0), np.ones((3, 2)), "T", "magnetic_field", "imu0", 1.0)
+    target = tmp_path / "a.mcap"
+    target.write_bytes(b"old")
+    with pytest.raises(UsageError, match="imu0/magnetic_field"):
+        write(replace(made, channels={**made.channels, "imu0/magnetic_field": odd}), target)
+    assert target.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_copying_needs_a_readable_source(tmp_path: Path) -> None:
+    source = tmp_path / "a.mcap"
+    source.write_bytes(b"no mcap at all")
+    whole = read(imu_log(tmp_path / "b.mcap", 20))
+    with pytest.raises(Exception, match="not an MCAP file"):
+        write_with_topics_of(whole, source, tmp_path / "c.mcap")
+    assert not (tmp_path / "c.mcap").exists()
