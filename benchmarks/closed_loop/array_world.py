@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from trial import Job, Trial, noise, said
 
 from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.catalogue import array_catalogue
 from imucalib.calibrators.array.declared import beside_the_fit, declared_term, with_declared
 from imucalib.calibrators.array.log import array_log
 from imucalib.calibrators.array.loop import ARRAY_RULES, ArrayLoop, close_array_loop
+from imucalib.calibrators.array.motion import board_motion
 from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.setup import Setup, array_setup
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
 from imucalib.calibrators.array.state import ArrayState, start_state
 from imucalib.calibrators.array.static import fit_static
 from imucalib.calibrators.array.terms import Term, rest_terms, typical_of
-from imucalib.core.array_motion import ArrayMotion
-from imucalib.effects.array import array_catalogue
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
@@ -47,9 +47,9 @@ OUTSIDE = {
 NOISE = ("t4", "ar", "slow clock")
 FAULTS: tuple[str, ...] = ()
 CONFOUNDED: tuple[tuple[str, str, float], ...] = (
-    ("accelerometer_bias_drift", "", 1.0),
-    ("accelerometer_warm_up", "", 0.8),
-    ("accelerometer_asymmetry", "", 0.2),
+    ("bias_drift", "", 1.0),
+    ("warm_up", "", 0.8),
+    ("asymmetry", "", 0.2),
     ("gyro_frame", "", 0.12),
 )
 #: What no motion shows: always listed, with what it would do to the positions.
@@ -58,13 +58,15 @@ ABSORBED = ("common_gyro_scale", "common_accelerometer_scale", "common_accelerom
 
 def effects() -> tuple[str, ...]:
     """Effects that this motion carries and positions do not absorb."""
-    return tuple(name for name in array_catalogue() if name not in ABSORBED)
+    context = _Log(Job("array", "reference", 0), np.random.default_rng(0)).motion.context
+    shown = {n for n, e in array_catalogue().items() if not e.missing(context)}
+    return tuple(name for name in array_catalogue() if name in shown.difference(ABSORBED))
 
 
 def sizes(name: str) -> tuple[float, ...]:
     """Sizes of a single effect, in typical ones: about as long as the noise allows to be found,
     and the typical size itself."""
-    if array_catalogue()[name].needs_age:
+    if "sample_age" in array_catalogue()[name].needs:
         return (0.35, 1.0, 3.0)  # a beat line has to stand out first
     expected = float(np.sqrt(np.trace(beside_the_fit(_reference(name), array_catalogue()[name]))))
     return (*(round(value / expected, 4) for value in LAMBDAS), 1.0)
@@ -115,9 +117,9 @@ class _Log:
         jerk = np.gradient(felt, t, axis=0)
         beats = rng.uniform(0.3, 3.0, k) * rng.choice([-1.0, 1.0], k)
         turns = t[:, None] * beats + rng.uniform(size=k)
-        self.motion = ArrayMotion(
-            BOARD.imus, t, order, w, spin, felt, jerk, BOARD.rotations,
-            turns - np.floor(turns) - 0.5,
+        self.motion = board_motion(
+            imus=BOARD.imus, rotations=BOARD.rotations, t=t, order=order, rate=w, spin=spin,
+            force=felt, jerk=jerk, age=turns - np.floor(turns) - 0.5,
         )  # fmt: skip
         self.planted = {name: _drawn(name, size, rng) for name, size in job.effects}
         rate = np.repeat(w[:, None], k, axis=1)
@@ -125,7 +127,7 @@ class _Log:
             effect = array_catalogue()[name]
             term = Term(name, effect, None, np.eye(len(theta)), theta, np.ones(len(theta)))
             add = term.reading(term.columns(self.motion)) * self.moving[:, None, None]
-            if effect.sensor == "gyroscope":
+            if effect.channel == "angular_rate":
                 rate += add
             else:
                 felt = felt + add
@@ -196,14 +198,14 @@ def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...], Moving]:
 @cache
 def _reference(name: str) -> ArrayState:
     """A log that lacks nothing, but shows the chips' clocks to an effect that needs them."""
-    aged = array_catalogue()[name].needs_age
+    aged = "sample_age" in array_catalogue()[name].needs
     log = _Log(Job("array", "reference", 0), np.random.default_rng(0))
     setup, terms, _ = _ready(log.recording)
     state = start_state(setup, terms)
     age = log.motion.age
     assert age is not None
-    rows = np.searchsorted(log.motion.t, setup.t)
-    return replace(state, motion=replace(state.motion, age=age[rows])) if aged else state
+    rows = np.searchsorted(log.motion.context["time"], setup.t)
+    return replace(state, motion=state.motion.aged(age[rows])) if aged else state
 
 
 @cache

@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from imucalib.core.context import Context
+from imucalib.core.context import MOTION, Context
 from imucalib.core.effect import Action, Effect
 from imucalib.core.model import Model
+from imucalib.core.truth import Motion, Truth
 from imucalib.effects import catalogue, load_file, named
 from imucalib.effects.record_error import record_error
 from imucalib.errors import UsageError
@@ -38,18 +39,40 @@ EFFECTS: dict[str, Effect] = {
         )
     },
 }
-UNITS = {"mg", "deg", "1", "mg/g", "mg/g2", "mg/g3", "mg/degC", "mg/g/degC", "deg per 90 deg"}
+UNITS = {
+    "mg", "deg", "1", "mg/g", "mg/g2", "mg/g3", "mg/degC", "mg/g/degC", "deg per 90 deg",
+    "%", "mm", "ms", "deg/s", "deg/s/g",
+}  # fmt: skip
+#: What a sensor at rest can show; the others need an array's motion.
+AT_REST = {
+    n: e for n, e in EFFECTS.items() if e.channel == "acceleration" and not {*e.needs} & {*MOTION}
+}
 each_effect = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+each_at_rest = pytest.mark.parametrize("effect", AT_REST.values(), ids=AT_REST)
+each_of_force = pytest.mark.parametrize(
+    "effect", [e for e in EFFECTS.values() if e.channel == "acceleration"], ids=lambda e: e.name
+)
 each_context = pytest.mark.parametrize("triads", [("imu0",), ("a", "b")], ids=["one", "two"])
 
 
 def _context(triads: tuple[str, ...] = ("imu0",)) -> Context:
-    return replace(bench(1, 12).context, triads=triads)
+    """All that an effect may need, at rest and in motion."""
+    known, rng = bench(1, 12).context, np.random.default_rng(8)
+    age = rng.uniform(-0.5, 0.5, (known.n, len(triads)))
+    turns = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in triads])
+    covariates = {**known.covariates, "sample_age": age}
+    return replace(known, covariates=covariates, triads=triads, attitude=turns, moving=True)
 
 
 def _force(context: Context) -> Array:
     rng = np.random.default_rng(3)
     return GRAVITY * rng.standard_normal((context.n, len(context.triads), 3))
+
+
+def _truth(context: Context, force: Array | None = None) -> Truth:
+    x = _force(context) if force is None else force
+    rng = np.random.default_rng(9)
+    return Truth(x, Motion(*(size * rng.standard_normal(x.shape) for size in (10.0, 100.0, 50.0))))
 
 
 def _typical(effect: Effect, context: Context) -> Array:
@@ -67,20 +90,20 @@ def test_absent_at_the_start(effect: Effect, triads: tuple[str, ...]) -> None:
     context = _context(triads)
     start = np.array([p.start for p in effect.parameters(context)])
     assert start.size > 0
-    action = effect.act(start, _force(context), context)
+    action = effect.act(start, _truth(context), context)
     assert np.array_equal(action.delta, np.zeros_like(action.delta))
     assert np.array_equal(action.d_x, np.zeros((*action.delta.shape, 3)))
 
 
 def theta_slope_error(effect: Effect, context: Context) -> float:
     """Largest difference of d_theta from central differences, per typical size, in m/s²."""
-    x, theta, typical = _force(context), _mid_theta(effect, context), _typical(effect, context)
-    analytic = effect.act(theta, x, context).d_theta
+    theta, typical = _mid_theta(effect, context), _typical(effect, context)
+    analytic = effect.act(theta, _truth(context), context).d_theta
     worst = 0.0
     for k, size in enumerate(typical):
         step = np.zeros_like(theta)
         step[k] = 1e-3 * size
-        up, down = (effect.act(theta + s, x, context).delta for s in (step, -step))
+        up, down = (effect.act(theta + s, _truth(context), context).delta for s in (step, -step))
         numeric = (up - down) / (2.0 * step[k])
         worst = max(worst, float(np.abs(numeric - analytic[..., k]).max()) * size)
     return worst
@@ -89,12 +112,12 @@ def theta_slope_error(effect: Effect, context: Context) -> float:
 def x_slope_error(effect: Effect, context: Context) -> float:
     """Largest difference of d_x from central differences (m/s² per m/s²)."""
     x, theta = _force(context), _mid_theta(effect, context)
-    analytic = effect.act(theta, x, context).d_x
+    analytic = effect.act(theta, _truth(context), context).d_x
     worst = 0.0
     for axis in range(3):
         step = np.zeros(3)
         step[axis] = 1e-4
-        up, down = (effect.act(theta, x + s, context).delta for s in (step, -step))
+        up, down = (effect.act(theta, _truth(context, x + s), context).delta for s in (step, -step))
         worst = max(worst, float(np.abs((up - down) / 2e-4 - analytic[..., axis]).max()))
     return worst
 
@@ -105,7 +128,7 @@ def test_slope_by_parameters(effect: Effect, triads: tuple[str, ...]) -> None:
     assert theta_slope_error(effect, _context(triads)) < 1e-7
 
 
-@each_effect
+@each_of_force
 @each_context
 def test_slope_by_force(effect: Effect, triads: tuple[str, ...]) -> None:
     assert x_slope_error(effect, _context(triads)) < 1e-8
@@ -115,7 +138,7 @@ def test_slope_by_force(effect: Effect, triads: tuple[str, ...]) -> None:
 @each_context
 def test_every_parameter_acts(effect: Effect, triads: tuple[str, ...]) -> None:
     context = _context(triads)
-    slope = effect.act(_mid_theta(effect, context), _force(context), context).d_theta
+    slope = effect.act(_mid_theta(effect, context), _truth(context), context).d_theta
     assert slope.shape == (context.n, len(triads), 3, len(effect.parameters(context)))
     assert np.all(np.abs(slope).max(axis=(0, 1, 2)) > 0.0)
 
@@ -142,7 +165,9 @@ def test_parameter_names_are_unique_over_the_catalogue() -> None:
 def test_says_what_is_missing(effect: Effect) -> None:
     context = _context()
     assert effect.missing(context) == ""
-    for need in effect.needs:
+    if set(effect.needs) & set(MOTION):
+        assert effect.missing(replace(context, moving=False)).startswith("no ")
+    for need in set(effect.needs) - {*MOTION, "sample_age"}:
         rest = {name: v for name, v in context.covariates.items() if name != need}
         assert need.replace("_", " ") in effect.missing(replace(context, covariates=rest))
         still = {**context.covariates, need: np.ones(context.n)}
@@ -152,19 +177,24 @@ def test_says_what_is_missing(effect: Effect) -> None:
 @each_effect
 def test_reads_only_what_it_needs(effect: Effect) -> None:
     context = _context()
-    own = {name: context[name] for name in effect.needs}
+    own = {name: context[name] for name in effect.needs if name not in MOTION}
     bare = replace(context, covariates=own)
     theta = _mid_theta(effect, context)
-    a, b = (effect.act(theta, _force(context), c).delta for c in (context, bare))
+    a, b = (effect.act(theta, _truth(context), c).delta for c in (context, bare))
     assert np.array_equal(a, b)
 
 
 @each_effect
 def test_subset_keeps_the_meaning(effect: Effect) -> None:
     context, rows = _context(), np.array([2, 7, 9])
-    theta, x = _mid_theta(effect, context), _force(context)
-    whole = effect.act(theta, x, context).delta[rows]
-    assert np.allclose(effect.act(theta, x[rows], context.take(rows)).delta, whole, atol=1e-13)
+    theta, truth = _mid_theta(effect, context), _truth(context)
+    assert truth.motion is not None
+    part = Truth(
+        truth.force[rows],
+        Motion(truth.motion.rate[rows], truth.motion.spin[rows], truth.motion.jerk[rows]),
+    )
+    whole = effect.act(theta, truth, context).delta[rows]
+    assert np.allclose(effect.act(theta, part, context.take(rows)).delta, whole, atol=1e-13)
 
 
 @each_effect
@@ -173,11 +203,11 @@ def test_fixture_and_mounting_keep_the_norm(effect: Effect) -> None:
         return
     context = _context()
     x = _force(context)
-    turned = x + effect.act(_mid_theta(effect, context), x, context).delta
+    turned = x + effect.act(_mid_theta(effect, context), Truth(x), context).delta
     assert np.allclose(np.linalg.norm(turned, axis=-1), np.linalg.norm(x, axis=-1), rtol=1e-13)
 
 
-INVERTIBLE = [e for e in EFFECTS.values() if e.stage != "fixture"]
+INVERTIBLE = [e for e in AT_REST.values() if e.stage != "fixture"]
 
 
 @settings(max_examples=40, deadline=None)
@@ -196,7 +226,7 @@ def test_correct_inverts_predict(effects: list[Effect], seed: int) -> None:
 
 
 def test_model_slopes_chain_over_all_effects() -> None:
-    context, model = _context(), Model(tuple(EFFECTS.values()))
+    context, model = _context(), Model(tuple(AT_REST.values()))
     x, typical = _force(context), np.array([p.typical for p in model.parameters(context)])
     theta = typical * np.random.default_rng(5).uniform(-1.0, 1.0, typical.size)
     whole = model.predict(theta, x, context)
@@ -213,7 +243,7 @@ def test_model_slopes_chain_over_all_effects() -> None:
         assert np.abs((up - down) / 2e-4 - whole.d_truth[..., axis]).max() < 1e-7
 
 
-@each_effect
+@each_at_rest
 def test_recovered_within_its_uncertainty(effect: Effect) -> None:
     data = bench(11)
     base = base_model()
@@ -252,8 +282,8 @@ class _Wrong:
     def __getattr__(self, name: str) -> object:
         return getattr(self._effect, name)
 
-    def act(self, theta: Array, x: Array, context: Context) -> Action:
-        action = self._effect.act(theta, x, context)
+    def act(self, theta: Array, truth: Truth, context: Context) -> Action:
+        action = self._effect.act(theta, truth, context)
         return replace(action, **{self._slope: -getattr(action, self._slope)})
 
 
@@ -274,3 +304,16 @@ def test_a_users_file_adds_effects(tmp_path: object) -> None:
 def test_an_unknown_name_gets_the_nearest() -> None:
     with pytest.raises(UsageError, match="quadratic"):
         named("quadratik")
+
+
+def test_an_effect_at_rest_may_not_ask_for_the_motion() -> None:
+    context = replace(_context(), moving=False)
+    with pytest.raises(ValueError, match="rest"):
+        named("gyro_scale").act(np.zeros(3), Truth(_force(context)), context)
+
+
+def test_a_clock_needs_a_beat() -> None:
+    context = _context()
+    covariates = {n: v for n, v in context.covariates.items() if n != "sample_age"}
+    bare = replace(context, covariates=covariates)
+    assert "no gyro shows a beat line" in named("gyro_sample_age").missing(bare)

@@ -15,6 +15,7 @@ from imucalib.effects import catalogue, named
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop import held_out as held_out_module
 from imucalib.loop import noise_grid as evidence_grid
+from imucalib.loop.asked import searched
 from imucalib.loop.candidates import (
     correlated_noise,
     effect_candidates,
@@ -38,7 +39,9 @@ from worlds.bench import (
 
 Array = NDArray[np.float64]
 SEARCHED = [
-    name for name, e in catalogue().items() if name not in BASE and "Absorbed" not in e.identify
+    name
+    for name, e in searched((), (), {}).effects.items()
+    if name not in BASE and "Absorbed" not in e.identify
 ]
 
 

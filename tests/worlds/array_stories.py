@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.board import Board, read_board
+from imucalib.calibrators.array.catalogue import array_catalogue
 from imucalib.calibrators.array.log import array_log
 from imucalib.calibrators.array.loop import ArrayLoop, close_array_loop
+from imucalib.calibrators.array.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.setup import array_setup
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
 from imucalib.calibrators.array.static import StaticFit, fit_static
-from imucalib.core.array_motion import ArrayMotion
-from imucalib.effects.array import array_catalogue
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import DEG
@@ -32,9 +32,9 @@ STORIES: dict[str, tuple[str, float | Array]] = {
     "gyro scale of each IMU, 2 %": ("gyro_scale", 2.0),
     "common gyro delay, 1 ms": ("gyro_delay", 1.0),
     "clock skew, 1 ms": ("gyro_sample_age", 1.0),
-    "quadratic, 0.3 mg/g2": ("accelerometer_quadratic", 0.3),
+    "quadratic, 0.3 mg/g2": ("quadratic", 0.3),
     "element positions, 0.5 mm": ("sensing_elements", 0.5),
-    "bad accelerometer, 1 %": ("accelerometer_scale@imu5", 0.01),
+    "bad accelerometer, 1 %": ("scale@imu5", 0.01),
 }
 
 
@@ -56,9 +56,9 @@ def planted_log(name: str, seed: int, plan: LogPlan = PLAN, board: Board = BOARD
     jerk = np.gradient(felt, t, axis=0)
     beats = rng.uniform(0.3, 3.0, k) * rng.choice([-1.0, 1.0], k)
     turns = t[:, None] * beats + rng.uniform(size=k)
-    motion = ArrayMotion(
-        board.imus, t, (t - t[0]) / np.ptp(t), w, spin, felt, jerk, board.rotations,
-        turns - np.floor(turns) - 0.5,
+    motion = board_motion(
+        imus=board.imus, rotations=board.rotations, t=t, order=(t - t[0]) / np.ptp(t), rate=w,
+        spin=spin, force=felt, jerk=jerk, age=turns - np.floor(turns) - 0.5,
     )  # fmt: skip
     rate = np.repeat(w[:, None], k, axis=1)
     if effect:
@@ -84,23 +84,23 @@ def planted_log(name: str, seed: int, plan: LogPlan = PLAN, board: Board = BOARD
 
 
 def planted(
-    effect: str, size: float | Array, motion: ArrayMotion, rng: np.random.Generator
+    effect: str, size: float | Array, motion: BoardMotion, rng: np.random.Generator
 ) -> Array:
     """(T, K, 3) what the effect adds: one number as given, several at random of that size."""
     name, _, only = effect.partition("@")
     found = array_catalogue()[name]
-    basis = found.basis(motion)
+    basis = motion.turned(found.basis(motion.truth, motion.context))
     if found.shared:
         theta = np.full(basis.shape[3], size)
         if basis.shape[3] > 1:
             theta = rng.normal(size=basis.shape[3]) * size
         return np.asarray(basis @ theta)
     # A mean over all gyros' scales is the array's size, which no motion shows.
-    theta = rng.normal(size=(len(motion.imus), basis.shape[3])) * size
+    theta = rng.normal(size=(motion.shape[1], basis.shape[3])) * size
     theta -= theta.mean()
     if only:
         theta[:] = 0.0
-        theta[motion.imus.index(only)] = size
+        theta[motion.context.triads.index(only)] = size
     return np.asarray(np.einsum("tkim,km->tki", basis, theta))
 
 

@@ -25,20 +25,17 @@ if TYPE_CHECKING:
 def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     """List the effects that a calibration can hold and the search can find, or show one.
 
-    Effects of an array (`imucal array`) stand at the end.
-
     \b
     Examples:
       imucal effects inclination_zero
       imucal effects gyro_delay
     """
     from imucalib.effects import catalogue, load_file
-    from imucalib.effects.array import array_catalogue
-    from imucalib.report.catalogue import Entry, catalogue_document, effect_dict
+    from imucalib.report.catalogue import catalogue_document, effect_dict
     from imucalib.report.render.text import render_text
 
     own = load_file(effects_file) if effects_file else {}
-    effects: dict[str, Entry] = {**catalogue(), **own, **array_catalogue()}
+    effects: dict[str, Effect] = {**catalogue(), **own}
     if name is not None and name not in effects:
         effects[name] = _scanned(name, list(effects))
     chosen = [effects[name]] if name else list(effects.values())

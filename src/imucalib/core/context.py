@@ -3,37 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+#: Parts of the truth that are there only where the sensors move.
+MOTION = ("rate", "spin", "jerk")
 
 
 @dataclass(frozen=True)
 class Context:
-    """Covariates by name, each (n,) in SI units (angles in rad, temperature in °C, time in s).
+    """Covariates by name, each (n,) in SI units (angles in rad, temperature in °C, time in s), or
+    (n, K) where every triad has its own.
 
     Names with a meaning for the catalogue: "order" (0..1 over the recording), "time",
     "temperature", "inclination", "tool_face", "sweep" (number of the run of rows with the same
     held angle), "inclination_approach" and "tool_face_approach" (-1, 0, +1: the direction from
-    which the setting was reached), "previous_x", "previous_y", "previous_z" (m/s²).
+    which the setting was reached), "previous_x", "previous_y", "previous_z" (m/s²), "sample_age"
+    ((n, K) sawtooth of unit span, the beat of each gyro's clock).
     `sweeps` counts those of the whole recording, so that a subset keeps the parameters' meaning.
+    attitude : (K, 3, 3) from each triad's axes to the common ones, or None where they are the same
+    moving : whether the truth has a motion beside the specific force
     """
 
     n: int
     covariates: Mapping[str, Array] = field(default_factory=dict)
     triads: tuple[str, ...] = ("imu0",)
     sweeps: int = 1
+    attitude: Array | None = None
+    moving: bool = False
 
     def __getitem__(self, name: str) -> Array:
         return self.covariates[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self.covariates
+        return name in self.covariates or (self.moving and name in MOTION)
 
     def take(self, rows: NDArray[np.intp]) -> Context:
         """The context of a subset of the observations; order and time keep their values."""
         picked = {name: values[rows] for name, values in self.covariates.items()}
-        return Context(len(rows), picked, self.triads, self.sweeps)
+        return replace(self, n=len(rows), covariates=picked)
+
+    def in_common(self, vectors: Array) -> Array:
+        """(n, K, 3) in the common axes, of vectors (n, K, 3) in each triad's own."""
+        if self.attitude is None:
+            return vectors
+        return np.asarray((self.attitude @ vectors[..., None])[..., 0])
+
+    def in_own(self, columns: Array) -> Array:
+        """(n, K, 3, m) in each triad's own axes, of columns (n, 1 or K, 3, m) in common ones."""
+        shape = (len(columns), len(self.triads), *columns.shape[2:])
+        if self.attitude is None:
+            return np.broadcast_to(columns, shape)
+        return np.asarray(self.attitude.transpose(0, 2, 1) @ columns)

@@ -1,15 +1,15 @@
 """An effect: one named piece of physics that acts on the truth, with its parameters.
 
-Two shapes cover the static catalogue. A `Response` adds to the reading what the sensor makes
-of the specific force x: linear in its parameters, reading = x + Σ basis(x)·θ. A `Rotation` turns
-the truth before the sensor sees it, about an axis by an angle that is linear in its parameters.
-Both act on the truth, never on the reading: the inverse is derived (`model.correct`).
+Two shapes cover the catalogue. A `Response` adds to the readings of one channel what its sensors
+make of the truth: linear in its parameters, reading = truth + Σ basis(truth)·θ. A `Rotation` turns
+the specific force before the sensor sees it, about an axis by an angle that is linear in its
+parameters. Both act on the truth, never on the reading: the inverse is derived (`model.correct`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -17,21 +17,24 @@ from numpy.typing import NDArray
 
 from imucalib.core.context import Context
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.units import DEG
 
 Array = NDArray[np.float64]
 #: fixture: the reference is off (never applied to new readings); mounting: the triad's attitude in
 #: the tool; sensor: what the sensor does. The last two are undone by `apply`.
 Stage = Literal["fixture", "mounting", "sensor"]
+#: Which sensors' readings an effect adds to: m/s² or rad/s.
+Channel = Literal["acceleration", "angular_rate"]
 
 
 @dataclass(frozen=True)
 class Action:
-    """What an effect does to the truth x.
+    """What an effect does, in the unit of its channel (m/s² or rad/s).
 
-    delta : (n, K, 3) m/s², added to x
-    d_theta : (n, K, 3, p) m/s² per unit of each parameter
-    d_x : (n, K, 3, 3) derivative of delta with respect to x
+    delta : (n, K, 3), added to the truth
+    d_theta : (n, K, 3, p) per unit of each parameter
+    d_x : (n, K, 3, 3) derivative of delta by the specific force
     """
 
     delta: Array
@@ -44,6 +47,8 @@ class Effect(Protocol):
 
     @property
     def name(self) -> str: ...
+    @property
+    def channel(self) -> Channel: ...
     @property
     def stage(self) -> Stage: ...
     @property
@@ -61,8 +66,8 @@ class Effect(Protocol):
         """Why the context cannot carry the effect; empty when it can."""
         ...
 
-    def act(self, theta: Array, x: Array, context: Context) -> Action:
-        """What the effect adds to the truth x (n, K, 3) in m/s², zero at θ = 0, and its slopes."""
+    def act(self, theta: Array, truth: Truth, context: Context) -> Action:
+        """What the effect adds to the truth, zero at θ = 0, and its slopes."""
         ...
 
 
@@ -70,7 +75,7 @@ class Effect(Protocol):
 class Described:
     """The words of an effect, shown by `imucal effects` and written into every calibration.
 
-    needs : covariates of the context; each must be there and must vary
+    needs : covariates of the context, which must be there and vary, or parts of the motion
     identify : how to record data that determines it and separates it from its aliases
     """
 
@@ -85,53 +90,61 @@ class Described:
         for name in self.needs:
             if name not in context:
                 return f"no {name.replace('_', ' ')} was recorded"
-            if np.ptp(context[name]) <= 0.0:
+            if name in context.covariates and np.ptp(context[name]) <= 0.0:
                 return f"{name.replace('_', ' ')} does not vary"
         return ""
 
 
-Basis = Callable[[Array, Context], Array]
+Basis = Callable[[Truth, Context], Array]
 
 
 @dataclass(frozen=True)
 class Response(Described):
     """A sensor effect, linear in its parameters, the same shape on every triad.
 
-    each : parameters of one triad, m of them, in the basis' order
-    basis : (x (n, K, 3), context) -> (n, K, 3, m), m/s² per unit
-    basis_dx : (x, context) -> (n, K, 3, m, 3), its derivative with respect to x
+    each : parameters of one triad, m of them, in the basis' order; of all triads when `shared`
+    basis : (truth, context) -> (n, K, 3, m), m/s² or rad/s per unit
+    basis_dx : (truth, context) -> (n, K, 3, m, 3), its derivative by the specific force, or None
+        where it does not depend on it
+    scan : whether one triad alone may have it, so that it is tried on each
     """
 
     each: tuple[Parameter, ...] = ()
-    basis: Basis = lambda x, context: x[..., None]
-    basis_dx: Basis = lambda x, context: np.zeros((*x.shape, 1, 3))
+    basis: Basis = lambda truth, context: truth.force[..., None]
+    basis_dx: Basis | None = None
+    channel: Channel = "acceleration"
+    shared: bool = False
+    scan: bool = False
 
     stage: Stage = "sensor"
 
     def parameters(self, context: Context) -> tuple[Parameter, ...]:
-        if len(context.triads) == 1:
+        if self.shared or len(context.triads) == 1:
             return self.each
-        return tuple(
-            Parameter(f"{triad}.{p.name}", p.unit, p.typical, p.plausible, p.start)
-            for triad in context.triads
-            for p in self.each
-        )
+        return self.of_each(context.triads)
 
-    def act(self, theta: Array, x: Array, context: Context) -> Action:
-        table = theta.reshape(len(context.triads), len(self.each))
-        basis = self.basis(x, context)
+    def of_each(self, triads: Sequence[str]) -> tuple[Parameter, ...]:
+        """The parameters of some triads, each named after its triad, in the columns' order."""
+        return tuple(replace(p, name=f"{triad}.{p.name}") for triad in triads for p in self.each)
+
+    def act(self, theta: Array, truth: Truth, context: Context) -> Action:
+        basis = self.basis(truth, context)
+        columns = basis if self.shared else _side_by_side(basis)
         if not theta.any():  # a candidate: its columns are all that is asked for
-            rest = np.zeros(x.shape), np.zeros((*x.shape, 3))
-            return Action(rest[0], _side_by_side(basis), rest[1])
-        slope = self.basis_dx(x, context)
-        if x.shape[1] == 1:
+            return Action(np.zeros(truth.shape), columns, np.zeros((*truth.shape, 3)))
+        table = theta.reshape(-1, len(self.each))
+        slope = None if self.basis_dx is None else self.basis_dx(truth, context)
+        if truth.shape[1] == 1:
+            delta = (basis[:, 0] @ table[0])[:, None]
+            if slope is None:
+                return Action(delta, basis, np.zeros((*truth.shape, 3)))
             turned = slope[:, 0].transpose(0, 1, 3, 2) @ table[0]
-            return Action((basis[:, 0] @ table[0])[:, None], basis, turned[:, None])
-        return Action(
-            np.asarray(np.einsum("nkim,km->nki", basis, table)),
-            _side_by_side(basis),
-            np.asarray(np.einsum("nkimj,km->nkij", slope, table)),
-        )
+            return Action(delta, basis, turned[:, None])
+        table = np.broadcast_to(table, (truth.shape[1], len(self.each)))
+        d_x = np.zeros((*truth.shape, 3))
+        if slope is not None:
+            d_x = np.asarray(np.einsum("nkimj,km->nkij", slope, table))
+        return Action(np.asarray(np.einsum("nkim,km->nki", basis, table)), columns, d_x)
 
 
 def _side_by_side(basis: Array) -> Array:
@@ -175,13 +188,14 @@ class Rotation(Described):
 
     named: tuple[Parameter, ...] | Callable[[Context], tuple[Parameter, ...]] = ()
     turns: tuple[Turn, ...] = ()
+    channel: Channel = "acceleration"
     stage: Stage = "fixture"
 
     def parameters(self, context: Context) -> tuple[Parameter, ...]:
         return self.named(context) if callable(self.named) else self.named
 
-    def act(self, theta: Array, x: Array, context: Context) -> Action:
-        turned = x
+    def act(self, theta: Array, truth: Truth, context: Context) -> Action:
+        turned = x = truth.force
         slope = np.zeros((*x.shape, theta.size))
         total = np.broadcast_to(np.eye(3), (x.shape[0], 3, 3))
         for turn in self.turns:
@@ -207,3 +221,13 @@ def _rodrigues(cross: Array, angle: Array) -> Array:
     """Rotation matrices (n, 3, 3) about the axes of `cross` by angles (n,) in rad."""
     s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
     return np.asarray(np.eye(3) + s * cross + (1.0 - c) * (cross @ cross))
+
+
+def own_axis(values: Array) -> Array:
+    """(n, K, 3, 3): each axis adds its own value (n, K, 3) times its own parameter."""
+    return np.asarray(values[..., None] * np.eye(3))
+
+
+def three(name: str, unit: str, typical: float, plausible: float) -> tuple[Parameter, ...]:
+    """One parameter an axis."""
+    return tuple(Parameter(f"{name}_{axis}", unit, typical, plausible) for axis in "xyz")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from imucalib.core.context import Context
 from imucalib.core.effect import Effect
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.errors import NotConverged
 
 Array = NDArray[np.float64]
@@ -74,7 +75,7 @@ class Model:
             if effect.stage == "sensor":
                 continue
             part, own = slices[effect.name], theta[slices[effect.name]]
-            action = effect.act(own, x, context)
+            action = effect.act(own, Truth(x), context)
             step = action.d_x + np.eye(3)
             slope = step @ slope
             slope[..., part] += action.d_theta
@@ -84,7 +85,7 @@ class Model:
         for effect in self.effects:
             if effect.stage == "sensor":
                 part, own = slices[effect.name], theta[slices[effect.name]]
-                action = effect.act(own, x, context)
+                action = effect.act(own, Truth(x), context)
                 reading += action.delta
                 response += action.d_x
                 direct[effect.name] = action.d_theta
@@ -105,7 +106,7 @@ class Model:
         for _ in range(30):
             predicted, response = x.copy(), np.broadcast_to(np.eye(3), (*x.shape, 3)).copy()
             for effect in sensor:
-                action = effect.act(theta[slices[effect.name]], x, context)
+                action = effect.act(theta[slices[effect.name]], Truth(x), context)
                 predicted += action.delta
                 response += action.d_x
             step = np.linalg.solve(response, (reading - predicted)[..., None])[..., 0]
@@ -119,6 +120,6 @@ class Model:
             )
         for effect in reversed(self.effects):
             if effect.stage == "mounting":
-                turn = np.eye(3) + effect.act(theta[slices[effect.name]], x, context).d_x
+                turn = np.eye(3) + effect.act(theta[slices[effect.name]], Truth(x), context).d_x
                 x = np.asarray(np.linalg.solve(turn, x[..., None])[..., 0], np.float64)
         return x

@@ -7,12 +7,12 @@ an entry point of the group "imucal.effects".
 from __future__ import annotations
 
 import importlib.util
-import pkgutil
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
 from imucalib.core.effect import Effect, Family
+from imucalib.discovery import modules_of
 from imucalib.errors import UsageError
 
 #: Effects of files that this process has loaded; a calibration may need them to be applied.
@@ -27,9 +27,8 @@ def catalogue() -> dict[str, Effect]:
 @cache
 def _installed() -> dict[str, Effect]:
     found: dict[str, Effect] = {}
-    for info in sorted(pkgutil.iter_modules(__path__), key=lambda m: m.name):
-        module = importlib.import_module(f"{__name__}.{info.name}")
-        _add(found, getattr(module, "EFFECTS", ()), f"effects/{info.name}.py")
+    for module in modules_of(__name__):
+        _add(found, getattr(module, "EFFECTS", ()), module.__name__)
     for point in entry_points(group="imucal.effects"):
         _add(found, point.load(), f"entry point {point.name}")
     return found
@@ -37,10 +36,9 @@ def _installed() -> dict[str, Effect]:
 
 @cache
 def families() -> dict[str, Family]:
-    """Scans by name: modules of this folder that have `FAMILIES` contribute them."""
+    """Scans by name: modules of this room that have `FAMILIES` contribute them."""
     found: dict[str, Family] = {}
-    for info in sorted(pkgutil.iter_modules(__path__), key=lambda m: m.name):
-        module = importlib.import_module(f"{__name__}.{info.name}")
+    for module in modules_of(__name__):
         found.update({f.name: f for f in getattr(module, "FAMILIES", ())})
     return found
 

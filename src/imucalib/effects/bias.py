@@ -5,15 +5,12 @@ import numpy as np
 from imucalib.core.context import Context
 from imucalib.core.effect import Array, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.units import MG
 
 
-def _basis(x: Array, context: Context) -> Array:
-    return np.broadcast_to(np.eye(3) * MG, (*x.shape, 3))
-
-
-def _basis_dx(x: Array, context: Context) -> Array:
-    return np.zeros((*x.shape, 3, 3))
+def _basis(truth: Truth, context: Context) -> Array:
+    return np.broadcast_to(np.eye(3) * MG, (*truth.shape, 3))
 
 
 EFFECTS = (
@@ -25,6 +22,5 @@ EFFECTS = (
         "Show each axis both signs of gravity.",
         each=tuple(Parameter(f"bias_{a}", "mg", 50.0, 1000.0) for a in "xyz"),
         basis=_basis,
-        basis_dx=_basis_dx,
     ),
 )

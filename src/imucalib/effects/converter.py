@@ -9,6 +9,7 @@ import numpy as np
 from imucalib.core.context import Context
 from imucalib.core.effect import Array, Effect, Family, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.units import MG, STANDARD_GRAVITY
 
 TERMS = 32
@@ -60,18 +61,18 @@ def converter(axes: str) -> Effect:
         raise ValueError(f"'{axes}' names no axes")
     columns = ["xyz".index(a) for a in axes]
 
-    def basis(x: Array, context: Context) -> Array:
-        out = np.zeros((*x.shape, len(columns), TERMS))
+    def basis(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, len(columns), TERMS))
         for k, axis in enumerate(columns):
-            out[..., axis, k, :] = MG * curve(x[..., axis] / STANDARD_GRAVITY)
-        return out.reshape(*x.shape, -1)
+            out[..., axis, k, :] = MG * curve(truth.force[..., axis] / STANDARD_GRAVITY)
+        return out.reshape(*truth.shape, -1)
 
-    def basis_dx(x: Array, context: Context) -> Array:
-        out = np.zeros((*x.shape, len(columns), TERMS, 3))
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, len(columns), TERMS, 3))
         for k, axis in enumerate(columns):
-            slope = curve_slope(x[..., axis] / STANDARD_GRAVITY)
+            slope = curve_slope(truth.force[..., axis] / STANDARD_GRAVITY)
             out[..., axis, k, :, axis] = MG / STANDARD_GRAVITY * slope
-        return out.reshape(*x.shape, -1, 3)
+        return out.reshape(*truth.shape, -1, 3)
 
     each = tuple(
         Parameter(f"converter_{axes}_{a}{k}", "mg", 1.0 / float(np.sqrt(k)), 50.0)

@@ -7,6 +7,7 @@ import numpy as np
 from imucalib.core.context import Context
 from imucalib.core.effect import Array, Basis, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.units import MG
 
 Drive = Callable[[Context], Array]
@@ -28,24 +29,23 @@ def _step(context: Context) -> Array:
     return (context["sweep"] > 0.0).astype(float)
 
 
-def bias_with(drive: Drive) -> tuple[Basis, Basis]:
-    """Basis and its slope of a bias that follows a drive (n,): mg per unit of it."""
+def bias_with(drive: Drive) -> Basis:
+    """Basis of a bias that follows a drive (n,): mg per unit of it."""
 
-    def basis(x: Array, context: Context) -> Array:
-        return np.asarray(np.eye(3) * MG * drive(context)[:, None, None, None] + 0.0 * x[..., None])
+    def basis(truth: Truth, context: Context) -> Array:
+        one = np.eye(3) * MG * drive(context)[:, None, None, None]
+        return np.broadcast_to(one, (*truth.shape, 3))
 
-    def basis_dx(x: Array, context: Context) -> Array:
-        return np.zeros((*x.shape, 3, 3))
-
-    return basis, basis_dx
+    return basis
 
 
 def _scale_with(drive: Drive) -> tuple[Basis, Basis]:
-    def basis(x: Array, context: Context) -> Array:
-        return np.asarray(np.eye(3) * 1e-3 * drive(context)[:, None, None, None] * x[..., None])
+    def basis(truth: Truth, context: Context) -> Array:
+        one = np.eye(3) * 1e-3 * drive(context)[:, None, None, None]
+        return np.asarray(one * truth.force[..., None])
 
-    def basis_dx(x: Array, context: Context) -> Array:
-        out = np.zeros((*x.shape, 3, 3))
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, 3, 3))
         for axis in range(3):
             out[..., axis, axis, axis] = 1e-3 * drive(context)[:, None]
         return out
@@ -53,9 +53,9 @@ def _scale_with(drive: Drive) -> tuple[Basis, Basis]:
     return basis, basis_dx
 
 
-def _previous(x: Array, context: Context) -> Array:
+def _previous(truth: Truth, context: Context) -> Array:
     before = np.stack([context[f"previous_{a}"] for a in "xyz"], axis=-1)
-    return np.asarray(np.eye(3) * 1e-3 * before[:, None, :, None] + 0.0 * x[..., None])
+    return np.broadcast_to(np.eye(3) * 1e-3 * before[:, None, :, None], (*truth.shape, 3))
 
 
 def _effect(
@@ -64,10 +64,11 @@ def _effect(
     needs: tuple[str, ...],
     unit: str,
     typical: float,
-    pair: tuple[Basis, Basis],
+    basis: Basis,
+    basis_dx: Basis | None = None,
 ) -> Response:
     each = tuple(Parameter(f"{name}_{a}", unit, typical, 30.0 * typical) for a in "xyz")
-    return Response(name, *words, needs, each=each, basis=pair[0], basis_dx=pair[1])
+    return Response(name, *words, needs, each=each, basis=basis, basis_dx=basis_dx)
 
 
 EFFECTS = (
@@ -95,7 +96,7 @@ EFFECTS = (
         ("temperature",),
         "mg/g/degC",
         0.2,
-        _scale_with(_from_reference("temperature")),
+        *_scale_with(_from_reference("temperature")),
     ),
     _effect(
         "bias_drift",
@@ -121,7 +122,7 @@ EFFECTS = (
         ("order",),
         "mg/g",
         1.0,
-        _scale_with(_from_reference("order")),
+        *_scale_with(_from_reference("order")),
     ),
     _effect(
         "warm_up",
@@ -160,6 +161,6 @@ EFFECTS = (
         ("previous_x", "previous_y", "previous_z"),
         "mg/g",
         1.0,
-        (_previous, lambda x, context: np.zeros((*x.shape, 3, 3))),
+        _previous,
     ),
 )

@@ -9,6 +9,7 @@ import numpy as np
 from imucalib.core.context import Context
 from imucalib.core.effect import Array, Effect, Family, Response, Rotation, Turn
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.effects.inclination import inclination_axis
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -56,18 +57,16 @@ def curve(value: str) -> Effect:
 def _bias(
     words: tuple[str, str, str, str, str], value: str, name: str, span: tuple[float, float, int]
 ) -> Effect:
-    def basis(x: Array, context: Context) -> Array:
+    def basis(truth: Truth, context: Context) -> Array:
         shapes = MG * _covariate(name, *span, context)
         block = np.eye(3)[:, :, None] * shapes[:, None, None, None, :]
-        return np.asarray(np.broadcast_to(block, (*x.shape, 3, span[2])).reshape(*x.shape, -1))
-
-    def basis_dx(x: Array, context: Context) -> Array:
-        return np.zeros((*x.shape, 3 * span[2], 3))
+        every = np.broadcast_to(block, (*truth.shape, 3, span[2]))
+        return np.asarray(every.reshape(*truth.shape, -1))
 
     each = tuple(
         Parameter(f"curve_{name}_{a}{k}", "mg", 1.0, 300.0) for a in "xyz" for k in range(span[2])
     )
-    return Response(*words, (name,), each=each, basis=basis, basis_dx=basis_dx)
+    return Response(*words, (name,), each=each, basis=basis)
 
 
 def _response(words: tuple[str, str, str, str, str], letter: str, terms: int) -> Effect:
@@ -77,14 +76,15 @@ def _response(words: tuple[str, str, str, str, str], letter: str, terms: int) ->
     def phase(u: Array) -> Array:
         return np.asarray(0.5 * np.pi * order * (u[..., None] / _REACH + 1.0))
 
-    def basis(x: Array, context: Context) -> Array:
-        out = np.zeros((*x.shape, terms))
-        out[..., axis, :] = MG * np.cos(phase(x[..., axis] / STANDARD_GRAVITY))
+    def basis(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, terms))
+        out[..., axis, :] = MG * np.cos(phase(truth.force[..., axis] / STANDARD_GRAVITY))
         return out
 
-    def basis_dx(x: Array, context: Context) -> Array:
-        out = np.zeros((*x.shape, terms, 3))
-        steep = -np.sin(phase(x[..., axis] / STANDARD_GRAVITY)) * 0.5 * np.pi * order / _REACH
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, terms, 3))
+        wave = np.sin(phase(truth.force[..., axis] / STANDARD_GRAVITY))
+        steep = -wave * 0.5 * np.pi * order / _REACH
         out[..., axis, :, axis] = MG / STANDARD_GRAVITY * steep
         return out
 

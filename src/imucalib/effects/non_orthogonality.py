@@ -5,20 +5,21 @@ import numpy as np
 from imucalib.core.context import Context
 from imucalib.core.effect import Array, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 
 #: (axis that reads, axis that leaks in): y sees x, z sees x, z sees y.
 _PAIRS = ((1, 0), (2, 0), (2, 1))
 
 
-def _basis(x: Array, context: Context) -> Array:
-    out = np.zeros((*x.shape, 3))
+def _basis(truth: Truth, context: Context) -> Array:
+    out = np.zeros((*truth.shape, 3))
     for column, (reads, leaks) in enumerate(_PAIRS):
-        out[..., reads, column] = x[..., leaks]
+        out[..., reads, column] = truth.force[..., leaks]
     return out
 
 
-def _basis_dx(x: Array, context: Context) -> Array:
-    out = np.zeros((*x.shape, 3, 3))
+def _basis_dx(truth: Truth, context: Context) -> Array:
+    out = np.zeros((*truth.shape, 3, 3))
     for column, (reads, leaks) in enumerate(_PAIRS):
         out[..., reads, column, leaks] = 1.0
     return out

@@ -7,6 +7,7 @@ import numpy as np
 from imucalib.core.context import Context
 from imucalib.core.effect import Array, Basis, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.units import MG, STANDARD_GRAVITY
 
 _SOURCE = "IEEE Std 1293 model equation; 0.1-0.5 % of full scale in MEMS data sheets"
@@ -18,13 +19,13 @@ def _own_axis(
 ) -> tuple[Basis, Basis]:
     """Basis and derivative of a curve of each axis' own input in g, in mg."""
 
-    def basis(x: Array, context: Context) -> Array:
-        return np.asarray(np.eye(3) * curve(x / _G)[..., None] * MG)
+    def basis(truth: Truth, context: Context) -> Array:
+        return np.asarray(np.eye(3) * curve(truth.force / _G)[..., None] * MG)
 
-    def basis_dx(x: Array, context: Context) -> Array:
-        out = np.zeros((*x.shape, 3, 3))
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, 3, 3))
         for axis in range(3):
-            out[..., axis, axis, axis] = slope(x[..., axis] / _G) * MG / _G
+            out[..., axis, axis, axis] = slope(truth.force[..., axis] / _G) * MG / _G
         return out
 
     return basis, basis_dx
@@ -34,18 +35,18 @@ def _own_axis(
 _PRODUCTS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 
 
-def _products(x: Array, context: Context) -> Array:
-    out = np.zeros((*x.shape, 6))
+def _products(truth: Truth, context: Context) -> Array:
+    out = np.zeros((*truth.shape, 6))
     for column, (reads, other) in enumerate(_PRODUCTS):
-        out[..., reads, column] = x[..., reads] * x[..., other] * MG / _G**2
+        out[..., reads, column] = truth.force[..., reads] * truth.force[..., other] * MG / _G**2
     return out
 
 
-def _products_dx(x: Array, context: Context) -> Array:
-    out = np.zeros((*x.shape, 6, 3))
+def _products_dx(truth: Truth, context: Context) -> Array:
+    out = np.zeros((*truth.shape, 6, 3))
     for column, (reads, other) in enumerate(_PRODUCTS):
-        out[..., reads, column, reads] = x[..., other] * MG / _G**2
-        out[..., reads, column, other] = x[..., reads] * MG / _G**2
+        out[..., reads, column, reads] = truth.force[..., other] * MG / _G**2
+        out[..., reads, column, other] = truth.force[..., reads] * MG / _G**2
     return out
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from imucalib.core.context import Context
 from imucalib.core.effect import Array, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.units import MG
 
 _PREFIX = "record_error_"
@@ -22,12 +23,9 @@ def record_error(record: int, label: str, axes: str = "xyz") -> Response:
     """Free error of some axes of the observation whose covariate "record" equals `record`."""
     columns = ["xyz".index(a) for a in axes]
 
-    def basis(x: Array, context: Context) -> Array:
+    def basis(truth: Truth, context: Context) -> Array:
         hit = (context["record"] == record).astype(float)[:, None, None, None] * MG
-        return np.asarray(np.eye(3)[:, columns] * hit + 0.0 * x[..., :1, None])
-
-    def basis_dx(x: Array, context: Context) -> Array:
-        return np.zeros((*x.shape, len(columns), 3))
+        return np.broadcast_to(np.eye(3)[:, columns] * hit, (*truth.shape, len(columns)))
 
     return Response(
         f"{_PREFIX}{record}_{axes}",
@@ -38,5 +36,4 @@ def record_error(record: int, label: str, axes: str = "xyz") -> Response:
         ("record",),
         each=tuple(Parameter(f"record_{record}_{a}", "mg", 50.0, 1e7) for a in axes),
         basis=basis,
-        basis_dx=basis_dx,
     )

@@ -5,14 +5,15 @@ import numpy as np
 from imucalib.core.context import Context
 from imucalib.core.effect import Array, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 
 
-def _basis(x: Array, context: Context) -> Array:
-    return np.asarray(np.eye(3) * x[..., None])
+def _basis(truth: Truth, context: Context) -> Array:
+    return np.asarray(np.eye(3) * truth.force[..., None])
 
 
-def _basis_dx(x: Array, context: Context) -> Array:
-    out = np.zeros((*x.shape, 3, 3))
+def _basis_dx(truth: Truth, context: Context) -> Array:
+    out = np.zeros((*truth.shape, 3, 3))
     for axis in range(3):
         out[..., axis, axis, axis] = 1.0
     return out

@@ -15,7 +15,7 @@ def bias_step(value: str) -> Effect:
     """The step at a time such as "86400s" after the recording's start; ValueError otherwise."""
     at = float(value.removesuffix("s"))
 
-    basis, basis_dx = bias_with(lambda context: (context["time"] >= at).astype(float))
+    basis = bias_with(lambda context: (context["time"] >= at).astype(float))
 
     return Response(
         f"bias_step@{value}",
@@ -26,7 +26,6 @@ def bias_step(value: str) -> Effect:
         ("time",),
         each=tuple(Parameter(f"step_{value}_{a}", "mg", 2.0, 300.0) for a in "xyz"),
         basis=basis,
-        basis_dx=basis_dx,
     )
 
 

@@ -26,7 +26,7 @@ def thermal_lag(value: str) -> Effect:
     hours = hours_of(value)
     name = covariate(value)
 
-    basis, basis_dx = bias_with(lambda context: context[name] - 25.0)
+    basis = bias_with(lambda context: context[name] - 25.0)
 
     return Response(
         f"thermal_lag@{value}",
@@ -37,7 +37,6 @@ def thermal_lag(value: str) -> Effect:
         (name,),
         each=tuple(Parameter(f"lag_{value}_{a}", "mg/degC", 0.5, 15.0) for a in "xyz"),
         basis=basis,
-        basis_dx=basis_dx,
     )
 
 

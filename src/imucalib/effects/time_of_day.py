@@ -5,18 +5,15 @@ import numpy as np
 from imucalib.core.context import Context
 from imucalib.core.effect import Array, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.units import MG
 
 
-def _basis(x: Array, context: Context) -> Array:
+def _basis(truth: Truth, context: Context) -> Array:
     angle = context["time_of_day"]
     waves = np.stack([np.cos(angle), np.sin(angle)])[:, :, None, None, None]
     both = np.concatenate([np.eye(3) * waves[0], np.eye(3) * waves[1]], axis=-1)
-    return np.asarray(MG * both + 0.0 * x[..., None])
-
-
-def _basis_dx(x: Array, context: Context) -> Array:
-    return np.zeros((*x.shape, 6, 3))
+    return np.broadcast_to(MG * both, (*truth.shape, 6))
 
 
 EFFECTS = (
@@ -31,6 +28,5 @@ EFFECTS = (
             Parameter(f"daily_{w}_{a}", "mg", 0.3, 20.0) for w in ("cos", "sin") for a in "xyz"
         ),
         basis=_basis,
-        basis_dx=_basis_dx,
     ),
 )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.model import Prediction
+from imucalib.core.truth import Truth
 from imucalib.loop.evidence import Candidate
 from imucalib.units import DEG, MG
 
@@ -33,7 +34,7 @@ def effect_columns(fit: Fit, effect: Effect, prediction: Prediction | None = Non
         context = fit.observations.context
         start = np.array([p.start for p in effect.parameters(context)])
         size = np.array([p.typical for p in effect.parameters(context)])
-        columns = fit.at.columns(effect.act(start, prediction.force, context).d_theta)
+        columns = fit.at.columns(effect.act(start, Truth(prediction.force), context).d_theta)
         return np.asarray(columns * size)
     extended = fit.model.plus(effect)
     context, reference = fit.observations.context, fit.observations.reference

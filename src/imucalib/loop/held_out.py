@@ -16,6 +16,7 @@ from imucalib.core.balance import whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
+from imucalib.core.truth import Truth
 from imucalib.effects.record_error import is_record_error
 
 Array = NDArray[np.float64]
@@ -74,7 +75,8 @@ def _through_fixture(fit: Fit, theta: Array, x: Array, observations: Observation
     slices = fit.model.slices(observations.context)
     for effect in fit.model.effects:
         if effect.stage == "fixture":
-            x = x + effect.act(theta[slices[effect.name]], x, observations.context).delta
+            own = theta[slices[effect.name]]
+            x = x + effect.act(own, Truth(x), observations.context).delta
     return x
 
 

@@ -12,13 +12,13 @@ from imucalib.calibrators.actigraph.errors import error_summary, mean_error
 from imucalib.calibrators.actigraph.observations import observations_of, weighted
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.weak import NINE, base_fit, is_weak
-from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.effects import catalogue, families, named
+from imucalib.effects import named
 from imucalib.errors import NotConverged, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.asked import Searched, searched
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.cross_fit import cross_fitted
 from imucalib.loop.found import Loop
@@ -81,7 +81,7 @@ def calibrate(
         raise NotConverged("the fit did not settle", where=scanned.path)
     loop, declined = None, ""
     if request.loop and not is_weak(base):
-        loop, light = searched(base, light, runs, request, rng)
+        loop, light = found_twice(base, light, runs, request, rng)
     final = loop.as_recorded if loop and loop.steps else base
     base_held, final_held = held_out(base), held_out(final)
     if loop and loop.steps and mean_error(final_held) > mean_error(base_held):
@@ -89,8 +89,10 @@ def calibrate(
         declined = f"{names} not taken: the held-out error is larger with it than without"
         final, final_held = base, base_held
     elif loop and loop.steps:
-        effects, scans = searchable(request)
-        base_held, final_held = cross_fitted(loop, effects, rng, request.rules, scans)
+        tried = wanted(request)
+        base_held, final_held = cross_fitted(
+            loop, tried.effects, rng, request.rules, tried.families
+        )
     error = error_summary(base, final, base_held, final_held)
     widened = 1.0
     if loop and loop.unexplained:
@@ -126,7 +128,7 @@ def base_model(request: ActigraphRequest, data: Observations) -> Model:
     return Model((*(named(n) for n in NINE), *declared))
 
 
-def searched(
+def found_twice(
     base: Fit, light: int, runs: PostureRuns, request: ActigraphRequest, rng: np.random.Generator
 ) -> tuple[Loop, int]:
     """The search, once more with new weights where the first found something: what was missing
@@ -141,21 +143,17 @@ def searched(
 
 def search(base: Fit, request: ActigraphRequest, rng: np.random.Generator) -> Loop:
     """The closed loop over the catalogue and its scans."""
-    effects, scans = searchable(request)
-    return close_loop(base.model, base.observations, effects, rng, request.rules, base.theta, scans)
+    tried = wanted(request)
+    return close_loop(
+        base.model, base.observations, tried.effects, rng, request.rules, base.theta, tried.families
+    )
 
 
-def searchable(request: ActigraphRequest) -> tuple[dict[str, Effect], tuple[Family, ...]]:
-    """Sensor effects and scans, as `only` and `without` leave them; UsageError for a name that is
-    not there."""
-    chosen = request.only or (*catalogue(), *request.extra_effects, *families())
-    every: dict[str, Effect] = {**catalogue(), **request.extra_effects}
-    for name in (*request.only, *request.without):
-        if name not in every and name not in families():
-            named(name)
-    wanted = [n for n in chosen if n not in request.without]
-    effects = {n: every[n] for n in wanted if n in every and every[n].stage == "sensor"}
-    return effects, tuple(families()[n] for n in wanted if n in families())
+def wanted(request: ActigraphRequest) -> Searched:
+    """Sensor effects and scans: a fixture is nothing that a wrist has."""
+    return searched(
+        request.only, request.without, request.extra_effects, lambda e: e.stage == "sensor"
+    )
 
 
 def unseen(runs: PostureRuns) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.weak import NINE, base_fit, is_weak, open_words
 from imucalib.core.fit import Fit
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.errors import ImucalError, Undetermined
 from imucalib.rests.runs import PostureRuns, Scan
 
@@ -86,10 +87,10 @@ def without_found(runs: PostureRuns, final: Fit, request: ActigraphRequest) -> P
     data = final.observations
     slices, found = final.model.slices(data.context), np.zeros_like(data.reading)
     own = (*NINE, *request.declare)
-    force = final.model.correct(final.theta, data.reading, data.context)
+    truth = Truth(final.model.correct(final.theta, data.reading, data.context))
     for effect in final.model.effects:
         if effect.name not in own:
-            found += effect.act(final.theta[slices[effect.name]], force, data.context).delta
+            found += effect.act(final.theta[slices[effect.name]], truth, data.context).delta
     return replace(runs, mean=runs.mean - found[:, 0])
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.calibrators.array.motion import board_motion
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.setup import with_neighbours
 from imucalib.calibrators.array.state import ArrayState
 from imucalib.calibrators.array.timing import SampleAge, fit_sample_age
-from imucalib.core.array_motion import ArrayMotion
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
 
 Array = NDArray[np.float64]
@@ -81,8 +81,8 @@ def found_ages(state: ArrayState, moving: Moving, *, all_rows: bool = False) -> 
 def ages_again(state: ArrayState, moving: Moving, before: Ages | None) -> Ages | None:
     """Ages that other gyro effects had hidden; None where none are in the model yet, or where these
     show no other beats than before."""
-    gyro = [term for term in state.found if term.effect.sensor == "gyroscope"]
-    if not gyro or any(term.effect.needs_age for term in gyro):
+    gyro = [term for term in state.found if term.effect.channel == "angular_rate"]
+    if not gyro or any(term.aged for term in gyro):
         return None
     again = found_ages(state, moving)
     if again is None or before is None:
@@ -94,7 +94,7 @@ def ages_again(state: ArrayState, moving: Moving, before: Ages | None) -> Ages |
 def kept_ages(state: ArrayState, ages: Ages, *, voting: bool) -> ArrayState:
     """The state with the ages; while voting, samples that they were learned from are silent."""
     wave = np.where(ages.voting[:, None], ages.wave, 0.0) if voting else ages.wave
-    return replace(state, motion=replace(state.motion, age=wave))
+    return replace(state, motion=state.motion.aged(wave))
 
 
 def _everywhere(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -107,11 +107,12 @@ def _everywhere(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> tu
     weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
     order = (t - state.setup.t[0]) / span
     sampled = fit_samples(readings, weights, state.r, np.median(readings.rate, axis=1))
-    plain = [term for term in state.terms if not term.effect.needs_age]
+    plain = [term for term in state.terms if not term.aged]
     for _ in range(2 if plain else 0):
-        motion = ArrayMotion(
-            state.setup.imus, t, order, sampled.rate, sampled.spin, sampled.force,
-            np.zeros_like(sampled.force), state.setup.rotations,
+        motion = board_motion(
+            imus=state.setup.imus, rotations=state.setup.rotations, t=t, order=order,
+            rate=sampled.rate, spin=sampled.spin, force=sampled.force,
+            jerk=np.zeros_like(sampled.force),
         )  # fmt: skip
         acceleration, rate = readings.acceleration.copy(), readings.rate.copy()
         for term in plain:

@@ -130,7 +130,8 @@ def _loop(
     whole = array_setup(moving, board, most, robust=robust) if most > SEARCH_SAMPLES else None
     rng = np.random.default_rng(request.seed)
     return close_array_loop(
-        setup, rest_terms(static), moving, rng, replace(ARRAY_RULES, curves=request.curves), whole,
+        setup, rest_terms(static), moving, rng,
+        replace(ARRAY_RULES, curves=request.curves), whole,
         asked=replace(request.asked, search=request.loop),
     )  # fmt: skip
 

@@ -61,10 +61,10 @@ def effect_list(loop: ArrayLoop) -> list[dict[str, Any]]:
     state = loop.final
     return [
         {
-            **_beats(loop, term.effect.needs_age),
+            **_beats(loop, term.aged),
             "effect": term.name,
             "declared": term.name in loop.asked.declare,
-            "sensor": term.effect.sensor,
+            "channel": term.effect.channel,
             "equation": term.effect.equation,
             "parameters": [
                 {"name": p.name, "unit": p.unit, "value": float(v), "sd": float(s)}

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.curves import array_curves
+from imucalib.calibrators.array.catalogue import array_catalogue
+from imucalib.calibrators.array.curves import SENSOR, array_curves
 from imucalib.calibrators.array.found import CURVE
+from imucalib.calibrators.array.motion import BoardMotion
 from imucalib.calibrators.array.state import ArrayState
 from imucalib.calibrators.array.terms import columns_of
-from imucalib.core.array_motion import ArrayEffect, ArrayMotion
-from imucalib.effects.array import array_catalogue
+from imucalib.core.effect import Response
 from imucalib.estimators.array.gram import Columns
 from imucalib.loop.evidence import Kind
 
@@ -30,7 +31,7 @@ class Entry:
     driver: str
     block: int
     part: Index
-    effect: ArrayEffect | None = None
+    effect: Response | None = None
     only: int | None = None
 
 
@@ -51,7 +52,7 @@ def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
     entries: list[Entry] = []
     missing: dict[str, str] = {}
     for effect in array_catalogue().values():
-        reason = effect.missing(motion)
+        reason = effect.missing(motion.context)
         if reason:
             missing[effect.name] = reason
             continue
@@ -64,8 +65,10 @@ def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
         here = len(blocks) - 1
         if effect.name not in rejected:
             every = np.arange(columns.size)
-            entries.append(Entry(effect.name, "effect", effect.sensor, here, every, effect))
-        for k, imu in enumerate(motion.imus if effect.scan else ()):
+            entries.append(
+                Entry(effect.name, "effect", SENSOR[effect.channel], here, every, effect)
+            )
+        for k, imu in enumerate(motion.context.triads if effect.scan else ()):
             name = f"{effect.name}@{imu}"
             if name not in taken | rejected:
                 part = np.arange(k * m, (k + 1) * m)
@@ -75,7 +78,7 @@ def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
 
 
 def _add_curves(
-    blocks: list[Columns], entries: list[Entry], motion: ArrayMotion, taken: set[str]
+    blocks: list[Columns], entries: list[Entry], motion: BoardMotion, taken: set[str]
 ) -> None:
     for driver, curve in array_curves(motion):
         if CURVE + curve.name in taken:
@@ -87,7 +90,7 @@ def _add_curves(
         if driver:
             entries.append(Entry(curve.name, "probe", driver, here, np.arange(columns.size), curve))
             continue
-        for k, imu in enumerate(motion.imus):
+        for k, imu in enumerate(motion.context.triads):
             name = curve.name.format(imu=imu)
             if CURVE + name not in taken:
                 part = np.arange(k * each, (k + 1) * each)

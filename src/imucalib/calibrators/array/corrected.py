@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.loop import ArrayLoop
+from imucalib.calibrators.array.motion import board_motion
 from imucalib.calibrators.array.state import ArrayState
-from imucalib.core.array_motion import ArrayMotion
 from imucalib.estimators.array.problem import ArrayData
 from imucalib.estimators.array.sampler import ArrayPositions
 
@@ -62,13 +62,14 @@ def gyro_gains(state: ArrayState) -> Array:
     still = np.zeros((4, 3))
     still[1:] = 1e-4 * np.eye(3)
     none, force = np.zeros((4, 3)), np.zeros((4, k, 3))
-    motion = ArrayMotion(
-        state.setup.imus, np.zeros(4), np.full(4, 0.5), still, none, force, force,
-        state.setup.rotations, np.zeros((4, k)),
+    motion = board_motion(
+        imus=state.setup.imus, rotations=state.setup.rotations, t=np.zeros(4),
+        order=np.full(4, 0.5), rate=still, spin=none, force=force, jerk=force,
+        age=np.zeros((4, k)),
     )  # fmt: skip
     total = np.zeros((4, k, 3))
     for term in state.found:
-        if term.effect.sensor == "gyroscope":
+        if term.effect.channel == "angular_rate":
             total += term.reading(term.columns(motion))
     gain = (total[1:] - total[:1]) / 1e-4
     return np.asarray(np.eye(3) + gain.transpose(1, 2, 0))

@@ -10,55 +10,52 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.core.array_motion import ArrayEffect, ArrayMotion, Sensor
+from imucalib.calibrators.array.motion import BoardMotion
+from imucalib.core.context import Context
+from imucalib.core.effect import Channel, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.estimators.array.samples import turning
 from imucalib.units import DEG
 
 Array = NDArray[np.float64]
-Driver = Callable[[ArrayMotion], Array]
+Driver = Callable[[Truth, Context], Array]
 #: Typical size of an unknown curve (m/s² and deg/s), and how many terms it has.
-_SIZE, _TERMS = {"accelerometer": 0.1, "gyroscope": 0.3}, 4
+_SIZE, _TERMS = {"acceleration": 0.1, "angular_rate": 0.3}, 4
+SENSOR: dict[Channel, str] = {"acceleration": "accelerometer", "angular_rate": "gyroscope"}
 #: The same of an IMU that moves on the board (mm) or whose clock does (ms).
 _MOVE, _LATE, _SLOW = 0.05, 0.05, 2
 
 
-def array_curves(motion: ArrayMotion) -> Iterator[tuple[str, ArrayEffect]]:
+def array_curves(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
     """Driver and curve: each axis' error, alike in all packages, against the size of rate and
     force and against what the axis itself reads; of each IMU by itself against time. Without a
     driver: of one IMU at a time, which stands for "{imu}" in the name."""
-    sensors: tuple[Sensor, ...] = ("accelerometer", "gyroscope")
-    for sensor in sensors:
-        own = ("its own a", "a", _force) if sensor == "accelerometer" else ("its own ω", "ω", _rate)
+    for channel in SENSOR:
+        own = ("its own a", "a", _force) if channel == "acceleration" else ("its own ω", "ω", _rate)
         for words, driver, of, shared in (
             ("|ω|", "|ω|", _speed, True),
             ("|a|", "|a|", _strength, True),
             ("time", "time", _time, False),
             (*own, True),
         ):
-            name = f"{sensor} error against {words}"
-            yield driver, _curve(name, sensor, words, of, motion, shared)
+            yield driver, _curve(channel, words, of, motion, shared)
     for words, wander in (("position", _moves), ("gyro delay", _drifts)):
         yield "", wander(f"{words} of {{imu}} against time")
 
 
-def _curve(
-    name: str, sensor: Sensor, words: str, of: Driver, motion: ArrayMotion, shared: bool
-) -> ArrayEffect:
-    values = of(motion)
+def _curve(channel: Channel, words: str, of: Driver, motion: BoardMotion, shared: bool) -> Response:
+    values = of(motion.truth, motion.context)
     low, high = float(values.min()), float(values.max())
-    unit, scale = ("m/s2", 1.0) if sensor == "accelerometer" else ("deg/s", DEG)
+    unit, scale = ("m/s2", 1.0) if channel == "acceleration" else ("deg/s", DEG)
 
-    def basis(now: ArrayMotion) -> Array:
-        curves = scale * _cosines(of(now), low, high, _TERMS)
-        if curves.ndim == 3:
-            whole = np.einsum("tkc,ij->tkijc", curves, np.eye(3))
-        else:  # a driver of each axis
-            whole = np.einsum("tkic,ij->tkijc", curves, np.eye(3))
-        return now.turned(whole.reshape(*now.shape, 3, -1))
+    def basis(truth: Truth, context: Context) -> Array:
+        curves = scale * _cosines(of(truth, context), low, high, _TERMS)
+        driven = "tkc,ij->tkijc" if curves.ndim == 3 else "tkic,ij->tkijc"  # of each axis
+        return np.asarray(np.einsum(driven, curves, np.eye(3)).reshape(*truth.shape, -1))
 
     each = tuple(
-        Parameter(f"{axis}_{k}", unit, _SIZE[sensor], np.inf)
+        Parameter(f"{axis}_{k}", unit, _SIZE[channel], np.inf)
         for axis in "xyz"
         for k in range(1, _TERMS + 1)
     )
@@ -66,55 +63,60 @@ def _curve(
         f"error_i = Σ_k c_ik √2 cos(π k u) / k, u = (v - {low:.6g}) / {high - low:.6g} in 0..1, "
         f"v = {words} (SI)"
     )
-    return ArrayEffect(name, sensor, "A curve without a name.", equation, "the residual", "",
-                       each, basis, shared)  # fmt: skip
+    return Response(
+        f"{SENSOR[channel]} error against {words}", "A curve without a name.", equation,
+        "the residual", "", each=each, basis=basis, channel=channel, shared=shared,
+    )  # fmt: skip
 
 
-def _moves(name: str) -> ArrayEffect:
-    def basis(motion: ArrayMotion) -> Array:
-        turn = 1e-3 * turning(motion.rate, motion.spin)
-        whole = np.einsum("tij,tc->tijc", turn, _cosines(motion.order, 0.0, 1.0, _SLOW))
-        flat = whole.reshape(len(motion.t), 1, 3, -1)
-        return np.broadcast_to(flat, (*motion.shape, 3, flat.shape[3]))
+def _moves(name: str) -> Response:
+    def basis(truth: Truth, context: Context) -> Array:
+        rate, spin = (context.in_common(v)[:, 0] for v in (truth.turning.rate, truth.turning.spin))
+        slow = _cosines(context["order"], 0.0, 1.0, _SLOW)
+        whole = np.einsum("tij,tc->tijc", 1e-3 * turning(rate, spin), slow)
+        return context.in_own(whole.reshape(len(rate), 1, 3, -1))
 
     each = tuple(
         Parameter(f"{axis}_{k}", "mm", _MOVE, np.inf) for axis in "xyz" for k in range(1, _SLOW + 1)
     )
     equation = "r = r_k + Σ_k c_k √2 cos(π k order) / k, order from 0 to 1"
-    return ArrayEffect(name, "accelerometer", "An IMU that moves on the board.", equation,
-                       "the residual", "", each, basis)  # fmt: skip
+    return Response(
+        name, "An IMU that moves on the board.", equation, "the residual", "", each=each,
+        basis=basis,
+    )  # fmt: skip
 
 
-def _drifts(name: str) -> ArrayEffect:
-    def basis(motion: ArrayMotion) -> Array:
-        curves = -1e-3 * _cosines(motion.order, 0.0, 1.0, _SLOW)
-        flat = np.einsum("ti,tc->tic", motion.spin, curves)[:, None]
-        return np.broadcast_to(flat, (*motion.shape, 3, _SLOW))
+def _drifts(name: str) -> Response:
+    def basis(truth: Truth, context: Context) -> Array:
+        curves = -1e-3 * _cosines(context["order"], 0.0, 1.0, _SLOW)
+        return np.asarray(truth.turning.spin[..., None] * curves[:, None, None])
 
     each = tuple(Parameter(f"delay_{k}", "ms", _LATE, np.inf) for k in range(1, _SLOW + 1))
     equation = "y(t) = ω(t - τ), τ = Σ_k c_k √2 cos(π k order) / k, order from 0 to 1"
-    return ArrayEffect(name, "gyroscope", "A gyro whose clock wanders.", equation,
-                       "the residual", "", each, basis)  # fmt: skip
+    return Response(
+        name, "A gyro whose clock wanders.", equation, "the residual", "", each=each,
+        basis=basis, channel="angular_rate",
+    )  # fmt: skip
 
 
-def _speed(motion: ArrayMotion) -> Array:
-    return np.broadcast_to(np.linalg.norm(motion.rate, axis=1)[:, None], motion.shape)
+def _speed(truth: Truth, context: Context) -> Array:
+    return np.asarray(np.linalg.norm(truth.turning.rate, axis=2))
 
 
-def _strength(motion: ArrayMotion) -> Array:
-    return np.asarray(np.linalg.norm(motion.force, axis=2))
+def _strength(truth: Truth, context: Context) -> Array:
+    return np.asarray(np.linalg.norm(truth.force, axis=2))
 
 
-def _time(motion: ArrayMotion) -> Array:
-    return np.broadcast_to(motion.order[:, None], motion.shape)
+def _time(truth: Truth, context: Context) -> Array:
+    return np.broadcast_to(context["order"][:, None], truth.shape[:2])
 
 
-def _force(motion: ArrayMotion) -> Array:
-    return motion.seen(motion.force)
+def _force(truth: Truth, context: Context) -> Array:
+    return truth.force
 
 
-def _rate(motion: ArrayMotion) -> Array:
-    return motion.seen(motion.rate)
+def _rate(truth: Truth, context: Context) -> Array:
+    return truth.turning.rate
 
 
 def _cosines(values: Array, low: float, high: float, terms: int) -> Array:

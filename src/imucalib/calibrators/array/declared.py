@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.ages import found_ages, kept_ages
+from imucalib.calibrators.array.catalogue import array_catalogue
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.state import ArrayState, settled
 from imucalib.calibrators.array.terms import Term, columns_of, determined, typical_of
-from imucalib.core.array_motion import ArrayEffect
-from imucalib.effects.array import array_catalogue
+from imucalib.core.effect import Response
 from imucalib.errors import Undetermined, UsageError
 from imucalib.estimators.array.gram import Columns, gram, reduced
 
 Array = NDArray[np.float64]
 
 
-def named_effect(name: str, imus: Sequence[str]) -> tuple[ArrayEffect, int | None]:
+def named_effect(name: str, imus: Sequence[str]) -> tuple[Response, int | None]:
     """The effect and the one IMU that a name such as "gyro_scale@imu3" means.
 
     Raises UsageError for an unknown effect or IMU.
@@ -80,10 +80,10 @@ def with_declared(state: ArrayState, names: Sequence[str], moving: Moving) -> Ar
     """
     for name in names:
         effect, _ = named_effect(name, state.setup.imus)
-        if effect.needs_age and state.motion.age is None:
+        if "sample_age" in effect.needs and state.motion.age is None:
             ages = found_ages(state, moving, all_rows=True)
             state = state if ages is None else kept_ages(state, ages, voting=False)
-        reason = effect.missing(state.motion)
+        reason = effect.missing(state.motion.context)
         term = None if reason else declared_term(state, name)
         if term is None or len(term.value) == 0:
             raise Undetermined(
@@ -101,7 +101,7 @@ def declared_term(state: ArrayState, name: str) -> Term:
     return determined(name, effect, only, beside_the_fit(state, effect, only))
 
 
-def beside_the_fit(state: ArrayState, effect: ArrayEffect, only: int | None = None) -> Array:
+def beside_the_fit(state: ArrayState, effect: Response, only: int | None = None) -> Array:
     """(p, p) Gram matrix, in units of the noise, of an effect's columns in typical sizes, with
     motion, positions and terms taken out."""
     columns = columns_of(effect, state.motion, only)

@@ -136,7 +136,7 @@ def _tried(
     gains = found.held_out(chosen.name)
     reason = _why_not(path.state, trial, gains)
     if not reason:
-        factor = shared_by_neighbours(trial, gyro=term.effect.sensor == "gyroscope")
+        factor = shared_by_neighbours(trial, gyro=term.effect.channel == "angular_rate")
         late = discounted(chosen, factor, found.null)
         if late.p > rules.alpha:
             reason = f"noise that neighbours share explains it as well (p {late.p:.2g})"
@@ -246,7 +246,7 @@ def _on_all(
 ) -> tuple[ArrayState, Ages | None]:
     """The final fit on all samples; accepted clocks with their phases from all of the motion."""
     state = path.state
-    aged = any(term.effect.needs_age for term in state.terms)
+    aged = any(term.aged for term in state.terms)
     if whole is None and not aged:
         return state, None
     moved = state if whole is None else transferred(state, whole)

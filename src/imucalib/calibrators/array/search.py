@@ -67,7 +67,7 @@ class Search:
         entry = self.entries.get(name)
         if entry is None or entry.effect is None or entry.kind != "probe":
             return False
-        return not (entry.effect.shared and entry.effect.sensor == "accelerometer")
+        return not (entry.effect.shared and entry.effect.channel == "acceleration")
 
     def term(self, name: str) -> Term:
         """A candidate as a new term: the directions that the data can determine, at zero."""

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.moving import Moving
-from imucalib.core.array_motion import ArrayMotion
 from imucalib.estimators.array.samples import Readings, Sampled
 
 Array = NDArray[np.float64]
@@ -86,13 +86,13 @@ def _stretches(near: Index, samples: int) -> Index:
     return near[np.unique(starts[:, None] + np.arange(size))]
 
 
-def motion_at(setup: Setup, sampled: Sampled, age: Array | None) -> ArrayMotion:
+def motion_at(setup: Setup, sampled: Sampled, age: Array | None) -> BoardMotion:
     """The fitted motion as effects take it; its jerk by the fitted forces of the neighbours."""
     jerk = np.zeros_like(sampled.force)
     inner = setup.inner
     step = (setup.t[inner + 1] - setup.t[inner - 1])[:, None, None]
     jerk[inner] = (sampled.force[inner + 1] - sampled.force[inner - 1]) / step
-    return ArrayMotion(
-        setup.imus, setup.t, setup.order, sampled.rate, sampled.spin, sampled.force, jerk,
-        setup.rotations, age,
+    return board_motion(
+        imus=setup.imus, rotations=setup.rotations, t=setup.t, order=setup.order,
+        rate=sampled.rate, spin=sampled.spin, force=sampled.force, jerk=jerk, age=age,
     )  # fmt: skip

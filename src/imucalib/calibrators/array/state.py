@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.calibrators.array.motion import BoardMotion
 from imucalib.calibrators.array.setup import Setup, motion_at
 from imucalib.calibrators.array.terms import Term
-from imucalib.core.array_motion import ArrayMotion
 from imucalib.estimators.array.gram import Columns, Gram, Reduced, gradient, gram, reduced
 from imucalib.estimators.array.noise import SensorNoise, chosen_noise, log_density, scaled
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
@@ -40,7 +40,7 @@ class ArrayState:
     terms: tuple[Term, ...]
     noise: tuple[SensorNoise, SensorNoise]
     sampled: Sampled
-    motion: ArrayMotion
+    motion: BoardMotion
     covariance: Array
     density: float
     converged: bool

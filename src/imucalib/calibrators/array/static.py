@@ -35,7 +35,8 @@ class StaticFit:
     covariance : (K, 12, K, 12) of every triad's gain (9, rows first) and offset at the end of the
         rests (3, m/s²): errors of the gravity directions are shared by all triads
     gyro_bias_sd : (K, 3) rad/s, of the offsets at the end of the rests
-    poses : number; gravity : m/s²; order : of the drift
+    poses : number; gravity : m/s²; order : of the drift; rotations : (K, 3, 3), package axes to
+        board axes
     """
 
     gain: Array
@@ -52,6 +53,7 @@ class StaticFit:
     gravity: float
     covariance: Array
     gyro_bias_sd: Array
+    rotations: Array
 
     @property
     def order(self) -> int:
@@ -114,7 +116,7 @@ def fit_static(segments: Segments, board: Board, order: list[int], gravity: floa
     return StaticFit(
         chosen.gain, chosen.gain_sd, chosen.bias, drift.reshape(-1, board.count, 3), origin, span,
         chosen.rms, fits[0].rms, noise, gyro_noise, segments.n, gravity, chosen.covariance,
-        rate_sd.reshape(board.count, 3),
+        rate_sd.reshape(board.count, 3), board.rotations,
     )  # fmt: skip
 
 

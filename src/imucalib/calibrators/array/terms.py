@@ -8,9 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.calibrators.array.motion import BoardMotion
 from imucalib.calibrators.array.static import StaticFit
-from imucalib.core.array_motion import ArrayEffect, ArrayMotion
+from imucalib.core.context import Context
+from imucalib.core.effect import Channel, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.estimators.array.gram import Columns
 
 Array = NDArray[np.float64]
@@ -30,7 +33,7 @@ class Term:
     """
 
     name: str
-    effect: ArrayEffect
+    effect: Response
     only: int | None
     live: Array
     value: Array
@@ -42,11 +45,17 @@ class Term:
         """(p,) in the parameters' units."""
         return np.asarray(self.live @ self.value)
 
-    def parameters(self, imus: Sequence[str]) -> tuple[Parameter, ...]:
-        chosen = imus if self.only is None else [imus[self.only]]
-        return self.effect.parameters(chosen)
+    @property
+    def aged(self) -> bool:
+        """Whether it says what the chips' own clocks do."""
+        return "sample_age" in self.effect.needs
 
-    def columns(self, motion: ArrayMotion) -> Columns:
+    def parameters(self, imus: Sequence[str]) -> tuple[Parameter, ...]:
+        if self.effect.shared:
+            return self.effect.each
+        return self.effect.of_each(imus if self.only is None else [imus[self.only]])
+
+    def columns(self, motion: BoardMotion) -> Columns:
         return columns_of(self.effect, motion, self.only)
 
     def reading(self, columns: Columns) -> Array:
@@ -66,7 +75,7 @@ class Term:
         return replace(self, value=value, sd=sd)
 
 
-def determined(name: str, effect: ArrayEffect, only: int | None, matrix: Array) -> Term:
+def determined(name: str, effect: Response, only: int | None, matrix: Array) -> Term:
     """A new term at zero, with the directions that the data can determine.
 
     matrix : (p, p) Gram of its columns in typical sizes, with all else that is fitted taken out
@@ -78,16 +87,16 @@ def determined(name: str, effect: ArrayEffect, only: int | None, matrix: Array) 
     return Term(name, effect, only, live, np.zeros(rank), np.ones(rank))
 
 
-def typical_of(effect: ArrayEffect, count: int) -> Array:
+def typical_of(effect: Response, count: int) -> Array:
     """(count,) typical sizes of its columns."""
     each = np.array([p.typical for p in effect.each])
     return np.tile(each, count // len(each))
 
 
-def columns_of(effect: ArrayEffect, motion: ArrayMotion, only: int | None = None) -> Columns:
-    """Columns of an effect, per unit of its parameters."""
-    basis = effect.basis(motion)
-    gyro = effect.sensor == "gyroscope"
+def columns_of(effect: Response, motion: BoardMotion, only: int | None = None) -> Columns:
+    """Columns of an effect in board axes, per unit of its parameters."""
+    basis = motion.turned(effect.basis(motion.truth, motion.context))
+    gyro = effect.channel == "angular_rate"
     if only is None:
         return Columns(np.ascontiguousarray(basis), gyro, effect.shared)
     alone = np.zeros_like(basis)
@@ -95,35 +104,42 @@ def columns_of(effect: ArrayEffect, motion: ArrayMotion, only: int | None = None
     return Columns(alone, gyro, shared=True)
 
 
-def _gain_and_offset(motion: ArrayMotion) -> Array:
-    out = np.zeros((*motion.shape, 3, 12))
+def _gain_and_offset(truth: Truth, context: Context) -> Array:
+    out = np.zeros((*truth.shape, 12))
     for i in range(3):
-        out[:, :, i, 3 * i : 3 * i + 3] = motion.force
-        out[:, :, i, 9 + i] = 1.0
+        out[..., i, 3 * i : 3 * i + 3] = truth.force
+        out[..., i, 9 + i] = 1.0
     return out
 
 
-def _offset(motion: ArrayMotion) -> Array:
-    return np.broadcast_to(np.eye(3), (*motion.shape, 3, 3))
+def _offset(truth: Truth, context: Context) -> Array:
+    return np.broadcast_to(np.eye(3), (*truth.shape, 3))
 
 
-def _rest(name: str, gyro: bool, each: int) -> ArrayEffect:
+def _rest(name: str, channel: Channel, each: int) -> Response:
     parameters = tuple(Parameter(f"{name}_{k}", "SI", 1.0, np.inf) for k in range(each))
-    return ArrayEffect(
-        name, "gyroscope" if gyro else "accelerometer", "What the rests left open.", "", "", "",
-        parameters, _offset if gyro else _gain_and_offset,
+    basis = _gain_and_offset if channel == "acceleration" else _offset
+    return Response(
+        name, "What the rests left open.", "", "", "", each=parameters, basis=basis,
+        channel=channel,
     )  # fmt: skip
 
 
 def rest_terms(static: StaticFit) -> tuple[Term, ...]:
-    """Errors of gains and offsets with the covariance that the rests left."""
-    size = static.covariance.shape[0] * 12
+    """Errors of gains and offsets with the covariance that the rests left, in package axes."""
+    count = len(static.rotations)
+    turn = np.zeros((count, 12, count, 12))
+    for k, back in enumerate(static.rotations.transpose(0, 2, 1)):
+        turn[k, :9, k, :9] = np.kron(back, back)
+        turn[k, 9:, k, 9:] = back
+    size = 12 * count
     values, vectors = np.linalg.eigh(static.covariance.reshape(size, size))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = turn.reshape(size, size) @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    slow = turn[:, 9:, :, 9:].reshape(3 * count, 3 * count) * static.gyro_bias_sd.ravel()
     terms = []
     for effect, live in (
-        (_rest("rests", False, 12), root),
-        (_rest("rests_gyro", True, 3), np.diag(static.gyro_bias_sd.ravel())),
+        (_rest("rests", "acceleration", 12), root),
+        (_rest("rests_gyro", "angular_rate", 3), slow),
     ):
         n = live.shape[1]
         terms.append(Term(effect.name, effect, None, live, np.zeros(n), np.ones(n), found=False))

@@ -26,6 +26,7 @@ from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import full_matrix_start
+from imucalib.loop.asked import searched
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.cross_fit import cross_fitted
 from imucalib.loop.found import Loop, LoopSettings
@@ -95,7 +96,7 @@ def calibrate(
     add, and UsageError for unknown models or effects.
     """
     model = base_model(settings, observations)
-    searched = searched_effects(settings)
+    wanted = searched(settings.only, settings.without, settings.extra_effects)
     used = np.arange(observations.n) if settings.train is None else settings.train
     data = observations.take(used)
     demand_enough(model, data)
@@ -105,7 +106,7 @@ def calibrate(
         base = fit_corrected(model, data, settings.objective, start)
         loop, final = None, base
     elif settings.loop:
-        loop = close_loop(model, data, searched, rng, rules, start)
+        loop = close_loop(model, data, wanted.effects, rng, rules, start, wanted.families)
         base, final = loop.plain, loop.as_recorded
     else:
         loop, base = None, fit_model(model, data, start=start)
@@ -116,7 +117,9 @@ def calibrate(
         raise undetermined(judged)
     if not final.converged:
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
-    anew = cross_fitted(loop, searched, rng, rules) if loop and loop.steps else None
+    anew = None
+    if loop and loop.steps:
+        anew = cross_fitted(loop, wanted.effects, rng, rules, wanted.families)
     splits = held_out_splits(base, final, observations, used, settings.objective, anew)
     gravity = gravity_of(data)
     known = isinstance(data.reference, KnownVector)
@@ -138,16 +141,6 @@ def base_model(settings: LabSettings, observations: Observations) -> Model:
         if reason := effect.missing(observations.context):
             raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
     return Model((*(named(name) for name in names), *declared))
-
-
-def searched_effects(settings: LabSettings) -> dict[str, Effect]:
-    """The catalogue as `only` and `without` leave it; UsageError for a name that is not there."""
-    every = {**catalogue(), **settings.extra_effects}
-    for name in (*settings.only, *settings.without):
-        if name not in every:
-            named(name)
-    chosen = settings.only or tuple(every)
-    return {name: every[name] for name in chosen if name not in settings.without}
 
 
 def demand_enough(model: Model, data: Observations) -> None:

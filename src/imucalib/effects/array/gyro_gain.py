@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from imucalib.core.array_motion import Array, ArrayEffect, ArrayMotion, own_axis, three
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Response, own_axis, three
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 
 _CROSS = tuple((i, j) for i in range(3) for j in range(3) if i != j)
 _SHEET = "MPU-6050 data sheet 6.1: scale ±3 %, cross-axis ±2 %"
@@ -14,75 +16,78 @@ _FRAME = np.array(
 )
 
 
-def _scale(motion: ArrayMotion) -> Array:
-    return motion.turned(0.01 * own_axis(motion.seen(motion.rate)))
+def _scale(truth: Truth, context: Context) -> Array:
+    return 0.01 * own_axis(truth.turning.rate)
 
 
-def _misalignment(motion: ArrayMotion) -> Array:
-    rate = motion.seen(motion.rate)
-    out = np.zeros((*rate.shape, 6))
+def _misalignment(truth: Truth, context: Context) -> Array:
+    out = np.zeros((*truth.shape, 6))
     for column, (i, j) in enumerate(_CROSS):
-        out[:, :, i, column] = 0.01 * rate[:, :, j]
-    return motion.turned(out)
+        out[..., i, column] = 0.01 * truth.turning.rate[..., j]
+    return out
 
 
-def _frame(motion: ArrayMotion) -> Array:
-    one = 0.01 * np.einsum("cij,tj->tic", _FRAME, motion.rate)
-    return np.broadcast_to(one[:, None], (*motion.shape, 3, 8))
+def _frame(truth: Truth, context: Context) -> Array:
+    rate = context.in_common(truth.turning.rate)
+    return context.in_own(0.01 * np.einsum("cij,tkj->tkic", _FRAME, rate))
 
 
-def _common(motion: ArrayMotion) -> Array:
-    return np.broadcast_to(0.01 * motion.rate[:, None, :, None], (*motion.shape, 3, 1))
+def _common(truth: Truth, context: Context) -> Array:
+    return 0.01 * truth.turning.rate[..., None]
 
 
 EFFECTS = (
-    ArrayEffect(
+    Response(
         "gyro_scale",
-        "gyroscope",
         "Each gyro axis multiplies the rate by its own factor.",
         "y_i = (1 + s_i) ω_i",
         _SHEET,
         "Turn about all axes; the mean over all gyros trades off against the array's size.",
+        ("rate",),
         three("gyro_scale", "%", 3.0, 20.0),
         _scale,
+        channel="angular_rate",
         scan=True,
     ),
-    ArrayEffect(
+    Response(
         "gyro_misalignment",
-        "gyroscope",
         "Each gyro axis also reads the rates about the others.",
         "y_i = ω_i + Σ_j m_ij ω_j,  j ≠ i",
         _SHEET,
         "Turn about all axes.",
+        ("rate",),
         tuple(
             Parameter(f"gyro_misalignment_{'xyz'[i]}{'xyz'[j]}", "%", 2.0, 20.0) for i, j in _CROSS
         ),
         _misalignment,
+        channel="angular_rate",
         scan=True,
     ),
-    ArrayEffect(
+    Response(
         "gyro_frame",
-        "gyroscope",
         "All gyros together are turned and skewed against the accelerometers.",
         "y = (I + F) ω, F the same for all, trace F = 0",
         "die and package mounting, 1 deg",
         "Turn fast about all axes: the accelerometers show the rate by its square.",
+        ("rate",),
         tuple(
             Parameter(f"gyro_frame_{n}", "%", 1.0, 20.0)
             for n in ("xy", "xz", "yx", "yz", "zx", "zy", "x_less_y", "y_less_z")
         ),
         _frame,
+        channel="angular_rate",
         shared=True,
     ),
-    ArrayEffect(
+    Response(
         "common_gyro_scale",
-        "gyroscope",
         "All gyros multiply the rate by one factor.",
         "y = (1 + s) ω, the same for all",
         _SHEET,
         "Measure the array's size, or one gyro's scale on a turntable.",
+        ("rate",),
         (Parameter("common_gyro_scale", "%", 1.0, 20.0),),
         _common,
+        channel="angular_rate",
         shared=True,
     ),
 )

@@ -2,35 +2,36 @@
 
 import numpy as np
 
-from imucalib.core.array_motion import Array, ArrayEffect, ArrayMotion
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 
 _MM = 1e-3
 
 
-def _columns(motion: ArrayMotion) -> Array:
-    """Axis i senses at d_i (package axes) off the triad's position: a_i += (W R d_i)_i."""
-    w, spin = motion.rate, motion.spin
-    square = w[:, :, None] * w[:, None] - np.sum(w * w, axis=1)[:, None, None] * np.eye(3)
+def _columns(truth: Truth, context: Context) -> Array:
+    """Axis i senses at d_i (package axes) off the triad's position: a_i += (W d_i)_i, where
+    W d = ω × (ω × d) + dω/dt × d."""
+    w, spin = truth.turning.rate, truth.turning.spin
+    inside = w[..., :, None] * w[..., None, :] - np.sum(w * w, axis=-1)[..., None, None] * np.eye(3)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        square[:, i, j] -= spin[:, k]
-        square[:, j, i] += spin[:, k]
-    turn = motion.rotations
-    inside = np.matmul(turn.transpose(0, 2, 1), np.matmul(square[:, None], turn)) * _MM
-    out = np.zeros((*motion.shape, 3, 9))
+        inside[..., i, j] -= spin[..., k]
+        inside[..., j, i] += spin[..., k]
+    out = np.zeros((*truth.shape, 9))
     for i in range(3):
-        out[:, :, i, 3 * i : 3 * i + 3] = inside[:, :, i]
-    return motion.turned(out)
+        out[..., i, 3 * i : 3 * i + 3] = _MM * inside[..., i, :]
+    return out
 
 
 EFFECTS = (
-    ArrayEffect(
+    Response(
         "sensing_elements",
-        "accelerometer",
         "The three axes of an accelerometer sense at different points, alike in every package.",
-        "a_i taken at r_k + R_k d_i",
+        "y_i = a_i + (ω × (ω × d_i) + dω/dt × d_i)_i,  d_i the same in all packages",
         "0.3-1 mm in a 4 x 4 x 1 mm package; the size effect of Kalibr",
         "Packages in two or more attitudes on the board; their common part is the position.",
+        ("rate", "spin"),
         tuple(Parameter(f"element_{i}_at_{j}", "mm", 0.5, 5.0) for i in "xyz" for j in "xyz"),
         _columns,
         shared=True,

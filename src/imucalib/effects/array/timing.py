@@ -2,71 +2,79 @@
 
 import numpy as np
 
-from imucalib.core.array_motion import Array, ArrayEffect, ArrayMotion
+from imucalib.core.context import Context
+from imucalib.core.effect import Array, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 
 _MS = 1e-3
 
 
-def _spin(motion: ArrayMotion) -> Array:
-    return np.broadcast_to(-_MS * motion.spin[:, None, :, None], (*motion.shape, 3, 1))
+def _spin(truth: Truth, context: Context) -> Array:
+    return -_MS * truth.turning.spin[..., None]
 
 
-def _jerk(motion: ArrayMotion) -> Array:
-    return -_MS * motion.jerk[..., None]
+def _jerk(truth: Truth, context: Context) -> Array:
+    return -_MS * truth.turning.jerk[..., None]
 
 
-def _age(motion: ArrayMotion) -> Array:
-    assert motion.age is not None
-    return np.asarray(_spin(motion) * motion.age[:, :, None, None])
+def _age(truth: Truth, context: Context) -> Array:
+    return np.asarray(_spin(truth, context) * context["sample_age"][:, :, None, None])
 
 
 def _one(name: str, typical: float) -> tuple[Parameter, ...]:
     return (Parameter(name, "ms", typical, 20.0),)
 
 
+class _Aged(Response):
+    def missing(self, context: Context) -> str:
+        return "no gyro shows a beat line" if super().missing(context) else ""
+
+
 EFFECTS = (
-    ArrayEffect(
+    Response(
         "gyro_delay",
-        "gyroscope",
         "All gyros are late against the accelerometers by one delay.",
         "y(t) = ω(t - τ)",
         "filter group delays: 1 ms in MPU firmware comments",
         "Turn fast, with strong angular acceleration.",
+        ("spin",),
         _one("gyro_delay", 1.0),
         _spin,
+        channel="angular_rate",
         shared=True,
     ),
-    ArrayEffect(
+    Response(
         "gyro_delay_each",
-        "gyroscope",
         "Each gyro has its own delay.",
         "y_k(t) = ω(t - τ_k)",
         "sequential read-out, 0.1-1 ms",
         "Turn fast, with strong angular acceleration.",
-        _one("gyro_delay", 0.3),
+        ("spin",),
+        _one("gyro_own_delay", 0.3),
         _spin,
+        channel="angular_rate",
     ),
-    ArrayEffect(
+    Response(
         "accelerometer_delay",
-        "accelerometer",
         "Each accelerometer has its own delay.",
         "y_k(t) = a_k(t - τ_k)",
         "sequential read-out, 0.1-1 ms; a low-pass of its own looks alike",
         "Shake fast; a higher sample rate tells a delay from a low-pass.",
+        ("jerk",),
         _one("accelerometer_delay", 0.3),
         _jerk,
     ),
-    ArrayEffect(
+    _Aged(
         "gyro_sample_age",
-        "gyroscope",
         "Gyros that sample on their own clocks: the age of a reading is a sawtooth of one span.",
         "y_k(t) = ω(t - T (φ_k(t) mod 1 - 1/2)), φ_k by the beat line of gyro k",
         "chips that refresh at 1 kHz and are read at another rate",
         "Half a minute of motion with strong angular acceleration shows the beats.",
+        ("spin", "sample_age"),
         _one("sample_age_span", 1.0),
         _age,
+        channel="angular_rate",
         shared=True,
-        needs_age=True,
     ),
 )

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.calibrators.array.catalogue import array_catalogue
 from imucalib.calibrators.array.found import CURVE
 from imucalib.calibrators.array.held_out import NORMAL_MAD
 from imucalib.calibrators.array.loop import ArrayLoop
 from imucalib.calibrators.array.terms import Term
 from imucalib.calibrators.array.worth import size_in_words
-from imucalib.effects.array import array_catalogue
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.report.document import Block, Facts, Section, Table, Text
 from imucalib.report.loop import candidate_rows

@@ -1,0 +1,36 @@
+"""The effects that an array is searched for, at the sizes that its rests leave of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from imucalib.core.effect import Response
+from imucalib.effects import catalogue
+
+#: Typical sizes of what the rests have calibrated already, each in its own unit.
+_LEFT_BY_RESTS = {
+    "scale": 2e-3, "bias": 2.0, "quadratic": 0.3, "cubic": 0.02, "asymmetry": 2.0,
+    "cross_axis": 0.3, "bias_drift": 2.0, "scale_drift": 2.0, "warm_up": 2.0,
+}  # fmt: skip
+#: Catalogue effects of which one IMU alone is tried, beside those that say so themselves.
+_SCANNED = ("scale", "bias")
+#: Effects that are a part of others, which are tried.
+_WITHIN = ("non_orthogonality",)
+
+
+def array_catalogue() -> dict[str, Response]:
+    """Every effect of the catalogue that acts on a sensor and is linear in its parameters."""
+    return {
+        name: sized(effect)
+        for name, effect in catalogue().items()
+        if isinstance(effect, Response) and name not in _WITHIN
+    }
+
+
+def sized(effect: Response) -> Response:
+    """An effect at the size that the rests leave of it."""
+    typical = _LEFT_BY_RESTS.get(effect.name)
+    if typical is None:
+        return effect
+    each = tuple(replace(p, typical=typical) for p in effect.each)
+    return replace(effect, each=each, scan=effect.scan or effect.name in _SCANNED)

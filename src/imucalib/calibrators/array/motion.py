@@ -1,0 +1,61 @@
+"""The fitted motion of a board as effects take it: every triad's truth in its own axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.context import Context
+from imucalib.core.truth import Motion, Truth
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BoardMotion:
+    """The truth at T instants as K triads see it, and what is known beside it."""
+
+    truth: Truth
+    context: Context
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(T, K)."""
+        return self.context.n, len(self.context.triads)
+
+    def turned(self, basis: Array) -> Array:
+        """(T, K, 3, m) in board axes, of a basis in each package's."""
+        assert self.context.attitude is not None
+        return np.asarray(np.matmul(self.context.attitude, basis))
+
+    def aged(self, age: Array | None) -> BoardMotion:
+        """With the (T, K) sawtooth ages of the gyros' readings, or without any."""
+        rest = {k: v for k, v in self.context.covariates.items() if k != "sample_age"}
+        known = rest if age is None else {**rest, "sample_age": age}
+        return replace(self, context=replace(self.context, covariates=known))
+
+    @property
+    def age(self) -> Array | None:
+        return self.context.covariates.get("sample_age")
+
+
+def board_motion(
+    *, imus: tuple[str, ...], rotations: Array, t: Array, order: Array, rate: Array, spin: Array,
+    force: Array, jerk: Array, age: Array | None = None,
+) -> BoardMotion:  # fmt: skip
+    """From the board's axes.
+
+    rotations : (K, 3, 3), package axes to board axes; t : (T,) s; order : (T,) 0..1 over the motion
+    rate, spin : (T, 3) rad/s, rad/s²; force, jerk : (T, K, 3) m/s², m/s³; age : (T, K) or None
+    """
+    shape = (len(t), len(imus), 3)
+
+    def seen(vector: Array) -> Array:
+        whole = np.broadcast_to(vector[:, None] if vector.ndim == 2 else vector, shape)
+        return np.asarray(np.matmul(whole[:, :, None], rotations)[:, :, 0])
+
+    truth = Truth(seen(force), Motion(seen(rate), seen(spin), seen(jerk)))
+    context = Context(len(t), {"order": order, "time": t}, imus, attitude=rotations, moving=True)
+    return BoardMotion(truth, context).aged(age)
