@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from trial import Job, Trial, noise, said
 
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.catalogue import array_catalogue
-from imucalib.calibrators.array.declared import beside_the_fit, declared_term, with_declared
 from imucalib.calibrators.array.log import array_log
-from imucalib.calibrators.array.loop import ARRAY_RULES, ArrayLoop, close_array_loop
-from imucalib.calibrators.array.motion import board_motion
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.declared import beside_the_fit, declared_term, with_declared
+from imucalib.calibrators.array.loop.motion import board_motion
+from imucalib.calibrators.array.loop.setup import Setup, array_setup
+from imucalib.calibrators.array.loop.state import ArrayState, start_state
+from imucalib.calibrators.array.loop.terms import Term, rest_terms, typical_of
 from imucalib.calibrators.array.moving import Moving, moving_part
-from imucalib.calibrators.array.setup import Setup, array_setup
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
-from imucalib.calibrators.array.state import ArrayState, start_state
 from imucalib.calibrators.array.static import fit_static
-from imucalib.calibrators.array.terms import Term, rest_terms, typical_of
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
@@ -98,7 +98,7 @@ def trial(job: Job) -> Trial:
         intervals=intervals,
         seconds=seconds,
     )
-    listed = tuple(name for name, metres in loop.absorbed.items() if np.isfinite(metres))
+    listed = tuple(name for name, metres in loop.impact.items() if np.isfinite(metres))
     return replace(said(found, loop), absorbed=listed)
 
 
@@ -237,7 +237,7 @@ def _error(state: ArrayState, positions: Array) -> float:
     return float(1e3 * np.sqrt(np.mean((state.r - positions)[1:] ** 2)))
 
 
-def _coverage(loop: ArrayLoop, positions: Array) -> tuple[int, int]:
+def _coverage(loop: MotionLoop, positions: Array) -> tuple[int, int]:
     """95 % intervals of the coordinates that hold the truth, of how many."""
     n = loop.final.positions
     sd = np.sqrt(np.diag(loop.final.covariance)[:n] * loop.dispersion)

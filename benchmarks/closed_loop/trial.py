@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibration.uncertainty import correcting
-from imucalib.calibrators.array.loop import ArrayLoop
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.core.balance import whitener
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
-from imucalib.loop.found import Loop
+from imucalib.loop.found import FitLoop
 from imucalib.units import MG
 
 Array = NDArray[np.float64]
@@ -93,7 +93,7 @@ class Trial:
         return self.verdict == "explained" and bool(set(self.certain) - planted)
 
 
-def said(trial: Trial, loop: Loop | ArrayLoop) -> Trial:
+def said(trial: Trial, loop: FitLoop | MotionLoop) -> Trial:
     """The trial with what the loop said; members of scans by the scan's name."""
 
     def plain(name: str) -> str:

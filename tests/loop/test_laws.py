@@ -26,7 +26,7 @@ from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.cross_fit import cross_fitted
 from imucalib.loop.evidence import score
-from imucalib.loop.found import Loop, LoopSettings
+from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.held_out import errors
 from imucalib.loop.noise_checks import beyond_declared, heavy_tails, noise_doubts
 from imucalib.loop.records import extended
@@ -50,7 +50,7 @@ def clean(seed: int, n: int = 40) -> Observations:
     return draw(base, ordinary_theta(base, data, seed), data, seed + 100)
 
 
-def searched(data: Observations, names: tuple[str, ...]) -> Loop:
+def searched(data: Observations, names: tuple[str, ...]) -> FitLoop:
     effects: dict[str, Effect] = {name: named(name) for name in names}
     return close_loop(base_model(), data, effects, np.random.default_rng(0), RULES)
 
@@ -102,7 +102,7 @@ def claimed_gain(seed: int) -> float:
     final = plain
     for name in JUNK:
         final = extended(final, named(name))
-    loop = Loop(plain, final, plain, final, bar=-1e9)
+    loop = FitLoop(plain, final, plain=plain, as_recorded=final, bar=-1e9)
     effects = {name: named(name) for name in JUNK}
     before, after = cross_fitted(loop, effects, np.random.default_rng(seed), RULES)
     return after.rms() / before.rms()
@@ -115,7 +115,7 @@ def test_what_the_data_lack_gains_nothing_on_data_that_took_no_part() -> None:
 def test_an_error_in_the_sample_passed_off_as_held_out_is_seen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def in_sample(loop: Loop, *rest: object) -> Fit:
+    def in_sample(loop: FitLoop, *rest: object) -> Fit:
         return loop.final
 
     monkeypatch.setattr(cross_fit, "_searched", in_sample)
@@ -182,5 +182,6 @@ def test_a_curve_corrects_without_a_name() -> None:
     assert [s.effect.split(":")[:2] for s in loop.curves] == [["curve@bias", "order"]]
     assert loop.verdict == "unexplained"
     assert not loop.named
-    assert loop.curves[0].checked_after < 0.4 * loop.curves[0].checked_before
+    checked = loop.curves[0].checked[0]
+    assert checked.after < 0.4 * checked.before
     assert set(catalogue()).isdisjoint(s.effect for s in loop.steps)

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.board import Board, read_board
-from imucalib.calibrators.array.catalogue import array_catalogue
 from imucalib.calibrators.array.log import array_log
-from imucalib.calibrators.array.loop import ArrayLoop, close_array_loop
-from imucalib.calibrators.array.motion import BoardMotion, board_motion
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
+from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.moving import Moving, moving_part
-from imucalib.calibrators.array.setup import array_setup
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
 from imucalib.calibrators.array.static import StaticFit, fit_static
 from imucalib.recording.recording import Channel, Recording
@@ -114,8 +114,8 @@ def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, Stati
 
 def closed(
     recording: Recording, samples: int = 300, seed: int = 0, board: Board = BOARD
-) -> ArrayLoop:
-    from imucalib.calibrators.array.terms import rest_terms
+) -> MotionLoop:
+    from imucalib.calibrators.array.loop.terms import rest_terms
 
     moving, static = moving_of(recording, board)
     setup = array_setup(moving, board, samples, robust=True)
@@ -123,12 +123,12 @@ def closed(
     return close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(seed))
 
 
-def named(found: ArrayLoop) -> set[str]:
+def named(found: MotionLoop) -> set[str]:
     """All effects found, with those that they cannot be told from."""
     return {n for s in found.steps for n in (s.effect, *s.aliases)}
 
 
-def positions_z(found: ArrayLoop, true: Array) -> Array:
+def positions_z(found: MotionLoop, true: Array) -> Array:
     """(3 (K - 1),) errors of the positions in stated deviations, in the triads' mean frame."""
     truth, r = true[1:], found.final.r[1:]
     left, _, right = np.linalg.svd(truth.T @ r)

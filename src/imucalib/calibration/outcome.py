@@ -8,7 +8,7 @@ from typing import Literal
 
 from imucalib.core.fit import Fit
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
-from imucalib.loop.found import Loop
+from imucalib.loop.found import FitLoop
 
 Status = Literal["ok", "marginal", "weak", "failed"]
 
@@ -83,7 +83,7 @@ class Outcome:
 
     calibrator: str
     fit: Fit
-    loop: Loop | None
+    loop: FitLoop | None
     error: ErrorSummary
     provenance: Provenance
     reasons: tuple[str, ...] = ()

@@ -23,7 +23,7 @@ from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.evidence import Score, score
-from imucalib.loop.found import Loop, LoopSettings, Step
+from imucalib.loop.found import Checked, FitLoop, LoopSettings, Step
 from imucalib.loop.noise_checks import noise_doubts
 from imucalib.loop.records import (
     extended,
@@ -45,6 +45,7 @@ from imucalib.loop.search import (
     search,
     unexplained,
 )
+from imucalib.loop.subject import Refused, Searched, close
 
 Array = NDArray[np.float64]
 
@@ -60,7 +61,7 @@ def close_loop(
     settings: LoopSettings | None = None,
     start: Array | None = None,
     families: tuple[Family, ...] = (),
-) -> Loop:
+) -> FitLoop:
     """Run the search from a base model; `effects` are the catalogue's candidates.
 
     start : θ of the base model to start from
@@ -68,67 +69,23 @@ def close_loop(
     """
     rules = settings or LoopSettings()
     plain = fit_model(model, observations, start=start)
-    state = _State(plain, (), (), effects, rng, rules, families)
-    end = _settled(state)
-    state, rejected, scores = end.state, end.rejected, end.scores
-    final, steps = _eliminate(state)
-    return Loop(
+    end = close(_State(plain, (), (), effects, rng, rules, families), rules)
+    state = end.subject
+    final = state.fit
+    return FitLoop(
         base=reduce(set_aside, (row for _, row in state.records), plain),
         final=final,
         plain=plain,
         as_recorded=reduced(final, record_names(final)) if state.records else final,
         records=named_records(final, state.records),
-        steps=steps,
-        rejected=tuple(rejected.items()),
-        unexplained=(*unexplained(scores, rules), *noise_doubts(final, rng, rules)),
-        scores=scores,
-        first_scores=end.first,
-        missing=end.missing,
-        bar=end.first[0].bar if end.first else math.inf,
+        steps=state.steps,
+        rejected=tuple(end.rejected.items()),
+        unexplained=(*unexplained(end.last.scores, rules), *noise_doubts(final, rng, rules)),
+        scores=end.last.scores,
+        first_scores=end.first.scores,
+        missing=end.last.missing,
+        bar=end.first.scores[0].bar if end.first.scores else math.inf,
     )
-
-
-@dataclass(frozen=True)
-class _End:
-    """Where the search ended: its first and last scores, and why effects were not taken."""
-
-    state: _State
-    rejected: Mapping[str, str]
-    first: tuple[Score, ...]
-    scores: tuple[Score, ...]
-    missing: Mapping[str, str]
-
-
-def _settled(state: _State) -> _End:
-    rules, effects, families = state.rules, state.effects, state.families
-    rejected: dict[str, str] = {}
-    first: tuple[Score, ...] = ()
-    while True:
-        scores, missing = search(state.fit, effects, state.rng, rules, rejected, families)
-        first = first if state.steps else scores
-        # What is left beside a curve is not physics any more.
-        curved = any(step.curve for step in state.steps)
-        room = len(state.steps) < rules.most_effects and not curved
-        chosen = choose(scores, rules) if room else None
-        cleaner = state.without_the_worst_record(chosen) or (
-            None if chosen else state.behind_a_record(rejected)
-        )
-        if cleaner is not None:
-            state = cleaner
-            continue
-        if chosen is None:
-            smooth = curve_of(state.fit, scores, rules) if rules.curves and room else None
-            if smooth is None:
-                return _End(state, rejected, first, scores, missing)
-            state = state.accept(smooth[1], smooth[0], ())
-            continue
-        chosen = refined(state.fit, chosen, families, state.rng, rules)
-        trial = extended(state.fit, effect_named(effects, chosen.name))
-        reason = objection(state.fit, trial)
-        if reason:
-            rejected[chosen.candidate.family or chosen.name] = reason
-            continue
-        state = state.accept(trial, chosen, scores)
 
 
 @dataclass(frozen=True)
@@ -142,6 +99,39 @@ class _State:
     rng: np.random.Generator
     rules: LoopSettings
     families: tuple[Family, ...] = ()
+
+    @property
+    def _room(self) -> bool:
+        # What is left beside a curve is not physics any more.
+        curved = any(step.curve for step in self.steps)
+        return len(self.steps) < self.rules.most_effects and not curved
+
+    def search(self, rejected: Mapping[str, str]) -> Searched:
+        return search(self.fit, self.effects, self.rng, self.rules, rejected, self.families)
+
+    def choice(self, found: Searched, rejected: Mapping[str, str]) -> Score | None:
+        return choose(found.scores, self.rules) if self._room else None
+
+    def cleaner(
+        self, found: Searched, chosen: Score | None, rejected: Mapping[str, str]
+    ) -> _State | None:
+        return self.without_the_worst_record(chosen) or (
+            None if chosen else self.behind_a_record(rejected)
+        )
+
+    def tried(
+        self, found: Searched, chosen: Score, rejected: Mapping[str, str]
+    ) -> _State | Refused:
+        chosen = refined(self.fit, chosen, self.families, self.rng, self.rules)
+        trial = extended(self.fit, effect_named(self.effects, chosen.name))
+        reason = objection(self.fit, trial)
+        if reason:
+            return Refused(chosen.candidate.family or chosen.name, reason)
+        return self.accept(trial, chosen, found.scores)
+
+    def smoothed(self, found: Searched) -> _State | None:
+        smooth = curve_of(self.fit, found.scores, self.rules) if self._room else None
+        return self.accept(smooth[1], smooth[0], (), curve=True) if smooth else None
 
     def without_the_worst_record(self, rival: Score | None) -> _State | None:
         """Set aside the record that belongs least to the rest, if it stands out by itself and more
@@ -171,16 +161,18 @@ class _State:
             return ()
         return record_scores(fit, taken, self.rng, draws=rules.draws, alpha=rules.record_alpha)
 
-    def accept(self, fit: Fit, chosen: Score, scores: tuple[Score, ...]) -> _State:
+    def accept(
+        self, fit: Fit, chosen: Score, scores: tuple[Score, ...], *, curve: bool = False
+    ) -> _State:
         """Take an effect in, and give records back that it explains."""
         step = Step(
             chosen.name,
             chosen.p,
             chosen.draws,
             chosen.evidence,
-            held_out_rms(self.fit),
-            held_out_rms(fit),
+            (Checked("error", "m/s2", held_out_rms(self.fit), held_out_rms(fit)),),
             aliases(self.fit, self.effects, chosen, scores, self.rules),
+            curve=curve,
         )
         state = replace(self, fit=fit, steps=(*self.steps, step))
         for found, row in self.records:
@@ -206,8 +198,8 @@ class _State:
                 break
             row = row_of(suspect.name)
             aside = set_aside(self.fit, row)
-            scores, _ = search(aside, self.effects, self.rng, strict, rejected, self.families)
-            chosen = choose(scores, strict)
+            found = search(aside, self.effects, self.rng, strict, rejected, self.families)
+            chosen = choose(found.scores, strict)
             if chosen is None:
                 continue
             beside = extended(self.fit, effect_named(self.effects, chosen.name))
@@ -216,13 +208,14 @@ class _State:
                 return replace(self, fit=aside, records=(*self.records, (again[0], row)))
         return None
 
-
-def _eliminate(state: _State) -> tuple[Fit, tuple[Step, ...]]:
-    """Drop an earlier effect that a later one has made unnecessary (less than 1 nat)."""
-    current, steps = state.fit, state.steps
-    for step in steps[:-1]:
-        without = reduced(current, (step.effect,))
-        candidates, _ = effect_candidates(without, [effect_named(state.effects, step.effect)])
-        if score(without, candidates, state.rng, draws=1)[0].evidence < 1.0:
-            current, steps = without, tuple(s for s in steps if s.effect != step.effect)
-    return current, steps
+    def eliminated(self) -> _State:
+        """Without an earlier effect that a later one has made unnecessary (less than 1 nat)."""
+        state = self
+        for step in self.steps[:-1]:
+            without = reduced(state.fit, (step.effect,))
+            one = [effect_named(self.effects, step.effect)]
+            candidates, _ = effect_candidates(without, one)
+            if score(without, candidates, self.rng, draws=1)[0].evidence < 1.0:
+                steps = tuple(s for s in state.steps if s.effect != step.effect)
+                state = replace(state, fit=without, steps=steps)
+        return state

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.found import Loop, LoopSettings
+from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.held_out import Held, errors, theta_without
 from imucalib.loop.records import extended, record_names, reduced, set_aside
 from imucalib.loop.search import choose, curve_of, effect_named, objection, refined, search
@@ -29,7 +29,7 @@ _FEW = 16
 
 
 def cross_fitted(
-    loop: Loop,
+    loop: FitLoop,
     effects: Mapping[str, Effect],
     rng: np.random.Generator,
     settings: LoopSettings,
@@ -67,7 +67,7 @@ def cross_fitted(
 
 
 def _searched(
-    loop: Loop,
+    loop: FitLoop,
     rest: Index,
     wrong: tuple[int, ...],
     effects: Mapping[str, Effect],
@@ -87,7 +87,7 @@ def _searched(
     for _ in range(3 * rules.most_effects):
         if len(fit.model.names) >= len(plain.model.names) + rules.most_effects + len(wrong):
             break
-        scores, _ = search(fit, effects, rng, rules, rejected, families)
+        scores = search(fit, effects, rng, rules, rejected, families).scores
         best = choose(scores, rules)
         if best is None:
             smooth = curve_of(fit, scores, rules) if rules.curves else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence import Score
@@ -39,24 +40,34 @@ class LoopSettings:
 
 
 @dataclass(frozen=True)
+class Checked:
+    """One error before and after a step, on data left out in turn: it took part in the choice."""
+
+    name: str
+    unit: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
 class Step:
     """One accepted effect.
 
-    checked_before, checked_after : leave-one-out errors, rms in m/s², which took part in the choice
+    checked : errors before and after; aliases : effects that the data cannot tell it from
+    value : its size in words, where the parameters do not say it; gains : nats that each held-out
+        part gains, where there are parts
+    curve : whether it is a smooth correction of structure that has no name
     """
 
     effect: str
     p: float
     draws: int
     evidence: float
-    checked_before: float
-    checked_after: float
+    checked: tuple[Checked, ...]
     aliases: tuple[str, ...]
-
-    @property
-    def curve(self) -> bool:
-        """Whether it is a smooth correction of structure that has no name."""
-        return self.effect.startswith("curve@")
+    value: str = ""
+    gains: tuple[float, ...] = ()
+    curve: bool = False
 
     @property
     def certain(self) -> bool:
@@ -76,20 +87,20 @@ class Unexplained:
     share: float
 
 
-@dataclass(frozen=True)
-class Loop:
-    """The whole search.
+S = TypeVar("S")
 
-    base, final : fits before and after; records are free in both once they are set aside
-    plain, as_recorded : the base and the final model with every record taken as it stands
-    scores : the last search's table; missing : why effects could not be tested
-    bar : nats that the best candidate of the first search had to reach
+
+@dataclass(frozen=True)
+class Loop(Generic[S]):
+    """The whole search, from the fitted base to the fitted final model.
+
+    records : that do not belong to the rest; scores, first_scores : of the last search, and of the
+        last one before any step; missing : why effects could not be tested
+    unexplained : structure that no effect carries, also where a curve corrects it
     """
 
-    base: Fit
-    final: Fit
-    plain: Fit
-    as_recorded: Fit
+    base: S
+    final: S
     records: tuple[RecordError, ...] = ()
     steps: tuple[Step, ...] = ()
     rejected: tuple[tuple[str, str], ...] = ()
@@ -97,7 +108,6 @@ class Loop:
     scores: tuple[Score, ...] = ()
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
-    bar: float = math.inf
 
     @property
     def named(self) -> tuple[Step, ...]:
@@ -115,3 +125,16 @@ class Loop:
         if self.named or self.records:
             return "explained in part" if open_end else "explained"
         return "unexplained" if open_end else "nothing missing"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitLoop(Loop[Fit]):
+    """The search over observations: records are free in base and final once they are set aside.
+
+    plain, as_recorded : the base and the final model with every record taken as it stands
+    bar : nats that the best candidate of the first search had to reach
+    """
+
+    plain: Fit
+    as_recorded: Fit
+    bar: float = math.inf

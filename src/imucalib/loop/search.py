@@ -15,6 +15,7 @@ from imucalib.loop.evidence import Candidate, Score, apart, score
 from imucalib.loop.found import LoopSettings, Unexplained
 from imucalib.loop.held_out import log_predictive
 from imucalib.loop.records import extended, held_out_rms
+from imucalib.loop.subject import Searched
 
 #: An effect must gain at least this on held-out data, in log density.
 _HELD_OUT_NATS = 1.0
@@ -32,7 +33,7 @@ def search(
     rules: LoopSettings,
     rejected: Mapping[str, str],
     families: tuple[Family, ...] = (),
-) -> tuple[tuple[Score, ...], dict[str, str]]:
+) -> Searched:
     """Score everything that could be missing, and say what could not be tested.
 
     Of a scan only the best value is kept, at the evidence of the whole scan; all its values take
@@ -48,7 +49,7 @@ def search(
     everything = catalogue + probes(current) + correlated_noise(current)
     draws = rules.draws if rules.bar is None else 0
     scores = score(current, everything, rng, draws=draws, alpha=rules.alpha)
-    return _one_a_scan(scores), missing
+    return Searched(_one_a_scan(scores), missing)
 
 
 def _one_a_scan(scores: tuple[Score, ...]) -> tuple[Score, ...]:

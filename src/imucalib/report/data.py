@@ -7,7 +7,7 @@ from typing import Any
 
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.loop.evidence import Score
-from imucalib.loop.found import Loop
+from imucalib.loop.found import FitLoop
 
 SCHEMA = "imucal/report/1"
 
@@ -83,7 +83,7 @@ def _loop(outcome: Outcome) -> dict[str, Any]:
     return {**shared, **_found(loop), **_candidates(loop)}
 
 
-def _found(loop: Loop) -> dict[str, Any]:
+def _found(loop: FitLoop) -> dict[str, Any]:
     final = loop.final
     slices = final.model.slices(final.observations.context)
     return {
@@ -95,8 +95,8 @@ def _found(loop: Loop) -> dict[str, Any]:
         ],
         "steps": [
             {"effect": s.effect, "p_value": s.p, "draws": s.draws, "evidence_nats": s.evidence,
-             "checked_before": s.checked_before, "checked_after": s.checked_after,
-             "held_out_unit": "m/s2", "aliases": list(s.aliases),
+             "checked_before": s.checked[0].before, "checked_after": s.checked[0].after,
+             "held_out_unit": s.checked[0].unit, "aliases": list(s.aliases),
              "parameters": [
                  {"name": final.parameters[k].name, "value": float(final.theta[k]),
                   "sd": float(final.sd[k]), "unit": final.parameters[k].unit}
@@ -112,7 +112,7 @@ def _found(loop: Loop) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _candidates(loop: Loop) -> dict[str, Any]:
+def _candidates(loop: FitLoop) -> dict[str, Any]:
     reasons = {s.name: _why(s, loop) for s in loop.scores if s.candidate.kind == "effect"}
     reasons |= dict(loop.rejected)
     reasons |= {name: f"not tested: {why}" for name, why in loop.missing.items()}
@@ -126,7 +126,7 @@ def _candidates(loop: Loop) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _why(found: Score, loop: Loop) -> str:
+def _why(found: Score, loop: FitLoop) -> str:
     if found.absorbed:
         return "absorbed by the fitted parameters: these data cannot show it"
     numbers = f"{found.evidence:.2f} nats, p {found.p:.2g} in the whole search"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.loop.evidence import Score
-from imucalib.loop.found import Loop
+from imucalib.loop.found import FitLoop
 from imucalib.report.document import Block, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, probability
 from imucalib.units import MG
@@ -22,7 +22,7 @@ _ANEW = (
 )
 
 
-def error_table(error: ErrorSummary, calibrator: str = "", loop: Loop | None = None) -> Table:
+def error_table(error: ErrorSummary, calibrator: str = "", loop: FitLoop | None = None) -> Table:
     """Error before and after, fitted and on data that was not fitted, with the floor."""
     note = _HELD_OUT.get(calibrator, _HELD_OUT[""])
 
@@ -68,8 +68,8 @@ def loop_section(outcome: Outcome) -> Section:
             (
                 s.effect,
                 probability(s.p, s.draws),
-                f"{s.checked_before / unit:.2f}",
-                f"{s.checked_after / unit:.2f}",
+                f"{s.checked[0].before / unit:.2f}",
+                f"{s.checked[0].after / unit:.2f}",
                 ", ".join(s.aliases) or "-",
             )
             for s in loop.steps
@@ -84,7 +84,7 @@ def loop_section(outcome: Outcome) -> Section:
     return Section("Closed loop", tuple(blocks))
 
 
-def _verdict(loop: Loop) -> Text:
+def _verdict(loop: FitLoop) -> Text:
     names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.named)
     records = ", ".join(r.where for r in loop.records)
     cause = " and ".join(
@@ -122,7 +122,7 @@ def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
     ]
 
 
-def candidate_section(loop: Loop) -> Section:
+def candidate_section(loop: FitLoop) -> Section:
     """Every candidate of the last search with its numbers, and why not."""
     rejected = dict(loop.rejected)
     sizes = [f"{s.size / MG:.2g}" if s.size else "-" for s in loop.scores]

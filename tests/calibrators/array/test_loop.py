@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.catalogue import array_catalogue
 from imucalib.calibrators.array.corrected import corrected_samples, gyro_gains
-from imucalib.calibrators.array.declared import Asked, named_effect, with_declared
-from imucalib.calibrators.array.loop import ARRAY_RULES, ArrayLoop, close_array_loop
-from imucalib.calibrators.array.motion import BoardMotion, board_motion
-from imucalib.calibrators.array.setup import array_setup
-from imucalib.calibrators.array.terms import columns_of, rest_terms
-from imucalib.calibrators.array.worth import worth
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.declared import Asked, named_effect, with_declared
+from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
+from imucalib.calibrators.array.loop.setup import array_setup
+from imucalib.calibrators.array.loop.terms import columns_of, rest_terms
+from imucalib.calibrators.array.loop.worth import worth
 from imucalib.errors import Undetermined, UsageError
 from imucalib.estimators.array.gram import Columns, gram
 from imucalib.estimators.array.noise import SensorNoise, chosen_noise, fitted_noise
@@ -34,7 +34,7 @@ FOLDER = DATA / "mimu4444"
 
 
 @pytest.fixture(scope="module")
-def clean() -> ArrayLoop:
+def clean() -> MotionLoop:
     return closed(planted_log("clean", 5)[0], 150)
 
 
@@ -48,7 +48,7 @@ def test_a_planted_error_is_named(name: str) -> None:
     assert found.after.acceleration <= found.before.acceleration * 1.05
 
 
-def test_a_clean_log_is_left_alone(clean: ArrayLoop) -> None:
+def test_a_clean_log_is_left_alone(clean: MotionLoop) -> None:
     assert clean.verdict == "nothing missing"
     assert clean.base.noise[0].sigma == pytest.approx(PLAN.sigma, rel=0.05)
     assert clean.base.noise[1].sigma == pytest.approx(PLAN.sigma_gyro * DEG, rel=0.05)
@@ -65,11 +65,11 @@ def test_sizes_come_with_their_uncertainty() -> None:
     assert worth(found.final, term) > 50.0
 
 
-def test_what_no_motion_shows_is_listed_with_its_weight(clean: ArrayLoop) -> None:
+def test_what_no_motion_shows_is_listed_with_its_weight(clean: MotionLoop) -> None:
     """1 % of common gyro scale is 2 % of the array's size, however it is computed."""
     size = 0.02 * np.sqrt(np.mean(clean.final.r[1:] ** 2))
-    assert clean.absorbed["common_gyro_scale"] == pytest.approx(size, rel=0.02)
-    assert {"common_accelerometer_scale", "common_accelerometer_bias"} <= set(clean.absorbed)
+    assert clean.impact["common_gyro_scale"] == pytest.approx(size, rel=0.02)
+    assert {"common_accelerometer_scale", "common_accelerometer_bias"} <= set(clean.impact)
     assert clean.missing["gyro_sample_age"] == "no gyro shows a beat line"
 
 
@@ -177,7 +177,7 @@ def test_the_catalogue_knows_the_chip_axes() -> None:
         assert basis[1, k] @ np.array([2.0, 0.0, -1.0]) == pytest.approx(expected)
 
 
-def test_corrected_readings_hold_no_effect(clean: ArrayLoop) -> None:
+def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
     data = corrected_samples(clean.final)
     assert data.samples == len(clean.final.setup.inner)
     assert gyro_gains(clean.final) == pytest.approx(np.broadcast_to(np.eye(3), (8, 3, 3)))
@@ -185,7 +185,7 @@ def test_corrected_readings_hold_no_effect(clean: ArrayLoop) -> None:
     assert np.abs(gyro_gains(found.final) - np.eye(3)).max() == pytest.approx(0.045, abs=0.03)
 
 
-def test_reports_carry_the_loop(clean: ArrayLoop) -> None:
+def test_reports_carry_the_loop(clean: MotionLoop) -> None:
     for found in (clean, closed(planted_log("bad accelerometer, 1 %", 4)[0], 150)):
         sections = array_loop_section(found), array_candidate_section(found)
         document = Document("array", Text("done", "ok"), sections)
@@ -248,7 +248,7 @@ def test_a_declared_effect_is_in_the_model_and_others_can_be_left_out() -> None:
     setup = array_setup(moving, BOARD, 150, robust=True)
     assert setup is not None
 
-    def loop(asked: Asked) -> ArrayLoop:
+    def loop(asked: Asked) -> MotionLoop:
         rng = np.random.default_rng(0)
         return close_array_loop(setup, rest_terms(static), moving, rng, asked=asked)
 
@@ -285,7 +285,7 @@ def test_names_of_effects_are_checked(name: str, says: str) -> None:
         named_effect(name, BOARD.imus)
 
 
-def test_what_the_motion_does_not_show_cannot_be_declared(clean: ArrayLoop) -> None:
+def test_what_the_motion_does_not_show_cannot_be_declared(clean: MotionLoop) -> None:
     from worlds.array_stories import moving_of
 
     moving, _ = moving_of(planted_log("clean", 5)[0])
@@ -375,8 +375,8 @@ def test_curves_correct_what_has_no_name_where_it_helps() -> None:
 
 
 def test_the_file_says_what_the_clocks_were() -> None:
-    from imucalib.calibrators.array.ages import beats
     from imucalib.calibrators.array.calibration import effect_list
+    from imucalib.calibrators.array.loop.ages import beats
 
     found = closed(planted_log("clock skew, 1 ms", 11)[0], 200)
     assert found.ages is not None

@@ -21,7 +21,7 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.asked import Searched, searched
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.cross_fit import cross_fitted
-from imucalib.loop.found import Loop
+from imucalib.loop.found import FitLoop
 from imucalib.loop.held_out import Held, fitted, held_out, theta_without
 from imucalib.rests.runs import PostureRuns, Scan
 
@@ -41,7 +41,7 @@ class ActigraphResult:
     """
 
     runs: PostureRuns
-    loop: Loop | None
+    loop: FitLoop | None
     base: Fit
     final: Fit
     base_held: Held
@@ -130,7 +130,7 @@ def base_model(request: ActigraphRequest, data: Observations) -> Model:
 
 def found_twice(
     base: Fit, light: int, runs: PostureRuns, request: ActigraphRequest, rng: np.random.Generator
-) -> tuple[Loop, int]:
+) -> tuple[FitLoop, int]:
     """The search, once more with new weights where the first found something: what was missing
     made runs look strange and the scatter large, which hides smaller effects."""
     loop = search(base, request, rng)
@@ -141,7 +141,7 @@ def found_twice(
     return search(again, request, rng), now
 
 
-def search(base: Fit, request: ActigraphRequest, rng: np.random.Generator) -> Loop:
+def search(base: Fit, request: ActigraphRequest, rng: np.random.Generator) -> FitLoop:
     """The closed loop over the catalogue and its scans."""
     tried = wanted(request)
     return close_loop(

@@ -17,7 +17,7 @@ from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import Series, series, without_found
-from imucalib.loop.found import Loop
+from imucalib.loop.found import FitLoop
 from imucalib.readers import stored_blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan
@@ -80,7 +80,7 @@ def run_of(
     return ActigraphRun(outcome, result, scanned, request, parts)
 
 
-def with_untestable(loop: Loop, runs: PostureRuns) -> Loop:
+def with_untestable(loop: FitLoop, runs: PostureRuns) -> FitLoop:
     """The search with what it could not test on this sensor's readings, whatever the postures."""
     size = quantisation(runs)
     if size == 0.0:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.corrected import corrected_samples, widened
 from imucalib.calibrators.array.log import array_log
-from imucalib.calibrators.array.loop import ARRAY_RULES, ArrayLoop, close_array_loop
+from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.setup import array_setup
+from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving, moving_part, samples_of, spread_over
 from imucalib.calibrators.array.request import NON_LINEARITY, ArrayRequest
-from imucalib.calibrators.array.setup import array_setup
 from imucalib.calibrators.array.static import StaticFit, fit_static
-from imucalib.calibrators.array.terms import rest_terms
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, NotConverged, Undetermined
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
 from imucalib.estimators.array.sampler import (
@@ -49,7 +49,7 @@ class ArrayRun:
     static: StaticFit
     moving: Moving
     final: ArrayPositions
-    loop: ArrayLoop | None
+    loop: MotionLoop | None
     notes: tuple[str, ...]
 
     @property
@@ -116,7 +116,7 @@ def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
 
 def _loop(
     moving: Moving, static: StaticFit, board: Board, request: ArrayRequest
-) -> ArrayLoop | None:
+) -> MotionLoop | None:
     robust = request.accelerometer_sigma == "estimate"
     most = min(request.samples, LOOP_SAMPLES)
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
@@ -138,7 +138,7 @@ def _loop(
 
 def _sampled(
     moving: Moving, static: StaticFit, board: Board, request: ArrayRequest,
-    rng: np.random.Generator, loop: ArrayLoop | None,
+    rng: np.random.Generator, loop: MotionLoop | None,
 ) -> ArrayPositions:  # fmt: skip
     sigma, estimate = _sigma(static, board, request)
     prior = ArrayPrior(

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from imucalib import __version__
-from imucalib.calibrators.array.ages import beats
 from imucalib.calibrators.array.calibrate import ArrayRun
 from imucalib.calibrators.array.corrected import gyro_gains
-from imucalib.calibrators.array.loop import ArrayLoop
+from imucalib.calibrators.array.loop.ages import beats
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.units import DEG
 
 SCHEMA = "imucal/array-calibration"
@@ -56,7 +56,7 @@ def array_calibration(run: ArrayRun) -> dict[str, Any]:
     }
 
 
-def effect_list(loop: ArrayLoop) -> list[dict[str, Any]]:
+def effect_list(loop: MotionLoop) -> list[dict[str, Any]]:
     """Accepted effects with values and standard deviations, plain types."""
     state = loop.final
     return [
@@ -77,7 +77,7 @@ def effect_list(loop: ArrayLoop) -> list[dict[str, Any]]:
     ]
 
 
-def _beats(loop: ArrayLoop, aged: bool) -> dict[str, Any]:
+def _beats(loop: MotionLoop, aged: bool) -> dict[str, Any]:
     """Clocks of the gyros in this recording: they start anew with the power."""
     if not aged or loop.ages is None:
         return {}

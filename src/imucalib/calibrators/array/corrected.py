@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.loop import ArrayLoop
-from imucalib.calibrators.array.motion import board_motion
-from imucalib.calibrators.array.state import ArrayState
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.motion import board_motion
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.problem import ArrayData
 from imucalib.estimators.array.sampler import ArrayPositions
 
@@ -37,14 +37,14 @@ def corrected_samples(state: ArrayState) -> ArrayData:
     return ArrayData(acceleration, np.full(k, one**-0.5), rate, np.eye(3) * own * k)
 
 
-def joint_covariance(loop: ArrayLoop) -> Array:
+def joint_covariance(loop: MotionLoop) -> Array:
     """(3 (K - 1), 3 (K - 1)) m² of the positions, effects and rests being uncertain too, and the
     noise that neighbours share counted once."""
     state = loop.final
     return state.covariance[: state.positions, : state.positions] * loop.dispersion
 
 
-def widened(found: ArrayPositions, loop: ArrayLoop, rng: np.random.Generator) -> ArrayPositions:
+def widened(found: ArrayPositions, loop: MotionLoop, rng: np.random.Generator) -> ArrayPositions:
     """Draws with the part of the joint uncertainty added that the sampler did not see."""
     n = found.prior.positions
     missing = joint_covariance(loop) - found.covariance

@@ -29,7 +29,7 @@ from imucalib.estimators.starting_point import full_matrix_start
 from imucalib.loop.asked import searched
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.cross_fit import cross_fitted
-from imucalib.loop.found import Loop, LoopSettings
+from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.held_out import fitted
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ class LabResult:
 
     observations: Observations
     used: Index
-    loop: Loop | None
+    loop: FitLoop | None
     base: Fit
     final: Fit
     error: ErrorSummary

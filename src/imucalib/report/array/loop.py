@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibrators.array.catalogue import array_catalogue
-from imucalib.calibrators.array.found import CURVE
-from imucalib.calibrators.array.held_out import NORMAL_MAD
-from imucalib.calibrators.array.loop import ArrayLoop
-from imucalib.calibrators.array.terms import Term
-from imucalib.calibrators.array.worth import size_in_words
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.curves import CURVE
+from imucalib.calibrators.array.loop.held_out import NORMAL_MAD
+from imucalib.calibrators.array.loop.terms import Term
+from imucalib.calibrators.array.loop.worth import size_in_words
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.report.document import Block, Facts, Section, Table, Text
 from imucalib.report.loop import candidate_rows
@@ -19,7 +19,7 @@ from imucalib.significant_digits import probability
 from imucalib.units import DEG
 
 
-def array_loop_section(loop: ArrayLoop | None) -> Section:
+def array_loop_section(loop: MotionLoop | None) -> Section:
     """What was found, step by step, what it did to held-out residuals, and what stays."""
     if loop is None:
         return Section("Closed loop", (Text("The search was not run."),))
@@ -40,9 +40,8 @@ def array_loop_section(loop: ArrayLoop | None) -> Section:
                 s.value,
                 probability(s.p, s.draws),
                 f"{s.evidence:.1f}",
-                f"{s.held_out[0]:.0f}, {s.held_out[1]:.0f}",
-                f"{s.before.acceleration:.3f} -> {s.after.acceleration:.3f}",
-                f"{s.before.rate:.2f} -> {s.after.rate:.2f}",
+                ", ".join(f"{gain:.0f}" for gain in s.gains),
+                *(f"{c.before:.3g} -> {c.after:.3g}" for c in s.checked),
                 ", ".join(s.aliases) or "-",
             )
             for s in loop.steps
@@ -59,12 +58,12 @@ def array_loop_section(loop: ArrayLoop | None) -> Section:
     return Section("Closed loop", tuple(blocks))
 
 
-def declared_terms(loop: ArrayLoop) -> tuple[Term, ...]:
+def declared_terms(loop: MotionLoop) -> tuple[Term, ...]:
     """Effects that the user put into the model, as finally fitted."""
     return tuple(term for term in loop.final.found if term.name in loop.asked.declare)
 
 
-def _verdict(loop: ArrayLoop) -> Text:
+def _verdict(loop: MotionLoop) -> Text:
     if not loop.asked.search:
         return Text("Fitted with the declared effects; the search was not run.")
     causes = [step for step in loop.steps if not step.curve]
@@ -85,7 +84,7 @@ def _verdict(loop: ArrayLoop) -> Text:
     }[loop.verdict]
 
 
-def _residuals(loop: ArrayLoop) -> Table:
+def _residuals(loop: MotionLoop) -> Table:
     rows = tuple(
         (name, f"{before:.3f}", f"{after:.3f}", f"{NORMAL_MAD * before:.3f}",
          f"{NORMAL_MAD * after:.3f}")
@@ -102,7 +101,7 @@ def _residuals(loop: ArrayLoop) -> Table:
     return Table("Residuals before and after", header, rows, "lrrrr", note)
 
 
-def _noise(loop: ArrayLoop) -> Facts:
+def _noise(loop: MotionLoop) -> Facts:
     a, g = loop.final.noise
     return Facts(
         (
@@ -125,7 +124,7 @@ def noise_words(noise: SensorNoise, unit: float, name: str) -> str:
     return words
 
 
-def array_candidate_section(loop: ArrayLoop) -> Section:
+def array_candidate_section(loop: MotionLoop) -> Section:
     """Every candidate of the last search, why not, and what no motion can show."""
     header = ("candidate", "kind", "evidence (nats)", "p", "left (%)", "λ at typical size")
     note = (
@@ -138,7 +137,7 @@ def array_candidate_section(loop: ArrayLoop) -> Section:
     why = "; ".join(f"{name}: {reason}" for name, reason in (*loop.rejected, *loop.missing.items()))
     if why:
         blocks.append(Text(f"Rejected or not tested: {why}."))
-    if loop.absorbed:
+    if loop.impact:
         table = tuple((a["effect"], a["typical"], a["positions"]) for a in absorbed_list(loop))
         words = ("not testable", "at", "moves the positions by, mm rms")
         blocks.append(
@@ -148,10 +147,10 @@ def array_candidate_section(loop: ArrayLoop) -> Section:
     return Section("Candidates tried", tuple(blocks), brief=False)
 
 
-def absorbed_list(loop: ArrayLoop) -> list[dict[str, Any]]:
+def absorbed_list(loop: MotionLoop) -> list[dict[str, Any]]:
     """Effects that cannot be seen, with what their typical size would do to the positions."""
     found = []
-    for name, impact in loop.absorbed.items():
+    for name, impact in loop.impact.items():
         parameter = array_catalogue()[name].each[0]
         found.append(
             {
@@ -164,7 +163,7 @@ def absorbed_list(loop: ArrayLoop) -> list[dict[str, Any]]:
     return found
 
 
-def loop_dict(loop: ArrayLoop) -> dict[str, Any]:
+def loop_dict(loop: MotionLoop) -> dict[str, Any]:
     """The loop in report.json."""
     return {
         "verdict": loop.verdict if loop.asked.search else "not searched",
@@ -175,8 +174,8 @@ def loop_dict(loop: ArrayLoop) -> dict[str, Any]:
         "without": list(loop.asked.without),
         "steps": [
             {"effect": s.effect, "size": s.value, "p_value": s.p, "draws": s.draws,
-             "evidence_nats": s.evidence, "held_out_nats": list(s.held_out),
-             "held_out_before": residual_dict(s.before), "held_out_after": residual_dict(s.after),
+             "evidence_nats": s.evidence, "held_out_nats": list(s.gains),
+             "checked": [vars(c) for c in s.checked],
              "aliases": list(s.aliases)}
             for s in loop.steps
         ],

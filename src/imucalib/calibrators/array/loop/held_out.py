@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.state import ArrayState
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.gram import gram
+from imucalib.loop.found import Checked
 from imucalib.units import DEG
 
 Array = NDArray[np.float64]
@@ -21,6 +22,13 @@ class Residuals:
 
     acceleration: float
     rate: float
+
+    def against(self, after: Residuals) -> tuple[Checked, ...]:
+        """These before a step and others after it."""
+        return (
+            Checked("accelerometers", "m/s2", self.acceleration, after.acceleration),
+            Checked("gyros", "deg/s", self.rate, after.rate),
+        )
 
 
 def held_out_residuals(state: ArrayState) -> Residuals:

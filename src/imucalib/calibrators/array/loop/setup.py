@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.motion import BoardMotion, board_motion
+from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.moving import Moving
 from imucalib.estimators.array.samples import Readings, Sampled
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.ages import found_ages, kept_ages
-from imucalib.calibrators.array.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.ages import found_ages, kept_ages
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.state import ArrayState, settled
+from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, typical_of
 from imucalib.calibrators.array.moving import Moving
-from imucalib.calibrators.array.state import ArrayState, settled
-from imucalib.calibrators.array.terms import Term, columns_of, determined, typical_of
 from imucalib.core.effect import Response
 from imucalib.errors import Undetermined, UsageError
 from imucalib.estimators.array.gram import Columns, gram, reduced

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.calibrators.array.state import ArrayState
-from imucalib.calibrators.array.terms import Term
+from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.terms import Term
 from imucalib.significant_digits import plus_minus
 
 

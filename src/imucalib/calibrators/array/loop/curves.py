@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.motion import BoardMotion
+from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.core.context import Context
 from imucalib.core.effect import Channel, Response
 from imucalib.core.parameter import Parameter
@@ -20,6 +20,7 @@ from imucalib.units import DEG
 
 Array = NDArray[np.float64]
 Driver = Callable[[Truth, Context], Array]
+CURVE = "curve of "  # how the name of a correction without a cause begins
 #: Typical size of an unknown curve (m/s² and deg/s), and how many terms it has.
 _SIZE, _TERMS = {"acceleration": 0.1, "angular_rate": 0.3}, 4
 SENSOR: dict[Channel, str] = {"acceleration": "accelerometer", "angular_rate": "gyroscope"}

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.catalogue import array_catalogue
-from imucalib.calibrators.array.curves import SENSOR, array_curves
-from imucalib.calibrators.array.found import CURVE
-from imucalib.calibrators.array.motion import BoardMotion
-from imucalib.calibrators.array.state import ArrayState
-from imucalib.calibrators.array.terms import columns_of
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.curves import CURVE, SENSOR, array_curves
+from imucalib.calibrators.array.loop.motion import BoardMotion
+from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.terms import columns_of
 from imucalib.core.effect import Response
 from imucalib.estimators.array.gram import Columns
 from imucalib.loop.evidence import Kind

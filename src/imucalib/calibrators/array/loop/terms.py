@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.motion import BoardMotion
+from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.static import StaticFit
 from imucalib.core.context import Context
 from imucalib.core.effect import Channel, Response

@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.candidates import Candidates, Entry, candidates
-from imucalib.calibrators.array.noise_tests import NoiseTest, noise_tests
-from imucalib.calibrators.array.state import ArrayState
-from imucalib.calibrators.array.terms import OPEN, Term, determined, typical_of
+from imucalib.calibrators.array.loop.candidates import Candidates, Entry, candidates
+from imucalib.calibrators.array.loop.noise_tests import NoiseTest, noise_tests
+from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.terms import OPEN, Term, determined, typical_of
 from imucalib.estimators.array.gram import Gram, Reduced, gram, reduced, starts_of
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.evidence_gram import block_evidence
+from imucalib.loop.subject import Searched
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -30,13 +31,12 @@ _APART = 0.2  # share of a curve's direction that the base must leave
 
 
 @dataclass(frozen=True)
-class Search:
-    """scores, best first; entries by name; whole : columns of all candidates with the base taken
+class Search(Searched):
+    """entries by name; whole : columns of all candidates with the base taken
     out; total : their Gram matrix before that; halves : as whole, of the two held-out halves
     index : where a candidate's columns are; null : the best evidences of simulated data
-    impact : m rms that a candidate's typical size moves the positions; missing"""
+    impact : m rms that a candidate's typical size moves the positions"""
 
-    scores: tuple[Score, ...]
     entries: dict[str, Entry]
     index: dict[str, Index]
     whole: Reduced
@@ -44,7 +44,6 @@ class Search:
     halves: tuple[Reduced, Reduced]
     null: Array
     impact: dict[str, float]
-    missing: dict[str, str]
 
     def p_of(self, evidence: float) -> float:
         """Family-wise chance of an evidence, by the simulated data."""
@@ -147,8 +146,9 @@ def search(
     carry = np.sqrt(np.sum(whole.carry[: state.positions] ** 2, axis=0) / state.positions)
     impact = {e.name: float(np.linalg.norm(carry[index[e.name]])) for e in found.entries}
     return Search(
-        tuple(sorted(scores, key=lambda s: -s.evidence)), {e.name: e for e in found.entries},
-        index, whole, total.matrix[b:, b:], (halves[0], halves[1]), null, impact, found.missing,
+        tuple(sorted(scores, key=lambda s: -s.evidence)), found.missing,
+        {e.name: e for e in found.entries}, index, whole, total.matrix[b:, b:],
+        (halves[0], halves[1]), null, impact,
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.state import ArrayState
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.noise import SensorNoise, log_density, scaled
 
 Array = NDArray[np.float64]

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.motion import board_motion
+from imucalib.calibrators.array.loop.motion import board_motion
+from imucalib.calibrators.array.loop.setup import with_neighbours
+from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.timing import SampleAge, fit_sample_age
 from imucalib.calibrators.array.moving import Moving
-from imucalib.calibrators.array.setup import with_neighbours
-from imucalib.calibrators.array.state import ArrayState
-from imucalib.calibrators.array.timing import SampleAge, fit_sample_age
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
 
 Array = NDArray[np.float64]

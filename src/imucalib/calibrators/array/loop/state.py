@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.motion import BoardMotion
-from imucalib.calibrators.array.setup import Setup, motion_at
-from imucalib.calibrators.array.terms import Term
+from imucalib.calibrators.array.loop.motion import BoardMotion
+from imucalib.calibrators.array.loop.setup import Setup, motion_at
+from imucalib.calibrators.array.loop.terms import Term
 from imucalib.estimators.array.gram import Columns, Gram, Reduced, gradient, gram, reduced
 from imucalib.estimators.array.noise import SensorNoise, chosen_noise, log_density, scaled
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples

@@ -1,0 +1,213 @@
+"""Where the array's loop stands, as the shared loop asks it.
+
+Everything that could be missing stands in one contest with one false-alarm rate. What wins must
+realise its gain in the joint fit of positions, effects and motion, and both held-out halves of the
+motion must agree. A curve without a name that explains much more than the best effect has to be
+matched by at most three effects together; otherwise they are put back and the curve is reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from imucalib.calibrators.array.loop.ages import Ages, ages_again, kept_ages
+from imucalib.calibrators.array.loop.curves import CURVE
+from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residuals
+from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
+from imucalib.calibrators.array.loop.search import Search, discounted, search
+from imucalib.calibrators.array.loop.state import ArrayState, settled
+from imucalib.calibrators.array.loop.worth import size_in_words, worth
+from imucalib.calibrators.array.moving import Moving
+from imucalib.loop.evidence import Score
+from imucalib.loop.found import LoopSettings, Step, Unexplained
+from imucalib.loop.subject import Refused, Searched
+
+#: Nats on held-out halves below which they contradict an effect: half of the data may be too few to
+#: confirm what all of them show.
+_ONE_HALF, _BOTH_HALVES = -3.0, -1.0
+_CURVES = 3  # corrections without a name, at most
+_PATH = 3  # effects that together may take the place of a curve without a name
+_KEEP = 1.0  # nats that an earlier effect must still be worth at the end
+
+
+@dataclass(frozen=True)
+class MotionSubject:
+    """Where the search stands. debt : nats that effects still have to explain because a curve
+    explained them, since `safe`; taken : how many effects tried to; left_out : what is not tried,
+    by the user's wish or because it was refused before this state; matched : curves that effects
+    took the place of, and the path before; corrected : structure without a name that a curve takes
+    out; clocks : whether the gyros' clocks may be looked for again; over : whether effects were put
+    back, which ends the search for them"""
+
+    state: ArrayState
+    residuals: Residuals
+    moving: Moving
+    rng: np.random.Generator
+    rules: LoopSettings
+    left_out: frozenset[str]
+    ages: Ages | None
+    steps: tuple[Step, ...] = ()
+    dropped: tuple[tuple[str, str], ...] = ()
+    debt: float = 0.0
+    taken: int = 0
+    safe: MotionSubject | None = None
+    matched: tuple[tuple[str, MotionSubject], ...] = ()
+    corrected: tuple[Unexplained, ...] = ()
+    clocks: bool = True
+    over: bool = False
+
+    @cached_property
+    def searched(self) -> Search:
+        """What could be missing; refusing an effect moves nothing that the others are scored by."""
+        return search(self.state, self.left_out, self.rng, self.rules.draws)
+
+    def search(self, rejected: Mapping[str, str]) -> Search:
+        return self.searched
+
+    def choice(self, found: Searched, rejected: Mapping[str, str]) -> Score | None:
+        """The best effect; where a curve leads by more than the margin, still the best effect."""
+        curved = any(step.curve for step in self.steps)
+        if self.over or curved or len(self.steps) >= self.rules.most_effects or self.taken >= _PATH:
+            return None
+        left_out = self.left_out.union(rejected)
+        passing = (
+            s for s in found.scores
+            if s.candidate.kind == "effect" and s.p <= self.rules.alpha and s.name not in left_out
+        )  # fmt: skip
+        return next(passing, None)
+
+    def cleaner(
+        self, found: Searched, chosen: Score | None, rejected: Mapping[str, str]
+    ) -> MotionSubject | None:
+        """Clocks that other gyro effects had hidden; or, where effects did not take the place of a
+        curve, the path without them."""
+        if chosen is not None or self.over or any(step.curve for step in self.steps):
+            return None
+        again = ages_again(self.state, self.moving, self.ages) if self.clocks else None
+        if again is not None:
+            state = kept_ages(self.state, again, voting=True)
+            return replace(self, state=state, ages=again, clocks=False)
+        back = self.safe or _matched_in_vain(self, found, self.rules.alpha)
+        if back is None:
+            return None
+        return replace(back, ages=self.ages, clocks=False, over=True)
+
+    def tried(
+        self, found: Searched, chosen: Score, rejected: Mapping[str, str]
+    ) -> MotionSubject | Refused:
+        term = self.searched.term(chosen.name)
+        trial = settled(replace(self.state, terms=(*self.state.terms, term)))
+        gains = self.searched.held_out(chosen.name)
+        reason = _why_not(self.state, trial, gains)
+        if not reason:
+            factor = shared_by_neighbours(trial, gyro=term.effect.channel == "angular_rate")
+            late = discounted(chosen, factor, self.searched.null)
+            if late.p > self.rules.alpha:
+                reason = f"noise that neighbours share explains it as well (p {late.p:.2g})"
+        if reason:
+            return Refused(chosen.name, reason)
+        left_out = self.left_out.union(rejected)
+        grown = replace(self._with(trial, chosen, gains), left_out=left_out)
+        return self._owing(grown, chosen, rejected)
+
+    def _with(self, trial: ArrayState, chosen: Score, gains: tuple[float, float]) -> MotionSubject:
+        """With one step more, whose effect is the last term of the trial."""
+        after = held_out_residuals(trial)
+        near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
+        curve = chosen.candidate.kind != "effect"
+        aliases = () if curve else tuple(
+            s.name for s in self.searched.scores
+            if s.candidate.kind == "effect" and s.name != chosen.name and s.evidence >= near
+        )  # fmt: skip
+        step = Step(
+            trial.terms[-1].name, chosen.p, chosen.draws, chosen.evidence,
+            self.residuals.against(after), aliases, size_in_words(trial, trial.terms[-1]), gains,
+            curve,
+        )  # fmt: skip
+        return replace(self, state=trial, residuals=after, steps=(*self.steps, step))
+
+    def _owing(
+        self, grown: MotionSubject, chosen: Score, rejected: Mapping[str, str]
+    ) -> MotionSubject:
+        """The grown path with the account of what a leading curve has explained."""
+        leader = next(
+            s for s in self.searched.scores
+            if s.candidate.kind != "noise" and s.name not in self.left_out.union(rejected)
+        )  # fmt: skip
+        gained = grown.state.density - self.state.density
+        if self.safe is None:
+            if leader.candidate.kind == "effect":
+                return grown
+            grown = replace(grown, matched=(*self.matched, (leader.name, self)))
+            if leader.evidence <= chosen.evidence + self.rules.margin:
+                return grown
+            grown = replace(grown, safe=self, debt=leader.evidence - self.rules.margin)
+        debt = grown.debt - gained
+        if debt <= 0.0:
+            return replace(grown, safe=None, debt=0.0, taken=0)
+        return replace(grown, debt=debt, taken=grown.taken + 1)
+
+    def smoothed(self, found: Searched) -> MotionSubject | None:
+        if sum(step.curve for step in self.steps) >= _CURVES:
+            return None
+        seen = self.searched
+        probes = (s for s in seen.scores if s.p <= self.rules.alpha and seen.correctable(s.name))
+        chosen = next(probes, None)
+        if chosen is None:
+            return None
+        gains, term = seen.held_out(chosen.name), seen.term(chosen.name)
+        term = replace(term, name=CURVE + term.name)
+        trial = settled(replace(self.state, terms=(*self.state.terms, term)))
+        if min(gains) <= 0.0 or _why_not(self.state, trial, gains):
+            return None
+        corrected = (*self.corrected, without_a_name(chosen))
+        return replace(self._with(trial, chosen, gains), corrected=corrected)
+
+    def eliminated(self) -> MotionSubject:
+        path = self
+        for step in self.steps[:-1]:
+            term = next(t for t in path.state.terms if t.name == step.effect)
+            if worth(path.state, term) >= _KEEP:
+                continue
+            left = tuple(t for t in path.state.terms if t.name != step.effect)
+            path = replace(
+                path,
+                state=settled(replace(path.state, terms=left)),
+                steps=tuple(s for s in path.steps if s.effect != step.effect),
+                dropped=(*path.dropped, (step.effect, "made unnecessary by later effects")),
+            )
+        return path
+
+
+def _matched_in_vain(path: MotionSubject, found: Searched, alpha: float) -> MotionSubject | None:
+    """Where the path stood before effects took the place of a curve that still stands out."""
+    passing = {s.name for s in found.scores if s.p <= alpha}
+    return next((before for curve, before in path.matched if curve in passing), None)
+
+
+def without_a_name(s: Score) -> Unexplained:
+    return Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
+
+
+def _why_not(before: ArrayState, after: ArrayState, gains: tuple[float, float]) -> str:
+    if len(after.terms[-1].value) == 0:
+        return "these data determine none of its parameters"
+    if not after.converged:
+        return "its refit did not converge"
+    term = after.terms[-1]
+    implausible = [
+        f"{p.name} = {v:.3g} {p.unit}"
+        for p, v in zip(term.parameters(after.setup.imus), term.theta, strict=True)
+        if abs(v) > p.plausible
+    ]
+    if implausible:
+        return f"implausible size ({', '.join(implausible)})"
+    if after.density <= before.density:
+        return "the joint fit is not better with it"
+    if min(gains) < _ONE_HALF or sum(gains) < _BOTH_HALVES:
+        return f"it does not hold out: {gains[0]:+.1f} and {gains[1]:+.1f} nats on the other half"
+    return ""

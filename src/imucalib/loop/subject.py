@@ -1,0 +1,103 @@
+"""What the closed loop asks of a problem, and the loop itself: bench, wrist and array alike.
+
+A subject is where one problem stands: what is in its model, and how well that fits. It is
+immutable; whatever is done to it gives another one. How it fits and scores is its own affair: by
+dense columns, or by Gram matrices accumulated over a motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Generic, Protocol, Self, TypeVar
+
+from imucalib.loop.evidence import Score
+from imucalib.loop.found import LoopSettings, Step
+
+
+@dataclass(frozen=True)
+class Searched:
+    """scores : of everything that could be missing, best first; missing : why effects could not be
+    tested."""
+
+    scores: tuple[Score, ...]
+    missing: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Refused:
+    """An effect that was not taken, or the scan that it belongs to, and the reason."""
+
+    name: str
+    reason: str
+
+
+class Subject(Protocol):
+    """One problem as the loop sees it."""
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """What was taken in, in order."""
+        ...
+
+    def search(self, rejected: Mapping[str, str]) -> Searched:
+        """Score everything that could be missing, but for what was rejected."""
+        ...
+
+    def choice(self, found: Searched, rejected: Mapping[str, str]) -> Score | None:
+        """The effect to try next, if any stands out."""
+        ...
+
+    def cleaner(
+        self, found: Searched, chosen: Score | None, rejected: Mapping[str, str]
+    ) -> Self | None:
+        """What comes before the chosen effect: a wrong record set aside, a clock found."""
+        ...
+
+    def tried(self, found: Searched, chosen: Score, rejected: Mapping[str, str]) -> Self | Refused:
+        """With the effect, refitted; or why it must not be taken."""
+        ...
+
+    def smoothed(self, found: Searched) -> Self | None:
+        """With the strongest structure without a name corrected by a curve that holds out."""
+        ...
+
+    def eliminated(self) -> Self:
+        """Without what later steps have made unnecessary."""
+        ...
+
+
+S = TypeVar("S", bound=Subject)
+
+
+@dataclass(frozen=True)
+class End(Generic[S]):
+    """Where the search ended. first, last : the last search before any step, and that at the end;
+    rejected : effects that were not taken, with the reason."""
+
+    subject: S
+    rejected: Mapping[str, str]
+    first: Searched
+    last: Searched
+
+
+def close(subject: S, rules: LoopSettings) -> End[S]:
+    """Search, take what stands out and holds, refit, until nothing does."""
+    rejected: dict[str, str] = {}
+    first = found = subject.search(rejected)
+    while True:
+        chosen = subject.choice(found, rejected)
+        following = subject.cleaner(found, chosen, rejected)
+        if following is None and chosen is not None:
+            tried = subject.tried(found, chosen, rejected)
+            if isinstance(tried, Refused):
+                rejected[tried.name] = tried.reason
+                tried = subject
+            following = tried
+        elif following is None:
+            following = subject.smoothed(found) if rules.curves else None
+        if following is None:
+            return End(subject.eliminated(), rejected, first, found)
+        subject = following
+        found = subject.search(rejected)
+        first = first if subject.steps else found
