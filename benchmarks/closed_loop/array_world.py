@@ -24,8 +24,8 @@ from imucalib.calibrators.array.loop.setup import Setup, array_setup
 from imucalib.calibrators.array.loop.state import ArrayState, start_state
 from imucalib.calibrators.array.loop.terms import Term, rest_terms, typical_of
 from imucalib.calibrators.array.moving import Moving, moving_part
+from imucalib.calibrators.array.rests import fit_rests
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
-from imucalib.calibrators.array.static import fit_static
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
@@ -188,11 +188,11 @@ def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...], Moving]:
     segments = still_segments(recording)
     log, board = array_log(recording, BOARD)
     order = [segments.triads.index(name) for name in board.imus]
-    static = fit_static(segments, board, order, STANDARD_GRAVITY)
-    moving = moving_part(log, static)
+    rests = fit_rests(segments, board, order, STANDARD_GRAVITY)
+    moving = moving_part(log, rests)
     setup = array_setup(moving, board, SAMPLES, robust=True)
     assert setup is not None
-    return setup, rest_terms(static), moving
+    return setup, rest_terms(rests), moving
 
 
 @cache

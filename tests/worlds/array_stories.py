@@ -14,8 +14,8 @@ from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.moving import Moving, moving_part
+from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.calibrators.array.simulation import LogPlan, lever_arm, simulated_motion
-from imucalib.calibrators.array.static import StaticFit, fit_static
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import DEG
@@ -104,12 +104,12 @@ def planted(
     return np.asarray(np.einsum("tkim,km->tki", basis, theta))
 
 
-def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, StaticFit]:
+def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, RestFit]:
     segments = still_segments(recording)
     log, board = array_log(recording, board)
     order = [segments.triads.index(name) for name in board.imus]
-    static = fit_static(segments, board, order, 9.80665)
-    return moving_part(log, static), static
+    rests = fit_rests(segments, board, order, 9.80665)
+    return moving_part(log, rests), rests
 
 
 def closed(
@@ -117,10 +117,10 @@ def closed(
 ) -> MotionLoop:
     from imucalib.calibrators.array.loop.terms import rest_terms
 
-    moving, static = moving_of(recording, board)
+    moving, rests = moving_of(recording, board)
     setup = array_setup(moving, board, samples, robust=True)
     assert setup is not None
-    return close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(seed))
+    return close_array_loop(setup, rest_terms(rests), moving, np.random.default_rng(seed))
 
 
 def named(found: MotionLoop) -> set[str]:

@@ -153,14 +153,18 @@ class KnownVector:
 
 @dataclass(frozen=True)
 class KnownNorm:
-    """Gravity of known size in an unknown direction: all that a sensor at rest always has.
+    """Gravity of known size in an unknown direction: all that sensors at rest always have.
 
     η is a unit vector per observation, stored as (n * 3,); its free directions are the two
     tangents, without a prior. The calibration is determined up to a rotation of the frame.
+
+    attitude : (K, 3, 3) from each triad's axes to the common ones, of K triads on one rigid body,
+        which share the direction; None for a single triad
     """
 
     count: int
     gravity: float
+    attitude: Array | None = None
 
     eta_unit = "rad"
 
@@ -173,7 +177,13 @@ class KnownNorm:
         return 2 * self.count
 
     def truth(self, eta: Array) -> Array:
-        return self.gravity * eta.reshape(self.count, 1, 3)
+        return self.gravity * self._seen(eta.reshape(self.count, 3, 1))[..., 0]
+
+    def _seen(self, columns: Array) -> Array:
+        """(n, K, 3, m) in each triad's axes, of columns (n, 3, m) in the common ones."""
+        if self.attitude is None:
+            return columns[:, None]
+        return np.asarray(self.attitude.transpose(0, 2, 1) @ columns[:, None])
 
     def _tangents(self, eta: Array) -> Array:
         d = eta.reshape(self.count, 3)
@@ -184,12 +194,14 @@ class KnownNorm:
         return np.stack([first, np.cross(d, first)], axis=-1)
 
     def directions(self, eta: Array) -> Directions:
-        derivative = self.gravity * self._tangents(eta)[:, None]
+        derivative = self.gravity * self._seen(self._tangents(eta))
         index = np.arange(2 * self.count, dtype=np.intp).reshape(self.count, 2)
         return Directions(derivative, index, (None, None))
 
     def start(self, corrected: Array) -> Array:
         d = corrected[:, 0]
+        if self.attitude is not None:
+            d = np.einsum("kij,nkj->ni", self.attitude, corrected)
         return np.asarray((d / np.linalg.norm(d, axis=1, keepdims=True)).ravel())
 
     def move(self, eta: Array, step: Array) -> Array:
@@ -198,4 +210,4 @@ class KnownNorm:
         return np.asarray((moved / np.linalg.norm(moved, axis=1, keepdims=True)).ravel())
 
     def take(self, rows: Index) -> KnownNorm:
-        return KnownNorm(len(rows), self.gravity)
+        return KnownNorm(len(rows), self.gravity, self.attitude)

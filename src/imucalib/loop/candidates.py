@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: Typical size of an unknown curve: 1 mg on an axis, 0.1 deg on an angle, 50 mg on one record.
 _CURVE_MG, _CURVE_DEG, _RECORD_MG, _RECORD_DEG = 1.0, 0.1, 50.0, 2.0
+#: Name of an error that all triads of one rigid body share.
+ALL_TRIADS = "all"
 _TERMS, _MOST_TERMS = 8, 32
 #: Beyond so many observations, noise in time is looked for in this many stretches.
 _EXACT_NOISE, _STRETCHES = 400, 48
@@ -172,10 +174,12 @@ def record_candidates(fit: Fit) -> tuple[Candidate, ...]:
                 column[row, axis] = _RECORD_MG * MG / at.sigma[row, axis]
                 name = f"{row}:{'xyz'[axis % 3]}"
                 found.append(Candidate(name, "record", column.reshape(-1, 1), labels[row]))
-    else:
+    elif k == 1:
         for row in range(n):
             own = (at.owner == row).astype(float)[:, None] * _RECORD_MG * MG / at.sigma[row, 0]
             found.append(Candidate(f"{row}:norm", "record", own, labels[row]))
+    else:
+        found += _shared_direction(fit)
     for name, matrix in zip(at.component, at.settings, strict=True):
         for setting in range(matrix.shape[1]):
             column = matrix[:, setting : setting + 1] * _RECORD_DEG * DEG
@@ -183,3 +187,21 @@ def record_candidates(fit: Fit) -> tuple[Candidate, ...]:
             if rows.size == 1:  # a setting of several rows is not one record
                 found.append(Candidate(f"{rows[0]}:{name}", "record", column, labels[rows[0]]))
     return tuple(found)
+
+
+def _shared_direction(fit: Fit) -> list[Candidate]:
+    """Of triads that share gravity's direction: one of them off by itself, or all alike."""
+    context, labels = fit.observations.context, fit.observations.label
+    n, k, _ = fit.observations.reading.shape
+    found = []
+    for row in range(n):
+        block = np.zeros((n, k, 3, 3))
+        block[row] = context.in_own(np.broadcast_to(np.eye(3), (1, 1, 3, 3)))[0]
+        for triad, name in enumerate(context.triads):
+            alone = np.zeros_like(block)
+            alone[row, triad] = block[row, triad]
+            columns = fit.at.columns(_RECORD_MG * MG * alone)
+            found.append(Candidate(f"{row}:{name}", "record", columns, labels[row]))
+        columns = fit.at.columns(_RECORD_MG * MG * block)
+        found.append(Candidate(f"{row}:{ALL_TRIADS}", "record", columns, labels[row]))
+    return found

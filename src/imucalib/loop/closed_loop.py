@@ -140,7 +140,7 @@ class _State:
         if len(self.records) >= self.rules.most_records:
             return None
         best = self.suspects[:1]
-        if not best or best[0].p > self.rules.record_alpha:
+        if not best or best[0].p > self.rules.record_alpha or best[0].evidence <= 0.0:
             return None
         if rival is not None and rival.evidence > best[0].evidence:
             return None
@@ -148,6 +148,10 @@ class _State:
         trial = set_aside(self.fit, row)
         if not trial.converged:
             return None
+        if self.rules.gross:
+            error = named_records(trial, ((best[0], row),))[0]
+            if abs(error.size) < self.rules.gross:
+                return None
         return replace(self, fit=trial, records=(*self.records, (best[0], row)))
 
     @cached_property

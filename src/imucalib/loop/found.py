@@ -21,7 +21,8 @@ class LoopSettings:
     the best catalogue effect; draws : simulated data sets per search; declared : whether the
     observations' sigma is a noise that the user stands for; bar : evidence in nats that decides
     instead of simulated data, where a search of the whole data has set it; curves : whether
-    structure without a name is corrected by a smooth curve, where that holds out"""
+    structure without a name is corrected by a smooth curve, where that holds out; gross : mg, the
+    smallest error that makes a record wrong"""
 
     alpha: float = 0.035
     record_alpha: float = 0.01
@@ -29,6 +30,7 @@ class LoopSettings:
     declared: bool = False
     bar: float | None = None
     curves: bool = False
+    gross: float = 0.0
     margin: float = 3.0
     draws: int = 1000
     most_effects: int = 4

@@ -91,7 +91,7 @@ def held_out(fit: Fit, observations: Observations | None = None) -> Held:
     parts: list[tuple[Index, Held]] = []
     for key in np.unique(data.group):
         rows = np.flatnonzero(data.group == key)
-        theta = _without_records(fit, theta_without(fit, rows))
+        theta = without_records(fit, theta_without(fit, rows))
         parts.append((rows, errors(fit, theta, data.take(rows))))
     shapes = [parts[0][1].corrected.shape[1:], parts[0][1].error.shape[1:]]
     corrected, expected = np.zeros((n, *shapes[0])), np.zeros((n, *shapes[0]))
@@ -103,10 +103,10 @@ def held_out(fit: Fit, observations: Observations | None = None) -> Held:
 
 def fitted(fit: Fit) -> Held:
     """The same errors on the data that was fitted: for residual tables, never for claims."""
-    return errors(fit, _without_records(fit, fit.theta), fit.observations)
+    return errors(fit, without_records(fit, fit.theta), fit.observations)
 
 
-def _without_records(fit: Fit, theta: Array) -> Array:
+def without_records(fit: Fit, theta: Array) -> Array:
     """A record's own error is no part of the calibration, so it must not flatter its error."""
     theta = theta.copy()
     for name, part in fit.model.slices(fit.observations.context).items():

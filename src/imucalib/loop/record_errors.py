@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownNorm, KnownVector, angles_of
 from imucalib.effects.record_error import is_record_error
-from imucalib.loop.held_out import theta_without
+from imucalib.loop.held_out import theta_without, without_records
 from imucalib.units import DEG, MG
 
 Array = NDArray[np.float64]
@@ -80,7 +80,9 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
     reference = fit.observations.reference
     if not isinstance(reference, KnownVector):
         assert isinstance(reference, KnownNorm)
-        size = float(np.linalg.norm(_corrected_without(fit, row))) - reference.gravity
+        if reference.attitude is not None:
+            return _of_triads(fit, row, channel, p, evidence)
+        size = float(np.linalg.norm(_corrected_without(fit, row)[0])) - reference.gravity
         sd = fit.noise.factor * float(fit.observations.sigma[row, 0, 0]) / MG
         return RecordError(
             row, label, "norm", size / MG, sd, "mg", "movement, contact or a wrong record", (), p,
@@ -101,20 +103,37 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
     return RecordError(row, label, name, away / DEG, sd, "deg", likely, fix, p, evidence)
 
 
+def _of_triads(fit: Fit, row: int, channel: str, p: float, evidence: float) -> RecordError:
+    """Of triads that share gravity's direction: how far one of them is off the others, or all off
+    gravity's size."""
+    context, reference = fit.observations.context, fit.observations.reference
+    assert isinstance(reference, KnownNorm)
+    force = context.in_common(_corrected_without(fit, row)[None])[0]
+    size = float(np.linalg.norm(np.median(force, axis=0))) - reference.gravity
+    likely = "movement, or no rest at all"
+    if channel in context.triads:
+        k = context.triads.index(channel)
+        others = np.median(np.delete(force, k, axis=0), axis=0)
+        size, likely = float(np.linalg.norm(force[k] - others)), "a chip that hung or was touched"
+    sd = fit.noise.factor * float(fit.observations.sigma[row].mean()) / MG
+    label = fit.observations.label[row]
+    return RecordError(row, label, channel, size / MG, sd, "mg", likely, (), p, evidence)
+
+
 def _corrected_without(fit: Fit, row: int) -> Array:
-    """A record (3,) in m/s², corrected by a fit of the others."""
+    """A record (K, 3) in m/s², corrected by a fit of the others."""
     rows = np.array([row])
     data = fit.observations
-    theta = theta_without(fit, rows)
+    theta = without_records(fit, theta_without(fit, rows))
     corrected = fit.model.correct(theta, data.reading[rows], data.context.take(rows))
-    return np.asarray(corrected[0, 0])
+    return np.asarray(corrected[0])
 
 
 def _angle_away(fit: Fit, row: int, component: str) -> float:
     """Angle (rad) of the corrected record minus the angle that was set."""
     reference = fit.observations.reference
     assert isinstance(reference, KnownVector)
-    inclination, tool_face = angles_of(_corrected_without(fit, row))
+    inclination, tool_face = angles_of(_corrected_without(fit, row)[0])
     if component.startswith("inclination"):
         return float(inclination - reference.inclination[row])
     away = float(tool_face - reference.tool_face[row])
@@ -159,7 +178,7 @@ def _wrong_angle(fit: Fit, row: int) -> tuple[str, tuple[tuple[str, float], ...]
     """A reading of the right size in another direction was taken at another setting."""
     reference = fit.observations.reference
     assert isinstance(reference, KnownVector)
-    corrected = _corrected_without(fit, row)
+    corrected = _corrected_without(fit, row)[0]
     off = abs(float(np.linalg.norm(corrected)) - reference.gravity)
     if off > 5.0 * fit.noise.factor * float(fit.observations.sigma[row].max()):
         return "no single slip explains it", ()

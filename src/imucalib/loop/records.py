@@ -40,8 +40,9 @@ def set_aside(fit: Fit, row: int) -> Fit:
     be fitted by a setting that is as wrong as the number was.
     """
     observations = fit.observations
-    known = fit.at.keep.shape[2] == 3 * observations.reading.shape[1]
-    effect = record_error(row, observations.label[row], "xyz" if known else "x")
+    triads = observations.reading.shape[1]
+    known = fit.at.keep.shape[2] == 3 * triads
+    effect = record_error(row, observations.label[row], "xyz" if known or triads > 1 else "x")
     nominal = observations.reference.truth(_settled(fit))
     predicted = fit.model.predict(fit.theta, nominal, observations.context).reading
     off = (observations.reading[row, 0] - predicted[row, 0]) / MG

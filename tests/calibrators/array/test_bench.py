@@ -50,7 +50,7 @@ def changed(recording: Recording, **channels: Channel) -> Recording:
 
 def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: ArrayRun) -> None:
     assert run.segments.n >= 9
-    assert run.static.residual < 0.02
+    assert run.rests.residual < 0.02
     # The frame is the triads' mean one, turned a little against the true board.
     truth, found = log.positions[1:], run.final.mean[1:]
     left, _, right = np.linalg.svd(truth.T @ found)
@@ -60,8 +60,8 @@ def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: A
 
 
 def test_gains_and_biases_come_from_gravity(run: ArrayRun) -> None:
-    assert run.static.gain_sd.max() < 5e-3
-    turned = np.linalg.inv(run.static.gain) - np.eye(3)
+    assert run.rests.gain_sd.max() < 5e-3
+    turned = np.linalg.inv(run.rests.gain) - np.eye(3)
     assert 0.003 < np.abs(turned).max() < 0.06
 
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.corrected import corrected_samples, gyro_gains
+from imucalib.calibrators.array.loop.asked import Asked, named_effect
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.declared import Asked, named_effect, with_declared
+from imucalib.calibrators.array.loop.declared import with_declared
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.terms import columns_of, rest_terms
@@ -216,10 +217,10 @@ def test_a_measured_boards_clocks_delay_and_elements() -> None:
     from imucalib.readers import read
     from worlds.array_stories import moving_of
 
-    moving, static = moving_of(read(FOLDER / "exp_1.h5"))
+    moving, rests = moving_of(read(FOLDER / "exp_1.h5"))
     setup = array_setup(moving, BOARD, 240, robust=True)
     assert setup is not None
-    found = close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(0))
+    found = close_array_loop(setup, rest_terms(rests), moving, np.random.default_rng(0))
     names = {step.effect for step in found.steps}
     assert {"gyro_sample_age", "gyro_scale", "gyro_misalignment", "gyro_delay",
             "sensing_elements"} <= names  # fmt: skip
@@ -244,13 +245,13 @@ def test_a_declared_effect_is_in_the_model_and_others_can_be_left_out() -> None:
     from worlds.array_stories import moving_of
 
     recording, true = planted_log("common gyro delay, 1 ms", 3)
-    moving, static = moving_of(recording)
+    moving, rests = moving_of(recording)
     setup = array_setup(moving, BOARD, 150, robust=True)
     assert setup is not None
 
     def loop(asked: Asked) -> MotionLoop:
         rng = np.random.default_rng(0)
-        return close_array_loop(setup, rest_terms(static), moving, rng, asked=asked)
+        return close_array_loop(setup, rest_terms(rests), moving, rng, asked=asked)
 
     declared = loop(Asked(declare=("gyro_delay",)))
     term = next(t for t in declared.final.found if t.name == "gyro_delay")
@@ -360,11 +361,11 @@ def test_curves_correct_what_has_no_name_where_it_helps() -> None:
     channel = recording.channels["imu5/acceleration"]
     values = channel.values + felt @ BOARD.rotations[5]
     channels = {**recording.channels, "imu5/acceleration": replace(channel, values=values)}
-    moving, static = moving_of(replace(recording, channels=channels))
+    moving, rests = moving_of(replace(recording, channels=channels))
     setup = array_setup(moving, BOARD, 200, robust=True)
     assert setup is not None
     rules = replace(ARRAY_RULES, curves=True)
-    found = close_array_loop(setup, rest_terms(static), moving, np.random.default_rng(0), rules)
+    found = close_array_loop(setup, rest_terms(rests), moving, np.random.default_rng(0), rules)
     assert [s.effect for s in found.steps] == ["curve of position of imu5 against time"]
     assert not found.steps[0].certain
     assert found.verdict == "unexplained"

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.corrected import corrected_samples, widened
 from imucalib.calibrators.array.log import array_log
+from imucalib.calibrators.array.loop.at_rest import with_rests
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving, moving_part, samples_of, spread_over
 from imucalib.calibrators.array.request import NON_LINEARITY, ArrayRequest
-from imucalib.calibrators.array.static import StaticFit, fit_static
+from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, NotConverged, Undetermined
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
 from imucalib.estimators.array.sampler import (
@@ -46,7 +47,7 @@ class ArrayRun:
     board: Board
     request: ArrayRequest
     segments: Segments
-    static: StaticFit
+    rests: RestFit
     moving: Moving
     final: ArrayPositions
     loop: MotionLoop | None
@@ -55,7 +56,7 @@ class ArrayRun:
     @property
     def noise_ratio(self) -> float:
         """Accelerometer sigma in motion over that of a sample at rest."""
-        return self.final.noise / float(np.sqrt(np.mean(self.static.noise**2)))
+        return self.final.noise / float(np.sqrt(np.mean(self.rests.noise**2)))
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -86,21 +87,25 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     log, board = array_log(recording, request.board)
     segments = still_segments(recording)
     order = _order(segments, board, recording)
-    static = fit_static(segments, board, order, request.gravity)
-    say(f"{segments.n} rests: triads fit gravity to {1e3 * static.residual:.2f} mm/s² rms")
-    moving = moving_part(log, static, board.imus)
+    rests = fit_rests(
+        segments, board, order, request.gravity,
+        asked=replace(request.asked, search=request.loop), seed=request.seed,
+    )  # fmt: skip
+    say(f"{segments.n} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
+    moving = moving_part(log, rests, board.imus)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
     wanted = request.loop or request.asked.declare
-    loop = _loop(moving, static, board, request) if wanted else None
+    loop = _loop(moving, rests, board, request) if wanted else None
     if loop is not None:
+        loop = with_rests(loop, rests.loop)
         say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
     rng = np.random.default_rng(request.seed)
-    final = _sampled(moving, static, board, request, rng, loop)
+    final = _sampled(moving, rests, board, request, rng, loop)
     say(f"{final.data.samples} samples: {final.convergence.sentence}")
     notes = (*recording.notes, *segments.notes, *log.notes, *final.notes)
     if request.loop and loop is None:
         notes += ("the motion is too broken up for the search of the loop",)
-    return ArrayRun(recording, board, request, segments, static, moving, final, loop, notes)
+    return ArrayRun(recording, board, request, segments, rests, moving, final, loop, notes)
 
 
 def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
@@ -114,9 +119,7 @@ def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
     return [segments.triads.index(name) for name in names]
 
 
-def _loop(
-    moving: Moving, static: StaticFit, board: Board, request: ArrayRequest
-) -> MotionLoop | None:
+def _loop(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> MotionLoop | None:
     robust = request.accelerometer_sigma == "estimate"
     most = min(request.samples, LOOP_SAMPLES)
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
@@ -130,17 +133,17 @@ def _loop(
     whole = array_setup(moving, board, most, robust=robust) if most > SEARCH_SAMPLES else None
     rng = np.random.default_rng(request.seed)
     return close_array_loop(
-        setup, rest_terms(static), moving, rng,
+        setup, rest_terms(rests), moving, rng,
         replace(ARRAY_RULES, curves=request.curves), whole,
         asked=replace(request.asked, search=request.loop),
     )  # fmt: skip
 
 
 def _sampled(
-    moving: Moving, static: StaticFit, board: Board, request: ArrayRequest,
+    moving: Moving, rests: RestFit, board: Board, request: ArrayRequest,
     rng: np.random.Generator, loop: MotionLoop | None,
 ) -> ArrayPositions:  # fmt: skip
-    sigma, estimate = _sigma(static, board, request)
+    sigma, estimate = _sigma(rests, board, request)
     prior = ArrayPrior(
         board.drawn, board.prior_sd, request.motion, request.exponent,
         estimate_noise=estimate and loop is None,
@@ -188,7 +191,7 @@ def sample_count(
     return int(np.clip(needed, _FIRST, min(request.samples, available)))
 
 
-def _sigma(static: StaticFit, board: Board, request: ArrayRequest) -> tuple[Array, bool]:
+def _sigma(rests: RestFit, board: Board, request: ArrayRequest) -> tuple[Array, bool]:
     """Sigma of each triad, m/s², and whether a common factor on them is estimated."""
     chosen = request.accelerometer_sigma
     if chosen == "nonlinearity":
@@ -200,7 +203,7 @@ def _sigma(static: StaticFit, board: Board, request: ArrayRequest) -> tuple[Arra
         return np.full(board.count, NON_LINEARITY * board.accelerometer_range), False
     if chosen == "estimate":
         # In motion the errors are not the noise at rest: one size for all, its factor free.
-        return np.full(board.count, 5.0 * float(np.sqrt(np.mean(static.noise**2)))), True
+        return np.full(board.count, 5.0 * float(np.sqrt(np.mean(rests.noise**2)))), True
     return np.full(board.count, float(chosen)), False
 
 

@@ -15,8 +15,12 @@ import numpy as np
 from imucalib import __version__
 from imucalib.calibrators.array.calibrate import ArrayRun
 from imucalib.calibrators.array.corrected import gyro_gains
+from imucalib.calibrators.array.frame import BASE
 from imucalib.calibrators.array.loop.ages import beats
+from imucalib.calibrators.array.loop.at_rest import AT_REST
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.rests import RestFit
+from imucalib.effects.record_error import is_record_error
 from imucalib.units import DEG
 
 SCHEMA = "imucal/array-calibration"
@@ -50,10 +54,33 @@ def array_calibration(run: ArrayRun) -> dict[str, Any]:
         },
         "triads": _triads(run),
         "accelerometer_sigma_in_motion_m_per_s2": run.final.noise,
-        "effects": effect_list(run.loop) if run.loop else [],
+        "effects": [*rest_effects(run.rests), *(effect_list(run.loop) if run.loop else [])],
         "diagnostics": diagnostics(run),
         "provenance": provenance(run),
     }
+
+
+def rest_effects(rests: RestFit) -> list[dict[str, Any]]:
+    """What was found at rest, with values and standard deviations, plain types."""
+    fit = rests.fit
+    slices = fit.model.slices(fit.observations.context)
+    return [
+        {
+            "effect": AT_REST + effect.name,
+            "declared": False,
+            "channel": effect.channel,
+            "equation": effect.equation,
+            "parameters": [
+                {"name": p.name, "unit": p.unit, "value": float(v), "sd": float(s)}
+                for p, v, s in zip(
+                    fit.parameters[slices[effect.name]], fit.theta[slices[effect.name]],
+                    fit.sd[slices[effect.name]], strict=True,
+                )
+            ],
+        }
+        for effect in fit.model.effects
+        if effect.name not in BASE and not is_record_error(effect.name)
+    ]  # fmt: skip
 
 
 def effect_list(loop: MotionLoop) -> list[dict[str, Any]]:
@@ -103,18 +130,19 @@ def _positions(run: ArrayRun) -> list[dict[str, Any]]:
 
 
 def _triads(run: ArrayRun) -> list[dict[str, Any]]:
-    static = run.static
+    rests = run.rests
+    offset = rests.offset(np.array([rests.stop]))[0]
     gains = run.moving.gyros.gain if run.loop is None else gyro_gains(run.loop.final)
     return [
         {
             "imu": name,
-            "gain": static.gain[k].tolist(),
-            "gain_sd": static.gain_sd[k].tolist(),
-            "bias_m_per_s2": static.bias[0, k].tolist(),
-            "noise_m_per_s2": float(static.noise[k]),
+            "gain": rests.gain[k].tolist(),
+            "gain_sd": rests.gain_sd[k].tolist(),
+            "bias_m_per_s2": offset[k].tolist(),
+            "noise_m_per_s2": float(rests.noise[k]),
             "gyro_gain": gains[k].tolist(),
-            "gyro_bias_deg_per_s": (static.gyro_bias[0, k] / DEG).tolist(),
-            "gyro_noise_deg_per_s": float(static.gyro_noise[k] / DEG),
+            "gyro_bias_deg_per_s": (rests.gyro_bias[0, k] / DEG).tolist(),
+            "gyro_noise_deg_per_s": float(rests.gyro_noise[k] / DEG),
         }
         for k, name in enumerate(run.board.imus)
     ]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.calibrators.array.gyros import Gyros, relative_gyros
 from imucalib.calibrators.array.log import ArrayLog
-from imucalib.calibrators.array.static import StaticFit
+from imucalib.calibrators.array.rests import RestFit
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.problem import ArrayData
 from imucalib.units import DEG
@@ -42,11 +42,11 @@ class Moving:
     counts: dict[str, int]
 
 
-def moving_part(log: ArrayLog, static: StaticFit, names: tuple[str, ...] = ()) -> Moving:
+def moving_part(log: ArrayLog, rests: RestFit, names: tuple[str, ...] = ()) -> Moving:
     """Correct, and find the informative samples. Raises Undetermined when there are too few or a
     gyro is in another unit than the others."""
-    acceleration = static.corrected(log.acceleration, log.t)
-    rate = static.without_bias(log.rate, log.t)
+    acceleration = rests.corrected(log.acceleration, log.t)
+    rate = rests.without_bias(log.rate, log.t)
     speed = np.linalg.norm(np.median(rate, axis=1), axis=1)
     turning = speed > SLOWEST
     if turning.any():

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.loop.declared import NOTHING_ASKED, Asked
+from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.moving import GyroCovariance
 from imucalib.estimators.array.problem import MotionPrior
 from imucalib.estimators.markov.hmc import Stop

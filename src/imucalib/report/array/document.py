@@ -98,31 +98,34 @@ def _motion_section(run: ArrayRun) -> Section:
         ("rotation", f"median {np.median(speed):.0f}, largest {speed.max():.0f} deg/s"),
         ("gyro scatter", f"{gyro:.2f} deg/s rms about their mean"),
         ("accelerometer sigma", f"{run.final.noise:.3f} m/s² in motion, "
-         f"{np.sqrt(np.mean(run.static.noise**2)):.3f} at rest"),
+         f"{np.sqrt(np.mean(run.rests.noise**2)):.3f} at rest"),
         ("clipped samples", "left out whole"),
     ]  # fmt: skip
     return Section("The motion", (Facts(tuple(rows)),))
 
 
 def _static_section(run: ArrayRun) -> Section:
-    static = run.static
-    order = ("none", "linear in time", "quadratic in time")[static.order]
+    static = run.rests
+    loop = static.loop
+    found = ", ".join(s.effect for s in loop.named) if loop and loop.named else "nothing"
     facts = Facts(
         (
             ("rests", str(static.poses)),
             ("gravity", f"{static.gravity:.5f} m/s² ({run.request.gravity_source})"),
             ("residual", f"{1e3 * static.residual:.2f} mm/s² rms, "
-             f"{1e3 * static.before:.2f} without warm-up drift"),
-            ("warm-up drift", order),
+             f"{1e3 * static.before:.2f} before the search"),
+            ("found at rest", found),
         )
     )  # fmt: skip
-    relative = static.gain @ np.linalg.inv(static.gain[0])
+    turned = static.rotations @ static.gain @ static.rotations.transpose(0, 2, 1)
+    relative = turned @ np.linalg.inv(turned[0])
+    offset = static.offset(np.array([static.stop]))[0]
     rows = []
     for k, name in enumerate(run.board.imus):
         diagonal = ", ".join(f"{v:+.4f}" for v in np.diag(static.gain[k]) - 1.0)
         twist = 0.5 * (relative[k] - relative[k].T)
         angles = ", ".join(f"{v / DEG:+.2f}" for v in (twist[2, 1], twist[0, 2], twist[1, 0]))
-        bias = ", ".join(f"{v:+.3f}" for v in static.bias[0, k])
+        bias = ", ".join(f"{v:+.3f}" for v in offset[k])
         rows.append((name, diagonal, angles, bias))
     note = f"Turn: relative to {run.board.imus[0]}. Positions are in the triads' mean frame."
     table = Table(

@@ -31,15 +31,17 @@ def write_array_reports(run: ArrayRun, folder: Path) -> tuple[Path, ...]:
 
 def array_dict(run: ArrayRun) -> dict[str, Any]:
     """report.json: the calibration, and how it came about."""
-    static = run.static
+    rests = run.rests
     return {
         **array_calibration(run),
         "exit_code": run.exit_code,
         "static": {
-            "rests": static.poses,
-            "residual_m_per_s2": static.residual,
-            "residual_without_drift_m_per_s2": static.before,
-            "drift_order": static.order,
+            "rests": rests.poses,
+            "residual_m_per_s2": rests.residual,
+            "residual_before_search_m_per_s2": rests.before,
+            "verdict": rests.loop.verdict if rests.loop else "not searched",
+            "steps": [s.effect for s in rests.loop.steps] if rests.loop else [],
+            "records": [r.where for r in rests.loop.records] if rests.loop else [],
         },
         "moving": dict(run.moving.counts),
         "loop": loop_dict(run.loop) if run.loop else {"verdict": "not run"},

@@ -13,6 +13,7 @@ from imucalib.calibrators.array.loop.held_out import NORMAL_MAD
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.loop.worth import size_in_words
 from imucalib.estimators.array.noise import SensorNoise
+from imucalib.loop.found import Step
 from imucalib.report.document import Block, Facts, Section, Table, Text
 from imucalib.report.loop import candidate_rows
 from imucalib.significant_digits import probability
@@ -41,7 +42,7 @@ def array_loop_section(loop: MotionLoop | None) -> Section:
                 probability(s.p, s.draws),
                 f"{s.evidence:.1f}",
                 ", ".join(f"{gain:.0f}" for gain in s.gains),
-                *(f"{c.before:.3g} -> {c.after:.3g}" for c in s.checked),
+                *_checked(s),
                 ", ".join(s.aliases) or "-",
             )
             for s in loop.steps
@@ -56,6 +57,12 @@ def array_loop_section(loop: MotionLoop | None) -> Section:
     blocks.append(_residuals(loop))
     blocks.append(_noise(loop))
     return Section("Closed loop", tuple(blocks))
+
+
+def _checked(step: Step) -> tuple[str, str]:
+    """Accelerometers and gyros before and after; a step at rest has the rests' error alone."""
+    said = {c.name: f"{c.before:.3g} -> {c.after:.3g}" for c in step.checked}
+    return said.get("accelerometers", said.get("rests", "-")), said.get("gyros", "-")
 
 
 def declared_terms(loop: MotionLoop) -> tuple[Term, ...]:

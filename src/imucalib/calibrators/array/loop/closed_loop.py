@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
-from imucalib.calibrators.array.loop.declared import NOTHING_ASKED, Asked, with_declared
+from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
+from imucalib.calibrators.array.loop.declared import with_declared
 from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residuals
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Search, absorbed

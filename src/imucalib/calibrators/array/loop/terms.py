@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.loop.motion import BoardMotion
-from imucalib.calibrators.array.static import StaticFit
+from imucalib.calibrators.array.rests import RestFit
 from imucalib.core.context import Context
 from imucalib.core.effect import Channel, Response
 from imucalib.core.parameter import Parameter
@@ -125,17 +125,16 @@ def _rest(name: str, channel: Channel, each: int) -> Response:
     )  # fmt: skip
 
 
-def rest_terms(static: StaticFit) -> tuple[Term, ...]:
+def rest_terms(rests: RestFit) -> tuple[Term, ...]:
     """Errors of gains and offsets with the covariance that the rests left, in package axes."""
-    count = len(static.rotations)
-    turn = np.zeros((count, 12, count, 12))
-    for k, back in enumerate(static.rotations.transpose(0, 2, 1)):
-        turn[k, :9, k, :9] = np.kron(back, back)
-        turn[k, 9:, k, 9:] = back
-    size = 12 * count
-    values, vectors = np.linalg.eigh(static.covariance.reshape(size, size))
-    root = turn.reshape(size, size) @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    slow = turn[:, 9:, :, 9:].reshape(3 * count, 3 * count) * static.gyro_bias_sd.ravel()
+    size = 12 * len(rests.gain)
+    values, vectors = np.linalg.eigh(rests.covariance.reshape(size, size))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    count = 3 * len(rests.gain)
+    back = np.zeros((count // 3, 3, count // 3, 3))
+    every = np.arange(count // 3)
+    back[every, :, every] = rests.rotations.transpose(0, 2, 1)
+    slow = back.reshape(count, count) * rests.gyro_bias_sd.ravel()
     terms = []
     for effect, live in (
         (_rest("rests", "acceleration", 12), root),

@@ -1,0 +1,259 @@
+"""An array's accelerometers from its rests: K triads that share one unknown direction a rest.
+
+The model is the catalogue's: bias, scale and misalignment of every triad, and what the closed loop
+finds beside them: a warm-up, a drift, a rest that does not belong to the others. The orientation of
+the triads relative to each other is determined, that of the whole set is not: its mean over the
+triads is the board's frame (paper 001, section IV-B, and its reference 18).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.frame import BASE, framed_misalignment, in_the_mean_frame
+from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect, Response
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownNorm
+from imucalib.core.truth import Truth
+from imucalib.effects import catalogue, families, named
+from imucalib.errors import NotConverged, Undetermined
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.asked import searched
+from imucalib.loop.closed_loop import close_loop
+from imucalib.loop.found import FitLoop, LoopSettings
+from imucalib.rests.segments import Segments
+from imucalib.units import MG
+
+Array = NDArray[np.float64]
+FEWEST_POSES = 9
+#: Curves do not speak against a name, and an error below 10 mg makes no rest a wrong one: what a
+#: chip's offset does from rest to rest is noise.
+REST_RULES = LoopSettings(draws=499, margin=np.inf, gross=10.0, most_effects=3)
+_VAGUE = 0.02  # standard deviation of a gain entry above which the attitudes are too alike
+_LOOSE = 0.2  # largest believable deviation of a triad's gain from a plain one
+
+
+@dataclass(frozen=True)
+class RestFit:
+    """Triads in their own axes, in the frame that is their mean.
+
+    fit : the final model; loop : what the search found, or None where there was none
+    gain : (K, 3, 3) of reading = gain · force + offset; covariance : (K, 12, K, 12) of every
+        triad's gain (rows first) and offset at the end of the rests (m/s²)
+    noise : (K,) m/s² of one sample; gyro_noise : (K,) rad/s
+    gyro_bias : (order + 1, K, 3) rad/s, coefficients of powers of the rests' time from -1 at the
+        first to 0 at the last; gyro_bias_sd : (K, 3) rad/s at the end of the rests
+    rotations : (K, 3, 3) package axes to board axes; start, stop : s, middles of first and last
+        rest
+    """
+
+    fit: Fit
+    loop: FitLoop | None
+    gain: Array
+    covariance: Array
+    noise: Array
+    gyro_noise: Array
+    gyro_bias: Array
+    gyro_bias_sd: Array
+    rotations: Array
+    start: float
+    stop: float
+
+    @property
+    def poses(self) -> int:
+        return self.fit.observations.n
+
+    @property
+    def gravity(self) -> float:
+        reference = self.fit.observations.reference
+        assert isinstance(reference, KnownNorm)
+        return reference.gravity
+
+    @property
+    def residual(self) -> float:
+        """m/s², rms of a component per degree of freedom."""
+        return self.fit.noise.factor * float(self.fit.observations.sigma[0, 0, 0])
+
+    @property
+    def before(self) -> float:
+        """The same of the model before the search."""
+        plain = self.fit if self.loop is None else self.loop.plain
+        return plain.noise.factor * float(plain.observations.sigma[0, 0, 0])
+
+    @cached_property
+    def gain_sd(self) -> Array:
+        """(K, 3, 3)."""
+        count = len(self.gain)
+        every = self.covariance.reshape(12 * count, 12 * count)
+        return np.sqrt(np.maximum(np.diag(every), 0.0)).reshape(count, 12)[:, :9].reshape(-1, 3, 3)
+
+    def corrected(self, acceleration: Array, t: Array) -> Array:
+        """Specific force (N, K, 3) m/s² in board axes, of readings in board axes."""
+        own = np.einsum("kji,nkj->nki", self.rotations, acceleration) - self.offset(t)
+        inverse = np.linalg.inv(self.gain)
+        force = np.einsum("kij,nkj->nki", inverse, own)
+        bent = tuple(
+            e for e in self.fit.model.effects
+            if isinstance(e, Response) and e.basis_dx is not None and e.name not in BASE
+        )  # fmt: skip
+        zero = Truth(np.zeros((1, *force.shape[1:])))
+        for _ in range(3 if bent else 0):
+            more = self._added(bent, Truth(force), t) - self._added(bent, zero, t)
+            force = np.einsum("kij,nkj->nki", inverse, own - more)
+        return np.asarray(np.einsum("kij,nkj->nki", self.rotations, force))
+
+    def offset(self, t: Array) -> Array:
+        """(N, K, 3) m/s², what every triad reads without any force, in its own axes."""
+        shape = (len(t), *self.gain.shape[:2])
+        return self._added(self.fit.model.effects, Truth(np.zeros(shape)), t)
+
+    def _added(self, effects: tuple[Effect, ...], truth: Truth, t: Array) -> Array:
+        """(N, K, 3) m/s², what some effects add to the truth at times (N,) s."""
+        data = self.fit.observations.context
+        context = rest_context(t, self.start, self.stop, data.triads)
+        slices, total = self.fit.model.slices(data), np.zeros((len(t), *truth.shape[1:]))
+        for effect in effects:
+            total += effect.act(self.fit.theta[slices[effect.name]], truth, context).delta
+        return total
+
+    def powers(self, t: Array) -> Array:
+        """(N, order + 1) of the gyros' drift."""
+        late = np.clip((t - self.stop) / (self.stop - self.start), -1.0, 0.0)
+        return np.asarray(late[:, None] ** np.arange(len(self.gyro_bias)))
+
+    def without_bias(self, rate: Array, t: Array) -> Array:
+        """Angular rates (N, K, 3) rad/s in board axes less their offsets at rest."""
+        return np.asarray(rate - np.einsum("no,oki->nki", self.powers(t), self.gyro_bias))
+
+
+def rest_context(t: Array, start: float, stop: float, triads: tuple[str, ...]) -> Context:
+    """What effects know at times (N,) s: the order runs from 0 at the first rest to 1 at the last,
+    and no further. No record is one of the rests'."""
+    order = np.clip((t - start) / max(stop - start, 1e-9), 0.0, 1.0)
+    covariates = {"order": order, "time": t, "record": np.full(len(t), -1.0)}
+    return Context(len(t), covariates, triads)
+
+
+def fit_rests(
+    segments: Segments, board: Board, order: list[int], gravity: float, *,
+    asked: Asked = NOTHING_ASKED, seed: int = 0,
+) -> RestFit:  # fmt: skip
+    """Fit all triads and search for what is missing.
+
+    order : the board's IMUs in the segments' triads. Raises Undetermined when there are too few or
+    too similar rests, NotConverged.
+    """
+    data = _observations(segments, board, order, gravity)
+    model = Model((named("bias"), named("scale"), framed_misalignment()))
+    loop = _searched(model, data, asked, seed) if asked.search else None
+    fit = fit_model(model, data) if loop is None else loop.final
+    if (fit if loop is None else loop.plain).null_directions:
+        raise _too_alike()
+    if not fit.converged:
+        raise NotConverged("the fit of the rests did not settle", remedy="check the recording")
+    gain, covariance = in_the_mean_frame(fit, board.rotations)
+    _refuse_vague(gain, covariance, board)
+    middle = data.context["time"]
+    drift, drift_sd = _gyro_drift(segments.rate[:, order], middle, board)
+    return RestFit(
+        fit, loop, gain, covariance,
+        np.sqrt(np.mean(segments.noise[order] ** 2, axis=1)),
+        np.sqrt(np.mean(segments.rate_noise[order] ** 2, axis=1)),
+        drift, drift_sd, board.rotations, float(middle[0]), float(middle[-1]),
+    )  # fmt: skip
+
+
+def _observations(
+    segments: Segments, board: Board, order: list[int], gravity: float
+) -> Observations:
+    n = segments.n
+    if n < FEWEST_POSES:
+        raise Undetermined(
+            f"{n} rests found, at least {FEWEST_POSES} are needed to calibrate the accelerometers",
+            remedy="hold the board still in nine or more attitudes, two seconds each; "
+            "`imucal inspect` shows what counts as still",
+        )
+    reading = segments.mean[:, order]
+    ratio = np.median(np.linalg.norm(reading, axis=2), axis=0) / gravity
+    worst = int(np.argmax(np.abs(np.log(np.maximum(ratio, 1e-9)))))
+    if not 0.5 < ratio[worst] < 2.0:  # offsets do not double or halve gravity
+        raise Undetermined(
+            f"{board.imus[worst]} reads {ratio[worst]:.2g} times gravity at rest",
+            remedy="its unit is not what the recording or its mapping says (g against m/s²: 9.81)",
+        )
+    middle = 0.5 * (segments.start + segments.stop)
+    known = rest_context(middle, float(middle[0]), float(middle[-1]), board.imus)
+    covariates = {**known.covariates, "record": np.arange(float(n))}
+    return Observations(
+        reading,
+        np.full(reading.shape, MG),
+        KnownNorm(n, gravity, board.rotations),
+        replace(known, covariates=covariates, attitude=board.rotations),
+        np.arange(n),
+        tuple(f"rest {k + 1} ({t:.0f} s)" for k, t in enumerate(middle)),
+    )
+
+
+def _searched(model: Model, data: Observations, asked: Asked, seed: int) -> FitLoop:
+    """The closed loop over what a rest can show; names of single IMUs are the motion's affair."""
+    known = {*catalogue(), *families()}
+    only = tuple(n for n in asked.only if n in known)
+    without = tuple(n for n in asked.without if n in known)
+    wanted = searched(only, without, {}, lambda e: e.stage == "sensor" and e.name not in BASE)
+    effects = {} if asked.only and not only else wanted.effects
+    scans = () if asked.only else wanted.families
+    rng = np.random.default_rng(seed)
+    return close_loop(model, data, effects, rng, REST_RULES, families=scans)
+
+
+def _too_alike() -> Undetermined:
+    return Undetermined(
+        "the attitudes of the rests are too alike to tell scale, misalignment and bias apart",
+        remedy="turn the board so that each axis points up, down and sideways at least once",
+    )
+
+
+def _refuse_vague(gain: Array, covariance: Array, board: Board) -> None:
+    count = board.count
+    sd = np.sqrt(np.maximum(np.diag(covariance.reshape(12 * count, -1)), 0.0)).reshape(count, 12)
+    if float(sd[:, :9].max()) > _VAGUE:
+        raise _too_alike()
+    worst = np.abs(gain - np.eye(3)).max(axis=(1, 2))
+    if float(worst.max()) > _LOOSE:
+        raise Undetermined(
+            f"{board.imus[int(np.argmax(worst))]} differs from the board's drawing by "
+            f"{100 * worst.max():.0f} % of gravity",
+            remedy="check its mounting axes in the board file, and the unit of the recording",
+        )
+
+
+def _gyro_drift(rate: Array, t: Array, board: Board) -> tuple[Array, Array]:
+    """Coefficients (order + 1, K, 3) rad/s of the gyros' offsets at rest, in board axes, and their
+    standard deviation (K, 3) at the last rest; the order by the Bayesian information criterion.
+
+    rate : (n, K, 3) rad/s in package axes
+    """
+    values = np.einsum("kij,nkj->nki", board.rotations, rate).reshape(len(rate), -1)
+    late = (t - t[-1]) / max(float(np.ptp(t)), 1e-9)
+    tries = []
+    for order in range(3):
+        powers = late[:, None] ** np.arange(order + 1)
+        found = np.linalg.lstsq(powers, values, rcond=None)[0]
+        rest = values - powers @ found
+        size = values.shape[1]
+        cost = values.size * np.log(max(float(np.mean(rest**2)), 1e-300))
+        tries.append((cost + np.log(values.size) * size * (order + 1), found, powers, rest))
+    _, found, powers, rest = min(tries, key=lambda t: t[0])
+    freedom = max(len(rest) - powers.shape[1], 1)
+    leverage = float(np.linalg.inv(powers.T @ powers)[0, 0])
+    sd = np.sqrt(leverage * np.sum(rest**2, axis=0) / freedom)
+    return found.reshape(-1, board.count, 3), np.asarray(sd.reshape(board.count, 3))
