@@ -1,0 +1,54 @@
+"""Which data are left out together: one design, fixed by the data's structure before any search.
+
+Nothing that is chosen or estimated may decide the folds, a seed as little as the outcome: the same
+data have the same design, whether something is found or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.observations import Observations
+
+Index = NDArray[np.intp]
+
+#: Folds of single positions; of stretches of time there are as many as the calibrator made.
+_FOLDS = 10
+#: Share of a stretch's rows on either side of it that train nothing when it is left out.
+_GAP = 0.03
+#: Observations for each group from which on groups are stretches of time.
+_STRETCH = 10
+
+
+@dataclass(frozen=True)
+class Fold:
+    """rows : that are predicted; rest : that choose and fit, with neither the rows nor the gap."""
+
+    rows: Index
+    rest: Index
+
+
+def folds_of(data: Observations) -> tuple[Fold, ...]:
+    """The design of some observations.
+
+    Stretches of time (groups of many observations in order) are left out one by one, with a gap on
+    both sides. Single positions, or groups of a few that share a setting, are dealt to ten folds in
+    a fixed shuffle: dealt in turn, a fold would take whole rings of a bench that repeats itself.
+    """
+    groups, group = np.unique(data.group, return_inverse=True)
+    every = np.arange(data.n)
+    if data.n >= _STRETCH * groups.size:
+        gap = int(np.ceil(_GAP * data.n / groups.size))
+        return tuple(_stretch(np.flatnonzero(group == k), every, gap) for k in range(groups.size))
+    count = min(groups.size, _FOLDS)
+    dealt = np.random.default_rng(groups.size).permutation(np.arange(groups.size) % count)
+    key = dealt[group]
+    return tuple(Fold(every[key == k], every[key != k]) for k in range(count))
+
+
+def _stretch(rows: Index, every: Index, gap: int) -> Fold:
+    near = (every >= rows[0] - gap) & (every <= rows[-1] + gap)
+    return Fold(rows, every[~near])

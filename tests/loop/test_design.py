@@ -1,0 +1,79 @@
+"""One held-out design, and what it says of a gain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucalib.loop.design import folds_of
+from imucalib.loop.difference import difference
+from worlds.bench import bench
+
+
+def _grouped(n: int, groups: int):  # type: ignore[no-untyped-def]
+    from dataclasses import replace
+
+    data = bench(1, n)
+    return replace(data, group=np.arange(n) * groups // n)
+
+
+@pytest.mark.parametrize(("n", "groups"), [(32, 32), (24, 24), (40, 20), (7, 7), (240, 12)])
+def test_every_row_is_predicted_once_by_data_without_it(n: int, groups: int) -> None:
+    data = _grouped(n, groups)
+    folds = folds_of(data)
+    assert sorted(np.concatenate([f.rows for f in folds])) == list(range(n))
+    for fold in folds:
+        assert not set(fold.rows) & set(fold.rest)
+        assert not set(data.group[fold.rows]) & set(data.group[fold.rest])
+
+
+def test_stretches_have_a_gap() -> None:
+    folds = folds_of(_grouped(240, 12))
+    assert len(folds) == 12
+    for fold in folds[1:-1]:
+        away = np.abs(fold.rest[:, None] - fold.rows[None]).min()
+        assert away == 2  # 3 % of twenty rows, rounded up, are left between
+
+
+def test_the_design_is_that_of_the_data_alone() -> None:
+    one, two = folds_of(_grouped(32, 32)), folds_of(_grouped(32, 32))
+    assert all(np.array_equal(a.rows, b.rows) for a, b in zip(one, two, strict=True))
+
+
+def test_the_interval_covers_the_gain() -> None:
+    """Independent pairs: the plain interval covers 95 %, the widened one more."""
+    rng = np.random.default_rng(4)
+    inside = proved = 0
+    for _ in range(600):
+        before = np.abs(rng.normal(size=40)) * 2.0
+        after = np.abs(rng.normal(size=40)) * 2.0
+        found = difference(before, after, np.arange(40), 10, "rms")
+        inside += found.low <= 0.0 <= found.high
+        proved += found.proved
+    assert inside >= 588  # about 99.6 % are meant
+    assert 5 <= proved <= 30  # 2.5 % of 600 are 15
+
+
+def test_the_gain_is_in_the_errors_unit() -> None:
+    before, after = np.full(12, 3.0), np.full(12, 1.0)
+    for metric in ("rms", "mean"):
+        found = difference(before, after, np.arange(12), 10, metric)  # type: ignore[arg-type]
+        assert found.gain == pytest.approx(2.0)
+        assert found.low == pytest.approx(2.0)
+        assert found.high == pytest.approx(2.0)
+        assert found.proved
+
+
+def test_parts_of_unequal_size_count_by_their_rows() -> None:
+    before = np.array([4.0, 1.0, 1.0, 1.0])
+    after = np.array([1.0, 1.0, 1.0, 1.0])
+    found = difference(before, after, np.array([0, 1, 1, 1]), 2, "mean")
+    assert found.gain == pytest.approx(0.75)
+    assert not found.proved
+    assert found.parts == 2
+
+
+def test_one_part_proves_nothing() -> None:
+    found = difference(np.ones(5), np.zeros(5), np.zeros(5, dtype=np.intp), 1, "mean")
+    assert not found.proved
+    assert found.low == -np.inf
