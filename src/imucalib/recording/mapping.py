@@ -43,7 +43,7 @@ class FieldMapping:
     skip : lines before the header or, with `header` False, before the first data row
     header : whether a line of column names exists
     decimal, delimiter : of a CSV; delimiter " " stands for any run of blanks
-    preset : name of the entry of PRESETS that filled what was not stated
+    preset : the device (`readers/devices`) that filled what was not stated
     """
 
     acc: tuple[str, ...] = ()
@@ -101,18 +101,6 @@ class FieldMapping:
     def filled_from(self, other: FieldMapping) -> FieldMapping:
         """This mapping, with every field that is not stated taken from `other`."""
         return replace(other, **{k: _as_field(k, v) for k, v in self.to_dict().items()})
-
-    def with_preset(self) -> FieldMapping:
-        """This mapping, filled from its preset. Raises UsageError for an unknown preset."""
-        if not self.preset:
-            return self
-        if self.preset not in PRESETS:
-            raise UsageError(
-                f"unknown preset '{self.preset}'",
-                where="mapping: preset",
-                remedy=f"use one of: {', '.join(PRESETS)}",
-            )
-        return self.filled_from(PRESETS[self.preset])
 
 
 def from_dict(data: Mapping[str, object], where: str = "mapping") -> FieldMapping:
@@ -201,25 +189,3 @@ def save_mapping(mapping: FieldMapping, path: str | os.PathLike[str]) -> None:
     """Write the stated fields as YAML, whole or not at all. Raises UsageError."""
     with replaced_atomically(path) as temporary:
         temporary.write_text(dump(mapping.to_dict()), encoding="utf-8")
-
-
-#: What well-known sources mean, for files whose own header does not say it.
-PRESETS: dict[str, FieldMapping] = {
-    "actigraph": FieldMapping(acc=("1", "2", "3"), acc_unit="g", preset="actigraph"),
-    "geneactiv": FieldMapping(
-        time="1", acc=("2", "3", "4"), temperature=("7",), time_unit="text",
-        time_format="%Y-%m-%d %H:%M:%S:%f", acc_unit="g", temperature_unit="degC",
-        preset="geneactiv",
-    ),
-    "axivity": FieldMapping(time="1", acc=("2", "3", "4"), acc_unit="g", preset="axivity"),
-    "euroc": FieldMapping(
-        time="1", gyro=("2", "3", "4"), acc=("5", "6", "7"), time_unit="ns",
-        acc_unit="m/s2", gyro_unit="rad/s", preset="euroc",
-    ),
-    "xsens": FieldMapping(
-        acc=("Acc_X", "Acc_Y", "Acc_Z"), gyro=("Gyr_X", "Gyr_Y", "Gyr_Z"),
-        acc_unit="m/s2", gyro_unit="rad/s", preset="xsens",
-    ),
-    "apdm": FieldMapping(acc_unit="m/s2", gyro_unit="rad/s", time_unit="us", preset="apdm"),
-    "sensor_msgs": FieldMapping(acc_unit="m/s2", gyro_unit="rad/s", preset="sensor_msgs"),
-}  # fmt: skip
