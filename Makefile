@@ -7,12 +7,18 @@ UV := $(shell command -v uv 2>/dev/null)
 ifdef UV
 CREATE = uv venv --quiet --python $(PYTHON) $(VENV)
 INSTALL = uv pip install --quiet --python $(BIN)/python
+WHEEL = uv build --quiet --wheel --out-dir dist && \
+	uv venv --quiet --clear --python $(PYTHON) $(VENV)/bare && \
+	uv pip install --quiet --python $(VENV)/bare/bin/python dist/imucalib-*.whl
 else
 CREATE = $(PYTHON) -m venv $(VENV)
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+WHEEL = $(PYTHON) -m venv --clear $(VENV)/bare && \
+	$(VENV)/bare/bin/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w dist . && \
+	$(VENV)/bare/bin/python -m pip install --quiet --disable-pip-version-check dist/imucalib-*.whl
 endif
 
-.PHONY: demo test check docs benchmark loop-benchmark stories benchmark-worn benchmark-array clean
+.PHONY: demo test check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array clean
 
 $(BIN)/imucal: pyproject.toml
 	test -x $(BIN)/python || $(CREATE)
@@ -34,6 +40,11 @@ check: $(VENV)/.dev ## style, types and generated pages, as CI runs them
 	$(BIN)/ruff format --check src tests benchmarks sample_logs docs
 	$(BIN)/mypy
 	$(BIN)/python docs/generate.py --check
+
+wheel: ## the wheel without extras, in an environment of its own, runs the core commands
+	rm -rf dist
+	$(WHEEL)
+	.ci/wheel $(VENV)/bare
 
 docs: $(VENV)/.dev ## write the pages that are generated from the code
 	$(BIN)/python docs/generate.py

@@ -128,7 +128,7 @@ def instruments(data: Path) -> Iterator[str]:
             np.savetxt(path, rows, delimiter=",", header="x,y,z", comments="")
             report = run("lab", str(path), "--reference", "norm")
             yield story(f"Cave instrument {name}, 24 shots", told(report, by_split(report)))
-    columns = ("--acc", "1,2,3", "--acc-unit", "m/s2", "--rate", "100")
+    columns = ("--acc", "1,2,3", "--unit", "m/s2", "--rate", "100")
     for name in ("imu0", "imu1"):
         path = str(data / "mpu9150_tumble" / f"{name}.log")
         report = run("lab", path, "--reference", "norm", *columns)

@@ -61,7 +61,7 @@ def whole(path: Path, rate: float) -> dict[str, Any]:
     """The command, from the file to YAML and reports."""
     from imucalib.cli import cli
 
-    unit = ["--acc-unit", "g"] if path.suffix == ".csv" else []
+    unit = ["--unit", "g"] if path.suffix == ".csv" else []
     out = path.with_suffix(".out")
     cli.main(["actigraph", str(path), "-o", str(out), "-q", *unit], standalone_mode=False)
     found = json.loads((out / "report.json").read_text())["matrices"]

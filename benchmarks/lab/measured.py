@@ -85,7 +85,7 @@ def _instruments(data: Path) -> None:
             runs.append((f"cave instrument {name}", lab(str(path), "--reference", "norm")))
     for k in (0, 1):
         log = data / "mpu9150_tumble" / f"imu{k}.log"
-        options = ("--reference", "norm", "--acc", "1,2,3", "--acc-unit", "m/s2", "--rate", "100")
+        options = ("--reference", "norm", "--acc", "1,2,3", "--unit", "m/s2", "--rate", "100")
         runs.append((f"MPU-9150 tumble {k}", lab(str(log), *options)))
     for name, report in runs:
         error = report["loop"]["error"]

@@ -79,7 +79,7 @@ def detect_acceleration_unit(
     raise UnreadableInput(
         f"norm at rest = {norm:.6g} fits no known unit (g, mg, ug, m/s2)",
         where=where,
-        remedy="name it with --unit, or give the scale with --unit counts --lsb-per-g N",
+        remedy="name it with --unit, or give the scale with --unit counts --lsb N",
     )
 
 

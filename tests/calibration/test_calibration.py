@@ -21,13 +21,13 @@ from ruamel.yaml import YAML
 import imucalib
 from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
 from imucalib.calibration.file import as_dict, check, from_dict, read, to_yaml, write
-from imucalib.calibration.yaml_text import dump
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.effects import named
 from imucalib.effects.record_error import record_error
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.recording.yaml_text import dump
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
 Array = NDArray[np.float64]

@@ -199,7 +199,7 @@ def test_a_topic_listing_has_type_count_and_rate(tmp_path: Path) -> None:
         (csv, ("--acc", "a,b,c"), "no column 'a'.*ax"),
         (csv, ("--acc", "2,3"), "2 columns do not make triads"),
         (csv, ("--acc", "2,3,99"), "no column '99'"),
-        (csv, ("--acc-unit", "furlong"), "--acc-unit: unknown unit 'furlong'.*m/s2"),
+        (csv, ("--unit", "furlong"), "--unit: unknown unit 'furlong'.*m/s2"),
         (csv, ("--gyro-unit", "furlong", "--gyro", "ax [g],ay [g],az [g]"), "unknown unit"),
         (csv, ("--preset", "nokia"), "unknown preset 'nokia'.*euroc"),
         (csv, ("--axis-map", "x,y"), "x, y and z once each"),
@@ -221,14 +221,14 @@ def test_a_wrong_mapping_is_named_with_what_there_is(
 
 
 def test_a_wrong_unit_shows_in_the_verdict(tmp_path: Path) -> None:
-    result = inspect(hdf5(tmp_path), "--acc-unit", "mg")
+    result = inspect(hdf5(tmp_path), "--unit", "mg")
     assert "not that of gravity" in result.stdout.replace("\n", " ")
 
 
 def test_raw_counts_ask_for_their_scale(tmp_path: Path) -> None:
     rows = [",".join(str(round(a * 208.8)) for a in r.acc) for r in ROWS]
     (tmp_path / "c.csv").write_text("ax,ay,az\n" + "\n".join(rows) + "\n")
-    options = ("--rate", "100", "--acc-unit", "counts")
+    options = ("--rate", "100", "--unit", "counts")
     assert "--lsb 2048" in inspect(tmp_path / "c.csv", *options).stdout
     result = inspect(tmp_path / "c.csv", *options, "--lsb", "2048")
     assert "nothing is wrong" in result.stdout
@@ -240,7 +240,7 @@ def test_csv_options_reach_the_reader(tmp_path: Path) -> None:
     (tmp_path / "odd.txt").write_text("\n".join(lines) + "\n")
     result = inspect(
         tmp_path / "odd.txt", "--skip", "2", "--decimal", ",", "--delimiter", "tab",
-        "--rate", "100", "--acc", "1,2,3", "--acc-unit", "m/s2",
+        "--rate", "100", "--acc", "1,2,3", "--unit", "m/s2",
     )  # fmt: skip
     assert result.exit_code == 0, result.exception
     assert "6 still segments; nothing is wrong" in result.stdout

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from imucalib.core.known_direction import KnownDirection
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
 
 Array = NDArray[np.float64]
@@ -101,6 +102,34 @@ def test_free_directions_are_the_derivatives() -> None:
     assert _slope_error(reference, eta) < 1e-8
     norm, at = _known_norm()
     assert _slope_error(norm, at) < 1e-8
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-4, 0.05, 0.5], ids=["none", "tiny", "small", "beyond"])
+def test_tilts_are_the_derivatives_at_any_attitude(size: float) -> None:
+    directions = np.vstack([np.eye(3), -np.eye(3), unit_vector(np.array([0.3]), np.array([1.0]))])
+    reference = KnownDirection(directions, G)
+    eta = size * np.random.default_rng(4).standard_normal(reference.eta_size)
+    assert _slope_error(reference, eta) < 1e-7
+    assert reference.directions(eta).component == ("tilt", "tilt")
+
+
+def test_a_tilt_turns_by_its_length_and_keeps_gravity() -> None:
+    reference = KnownDirection(np.vstack([np.eye(3), -np.eye(3)]), G)
+    eta = 0.03 * np.random.default_rng(6).standard_normal(12)
+    truth = reference.truth(eta)[:, 0]
+    assert np.allclose(np.linalg.norm(truth, axis=1), G, rtol=1e-14)
+    turned = np.arccos(np.sum(truth * reference.direction, axis=1) / G)
+    assert np.allclose(turned, np.linalg.norm(eta.reshape(6, 2), axis=1), rtol=1e-9)
+    assert np.array_equal(reference.truth(np.zeros(12))[:, 0], G * reference.direction)
+    part = reference.take(np.array([4, 1]))
+    assert np.array_equal(part.truth(np.zeros(4)), reference.truth(np.zeros(12))[[4, 1]])
+
+
+def test_directions_taken_as_exact() -> None:
+    reference = KnownDirection(np.eye(3), G, tilts=False)
+    assert reference.eta_size == 0
+    assert reference.directions(np.zeros(0)).derivative.shape == (3, 1, 3, 0)
+    assert reference.take(np.array([1])).tilts is False
 
 
 def test_every_entry_of_eta_belongs_to_one_component() -> None:

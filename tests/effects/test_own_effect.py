@@ -65,6 +65,88 @@ def test_files_that_are_no_effects(tmp_path: Path, text: str, words: str) -> Non
         effects.load_file(path)
 
 
+_OWN = """
+from dataclasses import replace
+import numpy as np
+from imucalib.core.effect import Action, Response
+from imucalib.core.parameter import Parameter
+from imucalib.effects import named
+own = replace(named("bias"), name="own_bias")
+class Plain:
+    name = sentence = equation = source = identify = "plain"
+    stage, channel, needs = "sensor", "acceleration", ()
+    parameters = staticmethod(lambda context: (Parameter("k", "mg", 1.0, 9.0),))
+    missing = staticmethod(lambda context: "")
+    def act(self, theta, truth, context):
+        n = context.n
+        return Action(np.zeros((n, 1, 3)), np.zeros((n, 1, 3, 1)), np.zeros((n, 1, 3, 3)))
+def plain(**changed):
+    return type("Changed", (Plain,), changed)()
+"""
+
+
+@pytest.mark.parametrize(
+    ("offered", "words"),
+    [
+        ("{'a': own}", "EFFECTS is a dict, not a tuple"),
+        ("own", "EFFECTS is a Response, not a tuple"),
+        ("'own'", "EFFECTS is a str, not a tuple"),
+        ("(0,)", "item 1 of EFFECTS is an int, not an effect"),
+        ("(own, Plain)", "item 2 of EFFECTS is the class Plain"),
+        ("(own, own)", "two effects are called 'own_bias'"),
+        ("(plain(source=None),)", "effect 'plain': its source is missing"),
+        ("(plain(stage='sensing'),)", "its stage is 'sensing'.*fixture, mounting, sensor"),
+        ("(plain(channel='force'),)", "its channel is 'force'.*acceleration, angular_rate"),
+        ("(plain(needs='temperature'),)", "its needs are not a tuple"),
+        ("(plain(act=None),)", "no function act"),
+        ("(plain(missing=lambda s, c: None),)", "missing.. gives a NoneType"),
+        ("(plain(parameters=lambda s, c: ()),)", "no parameters"),
+        ("(plain(parameters=lambda s, c: ('k',)),)", "not a tuple of Parameter"),
+        ("(plain(parameters=lambda s, c: (Parameter('k', 'mg', -1, 9),)),)", "k: typical -1"),
+        ("(plain(parameters=lambda s, c: (Parameter('k', 'mg', 1, 9),) * 2),)", "the same name"),
+        ("(plain(act=lambda s, *a: 0),)", "gives an int, not an Action"),
+        ("(plain(act=lambda s, *a: 1 / 0),)", "'plain': it fails with ZeroDivisionError"),
+        ("(plain(act=lambda s: 0),)", "it fails with TypeError"),
+        (
+            "(replace(own, basis=lambda x, c: np.ones((c.n, 3))),)",
+            "effect 'own_bias': ",
+        ),
+        (
+            "(plain(act=lambda s, *a: Action(np.zeros((5, 3)), np.zeros(1), np.zeros(1))),)",
+            r"delta of its action has the shape \(5, 3\), not \(5, 1, 3\)",
+        ),
+        (
+            "(plain(act=lambda s, *a: Action(np.ones((5, 1, 3)), np.ones((5, 1, 3, 1)), "
+            "np.ones((5, 1, 3, 3)))),)",
+            "does something at parameters of zero",
+        ),
+        (
+            "(plain(act=lambda s, *a: Action(np.zeros((5, 1, 3)), np.full((5, 1, 3, 1), np.nan), "
+            "np.ones((5, 1, 3, 3)))),)",
+            "d_theta of its action is not finite",
+        ),
+    ],
+)
+def test_a_malformed_file_names_the_effect_and_what_is_wrong(
+    tmp_path: Path, offered: str, words: str
+) -> None:
+    path = tmp_path / "bad.py"
+    path.write_text(f"{_OWN}\nEFFECTS = {offered}\n")
+    with pytest.raises(UsageError, match=words) as caught:
+        effects.load_file(path)
+    assert caught.value.where == str(path)
+    assert caught.value.remedy
+
+
+def test_an_effect_of_its_own_shape_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(effects, "_LOADED", {})
+    path = tmp_path / "good.py"
+    path.write_text(f"{_OWN}\nEFFECTS = [own, plain()]\n")
+    assert list(effects.load_file(path)) == ["own_bias", "plain"]
+
+
 def test_a_name_that_is_taken(example: Path) -> None:
     example.write_text(
         example.read_text().replace('"xy_into_z",\n        "z reads', '"cubic",\n        "z reads')

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import (
-    PRESETS,
     FieldMapping,
     from_dict,
     load_mapping,
@@ -49,14 +48,6 @@ def test_saved_and_loaded(mapping: FieldMapping, tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["m.yaml"]
 
 
-@pytest.mark.parametrize("name", PRESETS)
-def test_presets_fill_only_what_is_not_stated(name: str) -> None:
-    full = FieldMapping(preset=name, acc_unit="mg").with_preset()
-    assert full.acc_unit == "mg"
-    assert full.acc == PRESETS[name].acc
-    assert full.preset == name
-
-
 @pytest.mark.parametrize(
     ("data", "match"),
     [
@@ -77,11 +68,6 @@ def test_presets_fill_only_what_is_not_stated(name: str) -> None:
 def test_bad_fields_are_named(data: dict[str, object], match: str) -> None:
     with pytest.raises(UsageError, match=match):
         from_dict(data)
-
-
-def test_an_unknown_preset_is_refused() -> None:
-    with pytest.raises(UsageError, match="unknown preset"):
-        FieldMapping(preset="nokia").with_preset()
 
 
 @pytest.mark.parametrize("text", ["- a\n- b\n", "", "a: b: c", "acc: [x\n", "\x00"])

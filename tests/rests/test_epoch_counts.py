@@ -62,7 +62,7 @@ def test_a_raw_file_with_the_same_header_is_read(tmp_path: Path) -> None:
 def test_counts_without_a_header_are_no_gravity(tmp_path: Path) -> None:
     path = tmp_path / "bare.csv"
     path.write_text(counts("", COLUMNS[1]), encoding="utf-8")
-    arguments = ["actigraph", str(path), "--rate", "0.2", "--acc-unit", "g"]
+    arguments = ["actigraph", str(path), "--rate", "0.2", "--unit", "g"]
     result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
     assert isinstance(result.exception, UnreadableInput)
     assert "counts" in str(result.exception)

@@ -64,7 +64,7 @@ def apply_to_recording(
         raise UnreadableInput(
             f"the acceleration has no scale (unit {channel.unit})",
             where=recording.path,
-            remedy="give --acc-unit, or --acc-unit counts with --lsb",
+            remedy="give --unit, or --unit counts with --lsb",
         )
     parts = parts_of(calibration, use)
     if history is None and _lags(calibration, parts):

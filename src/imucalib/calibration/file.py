@@ -6,7 +6,6 @@ their order. `matrices` are derived from the effects for those who only need a =
 
 from __future__ import annotations
 
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,10 @@ from numpy.typing import NDArray
 
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.yaml_text import dump
 from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.errors import UnreadableInput
+from imucalib.recording.yaml_text import dump, load
 
 Array = NDArray[np.float64]
 
@@ -84,16 +83,9 @@ def write_whole(path: Path, text: str) -> None:
 
 def read(path: Path) -> Calibration:
     """Read a calibration of any known version. Raises UnreadableInput with what is wrong where."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path))
-    try:
-        content = YAML(typ="safe", pure=True).load(StringIO(path.read_text(encoding="utf-8")))
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise UnreadableInput(f"not a YAML file: {error}", where=str(path)) from None
-    return from_dict(content, str(path))
+    return from_dict(load(path), str(path))
 
 
 def from_dict(content: Any, where: str) -> Calibration:

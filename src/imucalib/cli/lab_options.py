@@ -10,6 +10,7 @@ import click
 
 from imucalib.cli.gravity_options import gravity_of, gravity_options, limits_of
 from imucalib.cli.output import numbers
+from imucalib.cli.recording_options import one_scale
 
 if TYPE_CHECKING:
     from imucalib.calibrators.lab.calibrate import LabSettings
@@ -40,21 +41,18 @@ _OPTIONS = (
     ),
     click.option(
         "--reference",
-        type=click.Choice(["vector", "norm"]),
+        type=click.Choice(["vector", "direction", "norm"]),
         default="vector",
         show_default=True,
-        help="Known angles, or only the size of gravity (TABLE may then be a recording).",
+        help="Known angles; directions without dials (a column face with +x ... -z, or ux, uy, "
+        "uz); or only the size of gravity (TABLE may then be a recording).",
     ),
     click.option(
         "--columns",
         multiple=True,
         metavar="ROLE=NAME,...",
-        help="Columns by heading: inclination, tool_face, x, y, z, temperature, samples.",
+        help="Columns by heading: inclination, tool_face, face, x, y, z, temperature, samples.",
     ),
-    click.option(
-        "--unit", help="Unit of raw x, y, z: g, mg, ug, m/s2, counts. Default: by the norm at rest."
-    ),
-    click.option("--lsb-per-g", type=float, help="Counts a g, with --unit counts."),
     click.option(
         "--convention",
         default="paper",
@@ -170,7 +168,7 @@ def request_of(options: dict[str, Any]) -> LabRequest:
     gravity, source = gravity_of(options)
     request = LabRequest(
         unit=options["unit"],
-        lsb_per_g=options["lsb_per_g"],
+        lsb_per_g=one_scale(options["lsb"]),
         gravity=gravity,
         gravity_source=source,
         reference=options["reference"],

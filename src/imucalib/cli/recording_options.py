@@ -23,13 +23,18 @@ _OPTIONS = (
     click.option("--gyro", help="Recording: gyroscope fields or columns."),
     click.option("--temperature", help="Recording: temperature field or column."),
     click.option("--time", help="Recording: time field or column; log_time for an MCAP file."),
-    click.option("--acc-unit", help="Recording: unit of the accelerometer: m/s2, g, mg, counts."),
+    click.option(
+        "--unit",
+        help="Unit of the accelerometer's readings: m/s2, g, mg, ug, counts. Default: as the file "
+        "states it, else by the norm at rest.",
+    ),
+    click.option("--lsb", help="Accelerometer counts a g, with --unit counts."),
     click.option("--gyro-unit", help="Recording: unit of the gyroscope: rad/s, deg/s, counts."),
+    click.option("--gyro-lsb", help="Recording: gyroscope counts a deg/s, with its unit counts."),
     click.option("--time-unit", help="Recording: unit of the time stamps: s, ms, us, ns, text."),
     click.option("--rate", type=float, help="Recording: samples a second, without time stamps."),
     click.option("--axis-map", help='Recording: axes, for example "x,-y,z".'),
     click.option("--preset", help="Recording: named mapping (actigraph, axivity, euroc, ...)."),
-    click.option("--lsb", help="Recording: accelerometer counts a g, with --acc-unit counts."),
     click.option("--acc-offset", help="Recording: accelerometer counts at zero."),
     click.option("--skip", type=int, help="CSV: lines before the header or the first row."),
     click.option("--decimal", help="CSV: decimal mark, . or ,"),
@@ -41,11 +46,13 @@ _FIELDS = {
     **{
         name: name
         for name in (
-            "acc", "gyro", "temperature", "time", "acc_unit", "gyro_unit", "time_unit", "rate",
+            "acc", "gyro", "temperature", "time", "gyro_unit", "time_unit", "rate",
             "axis_map", "preset", "acc_offset", "skip", "decimal", "delimiter",
         )
     },
+    "unit": "acc_unit",
     "lsb": "lsb_per_g",
+    "gyro_lsb": "lsb_per_dps",
 }  # fmt: skip
 
 
@@ -66,3 +73,13 @@ def mapping_of(options: dict[str, Any]) -> FieldMapping:
     stated["delimiter"] = words.get(delimiter, delimiter) if delimiter else None
     base = load_mapping(options["mapping"]) if options["mapping"] else FieldMapping()
     return from_dict(stated, "command line").filled_from(base)
+
+
+def one_scale(text: str | None) -> float | None:
+    """The value of --lsb where one number serves all axes, as in a table."""
+    if text is None:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise click.BadParameter(f"'{text}' is not one number", param_hint="--lsb") from None

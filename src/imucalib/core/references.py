@@ -41,6 +41,11 @@ class Reference(Protocol):
     def eta_size(self) -> int: ...
     @property
     def eta_unit(self) -> str: ...
+    @property
+    def directed(self) -> bool:
+        """Whether the truth at η = 0 is what was meant, or its direction is unknown."""
+        ...
+
     def truth(self, eta: Array) -> Array:
         """(n, K, 3) specific force in m/s² at η."""
         ...
@@ -75,6 +80,15 @@ def angles_of(vector: Array) -> tuple[Array, Array]:
     return np.arctan2(z, np.hypot(x, y)), np.mod(np.arctan2(x, y), 2.0 * np.pi)
 
 
+def tangents(direction: Array) -> Array:
+    """(n, 3, 2) two unit vectors square to each unit vector (n, 3) and to each other."""
+    # The axis that is least along it gives a well-conditioned frame everywhere on the sphere.
+    axis = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
+    first = np.cross(direction, axis)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(direction, first)], axis=-1)
+
+
 @dataclass(frozen=True)
 class KnownVector:
     """Gravity of known size in a direction set by hand on a table: the lab's reference.
@@ -95,6 +109,7 @@ class KnownVector:
 
     COMPONENTS = ("inclination setting", "tool-face setting")
     eta_unit = "rad"
+    directed = True
 
     @property
     def n(self) -> int:
@@ -167,6 +182,7 @@ class KnownNorm:
     attitude: Array | None = None
 
     eta_unit = "rad"
+    directed = False
 
     @property
     def n(self) -> int:
@@ -186,12 +202,7 @@ class KnownNorm:
         return np.asarray(self.attitude.transpose(0, 2, 1) @ columns[:, None])
 
     def _tangents(self, eta: Array) -> Array:
-        d = eta.reshape(self.count, 3)
-        # The axis that is least along d gives a well-conditioned frame everywhere on the sphere.
-        axis = np.eye(3)[np.argmin(np.abs(d), axis=1)]
-        first = np.cross(d, axis)
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
-        return np.stack([first, np.cross(d, first)], axis=-1)
+        return tangents(eta.reshape(self.count, 3))
 
     def directions(self, eta: Array) -> Directions:
         derivative = self.gravity * self._seen(self._tangents(eta))

@@ -27,9 +27,10 @@ def simulate(
     reference, context = observations.reference, observations.context
     eta = reference.start(observations.reading)
     if noise.component:
-        index = reference.directions(eta).index
-        for column, sd in enumerate(noise.sd):
-            used = np.unique(index[:, column])
+        directions = reference.directions(eta)
+        for column, component in enumerate(directions.component):
+            sd = noise.sd[noise.component.index(component)] if component else 0.0
+            used = np.unique(directions.index[:, column])
             eta[used] = sd * rng.standard_normal(used.size)
     clean = model.predict(theta, reference.truth(eta), context).reading
     spread = noise.factor * observations.sigma

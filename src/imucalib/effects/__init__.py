@@ -13,6 +13,7 @@ from pathlib import Path
 
 from imucalib.core.effect import Effect, Family
 from imucalib.discovery import modules_of
+from imucalib.effects.contract import checked_effects
 from imucalib.errors import UsageError
 
 #: Effects of files that this process has loaded; a calibration may need them to be applied.
@@ -57,7 +58,8 @@ def known(name: str) -> Effect | None:
 def load_file(path: Path) -> dict[str, Effect]:
     """Add the effects of a user's file to the catalogue.
 
-    Raises UsageError when there is no such file, it fails, it has no `EFFECTS`, or a name is taken.
+    Raises UsageError when there is no such file, it fails, it has no `EFFECTS`, one of them is no
+    effect (`contract`), or a name is taken.
     """
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():
@@ -70,9 +72,7 @@ def load_file(path: Path) -> dict[str, Effect]:
             f"it fails with {type(error).__name__}: {error}", where=str(path)
         ) from error
     found = dict(_installed())
-    effects = getattr(module, "EFFECTS", ())
-    if not effects:
-        raise UsageError("no EFFECTS in it", where=str(path), remedy="define EFFECTS = (...,)")
+    effects = checked_effects(getattr(module, "EFFECTS", ()), str(path))
     _add(found, effects, str(path))
     own = {effect.name: effect for effect in effects}
     _LOADED.update(own)
@@ -94,5 +94,9 @@ def named(name: str) -> Effect:
 def _add(found: dict[str, Effect], effects: tuple[Effect, ...], where: str) -> None:
     for effect in effects:
         if effect.name in found:
-            raise UsageError(f"two effects are called '{effect.name}'", where=where)
+            raise UsageError(
+                f"two effects are called '{effect.name}'",
+                where=where,
+                remedy="rename it: `imucal effects` lists the names that are taken",
+            )
         found[effect.name] = effect

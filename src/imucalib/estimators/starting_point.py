@@ -26,16 +26,20 @@ def full_matrix_start(model: Model, observations: Observations) -> Array:
     """
     theta = model.start(observations.context)
     reference = observations.reference
-    if not isinstance(reference, KnownVector) or "mounting" not in model.names:
+    if not reference.directed or "mounting" not in model.names:
         return theta
     sensitivity, offset, rank = linear_map(observations)
     if rank < 4:
         return theta
     if np.linalg.det(sensitivity) <= 0.0:
         raise UnreadableInput(
-            "the readings are a mirror image of the angles: "
-            "an axis or the tool-face has the other sign",
-            remedy="try --toolface-sense counter-clockwise, or check the signs of x, y and z",
+            "the readings are a mirror image of the reference: an axis has the other sign",
+            remedy="check the signs of x, y and z; "
+            + (
+                "an angle may turn the other way: --toolface-sense counter-clockwise"
+                if isinstance(reference, KnownVector)
+                else "a face is the axis that reads +g, which is the one that points up"
+            ),
         )
     lower, rotation = _lower_times_rotation(sensitivity)
     slices = model.slices(observations.context)

@@ -48,11 +48,11 @@ def _advice(found: Inspection) -> Iterator[tuple[str, str]]:
     if counts:
         norm = counts[0].norm_at_rest
         scale = f"{norm:.0f}" if math.isfinite(norm) else "N"
-        why = "with --acc-unit counts: counts a g by the data sheet"
+        why = "with --unit counts: counts a g by the data sheet"
         why += "; the norm at rest is that many counts" if math.isfinite(norm) else ""
         yield f"--lsb {scale}", why
     if any(f.unit == "m/s2" and _is_off(f) for f in accelerometers):
-        yield "--acc-unit UNIT", "m/s2, g, mg, ug or counts, if the unit above is wrong"
+        yield "--unit UNIT", "m/s2, g, mg, ug or counts, if the unit above is wrong"
     if any(f.unit == "counts" for f in _of(found, "angular_rate")):
         yield "--gyro-unit deg/s", "or rad/s: the file states no unit for the angular rate"
     if found.losses:

@@ -120,11 +120,11 @@ def probes(fit: Fit) -> tuple[Candidate, ...]:
         wide = wide * _CURVE_MG * MG
         found.append(_probe(fit, f"bias against {words}", wide, words, f"bias:{span}"))
         for column, component in enumerate(directions.component):
-            if component is None:
+            what = (component or "").replace(" setting", "")
+            if what.replace("-", "_") not in context:  # flat, or a tilt that no dial shows
                 continue
             angle = prediction.d_truth @ directions.derivative[..., column, None]
             block = angle * curves[:, None, None, :] * _CURVE_DEG * DEG
-            what = component.replace(" setting", "")
             curve = f"{what.replace('-', '_')}:{span}"
             found.append(_probe(fit, f"{what} error against {words}", block, words, curve))
     return tuple(found)
@@ -180,12 +180,16 @@ def record_candidates(fit: Fit) -> tuple[Candidate, ...]:
             found.append(Candidate(f"{row}:norm", "record", own, labels[row]))
     else:
         found += _shared_direction(fit)
+    own_settings: dict[tuple[int, str], list[Array]] = {}
     for name, matrix in zip(at.component, at.settings, strict=True):
         for setting in range(matrix.shape[1]):
             column = matrix[:, setting : setting + 1] * _RECORD_DEG * DEG
             rows = np.unique(at.owner[np.abs(column[:, 0]) > 1e-9 * np.abs(column).max()])
             if rows.size == 1:  # a setting of several rows is not one record
-                found.append(Candidate(f"{rows[0]}:{name}", "record", column, labels[rows[0]]))
+                own_settings.setdefault((int(rows[0]), name), []).append(column)
+    for (row, name), columns in own_settings.items():
+        block = np.concatenate(columns, axis=1)
+        found.append(Candidate(f"{row}:{name}", "record", block, labels[row]))
     return tuple(found)
 
 

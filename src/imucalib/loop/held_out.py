@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from imucalib.core.balance import whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
-from imucalib.core.references import KnownVector
 from imucalib.core.truth import Truth
 from imucalib.effects.record_error import is_record_error
 
@@ -62,7 +61,7 @@ def errors(fit: Fit, theta: Array, observations: Observations) -> Held:
     """Corrected against expected for observations under a θ of the fit's model."""
     context, reference = observations.context, observations.reference
     corrected = fit.model.correct(theta, observations.reading, context)
-    if isinstance(reference, KnownVector):
+    if reference.directed:
         nominal = reference.truth(np.zeros(reference.eta_size))
         expected = _through_fixture(fit, theta, nominal, observations)
         return Held(corrected, expected, corrected - expected)

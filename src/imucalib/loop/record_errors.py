@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.core.fit import Fit
+from imucalib.core.known_direction import KnownDirection
 from imucalib.core.references import KnownNorm, KnownVector, angles_of
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.held_out import theta_without, without_records
@@ -78,7 +79,7 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
     label = fit.observations.label[row]
     reading = fit.observations.reading[row, 0]
     reference = fit.observations.reference
-    if not isinstance(reference, KnownVector):
+    if not reference.directed:
         assert isinstance(reference, KnownNorm)
         if reference.attitude is not None:
             return _of_triads(fit, row, channel, p, evidence)
@@ -132,14 +133,30 @@ def _corrected_without(fit: Fit, row: int) -> Array:
 def _angle_away(fit: Fit, row: int, component: str) -> float:
     """Angle (rad) of the corrected record minus the angle that was set."""
     reference = fit.observations.reference
+    corrected = _corrected_without(fit, row)[0]
+    if isinstance(reference, KnownDirection):
+        along = reference.direction[row]
+        across = float(np.linalg.norm(np.cross(along, corrected)))
+        return float(np.arctan2(across, along @ corrected))
     assert isinstance(reference, KnownVector)
-    inclination, tool_face = angles_of(_corrected_without(fit, row)[0])
+    inclination, tool_face = angles_of(corrected)
     if component.startswith("inclination"):
         return float(inclination - reference.inclination[row])
     away = float(tool_face - reference.tool_face[row])
     return float(np.mod(away + np.pi, 2.0 * np.pi) - np.pi)
 
 
+def _wrong_face(stood: Array, meant: Array) -> str:
+    """In words, the direction of a record whose direction is not the one that was meant."""
+    if stood @ meant > _SAME_FACE:
+        return "no single slip explains it"
+    axis = int(np.argmax(np.abs(stood)))
+    if abs(stood[axis]) > _SAME_FACE:
+        return f"direction: the record fits face {'+' if stood[axis] > 0.0 else '-'}{'xyz'[axis]}"
+    return f"direction: the record fits {stood[0]:+.3f}, {stood[1]:+.3f}, {stood[2]:+.3f}"
+
+
+_SAME_FACE = float(np.cos(5.0 * DEG))
 _NEAR = 16.3  # chi-square with 3 degrees of freedom, p = 0.001
 
 
@@ -177,10 +194,12 @@ def _slip(
 def _wrong_angle(fit: Fit, row: int) -> tuple[str, tuple[tuple[str, float], ...]]:
     """A reading of the right size in another direction was taken at another setting."""
     reference = fit.observations.reference
-    assert isinstance(reference, KnownVector)
+    assert isinstance(reference, KnownVector | KnownDirection)
     corrected = _corrected_without(fit, row)[0]
     off = abs(float(np.linalg.norm(corrected)) - reference.gravity)
     if off > 5.0 * fit.noise.factor * float(fit.observations.sigma[row].max()):
         return "no single slip explains it", ()
+    if isinstance(reference, KnownDirection):
+        return _wrong_face(corrected / np.linalg.norm(corrected), reference.direction[row]), ()
     inclination, tool_face = (float(a) / DEG for a in angles_of(corrected))
     return f"angle: the tool stood at inclination {inclination:.1f}, tool-face {tool_face:.1f}", ()

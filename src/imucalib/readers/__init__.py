@@ -13,6 +13,7 @@ from typing import Protocol
 
 from imucalib.discovery import modules_of
 from imucalib.errors import UnreadableInput
+from imucalib.readers.devices.catalogue import with_preset
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -104,9 +105,7 @@ def read(
     UnreadableInput when nothing can be read or, with `strict`, when anything is damaged, and
     UsageError when the mapping names what the file does not have.
     """
-    return reader_for(path).read(
-        Path(path), (mapping or FieldMapping()).with_preset(), strict=strict
-    )
+    return reader_for(path).read(Path(path), with_preset(mapping or FieldMapping()), strict=strict)
 
 
 def blocks(
@@ -117,7 +116,7 @@ def blocks(
     strict: bool = False,
 ) -> Iterator[Recording]:
     """Read a recording of any known format piecewise, in bounded memory; errors as in `read`."""
-    full = (mapping or FieldMapping()).with_preset()
+    full = with_preset(mapping or FieldMapping())
     return reader_for(path).blocks(Path(path), full, block_samples=block_samples, strict=strict)
 
 
@@ -126,7 +125,7 @@ def stored_blocks(
 ) -> Iterator[Recording]:
     """`blocks` for a pass that keeps only statistics: a reader whose format holds plain numbers
     gives them as they are, with the conversion to SI beside them (`Channel.pending`)."""
-    full, reader = (mapping or FieldMapping()).with_preset(), reader_for(path)
+    full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
     given = getattr(reader, "stored_blocks", reader.blocks)
     found: Iterator[Recording] = given(Path(path), full, block_samples=BLOCK_SAMPLES, strict=strict)
     return found

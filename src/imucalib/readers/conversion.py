@@ -102,10 +102,10 @@ def acceleration(mapping: FieldMapping, stated: str, rest: Array, where: str) ->
         try:
             found = units.detect_acceleration_unit(rest, where)
         except UnreadableInput as error:
-            remedy = "name it with --acc-unit, or give the scale with --acc-unit counts --lsb N"
+            remedy = "name it with --unit, or give the scale with --unit counts --lsb N"
             raise UnreadableInput(error.what, where=where, remedy=remedy) from error
         unit, note = found.unit, f"acceleration: {found.sentence}"
-    factor = _factor(unit, units.ACCELERATION_UNITS, mapping.acc_unit, "--acc-unit", where)
+    factor = _factor(unit, units.ACCELERATION_UNITS, mapping.acc_unit, "--unit", where)
     if not note:
         note = _judge_stated(unit, factor, rest, bool(mapping.acc_unit), where)
     return Conversion("m/s2", unit, np.array([factor]), offset, axes, note)
@@ -122,7 +122,7 @@ def _judge_stated(unit: str, factor: float, rest: Array, by_user: bool, where: s
     if by_user:
         return f"acceleration: {what}"
     raise UnreadableInput(
-        f"{what}, as the file states", where=where, remedy="name the true unit with --acc-unit"
+        f"{what}, as the file states", where=where, remedy="name the true unit with --unit"
     )
 
 

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.atomic_file import replaced_atomically
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.recording.yaml_text import dump, load
 
 #: Seconds in one unit of a numeric time stamp; "text" is a date or a time of day.
 TIME_UNITS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100us": 1e-4}
@@ -41,7 +43,7 @@ class FieldMapping:
     skip : lines before the header or, with `header` False, before the first data row
     header : whether a line of column names exists
     decimal, delimiter : of a CSV; delimiter " " stands for any run of blanks
-    preset : name of the entry of PRESETS that filled what was not stated
+    preset : the device (`readers/devices`) that filled what was not stated
     """
 
     acc: tuple[str, ...] = ()
@@ -99,18 +101,6 @@ class FieldMapping:
     def filled_from(self, other: FieldMapping) -> FieldMapping:
         """This mapping, with every field that is not stated taken from `other`."""
         return replace(other, **{k: _as_field(k, v) for k, v in self.to_dict().items()})
-
-    def with_preset(self) -> FieldMapping:
-        """This mapping, filled from its preset. Raises UsageError for an unknown preset."""
-        if not self.preset:
-            return self
-        if self.preset not in PRESETS:
-            raise UsageError(
-                f"unknown preset '{self.preset}'",
-                where="mapping: preset",
-                remedy=f"use one of: {', '.join(PRESETS)}",
-            )
-        return self.filled_from(PRESETS[self.preset])
 
 
 def from_dict(data: Mapping[str, object], where: str = "mapping") -> FieldMapping:
@@ -189,66 +179,13 @@ def parse_axis_map(text: str) -> AxisMap:
 
 def load_mapping(path: str | os.PathLike[str]) -> FieldMapping:
     """Read a mapping from YAML. Raises UnreadableInput for bad YAML, UsageError for a bad field."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        data = YAML(typ="safe", pure=True).load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, YAMLError, ValueError) as error:
-        detail = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise UnreadableInput(
-            f"the mapping cannot be read: {detail}",
-            where=str(path),
-            remedy="write one with 'imucal inspect FILE --save-mapping'",
-        ) from error
+    data = load(Path(path), "write one with 'imucal inspect FILE --save-mapping'")
     if not isinstance(data, dict):
         raise UnreadableInput("the mapping is not a list of 'field: value' lines", where=str(path))
     return from_dict({str(k): v for k, v in data.items()}, where=str(path))
 
 
 def save_mapping(mapping: FieldMapping, path: str | os.PathLike[str]) -> None:
-    """Write the stated fields as YAML, atomically: a temporary file beside it, then a rename."""
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    text = "".join(f"{key}: {_yaml(value)}\n" for key, value in mapping.to_dict().items())
-    try:
-        temporary.write_text(text or "{}\n", encoding="utf-8")
-        os.replace(temporary, target)
-    except OSError as error:
-        raise UsageError(
-            f"the mapping cannot be written: {error.strerror}", where=str(path)
-        ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _yaml(value: object) -> str:
-    """A value in YAML 1.2 flow style; text is quoted and in ASCII, so that any name survives."""
-    if isinstance(value, list):
-        return f"[{', '.join(map(_yaml, value))}]"
-    if isinstance(value, str):
-        plain = (c if " " <= c <= "~" and c not in '"\\' else f"\\U{ord(c):08x}" for c in value)
-        return f'"{"".join(plain)}"'
-    return str(value).lower() if isinstance(value, bool) else repr(value)
-
-
-#: What well-known sources mean, for files whose own header does not say it.
-PRESETS: dict[str, FieldMapping] = {
-    "actigraph": FieldMapping(acc=("1", "2", "3"), acc_unit="g", preset="actigraph"),
-    "geneactiv": FieldMapping(
-        time="1", acc=("2", "3", "4"), temperature=("7",), time_unit="text",
-        time_format="%Y-%m-%d %H:%M:%S:%f", acc_unit="g", temperature_unit="degC",
-        preset="geneactiv",
-    ),
-    "axivity": FieldMapping(time="1", acc=("2", "3", "4"), acc_unit="g", preset="axivity"),
-    "euroc": FieldMapping(
-        time="1", gyro=("2", "3", "4"), acc=("5", "6", "7"), time_unit="ns",
-        acc_unit="m/s2", gyro_unit="rad/s", preset="euroc",
-    ),
-    "xsens": FieldMapping(
-        acc=("Acc_X", "Acc_Y", "Acc_Z"), gyro=("Gyr_X", "Gyr_Y", "Gyr_Z"),
-        acc_unit="m/s2", gyro_unit="rad/s", preset="xsens",
-    ),
-    "apdm": FieldMapping(acc_unit="m/s2", gyro_unit="rad/s", time_unit="us", preset="apdm"),
-    "sensor_msgs": FieldMapping(acc_unit="m/s2", gyro_unit="rad/s", preset="sensor_msgs"),
-}  # fmt: skip
+    """Write the stated fields as YAML, whole or not at all. Raises UsageError."""
+    with replaced_atomically(path) as temporary:
+        temporary.write_text(dump(mapping.to_dict()), encoding="utf-8")

@@ -18,9 +18,10 @@ from imucalib.units import DEG, MG, STANDARD_GRAVITY
 _CAUTION: Tone = "warning"
 #: Fields of a mapping that have an option of their own.
 _OPTIONS = {
-    "acc", "gyro", "temperature", "time", "acc_unit", "gyro_unit", "temperature_unit", "time_unit",
+    "acc", "gyro", "temperature", "time", "gyro_unit", "temperature_unit", "time_unit",
     "rate", "axis_map", "preset", "acc_offset", "skip", "decimal", "delimiter",
 }  # fmt: skip
+_RENAMED = {"acc_unit": "--unit", "lsb_per_g": "--lsb", "lsb_per_dps": "--gyro-lsb"}
 
 
 def inspection_document(found: Inspection) -> Document:
@@ -60,8 +61,8 @@ def _verdict(found: Inspection) -> Text:
 def _options(found: Inspection) -> tuple[tuple[str, str], ...]:
     rows = []
     for key, value in found.mapping.items():
-        name = "--lsb" if key == "lsb_per_g" else f"--{key.replace('_', '-')}"
-        rows.append((name if key in _OPTIONS or key == "lsb_per_g" else key, _text(value)))
+        option = f"--{key.replace('_', '-')}" if key in _OPTIONS else key
+        rows.append((_RENAMED.get(key, option), _text(value)))
     return tuple(rows)
 
 

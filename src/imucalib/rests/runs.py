@@ -147,7 +147,7 @@ def _accelerometer(block: Recording, triad: str | None) -> str:
         raise UnreadableInput(
             f"the acceleration has no scale (unit {chosen.unit})",
             where=block.path,
-            remedy="give --acc-unit, or --acc-unit counts with --lsb; epoch counts cannot be used",
+            remedy="give --unit, or --unit counts with --lsb; epoch counts cannot be used",
         )
     return chosen.triad
 
@@ -186,7 +186,7 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
         raise UnreadableInput(
             f"the norm at rest is {float(np.median(size)) / STANDARD_GRAVITY:.3g} g: wrong unit",
             where=scanned.path,
-            remedy="give --acc-unit; counts of activity per epoch cannot be calibrated",
+            remedy="give --unit; counts of activity per epoch cannot be calibrated",
         )
     starts = _starts(w, chosen)
     count = np.diff(np.append(starts, chosen.size)).astype(np.intp)

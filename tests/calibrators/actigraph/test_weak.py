@@ -142,7 +142,7 @@ def test_nothing_at_rest_is_refused(tmp_path: Path) -> None:
     rows = np.column_stack([np.arange(4000) / 50.0, walk])
     path = tmp_path / "moving.csv"
     np.savetxt(path, rows, "%.4f", ",", header="time_s,acc_x_g,acc_y_g,acc_z_g", comments="")
-    arguments = ["actigraph", str(path), "--acc-unit", "g"]
+    arguments = ["actigraph", str(path), "--unit", "g"]
     result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
     assert isinstance(result.exception, Undetermined | UnreadableInput)
 

@@ -181,7 +181,7 @@ def test_bad_tables(tmp_path: Path, change: dict, code: int, words: str) -> None
     [
         (("--unit", "m/s2"), 3, "norm would be"),
         (("--unit", "furlong"), 2, "unknown unit"),
-        (("--unit", "counts"), 2, "--lsb-per-g"),
+        (("--unit", "counts"), 2, "--lsb"),
         (("--declare", "temperature_bias"), 2, "no temperature was recorded"),
         (("--without", "quadratc"), 2, "did you mean: quadratic"),
         (("--model", "13"), 2, "unknown model"),
@@ -210,6 +210,38 @@ def test_duplicated_rows_are_named(tmp_path: Path) -> None:
     record = report["loop"]["record_errors"][0]
     assert record["where"] == "row 10"
     assert record["likely"] == "a copy of row 21"
+
+
+@pytest.mark.parametrize("reference", ["vector", "norm"])
+def test_counts_of_a_table_are_spelt_as_those_of_a_recording(
+    tmp_path: Path, reference: str
+) -> None:
+    raw = np.array([[float(v) for v in column(f"{a}_mg")] for a in "xyz"]).T
+    angles = np.array([[float(v) for v in column(a)] for a in ("inclination", "tool_face")]).T
+    path = tmp_path / "counts.csv"
+    lines = ["inclination,tool_face,x,y,z"]
+    lines += [
+        ",".join(f"{v:.6f}" for v in (*a, *r)) for a, r in zip(angles, 2.048 * raw, strict=True)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    options = ("--reference", reference, "--no-loop", "--json", "-q")
+    by_counts = run("lab", path, "--unit", "counts", "--lsb", "2048", *options)
+    as_given = run("lab", SAMPLES / "bench.csv", *options)
+    for a, b in zip(
+        *(json.loads(r.stdout)["parameters"] for r in (by_counts, as_given)), strict=True
+    ):
+        assert a["value"] == pytest.approx(b["value"], abs=0.01 * b["sd"])
+    refused = run("lab", path, "--unit", "counts", "--lsb", "2048,2048,2040", *options)
+    assert "is not one number" in str(refused.exception)
+
+
+def test_a_unit_that_is_stated_is_the_recordings(tmp_path: Path) -> None:
+    """The table with --recording holds angles; the unit of its readings is used once."""
+    mcap = SAMPLES / "rests.mcap"
+    options = ("--no-loop", "--json", "-q")
+    plain = run("lab", SAMPLES / "positions.csv", "--recording", mcap, *options)
+    stated = run("lab", SAMPLES / "positions.csv", "--recording", mcap, "--unit", "m/s2", *options)
+    assert json.loads(stated.stdout)["parameters"] == json.loads(plain.stdout)["parameters"]
 
 
 def test_missing_file_and_positions_that_do_not_match(tmp_path: Path) -> None:

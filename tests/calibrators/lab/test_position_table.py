@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from imucalib.calibrators.lab.position_table import ROLES, PositionTable, read_position_table
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from imucalib.recording.mapping import FieldMapping
 
 PLAIN = "inclination,tool_face,x,y,z\n0,0,-11.5,966.25,31\n10,90,938,-14,209.5\n"
 
@@ -153,6 +155,62 @@ def test_mistakes_are_named_where_they_are(
 def test_rows_count_without_heading_and_notes(tmp_path: Path) -> None:
     text = "# a note\n" + PLAIN.replace("\n10", "\n# b\n\n10") + "20,0,1,x,2\n"
     assert _refused(_write(tmp_path, text)).where.endswith("row 3, column y")
+
+
+def test_packed_and_utf_16_tables(tmp_path: Path) -> None:
+    packed = _write(tmp_path, gzip.compress(PLAIN.encode()), "table.csv.gz")
+    assert np.array_equal(read_position_table(packed).raw()[1], [938.0, -14.0, 209.5])
+    assert read_position_table(packed).sha256 == hashlib.sha256(packed.read_bytes()).hexdigest()
+    wide = _write(tmp_path, PLAIN.replace(",", "\t").encode("utf-16"), "table.txt")
+    assert np.array_equal(read_position_table(wide).raw()[1], [938.0, -14.0, 209.5])
+
+
+def test_the_options_of_a_csv(tmp_path: Path) -> None:
+    titled = _write(tmp_path, "Bench 3; October\nby hand\n" + PLAIN.replace(",", ";"))
+    assert _refused(titled).where.endswith("row 1")
+    mapping = FieldMapping(skip=2, delimiter=";", decimal=".")
+    assert read_position_table(titled, mapping=mapping).n == 2
+    commas = PLAIN.replace(",", ";").replace("966.25", "966,25")
+    with pytest.raises(UnreadableInput, match="'966,25' is not a number"):
+        read_position_table(_write(tmp_path, commas), mapping=FieldMapping(decimal="."))
+
+
+FACED = "face,x,y,z\n+x,1,0,0\nY-,0,-1,0\n\u2212z,0,0,-1\n"
+
+
+def test_faces_are_directions(tmp_path: Path) -> None:
+    table = read_position_table(_write(tmp_path, FACED), need_angles=False, need_direction=True)
+    found = np.stack([table.columns[u] for u in ("ux", "uy", "uz")], axis=-1)
+    assert np.array_equal(found, [[1, 0, 0], [0, -1, 0], [0, 0, -1]])
+    assert table.names["face"] == "face"
+    path = _hdf5(tmp_path, face=[b"+x", b"-z"], raw=[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    table = read_position_table(path, need_angles=False, need_direction=True)
+    assert np.array_equal(table.columns["uz"], [0.0, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "what", "where", "remedy"),
+    [
+        (FACED.replace("Y-", "left"), "'left' is no face", "row 2, column face", "write +x, -x"),
+        (FACED.replace("Y-", "y"), "'y' is no face", "row 2, column face", "ux, uy, uz"),
+        (FACED.replace("Y-", ""), "cell is empty", "row 2, column face", "write +x, -x"),
+        (FACED.replace("face", "side"), "no column for ux, uy, uz", "", "--columns face=B"),
+        (FACED.replace("\n", ",1\n").replace("z,1\n", "z,up\n", 1), "several columns", "", "face="),
+        (FACED.replace("\n", ",1\n").replace("z,1\n", "z,ux\n", 1), "several columns", "", "face="),
+    ],
+)
+def test_wrong_faces_are_named_with_their_row(
+    tmp_path: Path, text: str, what: str, where: str, remedy: str
+) -> None:
+    with pytest.raises(UnreadableInput) as caught:
+        read_position_table(_write(tmp_path, text), need_angles=False, need_direction=True)
+    assert what in caught.value.what
+    assert caught.value.where.endswith(where)
+    assert remedy in caught.value.remedy
+
+
+def test_a_table_of_faces_says_what_to_ask_for(tmp_path: Path) -> None:
+    assert "--reference direction" in _refused(_write(tmp_path, FACED)).remedy
 
 
 def test_not_a_text_file(tmp_path: Path) -> None:

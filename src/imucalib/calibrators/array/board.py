@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.recording.mapping import parse_axis_map
+from imucalib.recording.yaml_text import load
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -67,19 +68,13 @@ def read_board(name: str | Path) -> Board:
 
     Raises UsageError for an unknown name, UnreadableInput with what is wrong in the file.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     path = BOARDS / f"{name}.yaml" if str(name) in board_names() else Path(name)
     if not path.is_file():
         raise UsageError(
             f"no board '{name}'",
             remedy=f"give a YAML file, or one of: {', '.join(board_names())}",
         )
-    try:
-        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise UnreadableInput(f"not a YAML file: {error}", where=str(path)) from None
+    content = load(path)
     try:
         return _board(content)
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -16,6 +16,7 @@ from imucalib.calibrators.lab.design import judge
 from imucalib.calibrators.lab.errors import setting_noise
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
+from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
 from imucalib.core.references import KnownVector, angles_of, unit_vector
 from imucalib.effects import catalogue
@@ -117,10 +118,13 @@ def _positions(result: LabResult) -> list[str]:
     if first.gain < 1.5:
         return []
     gain = f"{first.gain:.1f} times" if np.isfinite(first.gain) else "decisively"
-    shown = result.settings.conventions.outside(
-        np.array([first.inclination * DEG]), np.array([first.tool_face * DEG])
-    )
-    where = f"inclination {shown[0][0]:.0f}, tool-face {shown[1][0]:.0f}"
+    inside = np.array([first.inclination * DEG]), np.array([first.tool_face * DEG])
+    if isinstance(reference, KnownDirection):
+        x, y, z = unit_vector(*inside)[0]
+        where = f"direction {x:.2f}, {y:.2f}, {z:.2f}"
+    else:
+        shown = result.settings.conventions.outside(*inside)
+        where = f"inclination {shown[0][0]:.0f}, tool-face {shown[1][0]:.0f}"
     return [f"One more position at {where} would determine {first.parameter} {gain} better."]
 
 
@@ -157,7 +161,10 @@ def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...
     if not result.splits and asked:
         raise UsageError("limits need held-out data", remedy="use another objective, or --train")
     found = []
+    angles_known = isinstance(result.observations.reference, KnownVector)
     for name, limit in asked.items():
+        if not angles_known and name in ("max-inclination-error", "max-toolface-error"):
+            raise UsageError(f"--{name} needs known angles", remedy="use --max-error")
         split = result.splits[-1]
         angles = attitude_errors(split.final, gravity_of(result.observations))
         value, unit = {

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.core.context import Context
+from imucalib.core.known_direction import KnownDirection
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.errors import UnreadableInput, UsageError
@@ -43,11 +44,11 @@ def raw_unit(table: PositionTable, unit: str | None, lsb_per_g: float | None) ->
     stated = {table.unit[a] for a in "xyz" if a in table.unit}
     if lsb_per_g is not None:
         if unit not in (None, "counts"):
-            raise UsageError("--lsb-per-g goes with --unit counts", remedy="leave one of them out")
+            raise UsageError("--lsb goes with --unit counts", remedy="leave one of them out")
         si = STANDARD_GRAVITY / lsb_per_g
         return _plausible(table, RawUnit("counts", si, f"{lsb_per_g:g} counts a g, as given"))
     if unit == "counts":
-        raise UsageError("--unit counts needs the scale", remedy="add --lsb-per-g N")
+        raise UsageError("--unit counts needs the scale", remedy="add --lsb N")
     if unit is not None:
         si = factor(unit, ACCELERATION_UNITS, "--unit")
         return _plausible(table, RawUnit(unit, si, f"unit {unit}, as given"))
@@ -65,7 +66,7 @@ def _plausible(table: PositionTable, unit: RawUnit) -> RawUnit:
         raise UnreadableInput(
             f"at rest the norm would be {norm:.4g} g with {unit.sentence}",
             where=table.path,
-            remedy="check --unit and --lsb-per-g; a still accelerometer reads about 1 g",
+            remedy="check --unit and --lsb; a still accelerometer reads about 1 g",
         )
     return unit
 
@@ -121,6 +122,32 @@ def position_observations(
     covariates["sweep"] = sweep
     context = Context(table.n, covariates, sweeps=int(sweep.max()) + 1)
     label = tuple(f"row {row}" for row in table.row)
+    return Observations(
+        reading[:, None], _sigmas(table, sigma), reference, context, np.arange(table.n), label
+    )
+
+
+def direction_observations(
+    table: PositionTable,
+    reading: Array,
+    gravity: float,
+    *,
+    sigma: float = MG,
+    tilts: bool = True,
+) -> Observations:
+    """Observations of a fixture whose directions are known up to a small tilt of each row."""
+    direction = np.stack([table.columns[role] for role in ("ux", "uy", "uz")], axis=-1)
+    size = np.linalg.norm(direction, axis=1, keepdims=True)
+    if not size.all():
+        raise UnreadableInput(
+            "ux, uy, uz are all zero: no direction",
+            where=f"{table.path}, row {int(np.argmin(size)) + 1}",
+            remedy="give the direction of the axis that reads +g, of any length",
+        )
+    direction = direction / size
+    context = Context(table.n, _covariates(table, reading))
+    label = tuple(f"row {row}" for row in table.row)
+    reference = KnownDirection(direction, gravity, tilts)
     return Observations(
         reading[:, None], _sigmas(table, sigma), reference, context, np.arange(table.n), label
     )

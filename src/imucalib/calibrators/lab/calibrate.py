@@ -1,6 +1,7 @@
 """`imucal lab`: a tool's accelerometer on a bench with known tool-face and inclination.
 
-Also its second reference: the same sensor at rest in unknown attitudes, by the size of gravity.
+Also its other references: directions known without dials, and the same sensor at rest in unknown
+attitudes, by the size of gravity.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.errors import Split, error_summary, held_out_splits
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
+from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
@@ -25,7 +27,7 @@ from imucalib.effects import catalogue, named
 from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.estimators.starting_point import full_matrix_start
+from imucalib.estimators.starting_point import full_matrix_start, linear_map
 from imucalib.loop.asked import searched
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.cross_fit import cross_fitted
@@ -133,7 +135,7 @@ def base_model(settings: LabSettings, observations: Observations) -> Model:
     if settings.model not in MODELS:
         raise UsageError(f"unknown model '{settings.model}'", remedy=f"use: {', '.join(MODELS)}")
     names = MODELS[settings.model]
-    if isinstance(observations.reference, KnownNorm):
+    if not observations.reference.directed:
         names = tuple(name for name in names if name != "mounting")
     extra = {**catalogue(), **settings.extra_effects}
     declared = tuple(extra[n] if n in extra else named(n) for n in settings.declare)
@@ -144,9 +146,14 @@ def base_model(settings: LabSettings, observations: Observations) -> Model:
 
 
 def demand_enough(model: Model, data: Observations) -> None:
-    """Raise Undetermined when there are fewer numbers than parameters."""
+    """Raise Undetermined when there are fewer numbers than parameters, or too few directions."""
+    if isinstance(data.reference, KnownDirection) and linear_map(data)[2] < 4:
+        raise Undetermined(
+            "the directions lie on a plane or a cone: three scales and a bias cannot be told apart",
+            remedy="add the faces that are missing: each axis up and down",
+        )
     parameters = len(model.parameters(data.context))
-    numbers = 3 * data.n if isinstance(data.reference, KnownVector) else data.n
+    numbers = 3 * data.n if data.reference.directed else data.n
     if numbers <= parameters:
         raise Undetermined(
             f"{data.n} positions give {numbers} numbers for {parameters} parameters",
@@ -165,5 +172,5 @@ def undetermined(fit: Fit) -> Undetermined:
 
 def gravity_of(data: Observations) -> float:
     reference = data.reference
-    assert isinstance(reference, KnownVector | KnownNorm)
+    assert isinstance(reference, KnownVector | KnownDirection | KnownNorm)
     return reference.gravity

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from imucalib.calibrators.lab.bench import (
     RawUnit,
+    direction_observations,
     position_observations,
     still_observations,
     swapped_angles,
 )
 from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
@@ -34,8 +36,15 @@ def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> 
     sigma = request.settings.sigma or MG
     if request.reference == "norm":
         return still_observations(table, reading, request.gravity, sigma=sigma)
-    table = _in_degrees(table)
     exact = request.settings.objective == "vector"
+    if request.reference == "direction":
+        if request.settings.conventions != Conventions():
+            raise UsageError(
+                "--reference direction has no angles that a convention could mean",
+                remedy="leave the convention out: a face is the axis that reads +g",
+            )
+        return direction_observations(table, reading, request.gravity, sigma=sigma, tilts=not exact)
+    table = _in_degrees(table)
     return position_observations(
         table,
         reading,

@@ -12,7 +12,6 @@ from imucalib.core.balance import Noise
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.core.references import KnownVector
 from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.loop.held_out import Held, errors, fitted, held_out
@@ -91,9 +90,8 @@ def error_summary(
     nothing = Model(())
     bare = replace(base, model=nothing, theta=np.zeros(0))
     raw = errors(bare, bare.theta, data).rms() / MG
-    known = isinstance(data.reference, KnownVector)
     return ErrorSummary(
-        "vector error, rms" if known else "error of |a|, rms",
+        "vector error, rms" if data.reference.directed else "error of |a|, rms",
         "mg",
         raw,
         fitted(base).rms() / MG,

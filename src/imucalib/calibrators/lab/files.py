@@ -34,25 +34,38 @@ class LabFiles:
 def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -> LabRun:
     """Read, check and calibrate. `say` gets one line for each thing worth knowing on the way."""
     if files.recording is not None:
-        positions = read_position_table(files.table, files.columns, need_raw=False)
+        positions = _table(files, request, need_raw=False)
         recording, segments = _still(files.recording, files.mapping, say)
         table = _in_order(positions, segments, recording)
         return _run(table, recording, request)
     if request.reference == "norm" and not _is_table(files):
         recording, segments = _still(files.table, files.mapping, say)
         return _run(_rests(segments, recording), recording, request)
-    need_angles = request.reference == "vector"
-    table = read_position_table(files.table, files.columns, need_angles=need_angles)
+    table = _table(files, request)
     say(f"read {table.n} positions from {files.table}")
     return run_lab(table, request)
 
 
+def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> PositionTable:
+    return read_position_table(
+        files.table,
+        files.columns,
+        need_raw=need_raw,
+        need_angles=request.reference == "vector",
+        need_direction=request.reference == "direction",
+        mapping=files.mapping if files.recording is None else None,
+    )
+
+
 def _is_table(files: LabFiles) -> bool:
     """Whether the input is a table of still positions rather than a recording in time."""
-    if files.mapping.to_dict():
+    of_both = {"acc_unit", "lsb_per_g", "skip", "decimal", "delimiter"}
+    if not files.mapping.to_dict().keys() <= of_both:
         return False
     try:
-        table = read_position_table(files.table, files.columns, need_angles=False)
+        table = read_position_table(
+            files.table, files.columns, need_angles=False, mapping=files.mapping
+        )
     except ImucalError:
         return False
     return table.n <= _MOST_POSITIONS and "time" not in table
@@ -115,6 +128,8 @@ def _in_order(positions: PositionTable, segments: Segments, recording: Recording
 
 
 def _run(table: PositionTable, recording: Recording, request: LabRequest) -> LabRun:
+    # The unit that was stated is the recording's, and has been applied.
+    request = replace(request, unit=None, lsb_per_g=None)
     return run_lab(
         table, request, mapping=recording.mapping, gaps=len(recording.gaps), notes=recording.notes
     )

@@ -1,4 +1,5 @@
-"""Position tables: one row a position, with the angles that were set and, mostly, raw x, y, z.
+"""Position tables: one row a position, with what was set (two angles, a face or a direction) and,
+mostly, raw x, y, z.
 
 Columns are found by name or given; every cell that is used must be a number. Rows are counted from
 1 without the heading, as a person counts them.
@@ -6,8 +7,6 @@ Columns are found by name or given; every cell that is used must be a number. Ro
 
 from __future__ import annotations
 
-import csv
-import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,6 +17,11 @@ from numpy.typing import NDArray
 
 from imucalib.atomic_file import replaced_atomically
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.csv.dialect import is_number
+from imucalib.readers.csv.table import table_cells
+from imucalib.readers.hdf5.table import table_columns
+from imucalib.readers.source import head_of, sha256_of
+from imucalib.recording.mapping import FieldMapping
 
 Array = NDArray[np.float64]
 
@@ -35,7 +39,14 @@ ROLES: dict[str, tuple[str, ...]] = {
     "inclination_setting": ("inclination_setting",),
     "tool_face_setting": ("tool_face_setting", "toolface_setting"),
     "samples": ("samples", "n"),
+    "ux": ("ux", "u_x"),
+    "uy": ("uy", "u_y"),
+    "uz": ("uz", "u_z"),
 }
+#: A column of words stands for the direction ux, uy, uz: the axis that reads +g in the position.
+_FACE_NAMES = ("face", "up", "face_up", "face up")
+_FACES = tuple(f"{sign}{letter}" for sign in "+-" for letter in "xyz")
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 _UNIT_SUFFIX = re.compile(
     r"(?:[_\s]*[\[(]|[_\s]+|(?=°))(deg|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|lsb|counts|s)[\])]?$"
 )
@@ -74,107 +85,36 @@ def read_position_table(
     *,
     need_raw: bool = True,
     need_angles: bool = True,
+    need_direction: bool = False,
+    mapping: FieldMapping | None = None,
 ) -> PositionTable:
     """Read a CSV or HDF5 table.
 
-    chosen : role -> heading, overriding what is found by name
+    chosen : role (or "face") -> heading, overriding what is found by name
+    mapping : of a CSV, lines to skip, delimiter and decimal mark
     Raises UnreadableInput (missing or non-numeric cells, with row and column; no file) and
     UsageError (an unknown role or heading in `chosen`).
     """
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path), remedy="check the path")
-    data = path.read_bytes()
-    if not data:
-        raise UnreadableInput("the file is empty", where=str(path))
-    hdf5 = data[:8] == b"\x89HDF\r\n\x1a\n"
-    cells = _hdf5_cells(path) if hdf5 else _csv_cells(data, str(path))
-    names = _roles(list(cells), chosen or {}, str(path))
-    required = ("inclination", "tool_face") * need_angles + ("x", "y", "z") * need_raw
-    absent = [role for role in required if role not in names]
-    if absent:
-        raise UnreadableInput(
-            f"no column for {', '.join(absent)} among: {', '.join(cells)}",
-            where=str(path),
-            remedy="name it, for example --columns inclination=B,tool_face=C",
-        )
+    cells: Mapping[str, Array | list[str]]
+    if head_of(path).startswith(_HDF5):
+        cells = table_columns(path)
+    else:
+        cells = table_cells(path, mapping or FieldMapping())
+    wanted = dict(chosen or {})
+    face = _face_heading(list(cells), wanted.pop("face", ""), str(path)) if need_direction else ""
+    names = _roles(list(cells), wanted, str(path))
     columns = {role: _numbers(cells[name], name, str(path)) for role, name in names.items()}
+    if face:
+        columns |= _directions(cells[face], face, str(path))
+        names["face"] = face
+    required = ("inclination", "tool_face") * need_angles + ("x", "y", "z") * need_raw
+    _demand((*required, *("ux", "uy", "uz") * need_direction), columns, list(cells), str(path))
     unit = {role: _stated_unit(name) for role, name in names.items() if _stated_unit(name)}
     count = len(next(iter(columns.values())))
-    digest = hashlib.sha256(data).hexdigest()
-    return PositionTable(columns, names, unit, np.arange(1, count + 1), str(path), digest)
-
-
-def _csv_cells(data: bytes, where: str) -> dict[str, list[str]]:
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise UnreadableInput(
-            "not a text file",
-            where=f"{where}, byte {error.start}",
-            remedy="give a CSV or HDF5 table",
-        ) from None
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if not lines:
-        raise UnreadableInput("no rows in it", where=where)
-    delimiter = max(",;\t", key=lines[0].count)
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)]
-    heading, body = rows[0], rows[1:]
-    if all(_is_number(cell, delimiter) for cell in heading if cell):
-        raise UnreadableInput(
-            "the first row is numbers, not headings", where=f"{where}, line 1",
-            remedy="add a heading line such as: inclination,tool_face,x,y,z",
-        )  # fmt: skip
-    if len(set(heading)) != len(heading):
-        raise UnreadableInput("two columns have the same heading", where=f"{where}, line 1")
-    for number, row in enumerate(body, start=1):
-        if len(row) != len(heading):
-            raise UnreadableInput(
-                f"{len(row)} cells where the heading has {len(heading)}",
-                where=f"{where}, row {number}",
-            )
-    if not body:
-        raise UnreadableInput("a heading but no rows", where=where)
-    decimal = delimiter != ","
-    return {
-        name: [row[k].replace(",", ".") if decimal else row[k] for row in body]
-        for k, name in enumerate(heading)
-    }
-
-
-def _is_number(cell: str, delimiter: str) -> bool:
-    try:
-        float(cell.replace(",", ".") if delimiter != "," else cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _hdf5_cells(path: Path) -> dict[str, list[str]]:
-    import h5py
-
-    found: dict[str, list[str]] = {}
-
-    def visit(name: str, item: object) -> None:
-        if not isinstance(item, h5py.Dataset):
-            return
-        if item.dtype.names:
-            for field in item.dtype.names:
-                found[field] = [repr(float(v)) for v in item[field]]
-        elif item.ndim == 1 and item.dtype.kind in "iuf":
-            found[name.rsplit("/", maxsplit=1)[-1]] = [repr(float(v)) for v in item[...]]
-        elif item.ndim == 2 and item.shape[1] == 3 and item.dtype.kind in "iuf":
-            for axis, letter in enumerate("xyz"):
-                found[letter] = [repr(float(v)) for v in item[:, axis]]
-
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(visit)
-    except OSError as error:
-        raise UnreadableInput(f"HDF5 says: {error}", where=str(path)) from None
-    if len({len(v) for v in found.values()}) > 1:
-        sizes = ", ".join(f"{name} {len(v)}" for name, v in found.items())
-        raise UnreadableInput(f"datasets of different length ({sizes})", where=str(path))
-    return found
+    row = np.arange(1, count + 1)
+    return PositionTable(columns, names, unit, row, str(path), sha256_of(path))
 
 
 def _plain(name: str) -> str:
@@ -193,11 +133,7 @@ def _roles(headings: list[str], chosen: Mapping[str, str], where: str) -> dict[s
         if role not in ROLES:
             raise UsageError(f"unknown column role '{role}'", remedy=f"use: {', '.join(ROLES)}")
         if heading not in headings:
-            raise UsageError(
-                f"no column is called '{heading}'",
-                where=where,
-                remedy=f"there are: {', '.join(headings)}",
-            )
+            raise _no_column(heading, headings, where)
         names[role] = heading
     for role, known in ROLES.items():
         if role in names:
@@ -215,20 +151,78 @@ def _roles(headings: list[str], chosen: Mapping[str, str], where: str) -> dict[s
     return names
 
 
-def _numbers(cells: list[str], name: str, where: str) -> Array:
-    values = np.empty(len(cells))
-    for k, cell in enumerate(cells):
-        try:
-            values[k] = float(cell)
-        except ValueError:
-            values[k] = np.nan
-        if not np.isfinite(values[k]):
-            shown = f"'{cell}' is not a number" if cell else "the cell is empty"
-            raise UnreadableInput(
-                shown, where=f"{where}, row {k + 1}, column {name}",
-                remedy="correct the cell, or leave the row out of the table",
-            )  # fmt: skip
+def _no_column(name: str, headings: list[str], where: str) -> UsageError:
+    remedy = f"there are: {', '.join(headings)}"
+    return UsageError(f"no column is called '{name}'", where=where, remedy=remedy)
+
+
+def _demand(
+    roles: tuple[str, ...], found: Mapping[str, Array], have: list[str], where: str
+) -> None:
+    absent = [role for role in roles if role not in found]
+    if not absent:
+        return
+    remedy = "name it, for example --columns inclination=B,tool_face=C"
+    if "inclination" in absent and any(h.strip().lower() in _FACE_NAMES for h in have):
+        remedy = "add --reference direction where faces stand for angles"
+    if "ux" in absent:
+        remedy = "add a column face with +x, -x, +y, -y, +z or -z, or name it: --columns face=B"
+    raise UnreadableInput(
+        f"no column for {', '.join(absent)} among: {', '.join(have)}", where=where, remedy=remedy
+    )
+
+
+def _numbers(cells: Array | list[str], name: str, where: str) -> Array:
+    values = (
+        np.array([float(c) if is_number(c) else np.nan for c in cells])
+        if isinstance(cells, list)
+        else cells
+    )
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        cell = str(cells[bad[0]])
+        raise UnreadableInput(
+            f"'{cell}' is not a number" if cell else "the cell is empty",
+            where=f"{where}, row {bad[0] + 1}, column {name}",
+            remedy="correct the cell, or leave the row out of the table",
+        )
     return values
+
+
+def _face_heading(headings: list[str], chosen: str, where: str) -> str:
+    """The heading of the column of faces, or nothing. Raises as `_roles` does."""
+    hits = [chosen] if chosen else [h for h in headings if h.strip().lower() in _FACE_NAMES]
+    if chosen and chosen not in headings:
+        raise UsageError(
+            f"no column is called '{chosen}'",
+            where=where,
+            remedy=f"there are: {', '.join(headings)}",
+        )
+    both = [h for h in headings if h.strip().lower() in ROLES["ux"]] if hits and not chosen else []
+    if len(hits) + len(both) > 1:
+        raise UnreadableInput(
+            f"several columns could be the direction: {', '.join((*hits, *both))}",
+            where=where,
+            remedy=f"choose one with --columns face={hits[0]}, or rename the others",
+        )
+    return hits[0] if hits else ""
+
+
+def _directions(cells: Array | list[str], name: str, where: str) -> dict[str, Array]:
+    """ux, uy, uz of faces by name."""
+    found = np.zeros((len(cells), 3))
+    for k, cell in enumerate(cells):
+        text = str(cell).lower().replace("\u2212", "-")
+        text = text[::-1] if text[-1:] in ("+", "-") else text  # a spreadsheet takes "+x" for a sum
+        if text not in _FACES:
+            raise UnreadableInput(
+                f"'{cell}' is no face" if str(cell) else "the cell is empty",
+                where=f"{where}, row {k + 1}, column {name}",
+                remedy="write +x, -x, +y, -y, +z or -z: the axis that points up and reads +g; "
+                "or give columns ux, uy, uz",
+            )
+        found[k, "xyz".index(text[1])] = float(f"{text[0]}1")
+    return {role: found[:, axis] for axis, role in enumerate(("ux", "uy", "uz"))}
 
 
 def write_position_table(table: PositionTable, path: Path, *, angles_only: bool = False) -> None:

@@ -86,5 +86,5 @@ def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> Unre
     return UnreadableInput(
         f"{what}:{listing(held)}\n",
         where=where,
-        remedy=f"Name them: --acc {option} (and --gyro, --time or --rate, --acc-unit)",
+        remedy=f"Name them: --acc {option} (and --gyro, --time or --rate, --unit)",
     )

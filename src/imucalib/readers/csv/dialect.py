@@ -71,6 +71,11 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     return line.split() if delimiter == " " else [c.strip() for c in line.split(delimiter)]
 
 
+def is_comment(line: str) -> bool:
+    """Whether the line is a remark."""
+    return _COMMENT.match(line) is not None
+
+
 def is_number(cell: str, decimal: str = ".") -> bool:
     """Whether the cell is a decimal number with this decimal mark."""
     return _NUMBER[decimal].fullmatch(cell) is not None

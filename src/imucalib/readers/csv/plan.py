@@ -87,8 +87,10 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         raise UnreadableInput("the chosen columns hold no values", where=where)
     signals = tuple(_signal(v, layout, parsed, mapping, clock=clock, where=where) for v in used)
     notes += [s.conversion.note for s in signals if s.conversion.note]
-    resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=facts.device)
-    idle = facts.device == "actigraph"
+    resolved = _resolved(
+        mapping, dialect, selection, signals, clock=clock, device=facts.device.name
+    )
+    idle = facts.device.sleeps
     unique = tuple(dict.fromkeys(notes))
     return Plan(dialect, layout, clock, signals, idle, unique, resolved, facts.rows)
 

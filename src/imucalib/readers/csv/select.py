@@ -9,7 +9,8 @@ from imucalib.errors import UsageError
 from imucalib.readers.columns import Column, understand
 from imucalib.readers.csv.dialect import Dialect
 from imucalib.readers.csv.header import HeaderFacts
-from imucalib.recording.mapping import PRESETS, FieldMapping
+from imucalib.readers.devices.catalogue import Device
+from imucalib.recording.mapping import FieldMapping
 
 
 @dataclass(frozen=True)
@@ -85,13 +86,19 @@ def _vectors(quantity: str, stated: Sequence[str], table: _Table, notes: list[st
     return vectors
 
 
-def _with_device_unit(vector: Vector, device: str) -> Vector:
+def _with_device_unit(vector: Vector, device: Device) -> Vector:
     """The vector, with the unit that its device always writes when the file names none."""
-    preset = PRESETS.get(device)
-    if vector.unit or preset is None:
+    if vector.unit:
         return vector
-    unit = preset.acc_unit if vector.quantity == "acceleration" else preset.gyro_unit
+    fields = device.fields
+    unit = fields.acc_unit if vector.quantity == "acceleration" else fields.gyro_unit
     return replace(vector, unit=unit)
+
+
+def _numbered(addresses: Sequence[str], dialect: Dialect) -> tuple[int, ...]:
+    """Indices from 0 of a device's columns; none unless all are numbers that the table has."""
+    indices = tuple(int(a) - 1 for a in addresses if a.isdecimal() and int(a) <= dialect.width)
+    return indices if len(indices) == len(addresses) else ()
 
 
 def _common_unit(columns: Sequence[Column]) -> str:
@@ -157,8 +164,9 @@ def _temperatures(
                 Vector("temperature", triad, (index,), columns[index].unit if columns else "")
             )
         return out
-    if not columns and facts.device == "geneactiv" and dialect.width >= 7:
-        return [Vector("temperature", "imu0", (6,), "degC")]
+    fields = facts.device.fields
+    if not columns and (known := _numbered(fields.temperature, dialect)):
+        return [Vector("temperature", "imu0", known, fields.temperature_unit)]
     first: dict[str, Vector] = {}
     for c in columns:
         if c.quantity == "temperature" and dialect.numeric[c.index]:
@@ -172,13 +180,14 @@ def _by_position(
     """Columns of a table without (useful) names: a known device, or [time,] x, y, z."""
     if dialect.names and any(c.quantity for c in understand(dialect.names)):
         return [], -1
-    first = 0 if facts.device == "actigraph" else 1
-    if facts.device == "actigraph" and not dialect.numeric[0]:
-        first = 1
+    fields = facts.device.fields
+    if known := _numbered(fields.acc, dialect):
+        time = next(iter(_numbered((fields.time,), dialect)), -1)
+        if time < 0 and not dialect.numeric[known[0]]:  # some exports put a stamp in front
+            known, time = tuple(k + 1 for k in known), known[0]
+        if known[-1] < dialect.width:
+            return [Vector("acceleration", "imu0", known)], time
     numbers = [i for i, n in enumerate(dialect.numeric) if n]
-    if facts.device in ("actigraph", "geneactiv") and dialect.width >= first + 3:
-        vector = Vector("acceleration", "imu0", (first, first + 1, first + 2))
-        return [vector], first - 1
     if dialect.width == 4 and numbers[-3:] == [1, 2, 3]:
         notes.append("no column names: taken as time, x, y, z")
         return [Vector("acceleration", "imu0", (1, 2, 3))], 0

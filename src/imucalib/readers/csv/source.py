@@ -97,6 +97,13 @@ class _Utf8:
         return self._text.read(size).encode()
 
 
+def whole_text(path: Path) -> bytes:
+    """All of a small text file, unpacked and as UTF-8, its line ends as line feeds."""
+    with _opened(path) as (stream, _):
+        pieces = _chunks(stream, path, _LONGEST_LINE, strict=True)
+        return clean(b"".join(piece for piece, _ in pieces))
+
+
 def looks(path: Path) -> list[bytes]:
     """Whole lines from the start, from places between, and from the end of the file, in order.
 

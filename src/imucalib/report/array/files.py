@@ -10,10 +10,10 @@ import numpy as np
 
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibration.file import write_whole
-from imucalib.calibration.yaml_text import dump
 from imucalib.calibrators.array.calibrate import ArrayRun
 from imucalib.calibrators.array.calibration import array_calibration, provenance
 from imucalib.calibrators.array.logs import Repeatability
+from imucalib.recording.yaml_text import dump
 from imucalib.report.array.document import array_document
 from imucalib.report.array.loop import loop_dict
 from imucalib.report.render.html import render_html

@@ -1,0 +1,69 @@
+"""The cells of a small table under its headings, as text: what a recording's columns are not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from imucalib.errors import UnreadableInput
+from imucalib.readers.csv.dialect import cells_of, is_comment, is_number
+from imucalib.readers.csv.source import whole_text
+from imucalib.recording.mapping import FieldMapping
+
+_DELIMITERS = (",", ";", "\t", "|")
+
+
+def table_cells(path: Path, mapping: FieldMapping) -> dict[str, list[str]]:
+    """Every column by its heading, in the file's order; numbers with a point as decimal mark.
+
+    mapping : `skip`, `delimiter` and `decimal` are used. A decimal comma is understood wherever
+        the comma does not separate the cells. Comments and blank lines are passed over.
+    Raises UnreadableInput with the row, counted from 1 below the heading.
+    """
+    where = str(path)
+    lines = list(_lines(path, mapping.skip or 0))
+    if not lines:
+        raise UnreadableInput("no rows in it", where=where)
+    at, first = lines[0]
+    delimiter = mapping.delimiter or max(_DELIMITERS, key=first.count)
+    heading, *rows = [cells_of(line, delimiter) for _, line in lines]
+    commas = mapping.decimal == "," or (not mapping.decimal and delimiter != ",")
+    if all(is_number(cell) or (commas and is_number(cell, ",")) for cell in heading if cell):
+        raise UnreadableInput(
+            "the first row is numbers, not headings", where=f"{where}, line {at}",
+            remedy="add a heading line such as: inclination,tool_face,x,y,z",
+        )  # fmt: skip
+    if len(set(heading)) != len(heading):
+        raise UnreadableInput("two columns have the same heading", where=f"{where}, line {at}")
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(heading):
+            raise UnreadableInput(
+                f"{len(row)} cells where the heading has {len(heading)}",
+                where=f"{where}, row {number}",
+                remedy="complete the row, or give --delimiter and --decimal",
+            )
+    if not rows:
+        raise UnreadableInput("a heading but no rows", where=where)
+    return {
+        name: [_with_point(row[k]) if commas else row[k] for row in rows]
+        for k, name in enumerate(heading)
+    }
+
+
+def _with_point(cell: str) -> str:
+    return cell.replace(",", ".") if is_number(cell, ",") else cell
+
+
+def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
+    """Lines that hold something, with their numbers from 1."""
+    data = whole_text(path)
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise UnreadableInput(
+            "not a text file", where=f"{path}, byte {error.start}",
+            remedy="give a CSV or HDF5 table; save a spreadsheet as CSV in UTF-8",
+        ) from None  # fmt: skip
+    for number, line in enumerate(text.split("\n"), start=1):
+        if number > skip and line.strip() and not is_comment(line):
+            yield number, line

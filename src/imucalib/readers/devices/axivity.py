@@ -1,0 +1,6 @@
+"""Axivity AX3 and AX6: CSV exports of OmGui (their .cwa files are read by `worn_device`)."""
+
+from imucalib.readers.devices.catalogue import Device
+from imucalib.recording.mapping import FieldMapping
+
+DEVICE = Device("axivity", FieldMapping(time="1", acc=("2", "3", "4"), acc_unit="g"))

@@ -1,0 +1,75 @@
+"""What is known of devices: each module of this folder that has a `DEVICE` describes one.
+
+A device is found by its file being here: how the lines above its tables name it, what its columns
+and units are where a file does not say, and what only its header tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+from imucalib.discovery import modules_of
+from imucalib.errors import UsageError
+from imucalib.recording.mapping import FieldMapping
+
+
+@dataclass(frozen=True)
+class Start:
+    """start_ns : start of the recording as in Recording, or None; notes : what was supposed"""
+
+    start_ns: int | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Device:
+    """One source of recordings.
+
+    name : of the preset (`--preset`) and in what was resolved
+    fields : columns and units of its tables; columns by number serve tables without headings
+    words : any of these above a table, in lower case, names the device; none: never recognised
+    start : the start time from the lines above the table; None where they do not tell it
+    refuse : (those lines, where) -> raises UnreadableInput for exports that hold no raw data
+    sleeps : rows of zeros, or the last reading repeated, mean "not recorded"
+    """
+
+    name: str
+    fields: FieldMapping = field(default_factory=FieldMapping)
+    words: tuple[str, ...] = ()
+    start: Callable[[str], Start] | None = None
+    refuse: Callable[[str, str], None] = lambda text, where: None
+    sleeps: bool = False
+
+
+@cache
+def devices() -> dict[str, Device]:
+    """Every device by name, in the order of the files."""
+    package = __name__.rpartition(".")[0]
+    found = (m.DEVICE for m in modules_of(package) if hasattr(m, "DEVICE"))
+    return {device.name: device for device in found}
+
+
+#: A table of no device that is known.
+UNKNOWN = Device("")
+
+
+def device_named_in(text: str) -> Device:
+    """The device that the lines above a table name, or `UNKNOWN`."""
+    lower = text.lower()
+    return next((d for d in devices().values() if any(w in lower for w in d.words)), UNKNOWN)
+
+
+def with_preset(mapping: FieldMapping) -> FieldMapping:
+    """The mapping, filled from its preset. Raises UsageError for an unknown preset."""
+    if not mapping.preset:
+        return mapping
+    device = devices().get(mapping.preset)
+    if device is None:
+        raise UsageError(
+            f"unknown preset '{mapping.preset}'",
+            where="mapping: preset",
+            remedy=f"use one of: {', '.join(devices())}",
+        )
+    return mapping.filled_from(replace(device.fields, preset=device.name))

@@ -1,0 +1,78 @@
+"""YAML, written so that every reader takes it the same way, and read with one kind of error."""
+
+from __future__ import annotations
+
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imucalib.errors import UnreadableInput
+
+#: Words that YAML 1.1 takes for true or false: quoted, so that its readers keep them as text.
+_TRUE_OR_FALSE = {"y", "yes", "on", "true", "n", "no", "off", "false"}
+
+
+def load(path: Path, remedy: str = "") -> Any:
+    """The content of a YAML 1.2 file as plain types.
+
+    Raises UnreadableInput, with `remedy`, when the file cannot be read or is not YAML.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        what = f"the file cannot be read: {error.strerror or error}"
+    except RecursionError:
+        what = "not a YAML file: it is nested too deep"
+    except (UnicodeDecodeError, YAMLError, ValueError) as error:
+        what = f"not a YAML file: {error}"
+    raise UnreadableInput(what, where=str(path), remedy=remedy)
+
+
+def dump(content: dict[str, Any]) -> str:
+    """YAML text of plain types that 1.1 and 1.2 read alike; number lists on one line; floats like
+    1.0e-03 (YAML 1.1 reads "1e-3" as a string)."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.representer import RoundTripRepresenter
+
+    class Representer(RoundTripRepresenter):
+        pass
+
+    def number(self: RoundTripRepresenter, value: float) -> Any:
+        return self.represent_scalar("tag:yaml.org,2002:float", _float(float(value)))
+
+    def text(self: RoundTripRepresenter, value: str) -> Any:
+        style = '"' if value.lower() in _TRUE_OR_FALSE else None
+        return self.represent_scalar("tag:yaml.org,2002:str", value, style=style)
+
+    def sequence(self: RoundTripRepresenter, value: list[Any]) -> Any:
+        flat = all(isinstance(v, int | float | str) for v in value) and len(value) < 64
+        return self.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=flat)
+
+    Representer.add_representer(float, number)
+    Representer.add_representer(np.float64, number)
+    Representer.add_representer(str, text)
+    Representer.add_representer(list, sequence)
+    yaml = YAML()
+    yaml.Representer = Representer
+    yaml.default_flow_style = False
+    yaml.width = 4096
+    stream = StringIO()
+    yaml.dump(content, stream)
+    return stream.getvalue()
+
+
+def _float(value: float) -> str:
+    if not np.isfinite(value):
+        return ".nan" if np.isnan(value) else ".inf" if value > 0 else "-.inf"
+    text = repr(value)
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        if "." not in mantissa:
+            mantissa += ".0"
+        return f"{mantissa}e{int(exponent):+03d}"
+    return text

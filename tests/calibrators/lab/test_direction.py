@@ -1,0 +1,236 @@
+"""`lab --reference direction`: six faces and other directions without dials.
+
+The readings are made here, from the definitions in docs/conventions.md and in plain numpy, not by
+the model that is fitted.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from imucalib import cli
+from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.run import LabRun, run_lab
+from imucalib.core.effect import Array
+from imucalib.errors import Undetermined, UnreadableInput, UsageError
+from imucalib.loop.found import LoopSettings
+
+TRUTH = {
+    "mounting_x": 0.4, "mounting_y": -0.7, "mounting_z": 1.1,  # deg
+    "bias_x": 25.0, "bias_y": -18.0, "bias_z": 32.0,  # mg
+    "scale_x": 0.006, "scale_y": -0.004, "scale_z": 0.009,
+    "cross_yx": 0.003, "cross_zx": -0.002, "cross_zy": 0.004,
+}  # fmt: skip
+FACES = ("+x", "+y", "+z", "-x", "-y", "-z")
+NOISE_MG, TILT_DEG = 1.0, 0.2
+
+
+def _turn(axis: int, degrees: float) -> Array:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turn = np.eye(3)
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    turn[a, a], turn[a, b], turn[b, a], turn[b, b] = c, -s, s, c
+    return turn
+
+
+def readings(direction: Array, rng: np.random.Generator) -> Array:
+    """(n, 3) mg: lower triangle times mounting (about x, then y, then z), on tilted directions."""
+    t = TRUTH
+    lower = np.array([
+        [1.0 + t["scale_x"], 0.0, 0.0],
+        [t["cross_yx"], 1.0 + t["scale_y"], 0.0],
+        [t["cross_zx"], t["cross_zy"], 1.0 + t["scale_z"]],
+    ])  # fmt: skip
+    mounting = _turn(2, t["mounting_z"]) @ _turn(1, t["mounting_y"]) @ _turn(0, t["mounting_x"])
+    tilted = direction + np.radians(TILT_DEG) * _square_to(direction, rng)
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    bias = np.array([t["bias_x"], t["bias_y"], t["bias_z"]])
+    noise = NOISE_MG * rng.standard_normal(direction.shape)
+    return 1000.0 * tilted @ (lower @ mounting).T + bias + noise
+
+
+def _square_to(direction: Array, rng: np.random.Generator) -> Array:
+    """A standard normal vector in the plane square to each direction."""
+    drawn = rng.standard_normal(direction.shape)
+    return drawn - np.sum(drawn * direction, axis=1, keepdims=True) * direction
+
+
+def six_faces(seed: int, repeats: int) -> PositionTable:
+    direction = np.tile(np.vstack([np.eye(3), -np.eye(3)]), (repeats, 1))
+    return _table(direction, readings(direction, np.random.default_rng(seed)))
+
+
+def _table(direction: Array, raw: Array) -> PositionTable:
+    columns = {a: raw[:, k] for k, a in enumerate("xyz")}
+    columns |= {f"u{a}": direction[:, k] for k, a in enumerate("xyz")}
+    rows = np.arange(1, len(raw) + 1)
+    return PositionTable(
+        columns, {r: r for r in columns}, dict.fromkeys("xyz", "mg"), rows, "t", ""
+    )
+
+
+def calibrated(table: PositionTable, draws: int = 199, **changes: object) -> LabRun:
+    settings = LabSettings(rules=LoopSettings(draws=draws), **changes)  # type: ignore[arg-type]
+    return run_lab(table, LabRequest(reference="direction", settings=settings))
+
+
+@cache
+def _clean() -> tuple[LabRun, ...]:
+    """Clean tables of 12, 18 and 24 rows in turn."""
+    return tuple(calibrated(six_faces(seed, 2 + seed % 3)) for seed in range(40))
+
+
+def test_no_row_of_a_clean_table_is_accused() -> None:
+    accused = [k for k, run in enumerate(_clean()) if run.outcome.loop and run.outcome.loop.records]
+    assert len(accused) <= 1
+    assert sum(bool(run.outcome.loop and run.outcome.loop.steps) for run in _clean()) <= 4
+
+
+def _away(run: LabRun) -> dict[str, tuple[float, float, float]]:
+    """Parameter -> its error, its sd and its 95 % half width."""
+    fit = run.result.base
+    half = [fit.half_width(row) for row in np.eye(fit.theta.size)]
+    off = {p.name: v - TRUTH[p.name] for p, v in zip(fit.parameters, fit.theta, strict=True)}
+    return {n: (o, s, h) for (n, o), s, h in zip(off.items(), fit.sd, half, strict=True)}
+
+
+def test_intervals_hold_what_they_promise() -> None:
+    found = [_away(run) for run in _clean()]
+    assert all(set(one) == set(TRUTH) for one in found)
+    hit = np.array([[abs(o) <= h for o, _, h in one.values()] for one in found])
+    assert 0.90 <= hit.mean() <= 0.98
+    # No parameter is off in one direction: its mean error within 4 sd of a mean.
+    z = np.array([[o / s for o, s, _ in one.values()] for one in found])
+    assert np.abs(z.mean(axis=0)).max() < 4.0 / np.sqrt(len(found))
+
+
+def test_the_scatter_is_split_into_noise_and_tilt() -> None:
+    noise = np.array([run.result.base.noise.factor for run in _clean()])
+    tilt = np.degrees([run.result.base.noise.sd[0] for run in _clean()])
+    assert np.mean(noise**2) == pytest.approx(NOISE_MG**2, rel=0.2)
+    assert np.mean(tilt**2) == pytest.approx(TILT_DEG**2, rel=0.2)
+
+
+def test_the_mounting_carries_the_tilt() -> None:
+    """The mean of n tilts is known to tilt / sqrt(n), whatever the readings' noise."""
+    sd = [dict(zip(TRUTH, calibrated(six_faces(s, 4), loop=False).result.base.sd, strict=True))
+          for s in range(8)]  # fmt: skip
+    # x keeps its sensing direction, so a turn about z shows in x on the 8 rows of ±y alone.
+    assert np.mean([one["mounting_z"] for one in sd]) == pytest.approx(
+        TILT_DEG / np.sqrt(8.0), rel=0.2
+    )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_lost_sign_is_found(seed: int) -> None:
+    table = six_faces(seed + 50, 2 + seed % 3)
+    row = int(np.random.default_rng(seed).integers(table.n))
+    axis = "xyz"[row % 3]
+    columns = {role: values.copy() for role, values in table.columns.items()}
+    columns[axis][row] *= -1.0
+    run = calibrated(replace(table, columns=columns))
+    (record,) = run.outcome.loop.records if run.outcome.loop else ()
+    assert (record.where, record.channel, record.likely) == (
+        f"row {row + 1}", axis, f"lost sign of {axis}"
+    )  # fmt: skip
+    assert f"--fix {row + 1}:{axis}={table.columns[axis][row]:.6g}"[:-2] in run.outcome.undecided[0]
+
+
+def test_a_wrong_face_is_named() -> None:
+    table = six_faces(3, 2)
+    columns = {role: values.copy() for role, values in table.columns.items()}
+    columns["ux"][8], columns["uz"][8] = 1.0, 0.0  # +z, written down as +x
+    run = calibrated(replace(table, columns=columns))
+    (record,) = run.outcome.loop.records if run.outcome.loop else ()
+    assert record.where == "row 9"
+    assert record.likely == "direction: the record fits face +z"
+
+
+def test_any_directions_do() -> None:
+    rng = np.random.default_rng(8)
+    direction = rng.standard_normal((30, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    raw = readings(direction, rng)
+    run = calibrated(_table(direction * rng.uniform(0.1, 9.0, (30, 1)), raw), loop=False)
+    assert all(abs(off) < 4.5 * sd for off, sd, _ in _away(run).values())
+
+
+def test_exact_directions_and_what_they_leave_out() -> None:
+    run = calibrated(six_faces(2, 3), objective="vector")
+    assert run.result.base.noise.component == ()
+    free = calibrated(six_faces(2, 3), loop=False).result.base
+    # Taken as exact, the tilts are noise of every axis alike.
+    assert run.result.base.noise.factor > 1.5 * free.noise.factor
+
+
+def test_what_a_table_of_faces_cannot_do() -> None:
+    with pytest.raises(UsageError, match="needs known angles"):
+        calibrated(six_faces(1, 2), objective="paper")
+    whole = six_faces(1, 3)
+    rows = np.flatnonzero(whole.columns["uz"] == 0.0)
+    part = {role: values[rows] for role, values in whole.columns.items()}
+    with pytest.raises(Undetermined, match="each axis up and down"):
+        calibrated(replace(whole, columns=part, row=np.arange(1, 13)))
+    part["ux"][4], part["uy"][4] = 0.0, 0.0
+    with pytest.raises(UnreadableInput, match="no direction") as caught:
+        calibrated(replace(whole, columns=part, row=np.arange(1, 13)))
+    assert caught.value.where == "t, row 5"
+
+
+def _written(folder: Path, repeats: int = 2, faces: tuple[str, ...] = FACES) -> Path:
+    raw = six_faces(1, repeats).raw()
+    lines = ["face,x_mg,y_mg,z_mg"]
+    for k, row in enumerate(raw):
+        lines.append(",".join([faces[k % 6], *(f"{v:.4f}" for v in row)]))
+    path = folder / "six.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
+
+
+def test_end_to_end(tmp_path: Path) -> None:
+    path, out = _written(tmp_path), tmp_path / "out"
+    result = run("lab", path, "--reference", "direction", "-o", out, "--json", "-q", "--draws", 99)
+    assert result.return_value == 0
+    report = json.loads(result.stdout)
+    assert report["loop"]["error"]["metric"] == "vector error, rms"
+    assert 0.05 < report["noise"]["tilt_deg"] < 0.4
+    values = {p["name"]: (p["value"], p["sd"]) for p in report["parameters"]}
+    assert all(abs(values[n][0] - true) < 4.5 * values[n][1] for n, true in TRUTH.items())
+    html = (out / "report.html").read_text(encoding="utf-8")
+    assert "tilt" in html
+    assert "deg scatter" in html
+    assert run("validate", out / "calibration.yaml").return_value == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--convention", "drilling-force"), "no angles that a convention"),
+        (("--max-toolface-error", "1"), "needs known angles.*--max-error"),
+        (("--columns", "face=side"), "no column is called 'side'"),
+    ],
+)
+def test_options_that_speak_of_angles(tmp_path: Path, options: tuple[str, ...], words: str) -> None:
+    arguments = ("lab", _written(tmp_path), "--reference", "direction", "--draws", "19", *options)
+    with pytest.raises(UsageError, match=words):
+        raise run(*arguments).exception or AssertionError
+
+
+def test_a_mirrored_table_is_refused_with_the_meaning_of_a_face(tmp_path: Path) -> None:
+    down = tuple(face.translate(str.maketrans("+-", "-+")) for face in FACES)
+    result = run("lab", _written(tmp_path, faces=down), "--reference", "direction")
+    assert "mirror image" in str(result.exception)
+    assert "a face is the axis that reads +g" in str(result.exception)

@@ -1,0 +1,33 @@
+"""One way to write and to load YAML: what is written comes back, what is broken is refused."""
+
+from pathlib import Path
+
+import pytest
+
+from imucalib.errors import UnreadableInput
+from imucalib.recording.yaml_text import dump, load
+
+
+def test_words_that_older_readers_take_for_booleans_are_quoted(tmp_path: Path) -> None:
+    content = {"names": ["NO", "on", "plain", "y"], "value": 1e-3, "flag": True, "text": "Off"}
+    text = dump(content)
+    assert '["NO", "on", plain, "y"]' in text
+    assert 'text: "Off"' in text
+    path = tmp_path / "c.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert load(path) == content
+
+
+@pytest.mark.parametrize("text", ["[" * 5000, "a: 1\na: 2\n", "a: [1\n", "\x00", "\udcff"])
+def test_what_is_not_yaml_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(UnreadableInput, match="not a YAML file") as caught:
+        load(path, "write another")
+    assert caught.value.where == str(path)
+    assert caught.value.remedy == "write another"
+
+
+def test_an_absent_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableInput, match="cannot be read: No such file"):
+        load(tmp_path / "gone.yaml")
