@@ -42,7 +42,7 @@ FLOORS: dict[str, int] = {
 }
 #: Most Python files of a folder, and files of a folder that may share a prefix.
 FOLDER_FILES, SHARED_PREFIX = 20, 2
-ROOMS_TO_BE = {"calibrators/array": 26}
+ROOMS_TO_BE = {"calibrators/array": 28}
 #: Longest module and function (its docstring left out), in lines.
 MODULE_LINES, FUNCTION_LINES = 260, 45
 VAGUE = {"utils", "util", "helpers", "helper", "common", "manager", "misc", "tools"}

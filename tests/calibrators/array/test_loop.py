@@ -8,8 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imucalib.calibration.outcome import Outcome
+from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.array.corrected import corrected_samples, gyro_gains
 from imucalib.calibrators.array.declared import Asked, named_effect, with_declared
+from imucalib.calibrators.array.findings import array_errors, array_findings
 from imucalib.calibrators.array.loop import ARRAY_RULES, ArrayLoop, close_array_loop
 from imucalib.calibrators.array.setup import array_setup
 from imucalib.calibrators.array.terms import rest_terms
@@ -21,8 +24,8 @@ from imucalib.estimators.array.gram import Columns, gram
 from imucalib.estimators.array.noise import SensorNoise, chosen_noise, fitted_noise
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
 from imucalib.recording.recording import Channel
-from imucalib.report.array.loop import array_candidate_section, array_loop_section, loop_dict
 from imucalib.report.document import Document, Text
+from imucalib.report.loop import candidate_section, loop_section
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import render_text
 from imucalib.units import DEG
@@ -202,16 +205,27 @@ def test_corrected_readings_hold_no_effect(clean: ArrayLoop) -> None:
     assert np.abs(gyro_gains(found.final) - np.eye(3)).max() == pytest.approx(0.045, abs=0.03)
 
 
+def outcome_of(found: ArrayLoop) -> Outcome:
+    made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
+    errors = array_errors(found, (0.04, 0.003))
+    return Outcome("array", errors, made, array_findings(found))
+
+
+def said(found: ArrayLoop, width: int) -> str:
+    document = Document("a", Text("b"), (loop_section(outcome_of(found)),))
+    return render_text(document, width, color=False)
+
+
 def test_reports_carry_the_loop(clean: ArrayLoop) -> None:
     for found in (clean, closed(planted_log("bad accelerometer, 1 %", 4)[0], 150)):
-        sections = array_loop_section(found), array_candidate_section(found)
+        sections = loop_section(outcome_of(found)), candidate_section(array_findings(found))
         document = Document("array", Text("done", "ok"), sections)
-        assert "Residuals before and after" in render_text(document, 100, color=False)
+        assert "Error before and after" in render_text(document, 100, color=False)
         assert "common_gyro_scale" in render_html(document)
-        content = json.loads(json.dumps(loop_dict(found), allow_nan=False))
-        assert content["verdict"] == found.verdict
-        assert len(content["steps"]) == len(found.steps)
-        assert {c["name"] for c in content["candidates"]} >= {"gyro_delay", "accelerometer_cubic"}
+        told = array_findings(found)
+        assert told.verdict == found.verdict
+        assert [s.effect for s in told.steps] == [s.effect for s in found.steps]
+        assert {s.name for s in told.scores} >= {"gyro_delay", "accelerometer_cubic"}
 
 
 def test_too_broken_a_motion_is_not_searched() -> None:
@@ -274,8 +288,8 @@ def test_a_declared_effect_is_in_the_model_and_others_can_be_left_out() -> None:
     assert abs(float(term.theta[0]) - 1.0) < 4.0 * float(declared.final.sd_of(term)[0])
     assert "gyro_delay" not in named(declared)
     assert np.sqrt(np.mean(positions_z(declared, true) ** 2)) < 1.6
-    assert loop_dict(declared)["declared"][0]["effect"] == "gyro_delay"
-    text = render_text(Document("a", Text("b"), (array_loop_section(declared),)), 100, color=False)
+    assert array_findings(declared).declared[0][0] == "gyro_delay"
+    text = said(declared, 100)
     assert "Declared effects" in text
     without = loop(Asked(without=("gyro_delay",)))
     assert "gyro_delay" not in {s.effect for s in without.steps}
@@ -387,17 +401,17 @@ def test_curves_correct_what_has_no_name_where_it_helps() -> None:
     assert found.verdict == "unexplained"
     assert found.after.acceleration < found.before.acceleration
     assert np.abs(found.final.r - true).max() < 5e-5
-    text = render_text(Document("a", Text("b"), (array_loop_section(found),)), 200, color=False)
-    assert "corrected by a curve: position of imu5 against time" in " ".join(text.split())
+    text = said(found, 200)
+    assert "position of imu5 against time, corrected by a curve" in " ".join(text.split())
 
 
 def test_the_file_says_what_the_clocks_were() -> None:
     from imucalib.calibrators.array.ages import beats
-    from imucalib.calibrators.array.calibration import effect_list
+    from imucalib.calibrators.array.findings import effect_blocks
 
     found = closed(planted_log("clock skew, 1 ms", 11)[0], 200)
     assert found.ages is not None
-    entry = next(e for e in effect_list(found) if e["effect"] == "gyro_sample_age")
+    entry = next(e for e in effect_blocks(found) if e["effect"] == "gyro_sample_age")
     assert [b["imu"] for b in entry["beats"] if b] == list(BOARD.imus)
     t = found.final.setup.t
     for k, beat in enumerate(beats(found.ages, t)):

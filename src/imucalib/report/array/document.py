@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from imucalib.calibrators.array.calibrate import ArrayRun
-from imucalib.calibrators.array.calibration import provenance
 from imucalib.calibrators.array.logs import Repeatability
+from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.array.growth import growth_plot
-from imucalib.report.array.loop import array_candidate_section, array_loop_section
 from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
 from imucalib.report.document import Document, Facts, Section, Table, Text
+from imucalib.report.loop import loop_section
+from imucalib.report.sections import closing_sections, verdict
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import DEG
 
@@ -20,26 +22,18 @@ def array_document(run: ArrayRun) -> Document:
     sections = (
         Section("Positions", (_position_table(run), _size(run))),
         _board_section(run),
-        array_loop_section(run.loop),
+        loop_section(run.outcome),
         _motion_section(run),
         _static_section(run),
         Section("Observability", _observability(run)),
-        *((array_candidate_section(run.loop),) if run.loop else ()),
+        *closing_sections(run.outcome),
         _chain_section(run),
-        Section("Notes", tuple(Text(n) for n in run.notes), brief=False),
-    )
-    made = provenance(run)
-    footer = (
-        ("input", f"{made['path']}, sha256 {made['sha256'][:16]}…"),
-        ("seed", str(run.request.seed)),
-        ("versions", ", ".join(f"{k} {v}" for k, v in made["versions"].items())),
-        ("time", made["time"]),
     )
     return Document(
-        f"Positions of {run.board.name} from {made['path']}",
+        f"Positions of {run.board.name} from {run.outcome.provenance.path}",
         _verdict(run),
         tuple(s for s in sections if s.blocks),
-        footer,
+        run.outcome.provenance.footer,
     )
 
 
@@ -56,8 +50,7 @@ def _verdict(run: ArrayRun) -> Text:
         f"{run.final.data.samples} moving samples; they differ from the drawing by "
         f"{np.sqrt(np.mean(off**2)):.2g} mm rms."
     )
-    why = " ".join(f"{r[0].upper()}{r[1:]}." for r in run.reasons)
-    return Text(f"{text} {why}".strip(), "warning" if run.reasons else "ok")
+    return verdict(run.outcome, text)
 
 
 def _position_table(run: ArrayRun) -> Table:
@@ -201,3 +194,14 @@ def repeatability_section(found: Repeatability, runs: tuple[ArrayRun, ...]) -> S
         (Text(verdict, "ok" if tone == "ok" else "warning"),
          Table("Pooled positions", header, tuple(rows), "lrrrr")),
     )  # fmt: skip
+
+
+def repeatability_dict(found: Repeatability) -> dict[str, Any]:
+    """Pooled positions of several logs, plain types."""
+    return {
+        "z_rms": found.z_rms,
+        "inflation": found.inflation,
+        "mean_mm": (1e3 * found.mean).tolist(),
+        "sd_mm": (1e3 * found.sd).tolist(),
+        "between_logs_mm": (1e3 * found.between).tolist(),
+    }
