@@ -38,6 +38,10 @@ class ErrorSummary:
     floor: float
     held_out: HeldOutError
 
+    def as_dict(self) -> dict[str, Any]:
+        """The block of calibration.yaml and report.json."""
+        return {**vars(self), "held_out": vars(self.held_out)}
+
 
 @dataclass(frozen=True)
 class Limit:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.option("--triad", help="Which accelerometer, when the recording has several.")
 @click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")
 @click.option("--as-published", is_flag=True,
-              help="Paper 002's own rule of rest, 18 points and gradient descent.")  # fmt: skip
+              help="The paper's own method, as it was published.")  # fmt: skip
 @click.option("--arithmetic", type=click.Choice(["float", "int32", "int16"]), default="float",
               show_default=True, help="Of the gradient descent, with --as-published.")  # fmt: skip
 @click.option("--max-worst-error", type=float, help="Limit: largest held-out error, mg.")

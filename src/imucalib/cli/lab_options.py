@@ -89,7 +89,7 @@ _OPTIONS = (
         help="What is minimised; settings: angles are uncertain as set.",
     ),
     click.option(
-        "--as-published", is_flag=True, help="Paper 004's own method and split (its Table 2)."
+        "--as-published", is_flag=True, help="The paper's own method, as it was published."
     ),
     click.option(
         "--train",

@@ -36,11 +36,10 @@ def ggir_csv(calibration: Calibration, filename: str) -> tuple[str, tuple[str, .
             remedy="use c-header",
         )
     row = nearest_row(calibration)
-    error = dict(calibration.facts.get("error_mg", {}))
-    end = np.hypot(float(error.get("final_held_out") or 0.0), row.lost) * 1e-3
+    start, end = _errors(calibration)
     numbers = {
-        "cal.error.start": float(error.get("raw") or 0.0) * 1e-3,
-        "cal.error.end": end,
+        "cal.error.start": start * 1e-3,
+        "cal.error.end": np.hypot(end, row.lost) * 1e-3,
         **{f"scale.{a}": row.scale[k] for k, a in enumerate("xyz")},
         **{f"offset.{a}": row.offset[k] for k, a in enumerate("xyz")},
         **{f"temperature.offset.{a}": row.slope[k] for k, a in enumerate("xyz")},
@@ -56,6 +55,18 @@ def ggir_csv(calibration: Calibration, filename: str) -> tuple[str, tuple[str, .
         *lost_parts(calibration),
     )
     return out.getvalue(), lost
+
+
+def _errors(calibration: Calibration) -> tuple[float, float]:
+    """The principal error raw and held out, mg; NaN where the file does not tell."""
+    for error in calibration.facts.get("errors", ()):
+        if error["unit"] == "mg":
+            raw, final = (
+                np.nan if v is None else float(v)
+                for v in (error["raw"], error["held_out"]["final"])
+            )
+            return raw, final
+    return np.nan, np.nan
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any
 
 from imucalib.calibration.calibration import StoredParameter
 from imucalib.calibration.findings import Findings, FoundStep
-from imucalib.calibration.outcome import ErrorSummary, Run
+from imucalib.calibration.outcome import Run
 from imucalib.calibration.plain import plain
 from imucalib.loop.evidence import Score
 
@@ -29,7 +29,7 @@ def report_dict(run: Run) -> dict[str, Any]:
         "parameters": [_parameter(p) for p in calibration.parameters],
         "covariance": _covariance(run),
         "loop": {
-            "errors": [_error(error) for error in outcome.errors],
+            "errors": [error.as_dict() for error in outcome.errors],
             "advice": list(outcome.advice),
             **_found(outcome.findings or Findings("not run")),
         },
@@ -62,10 +62,6 @@ def _covariance(run: Run) -> dict[str, Any]:
         "noise_factor": quality.noise_factor,
         "condition": quality.condition,
     }
-
-
-def _error(error: ErrorSummary) -> dict[str, Any]:
-    return {**vars(error), "held_out": vars(error.held_out)}
 
 
 def _found(found: Findings) -> dict[str, Any]:

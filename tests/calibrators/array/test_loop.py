@@ -207,7 +207,7 @@ def test_corrected_readings_hold_no_effect(clean: ArrayLoop) -> None:
 
 def outcome_of(found: ArrayLoop) -> Outcome:
     made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
-    errors = array_errors(found, (0.04, 0.003))
+    errors = array_errors(found, (0.04, 0.003), 8)
     return Outcome("array", errors, made, array_findings(found))
 
 

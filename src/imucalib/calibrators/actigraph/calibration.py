@@ -35,6 +35,7 @@ def actigraph_calibration(
         "gravity_source": request.gravity_source,
         "frame": "x keeps its direction; gravity alone cannot see a rotation of the frame",
         "clock": {"start_ns": scanned.start_ns, "span_s": max(scanned.stop, 1.0)},
+        "errors": [error.as_dict() for error in outcome.errors],
         "error_mg": details["error_mg"],
         "coverage": details["coverage"],
         "from_data": details["from_data"],

@@ -190,6 +190,7 @@ def _calibration(
 ) -> Calibration:
     facts: dict[str, Any] = {
         "gravity_source": request.gravity_source,
+        "errors": [error.as_dict() for error in outcome.errors],
         "method": methods,
         "provenance": outcome.provenance.as_dict(),
     }

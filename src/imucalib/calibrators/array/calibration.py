@@ -62,6 +62,7 @@ def array_calibration(
         outcome.reasons,
         facts={
             "gravity_source": settings["gravity_source"],
+            "errors": [error.as_dict() for error in outcome.errors],
             **facts,
             "provenance": outcome.provenance.as_dict(),
         },

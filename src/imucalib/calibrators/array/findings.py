@@ -93,13 +93,19 @@ def _untestable(name: str, impact: float) -> Untestable:
     return Untestable(name, f"{parameter.typical:g} {parameter.unit}", 1e3 * impact, "mm rms")
 
 
-def array_errors(loop: ArrayLoop | None, noise: tuple[float, float]) -> tuple[ErrorSummary, ...]:
+def array_errors(
+    loop: ArrayLoop | None, noise: tuple[float, float], imus: int
+) -> tuple[ErrorSummary, ...]:
     """Residuals of the accelerometers (m/s²), which are the principal ones, and the gyros (deg/s).
 
-    noise : m/s² and rad/s, of a sample at rest, which sets the floor
+    noise : m/s² and rad/s, of a sample at rest, which sets the floor: of the 3 K numbers of a
+    sample the motion takes 6 from the accelerometers (dω/dt and s) and 3 from the gyros (ω)
     """
     nan = float("nan")
-    floors = noise[0] / _NORMAL_MAD, noise[1] / DEG / _NORMAL_MAD
+    floors = (
+        noise[0] / _NORMAL_MAD * np.sqrt(1.0 - 2.0 / imus),
+        noise[1] / DEG / _NORMAL_MAD * np.sqrt(1.0 - 1.0 / imus),
+    )
     if loop is None:
         held = (HeldOutError(nan, nan, nan),) * 2
     else:
@@ -108,8 +114,8 @@ def array_errors(loop: ArrayLoop | None, noise: tuple[float, float]) -> tuple[Er
             HeldOutError(nan, loop.before.rate, loop.after.rate),
         )
     return (
-        ErrorSummary(_ACCELEROMETERS, "m/s²", nan, nan, nan, floors[0], held[0]),
-        ErrorSummary(_GYROS, "deg/s", nan, nan, nan, floors[1], held[1]),
+        ErrorSummary(_ACCELEROMETERS, "m/s²", nan, nan, nan, float(floors[0]), held[0]),
+        ErrorSummary(_GYROS, "deg/s", nan, nan, nan, float(floors[1]), held[1]),
     )
 
 

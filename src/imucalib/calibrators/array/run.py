@@ -50,7 +50,7 @@ def finished(
     notes: tuple[str, ...],
 ) -> ArrayRun:
     """The run of these stages: judged, with its calibration."""
-    errors = array_errors(loop, (_rms(static.noise), _rms(static.gyro_noise)))
+    errors = array_errors(loop, (_rms(static.noise), _rms(static.gyro_noise)), board.count)
     ratio = final.noise / _rms(static.noise)
     loud = ratio > _UNEXPLAINED
     outcome = Outcome(

@@ -32,6 +32,7 @@ def lab_calibration(
     """The calibration of a run's final fit, with the blocks that people read beside the numbers."""
     facts = {
         "gravity_source": request.gravity_source,
+        "errors": [error.as_dict() for error in outcome.errors],
         "noise": details["noise"],
         "held_out": details["held_out"],
     }
