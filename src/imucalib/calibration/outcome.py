@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.findings import Findings
+from imucalib.calibration.plain import plain
 from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
@@ -40,7 +41,8 @@ class ErrorSummary:
 
     def as_dict(self) -> dict[str, Any]:
         """The block of calibration.yaml and report.json."""
-        return {**vars(self), "held_out": vars(self.held_out)}
+        found: dict[str, Any] = plain({**vars(self), "held_out": vars(self.held_out)})
+        return found
 
 
 @dataclass(frozen=True)

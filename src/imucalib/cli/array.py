@@ -60,7 +60,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.array.draws import write_draws
     from imucalib.report.files import Report
 
-    request = _request(options, len(logs))
+    request = _request(options, logs)
     mapping, quiet = mapping_of(options), options["quiet"]
     runs: list[ArrayRun] = []
     for log in logs:
@@ -77,7 +77,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     return finish(reports, options, _together(tuple(runs)) if len(runs) > 1 else None)
 
 
-def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
+def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.board import read_board
     from imucalib.calibrators.array.declared import Asked, named_effect
     from imucalib.calibrators.array.request import ArrayRequest
@@ -92,8 +92,10 @@ def _request(options: dict[str, Any], logs: int) -> ArrayRequest:
             sigma = -1.0
         if not 0.0 < sigma < 1e3:
             raise UsageError("--acc-sigma is estimate, nonlinearity or a positive number of m/s²")
-    if logs > 1 and options["checkpoint"]:
+    if len(logs) > 1 and options["checkpoint"]:
         raise UsageError("--checkpoint goes with one log")
+    if len({log.stem for log in logs}) < len(logs):
+        raise UsageError("two logs have one name, and so would their folders")
     shared = shared_of(options)
     board = read_board(options["board"])
     asked = Asked(shared.declare, shared.only, shared.without)
