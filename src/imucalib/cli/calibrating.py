@@ -13,6 +13,7 @@ import click
 
 from imucalib.cli.gravity_options import gravity_of, gravity_options
 from imucalib.cli.output import (
+    EXPORT_FORM,
     Command,
     color,
     emit_json,
@@ -50,8 +51,8 @@ _OPTIONS = (
     click.option("--max-error", type=float,
                  help="Limit: held-out error, in the report's unit (mg; array: m/s²); exit 1 "
                  "beyond."),
-    click.option("--export", multiple=True, metavar="FORM",
-                 help="Write the coefficients for another program too: c-header, ggir-csv."),
+    click.option("--export", multiple=True, type=EXPORT_FORM,
+                 help="Write the coefficients for another program, too."),
 )  # fmt: skip
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, note, quiet_option
+from imucalib.cli.output import EXPORT_FORM, emit_json, json_option, note, quiet_option
 
 
 @click.command("export", short_help="Write coefficients for another program.")
 @click.argument("calibration", type=click.Path(path_type=Path))
-@click.option("--to", "form", required=True, metavar="FORM", help="c-header or ggir-csv.")
+@click.option("--to", "form", required=True, type=EXPORT_FORM, help="Form of the other program.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
               help="File to write; default: stdout.")  # fmt: skip
 @click.option("--effects", "effects_file", type=click.Path(path_type=Path),

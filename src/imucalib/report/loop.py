@@ -31,15 +31,21 @@ def error_table(error: ErrorSummary, note: str = "") -> Table:
     def number(value: float) -> str:
         return "-" if math.isnan(value) else f"{value:.{digits}f}"  # there was no held-out part
 
+    held, fitted = error.held_out, not (math.isnan(error.base) and math.isnan(error.final))
     rows = (
-        ("raw reading", number(error.raw), number(error.held_out.raw)),
-        ("base model", number(error.base), number(error.held_out.base)),
-        ("final model", number(error.final), number(error.held_out.final)),
-        ("noise floor", number(error.floor), ""),
+        ("raw reading", error.raw, held.raw),
+        ("base model", error.base, held.base),
+        ("final model", error.final, held.final),
     )
-    header = ("", "fitted", "held out")
+    floor = ("noise floor", number(error.floor), *(("",) if fitted else ()))
+    shown = tuple(
+        (name, *((number(f),) if fitted else ()), number(h))
+        for name, f, h in rows
+        if fitted or not math.isnan(h)
+    )
+    header = ("", "fitted", "held out") if fitted else ("", "held out")
     title = f"Error before and after ({error.metric}, {error.unit})"
-    return Table(title, header, tuple(r for r in rows if {*r[1:]} - {"-", ""}), "lrr", note)
+    return Table(title, header, (*shown, floor), "l" + "r" * (len(header) - 1), note)
 
 
 def loop_section(outcome: Outcome) -> Section:
