@@ -88,8 +88,12 @@ def _array_corrected(calibration: Calibration, recording: Recording, only: str |
     channels = correct_triads(calibration.triads, recording, only)
     notes = ["corrected with a calibration by array; vectors are in the board's axes"]
     notes += [
-        f"not undone, it needs the motion: {row['effect']}, {row['rms']:.3g} {row['unit']} rms "
-        "while it was calibrated"
+        f"{name}: rates in {c.unit} stay as they are"
+        for name, c in channels.items()
+        if c.quantity == "angular_rate" and c.unit != "rad/s"
+    ]
+    notes += [
+        f"not undone: {row['effect']}, {row['rms']:.3g} {row['unit']} rms while it was calibrated"
         for row in calibration.facts.get("not_undone", ())
     ]
     return replace(recording, channels=channels, notes=(*recording.notes, *notes))

@@ -94,13 +94,13 @@ def findings_of(
 ) -> Findings:
     """The shared loop's search."""
     return Findings(
-        loop.verdict,
-        tuple(_step(step, loop.final) for step in loop.steps),
-        loop.records,
-        loop.rejected,
-        loop.unexplained,
-        loop.scores,
-        loop.missing,
+        verdict=loop.verdict,
+        steps=tuple(_step(step, loop.final) for step in loop.steps),
+        records=loop.records,
+        rejected=loop.rejected,
+        unexplained=loop.unexplained,
+        scores=loop.scores,
+        missing=loop.missing,
         declared=tuple((name, _size(loop.final, name)) for name in declared),
         only=only,
         without=without,
@@ -116,7 +116,14 @@ def _step(step: Step, final: Fit) -> FoundStep:
         curve = f"{what} against {against}".replace("_", "-")
     own = tuple(p for p in stored_parameters(final) if p.effect == step.effect)
     return FoundStep(
-        step.effect, step.p, step.draws, step.evidence, (check,), step.aliases, own, curve=curve
+        effect=step.effect,
+        p=step.p,
+        draws=step.draws,
+        evidence=step.evidence,
+        checks=(check,),
+        aliases=step.aliases,
+        parameters=own,
+        curve=curve,
     )
 
 

@@ -79,7 +79,15 @@ def provenance_of(
         "numpy": np.__version__,
         "scipy": scipy.__version__,
     }
-    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     return Provenance(
-        Path(path).name, sha256, samples, gaps, mapping, settings, seed, versions, now, command
+        path=Path(path).name,
+        sha256=sha256,
+        samples=samples,
+        gaps=gaps,
+        mapping=mapping,
+        settings=settings,
+        seed=seed,
+        versions=versions,
+        time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        command=command,
     )

@@ -74,15 +74,15 @@ def triad_from(block: Mapping[str, Any]) -> Triad:
         return np.array(block[key], dtype=float).reshape(shape)
 
     return Triad(
-        str(block["imu"]),
-        array("rotation", 3, 3),
-        array("gain", 3, 3),
-        array("bias_m_per_s2", 3),
-        array("gyro_gain", 3, 3),
-        array("gyro_bias_deg_per_s", 3) * DEG,
-        array("covariance", 12, 12),
-        float(block["noise_m_per_s2"]),
-        float(block["gyro_noise_deg_per_s"]) * DEG,
+        name=str(block["imu"]),
+        rotation=array("rotation", 3, 3),
+        gain=array("gain", 3, 3),
+        bias=array("bias_m_per_s2", 3),
+        gyro_gain=array("gyro_gain", 3, 3),
+        gyro_bias=array("gyro_bias_deg_per_s", 3) * DEG,
+        covariance=array("covariance", 12, 12),
+        noise=float(block["noise_m_per_s2"]),
+        gyro_noise=float(block["gyro_noise_deg_per_s"]) * DEG,
     )
 
 

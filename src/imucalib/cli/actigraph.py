@@ -61,7 +61,6 @@ def command(recording: Path, **options: Any) -> int:
 def request_of(options: dict[str, Any]) -> ActigraphRequest:
     """The request that the options state; raises click's usage errors."""
     from imucalib.calibrators.actigraph.request import ActigraphRequest
-    from imucalib.loop.found import LoopSettings
 
     shared = shared_of(options)
     return ActigraphRequest(
@@ -75,7 +74,7 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         only=shared.only,
         without=shared.without,
         loop=shared.loop,
-        rules=LoopSettings(draws=shared.draws or 1000, curves=shared.curves),
+        rules=shared.rules,
         extra_effects=shared.extra_effects,
         limits=shared.limits,
         seed=shared.seed,

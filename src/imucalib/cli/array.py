@@ -106,7 +106,8 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         motion=options["motion_prior"], exponent=float(options["det_exponent"]),
         accelerometer_sigma=sigma, gyro_covariance=options["gyro_covariance"],
         chains=options["chains"], stop=Stop(ess=options["ess"]), iterations=options["iterations"],
-        loop=shared.loop, asked=asked, curves=shared.curves, draws=shared.draws or 499,
+        loop=shared.loop, asked=asked, curves=shared.curves,
+        draws=shared.draws or ArrayRequest.draws,
         checkpoint=options["checkpoint"], seed=shared.seed, extra_effects=shared.extra_effects,
         limits=shared.limits, command=shared.command,
     )  # fmt: skip

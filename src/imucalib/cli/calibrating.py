@@ -27,6 +27,7 @@ from imucalib.cli.recording_options import recording_options
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect
+    from imucalib.loop.found import LoopSettings
     from imucalib.report.document import Document
     from imucalib.report.files import Report
 
@@ -100,6 +101,13 @@ class Shared:
     limits: Mapping[str, float]
     seed: int
     command: str
+
+    @property
+    def rules(self) -> LoopSettings:
+        """The shared loop's settings."""
+        from imucalib.loop.found import LoopSettings
+
+        return LoopSettings(draws=self.draws or LoopSettings.draws, curves=self.curves)
 
 
 def shared_of(options: Mapping[str, Any]) -> Shared:

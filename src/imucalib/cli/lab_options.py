@@ -162,7 +162,6 @@ def _settings(options: dict[str, Any], shared: Shared) -> LabSettings:
 
     from imucalib.calibrators.lab.calibrate import LabSettings
     from imucalib.calibrators.lab.conventions import preset
-    from imucalib.loop.found import LoopSettings
     from imucalib.units import MG
 
     stated = {key: options[key] for key in _CONVENTIONS if options[key] is not None}
@@ -174,7 +173,7 @@ def _settings(options: dict[str, Any], shared: Shared) -> LabSettings:
         without=shared.without,
         loop=shared.loop,
         sigma=None if options["sigma"] is None else options["sigma"] * MG,
-        rules=LoopSettings(draws=shared.draws or 1000, curves=shared.curves),
+        rules=shared.rules,
         extra_effects=shared.extra_effects,
         conventions=replace(preset(options["convention"]), **stated),
     )

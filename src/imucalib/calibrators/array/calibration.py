@@ -52,14 +52,14 @@ def array_calibration(
     facts = {name: details[name] for name in _SHARED if name in details}
     settings = outcome.provenance.settings
     return Calibration(
-        "array",
-        parameters,
-        covariance,
-        "m/s2",
-        1.0,
-        static.gravity,
-        outcome.status,
-        outcome.reasons,
+        calibrator="array",
+        parameters=parameters,
+        covariance=covariance,
+        raw_unit="m/s2",
+        raw_to_si=1.0,
+        gravity=static.gravity,
+        status=outcome.status,
+        reasons=outcome.reasons,
         facts={
             "gravity_source": settings["gravity_source"],
             "errors": [error.as_dict() for error in outcome.errors],
@@ -82,11 +82,18 @@ def _triads(
         gyro_gain, gyro_bias = found.gyro_gain, gyro_bias + found.gyro_offset
     return tuple(
         Triad(
-            name, board.rotations[k], gain[k], bias[k], gyro_gain[k], gyro_bias[k],
-            static.covariance[k, :, k, :], float(static.noise[k]), float(static.gyro_noise[k]),
+            name=name,
+            rotation=board.rotations[k],
+            gain=gain[k],
+            bias=bias[k],
+            gyro_gain=gyro_gain[k],
+            gyro_bias=gyro_bias[k],
+            covariance=static.covariance[k, :, k, :],
+            noise=float(static.noise[k]),
+            gyro_noise=float(static.gyro_noise[k]),
         )
         for k, name in enumerate(board.imus)
-    )  # fmt: skip
+    )
 
 
 def array_details(

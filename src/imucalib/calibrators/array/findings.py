@@ -27,8 +27,7 @@ from imucalib.units import DEG
 
 Array = NDArray[np.float64]
 _NORMAL_MAD = 1.4826
-_ACCELEROMETERS = "accelerometer residual in motion, MAD"
-_GYROS = "gyro residual in motion, MAD"
+_NAN = float("nan")
 _SMALL = 1e-6  # share of an effect beyond its linear part from which on it counts
 
 
@@ -101,21 +100,28 @@ def array_errors(
     noise : m/s² and rad/s, of a sample at rest, which sets the floor: of the 3 K numbers of a
     sample the motion takes 6 from the accelerometers (dω/dt and s) and 3 from the gyros (ω)
     """
-    nan = float("nan")
     floors = (
         noise[0] / _NORMAL_MAD * np.sqrt(1.0 - 2.0 / imus),
         noise[1] / DEG / _NORMAL_MAD * np.sqrt(1.0 - 1.0 / imus),
     )
-    if loop is None:
-        held = (HeldOutError(nan, nan, nan),) * 2
-    else:
-        held = (
-            HeldOutError(nan, loop.before.acceleration, loop.after.acceleration),
-            HeldOutError(nan, loop.before.rate, loop.after.rate),
+    before, after = (loop.before, loop.after) if loop else (None, None)
+    held = [
+        HeldOutError(_NAN, *(_NAN if r is None else getattr(r, name) for r in (before, after)))
+        for name in ("acceleration", "rate")
+    ]
+    return tuple(
+        ErrorSummary(
+            metric=f"{sensor} residual in motion, MAD",
+            unit=unit,
+            raw=_NAN,
+            base=_NAN,
+            final=_NAN,
+            floor=float(floor),
+            held_out=one,
         )
-    return (
-        ErrorSummary(_ACCELEROMETERS, "m/s²", nan, nan, nan, float(floors[0]), held[0]),
-        ErrorSummary(_GYROS, "deg/s", nan, nan, nan, float(floors[1]), held[1]),
+        for sensor, unit, floor, one in zip(
+            ("accelerometer", "gyro"), ("m/s²", "deg/s"), floors, held, strict=True
+        )
     )
 
 
