@@ -37,7 +37,6 @@ from imucalib.core.references import KnownNorm
 from imucalib.core.sphere import even_directions
 from imucalib.effects import catalogue, named
 from imucalib.loop.closed_loop import close_loop
-from imucalib.loop.found import LoopSettings
 from imucalib.loop.held_out import Held, fitted, held_out
 from imucalib.report.files import Report
 from imucalib.report.sections import standard_document
@@ -56,9 +55,8 @@ def toy_run(path: Path, asked: Shared) -> Run:
         tuple(f"rest {k}" for k in range(n)),
     )  # fmt: skip
     model = Model(tuple(named(name) for name in ("bias", "scale", "non_orthogonality")))
-    rules = LoopSettings(draws=asked.draws or 99)
     effects = {n: e for n, e in catalogue().items() if e.stage == "sensor"}
-    loop = close_loop(model, data, effects, np.random.default_rng(asked.seed), rules)
+    loop = close_loop(model, data, effects, np.random.default_rng(asked.seed), asked.rules)
     base, final = loop.plain, loop.as_recorded
     raw = _raw(data, asked)
     out = [_mg(held_out(f)) for f in (base, final)]

@@ -104,11 +104,10 @@ def array_errors(
         noise[0] / _NORMAL_MAD * np.sqrt(1.0 - 2.0 / imus),
         noise[1] / DEG / _NORMAL_MAD * np.sqrt(1.0 - 1.0 / imus),
     )
-    before, after = (loop.before, loop.after) if loop else (None, None)
-    held = [
-        HeldOutError(_NAN, *(_NAN if r is None else getattr(r, name) for r in (before, after)))
-        for name in ("acceleration", "rate")
-    ]
+    held = ((_NAN, _NAN), (_NAN, _NAN))
+    if loop is not None:
+        before, after = loop.before, loop.after
+        held = (before.acceleration, after.acceleration), (before.rate, after.rate)
     return tuple(
         ErrorSummary(
             metric=f"{sensor} residual in motion, MAD",
@@ -117,9 +116,9 @@ def array_errors(
             base=_NAN,
             final=_NAN,
             floor=float(floor),
-            held_out=one,
+            held_out=HeldOutError(_NAN, *two),
         )
-        for sensor, unit, floor, one in zip(
+        for sensor, unit, floor, two in zip(
             ("accelerometer", "gyro"), ("m/s²", "deg/s"), floors, held, strict=True
         )
     )
