@@ -145,6 +145,9 @@ def test_validate_accepts_it_and_no_number_that_is_none(done: Done, tmp_path: Pa
             result = run("validate", path)
             assert result.return_value == 3, (place, bad)
             assert "finite" in str(result.exception)
+    refused = run("apply", path, done.recording, "-o", tmp_path / "c.csv")
+    assert refused.return_value == 3
+    assert not (tmp_path / "c.csv").exists()
 
 
 def test_apply_accepts_it(done: Done, tmp_path: Path) -> None:
