@@ -35,7 +35,7 @@ def run(*arguments: str) -> Report:
         text = done.stderr.strip().splitlines()[-1].partition(": ")[2]
         return {"error": text.replace(f"{Path(arguments[1]).parent}{os.sep}", "")}
     found: Report = json.loads(done.stdout)
-    return found
+    return {"error": found["error"]["message"]} if "error" in found else found
 
 
 def steps(report: Report) -> str:
@@ -165,11 +165,10 @@ def arrays(data: Path) -> Iterator[str]:
     for name in ("exp_1", "exp_5"):
         path = str(data / "mimu4444" / f"{name}.h5")
         report = run("array", path, "--board", "mimu4444_corners")
-        before, after = (report["loop"][f"residual_mad_{w}"] for w in ("before", "after"))
+        a, g = (e["held_out"] for e in report["loop"]["errors"])
         words = (
-            f"gyros {before['rate_deg_per_s']:.2f} -> {after['rate_deg_per_s']:.2f} deg/s, "
-            f"accelerometers {before['acceleration_m_per_s2']:.3f} -> "
-            f"{after['acceleration_m_per_s2']:.3f} m/s² (median absolute deviation)"
+            f"gyros {g['base']:.2f} -> {g['final']:.2f} deg/s, accelerometers "
+            f"{a['base']:.3f} -> {a['final']:.3f} m/s² (median absolute deviation)"
         )
         yield story(f"MIMU4444 board, {name}", told(report, words))
 

@@ -71,7 +71,6 @@ def whole(path: Path, rate: float) -> dict[str, Any]:
 
 def imucal(path: Path, rate: float) -> dict[str, Any]:
     """Windows, rests, fit and search on an array in memory."""
-    from imucalib.calibrators.actigraph.calibration import actigraph_calibration
     from imucalib.calibrators.actigraph.request import ActigraphRequest
     from imucalib.calibrators.actigraph.run import run_of
     from imucalib.readers.conversion import Conversion
@@ -87,7 +86,7 @@ def imucal(path: Path, rate: float) -> dict[str, Any]:
     runs = posture_runs(scanned)
     run = run_of(runs, scanned.without_windows(), ActigraphRequest(), lambda _: None)
     cpu = spent() - before
-    linear = actigraph_calibration(run).matrices().as_dict()["corrected_from_raw"]
+    linear = run.calibration.matrices().as_dict()["corrected_from_raw"]
     error = sphere_error(np.array(linear["M"]), np.array(linear["b"]) / G)
     return {"cpu": cpu, "error": error}
 

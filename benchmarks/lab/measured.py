@@ -88,7 +88,7 @@ def _instruments(data: Path) -> None:
         options = ("--reference", "norm", "--acc", "1,2,3", "--unit", "m/s2", "--rate", "100")
         runs.append((f"MPU-9150 tumble {k}", lab(str(log), *options)))
     for name, report in runs:
-        error = report["loop"]["error"]
+        error = report["loop"]["errors"][0]
         held = error["held_out"]
         steps = [" or ".join([s["effect"], *s["aliases"]]) for s in report["loop"]["steps"]]
         print(

@@ -21,7 +21,6 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
 from imucalib.calibration.series import part_at, parts_of
-from imucalib.calibrators.actigraph.calibration import actigraph_calibration
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import SENSOR, WeekPlan, simulated_week
@@ -52,7 +51,7 @@ THETA = np.concatenate([SENSOR[name] for name in NINE])
 def calibrated(plan: WeekPlan, request: ActigraphRequest, folder: Path) -> Calibration:
     week = simulated_week(plan, 8)
     run = run_of(week.runs, week.scanned, request, lambda text: None)
-    write_calibration(actigraph_calibration(run), folder / "calibration.yaml")
+    write_calibration(run.calibration, folder / "calibration.yaml")
     return read_calibration(folder / "calibration.yaml")
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.series import CalibrationPart, part_at, parts_of
+from imucalib.calibration.triads import correct_triads
 from imucalib.core.context import Context
 from imucalib.effects.thermal_lag import PREFIX, hours_of
 from imucalib.errors import UnreadableInput, UsageError
@@ -41,7 +42,8 @@ def apply_to_recording(
     history: ThermalHistory | None = None,
     thermometer: Channel | None = None,
 ) -> Recording:
-    """A recording whose acceleration of one triad is corrected specific force in m/s².
+    """A recording whose acceleration of one triad is corrected specific force in m/s²; with the
+    calibration of an array all its IMUs', and their rates.
 
     triad : which sensor, when there are several
     use : "parts" or "whole", of a calibration in parts; by default what it says itself
@@ -50,6 +52,8 @@ def apply_to_recording(
     Raises UsageError when it is not clear which sensor, and UnreadableInput when a covariate is
     missing or leaves the range that was calibrated.
     """
+    if calibration.triads:
+        return _array_corrected(calibration, recording, triad)
     names = [n for n, c in recording.channels.items() if c.quantity == "acceleration"]
     chosen = [n for n in names if triad is None or recording.channels[n].triad == triad]
     if len(chosen) != 1:
@@ -77,6 +81,22 @@ def apply_to_recording(
     if parts:
         note += f", each sample with the one of {len(parts)} parts that is valid at its time"
     return replace(recording, channels=channels, notes=(*recording.notes, note))
+
+
+def _array_corrected(calibration: Calibration, recording: Recording, only: str | None) -> Recording:
+    """Every IMU's acceleration and rate by its gains and biases, in board axes."""
+    channels = correct_triads(calibration.triads, recording, only)
+    notes = ["corrected with a calibration by array; vectors are in the board's axes"]
+    notes += [
+        f"{name}: rates in {c.unit} stay as they are"
+        for name, c in channels.items()
+        if c.quantity == "angular_rate" and c.unit != "rad/s"
+    ]
+    notes += [
+        f"not undone: {row['effect']}, {row['rms']:.3g} {row['unit']} rms while it was calibrated"
+        for row in calibration.facts.get("not_undone", ())
+    ]
+    return replace(recording, channels=channels, notes=(*recording.notes, *notes))
 
 
 def _needs(calibration: Calibration, parts: tuple[CalibrationPart, ...]) -> set[str]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibration.matrices import Matrices, matrices
+from imucalib.calibration.triads import Triad
 from imucalib.calibration.uncertainty import correcting
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
@@ -33,6 +35,10 @@ class StoredParameter:
     unit: str
 
 
+#: Stages of parameters that no correction of a reading undoes.
+NEVER_APPLIED = ("fixture", "array")
+
+
 @dataclass(frozen=True)
 class Calibration:
     """A calibration apart from the data it came from.
@@ -40,6 +46,7 @@ class Calibration:
     parameters : all, fixture included; covariance : (p, p) in their units and order
     raw_unit, raw_to_si : of the readings that it applies to
     facts : the blocks that only people read (gravity, conventions, noise, ranges, provenance)
+    triads : of an array, each IMU's linear correction; the parameters then are the positions
     """
 
     calibrator: str
@@ -52,13 +59,14 @@ class Calibration:
     reasons: tuple[str, ...] = ()
     valid: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
+    triads: tuple[Triad, ...] = ()
 
     def model(self) -> tuple[Model, Array]:
         """The correcting part as effects of the catalogue, with its θ.
 
         Raises UnreadableInput when the file names an effect that this version does not know.
         """
-        names = dict.fromkeys(p.effect for p in self.parameters if p.stage != "fixture")
+        names = dict.fromkeys(p.effect for p in self.parameters if p.stage not in NEVER_APPLIED)
         effects = {name: effect for name in names if (effect := known(name)) is not None}
         unknown = [name for name in names if name not in effects]
         if unknown:
@@ -89,9 +97,28 @@ class Calibration:
 
     def matrices(self) -> Matrices:
         """M, b and S, c of the linear part, with intrinsic scales and angles."""
+        return self._matrices
+
+    @cached_property
+    def _matrices(self) -> Matrices:
         model, theta = self.model()
-        keep = [k for k, p in enumerate(self.parameters) if p.stage != "fixture"]
+        keep = [k for k, p in enumerate(self.parameters) if p.stage not in NEVER_APPLIED]
         return matrices(model, theta, self.covariance[np.ix_(keep, keep)])
+
+
+def stored_parameters(fit: Fit) -> tuple[StoredParameter, ...]:
+    """The parameters of a fit, without those of records that were set aside."""
+    context = fit.observations.context
+    return tuple(
+        StoredParameter(
+            p.name, effect.name, effect.stage, float(fit.theta[k]), float(fit.sd[k]), p.unit
+        )
+        for effect in fit.model.effects
+        if not is_record_error(effect.name)
+        for k, p in enumerate(
+            effect.parameters(context), fit.model.slices(context)[effect.name].start
+        )
+    )
 
 
 def from_fit(
@@ -107,21 +134,10 @@ def from_fit(
 ) -> Calibration:
     """The calibration of a fit; records that were set aside are no part of it."""
     context = fit.observations.context
-    stored, keep = [], []
-    for effect in fit.model.effects:
-        part = fit.model.slices(context)[effect.name]
-        if is_record_error(effect.name):
-            continue
-        for k, parameter in zip(
-            range(part.start, part.stop), effect.parameters(context), strict=True
-        ):
-            value, sd = float(fit.theta[k]), float(fit.sd[k])
-            stored.append(
-                StoredParameter(
-                    parameter.name, effect.name, effect.stage, value, sd, parameter.unit
-                )
-            )
-            keep.append(k)
+    stored = stored_parameters(fit)
+    slices = fit.model.slices(context)
+    kept = [np.arange(slices[n].start, slices[n].stop) for n in slices if not is_record_error(n)]
+    keep = np.concatenate(kept) if kept else np.zeros(0, int)
     needed = {name for effect in correcting(fit.model).effects for name in effect.needs}
     valid = {
         name: (float(context[name].min()), float(context[name].max()))
@@ -129,7 +145,7 @@ def from_fit(
     }
     return Calibration(
         calibrator,
-        tuple(stored),
+        stored,
         fit.covariance[np.ix_(keep, keep)],
         raw_unit,
         raw_to_si,

@@ -1,11 +1,14 @@
 """Calibration files: YAML written, read back and checked.
 
 Values in the file are in the units that the file names. The covariance covers all parameters in
-their order. `matrices` are derived from the effects for those who only need a = M raw + b.
+their order. `matrices` are derived from the effects for those who only need a = M raw + b; an array
+has `triads` in their place, one linear correction an IMU.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,8 @@ from numpy.typing import NDArray
 
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.plain import plain
+from imucalib.calibration.triads import triad_from
 from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.errors import UnreadableInput
@@ -27,10 +32,15 @@ FORMULA = (
     "reading = x + sum of sensor effects(x), x = mounting turn of the specific force in the tool's "
     "frame; apply inverts it. Linear part: corrected = M raw + b, raw = S corrected + c (SI units)."
 )
-#: Keys that every file has; all others are facts for people.
+ARRAY_FORMULA = (
+    "In board axes (rotation applied): force = inv(gain) (reading - bias), rate = inv(gyro_gain) "
+    "(reading - gyro_bias); force_k = s + (Ω(ω)² + Ω(dω/dt)) position_k. Found effects' linear "
+    "parts are in the gains and biases; each effect adds what its equation says beyond."
+)
+#: Keys that a file has; all others are facts for people.
 _KEYS = {
     "schema", "version", "calibrator", "status", "reasons", "formula", "raw", "gravity_m_per_s2",
-    "parameters", "covariance", "matrices", "valid",
+    "parameters", "covariance", "matrices", "triads", "valid",
 }  # fmt: skip
 
 
@@ -41,31 +51,22 @@ def to_yaml(calibration: Calibration) -> str:
 
 def as_dict(calibration: Calibration) -> dict[str, Any]:
     """The content of the YAML file as plain types."""
-    linear = calibration.matrices()
+    triads = [triad.as_dict() for triad in calibration.triads]
+    linear = {"triads": triads} if triads else {"matrices": calibration.matrices().as_dict()}
     return {
         "schema": SCHEMA,
         "version": VERSION,
         "calibrator": calibration.calibrator,
         "status": calibration.status,
         "reasons": list(calibration.reasons),
-        "formula": FORMULA,
+        "formula": ARRAY_FORMULA if triads else FORMULA,
         "raw": {"unit": calibration.raw_unit, "to_m_per_s2": calibration.raw_to_si},
         "gravity_m_per_s2": calibration.gravity,
-        "parameters": [
-            {
-                "name": p.name,
-                "effect": p.effect,
-                "stage": p.stage,
-                "value": p.value,
-                "sd": p.sd,
-                "unit": p.unit,
-            }
-            for p in calibration.parameters
-        ],
+        "parameters": [vars(p) for p in calibration.parameters],
         "covariance": calibration.covariance.tolist(),
-        "matrices": linear.as_dict(),
+        **linear,
         "valid": {name: list(span) for name, span in calibration.valid.items()},
-        **calibration.facts,
+        **plain(calibration.facts),
     }
 
 
@@ -76,9 +77,16 @@ def write(calibration: Calibration, path: Path) -> None:
 
 def write_whole(path: Path, text: str) -> None:
     """Write a text file by a temporary neighbour and a rename."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced_atomically(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_together({path: text})
+
+
+def write_together(texts: Mapping[Path, str]) -> None:
+    """Write several text files; none takes its place before all are written."""
+    with ExitStack() as stack:
+        for path, text in reversed(list(texts.items())):  # they are renamed in the opposite order
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary = stack.enter_context(replaced_atomically(path))
+            temporary.write_text(text, encoding="utf-8")
 
 
 def read(path: Path) -> Calibration:
@@ -123,6 +131,7 @@ def _calibration(content: dict[str, Any]) -> Calibration:
         tuple(content["reasons"]),
         {name: (float(a), float(b)) for name, (a, b) in content["valid"].items()},
         {name: block for name, block in content.items() if name not in _KEYS},
+        tuple(triad_from(block) for block in content.get("triads", ())),
     )
 
 
@@ -139,6 +148,7 @@ def _parameter(block: dict[str, Any]) -> StoredParameter:
 
 def check(calibration: Calibration, where: str) -> None:
     """Raise UnreadableInput unless the content makes sense: a covariance, an invertible model."""
+    _check_finite(calibration, where)
     covariance = calibration.covariance
     if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6):
         raise UnreadableInput("the covariance is not finite and symmetric", where=where)
@@ -151,9 +161,35 @@ def check(calibration: Calibration, where: str) -> None:
     if spread.size and spread[0] < -1e-6:
         raise UnreadableInput("the covariance is not positive", where=where)
     model, theta = calibration.model()
-    sensitivity = model.predict(theta, np.zeros((1, 1, 3)), Context(1, _zeros(model))).d_truth[0, 0]
-    if abs(np.linalg.det(sensitivity)) < 1e-3:
+    gains = [g for triad in calibration.triads for g in (triad.gain, triad.gyro_gain)]
+    gains += [model.predict(theta, np.zeros((1, 1, 3)), Context(1, _zeros(model))).d_truth[0, 0]]
+    if min(abs(np.linalg.det(gain)) for gain in gains) < 1e-3:
         raise UnreadableInput("the calibration cannot be inverted", where=where)
+
+
+def _check_finite(calibration: Calibration, where: str) -> None:
+    """Raise UnreadableInput for a number that is none, wherever in the file it stands."""
+    numbers: dict[str, Any] = {
+        **{p.name: (p.value, p.sd) for p in calibration.parameters},
+        "raw": calibration.raw_to_si,
+        "gravity_m_per_s2": calibration.gravity,
+        "valid": list(calibration.valid.values()),
+        **{f"the triad {t.name}": 0.0 if t.finite else np.nan for t in calibration.triads},
+    }
+    bad = [name for name, value in numbers.items() if not np.isfinite(value).all()]
+    bad += list(_not_finite(calibration.facts))
+    if bad:
+        raise UnreadableInput(f"not a finite number: {', '.join(bad)}", where=where)
+
+
+def _not_finite(block: Any, name: str = "") -> Iterator[str]:
+    """Names of numbers below a block that are NaN or infinite."""
+    if isinstance(block, float) and not np.isfinite(block):
+        yield name
+    if isinstance(block, list | tuple):
+        block = dict(enumerate(block))
+    for key, value in block.items() if isinstance(block, Mapping) else ():
+        yield from _not_finite(value, f"{name}.{key}" if name else str(key))
 
 
 def _zeros(model: Model) -> dict[str, Array]:

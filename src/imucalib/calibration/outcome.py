@@ -1,21 +1,25 @@
-"""What every calibrator hands to the reports and to the exit code."""
+"""What every calibrator hands out: a finished run, from which all else is made."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.findings import Findings
+from imucalib.calibration.plain import plain
+from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
-from imucalib.loop.found import FitLoop
 
 Status = Literal["ok", "marginal", "weak", "failed"]
 
 
 @dataclass(frozen=True)
 class HeldOutError:
-    """rms errors of one metric on data that was not fitted."""
+    """Errors of one metric on data that was not fitted; NaN where there is none."""
 
     raw: float
     base: float
@@ -24,7 +28,8 @@ class HeldOutError:
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """One metric before and after: raw reading, base model, final model, and the noise floor."""
+    """One metric before and after: raw reading, base model, final model, and the noise floor; NaN
+    what does not exist."""
 
     metric: str
     unit: str
@@ -34,30 +39,10 @@ class ErrorSummary:
     floor: float
     held_out: HeldOutError
 
-
-@dataclass(frozen=True)
-class Provenance:
-    """Where the numbers come from; enough to compute them again."""
-
-    path: str
-    sha256: str
-    samples: int
-    gaps: int
-    mapping: Mapping[str, object]
-    settings: Mapping[str, object]
-    seed: int
-    versions: Mapping[str, str]
-    time: str
-
-    @property
-    def footer(self) -> tuple[tuple[str, str], ...]:
-        """What stands at the foot of every report."""
-        return (
-            ("input", f"{self.path}, sha256 {self.sha256[:16]}…"),
-            ("seed", str(self.seed)),
-            ("versions", ", ".join(f"{k} {v}" for k, v in self.versions.items())),
-            ("time", self.time),
-        )
+    def as_dict(self) -> dict[str, Any]:
+        """The block of calibration.yaml and report.json."""
+        found: dict[str, Any] = plain({**vars(self), "held_out": vars(self.held_out)})
+        return found
 
 
 @dataclass(frozen=True)
@@ -71,36 +56,72 @@ class Limit:
 
     @property
     def broken(self) -> bool:
+        """A value that does not exist (NaN) passes no limit."""
         return not self.value <= self.limit
+
+    @property
+    def sentence(self) -> str:
+        """A broken limit in words."""
+        if math.isnan(self.value):
+            return f"{self.name}: there is no value to hold against {self.limit:g} {self.unit}"
+        return f"{self.name}: {self.value:.3g} {self.unit} exceeds {self.limit:g}"
+
+
+@dataclass(frozen=True)
+class FitQuality:
+    """How a least-squares fit went; see `Fit`."""
+
+    converged: bool
+    chi2: float
+    dof: int
+    noise_factor: float
+    condition: float
+
+
+def quality_of(fit: Fit) -> FitQuality:
+    """The quality of a fit."""
+    return FitQuality(fit.converged, fit.chi2, fit.dof, fit.noise.factor, fit.condition)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished calibration: what was fitted, what the loop found, and how far to trust it.
+    """How a calibration went: what the search found, and how far to trust the result.
 
-    weak : the data leave parameters open, which stay near their nominal values
+    errors : the principal metric first; findings : None where nothing was searched for
+    undecided : what only the user can decide; weak : the data leave parameters open, which stay
+    near their nominal values; loud : the residual is far above the noise, whatever its structure
     """
 
     calibrator: str
-    fit: Fit
-    loop: FitLoop | None
-    error: ErrorSummary
+    errors: tuple[ErrorSummary, ...]
     provenance: Provenance
+    findings: Findings | None = None
+    quality: FitQuality | None = None
     reasons: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     undecided: tuple[str, ...] = ()
     limits: tuple[Limit, ...] = ()
-    notes: tuple[str, ...] = field(default_factory=tuple)
+    notes: tuple[str, ...] = ()
     weak: bool = False
+    loud: bool = False
+
+    @property
+    def error(self) -> ErrorSummary:
+        """The principal metric."""
+        return self.errors[0]
 
     @property
     def unexplained(self) -> bool:
-        open_end = self.loop is not None and (self.loop.unexplained or self.loop.curves)
-        return bool(self.undecided) or bool(open_end)
+        return bool(self.undecided) or self.loud or bool(self.findings and self.findings.open)
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """Broken limits in words."""
+        return tuple(limit.sentence for limit in self.limits if limit.broken)
 
     @property
     def status(self) -> Status:
-        if not self.fit.converged or any(limit.broken for limit in self.limits):
+        if self.broken or (self.quality is not None and not self.quality.converged):
             return "failed"
         if self.weak:
             return "weak"
@@ -110,8 +131,21 @@ class Outcome:
     def exit_code(self) -> int:
         """0 calibrated and consistent, 1 a limit is broken, 4 the data leave parameters open, 5 the
         residual is not explained."""
-        if any(limit.broken for limit in self.limits):
+        if self.broken:
             return LimitBroken.exit_code
         if self.weak:
             return Undetermined.exit_code
         return UNEXPLAINED_EXIT_CODE if self.unexplained else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A finished run: reports, files, exports, tables and the exit code need no more.
+
+    calibration : made once, when the run was; details : blocks of report.json that only this
+    calibrator has, in plain types (NaN where a number does not exist)
+    """
+
+    outcome: Outcome
+    calibration: Calibration
+    details: Mapping[str, Any] = field(default_factory=dict)

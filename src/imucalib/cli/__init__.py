@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections.abc import Sequence
+from typing import Any
 
 import click
 
@@ -16,6 +18,7 @@ COMMANDS = {
     "design": "Judge a set of positions, and say which added ones help most.",
     "inspect": "Say what a recording holds and how it would be read.",
     "apply": "Correct a recording with a calibration.",
+    "export": "Write a calibration's coefficients for another program.",
     "convert": "Rewrite a recording in another format.",
     "batch": "Calibrate a cohort, one recording a task.",
     "collect": "Make one table of a cohort's entries.",
@@ -27,6 +30,24 @@ COMMANDS = {
 
 class LazyGroup(click.Group):
     """Knows its commands by name, and imports one when it is called."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        ctx.meta["imucal.arguments"] = tuple(args)  # the line that provenance keeps
+        return super().parse_args(ctx, args)
+
+    def main(self, args: Sequence[str] | None = None, *others: Any, **options: Any) -> Any:
+        """As click has it; a failure is told as JSON where JSON was asked for."""
+        from imucalib.errors import ImucalError
+
+        try:
+            return super().main(args, *others, **options)
+        except (ImucalError, click.ClickException, OSError) as error:
+            given = list(sys.argv[1:] if args is None else args)
+            if "--json" in given[: given.index("--") if "--" in given else None]:
+                from imucalib.cli.output import emit_json
+
+                emit_json({"error": told(error)})
+            raise
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -78,6 +99,20 @@ def cli() -> None:
     \b
     Example: imucal lab positions.csv -o out --gravity 9.8061
     """
+
+
+def told(error: Exception) -> dict[str, Any]:
+    """A failure for machines: message, where, remedy and exit code."""
+    from imucalib.errors import ImucalError, UnreadableInput
+
+    if isinstance(error, ImucalError):
+        said = error.what, error.where, error.remedy, error.exit_code
+    elif isinstance(error, click.ClickException):
+        said = error.format_message(), "", "", error.exit_code
+    else:
+        name = str(getattr(error, "filename", None) or "")
+        said = str(getattr(error, "strerror", error)), name, "", UnreadableInput.exit_code
+    return dict(zip(("message", "where", "remedy", "exit_code"), said, strict=True))
 
 
 def main() -> None:

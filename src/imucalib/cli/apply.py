@@ -56,12 +56,13 @@ def command(
     Example: imucal apply out/calibration.yaml run.mcap -o corrected.mcap
     """
     from imucalib.calibration.apply import correct_file
-    from imucalib.calibration.file import read
+    from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
 
     if options["effects_file"] is not None:
         load_file(options["effects_file"])
     loaded = read(calibration)
+    check(loaded, str(calibration))
     if loaded.status != "ok":
         note(
             f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",

@@ -1,8 +1,8 @@
-"""Options that say how large gravity is, and limits: shared by every calibrator."""
+"""Options that say how large gravity is: shared by every calibrator."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import click
@@ -28,7 +28,7 @@ def gravity_options(command: Command) -> Command:
     return command
 
 
-def gravity_of(options: dict[str, Any]) -> tuple[float, str]:
+def gravity_of(options: Mapping[str, Any]) -> tuple[float, str]:
     """Local gravity (m/s²) and where it comes from; raises click's usage errors."""
     from imucalib.units import STANDARD_GRAVITY, local_gravity
 
@@ -47,9 +47,3 @@ def gravity_of(options: dict[str, Any]) -> tuple[float, str]:
             f"normal gravity at latitude {options['latitude']:g}, height {options['height']:g} m",
         )
     return STANDARD_GRAVITY, "standard gravity; --gravity or --latitude gives the local value"
-
-
-def limits_of(options: dict[str, Any], names: tuple[str, ...]) -> dict[str, float]:
-    """The limits ("max-error") that were given."""
-    values = {name: options[name.replace("-", "_")] for name in names}
-    return {name: limit for name, limit in values.items() if limit is not None}

@@ -7,27 +7,16 @@ from typing import Any
 
 import click
 
+from imucalib.cli.calibrating import calibrating, finish
 from imucalib.cli.lab_options import lab_options, request_of
-from imucalib.cli.output import (
-    color,
-    emit_json,
-    json_option,
-    note,
-    pairs,
-    quiet_option,
-    seed_option,
-    width,
-)
-from imucalib.cli.recording_options import mapping_of, recording_options
+from imucalib.cli.output import note, pairs
+from imucalib.cli.recording_options import mapping_of
 
 
 @click.command("lab", short_help="Calibrate on a bench with known angles.")
 @click.argument("table", type=click.Path(path_type=Path))
 @lab_options
-@recording_options
-@seed_option
-@json_option
-@quiet_option
+@calibrating
 def command(table: Path, **options: Any) -> int:
     """Calibrate a tool's accelerometer on a bench with known tool-face and inclination.
 
@@ -41,23 +30,11 @@ def command(table: Path, **options: Any) -> int:
       imucal lab rests.csv -o out --reference norm --latitude 59.3
     """
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+    from imucalib.report.files import Report
     from imucalib.report.lab.document import lab_document
-    from imucalib.report.render.text import render_text
 
-    quiet = options["quiet"]
     files = LabFiles(
         table, options["recording"], pairs(options["columns"], "--columns"), mapping_of(options)
     )
-    run = calibrate_files(files, request_of(options), lambda text: note(text, quiet))
-    if options["output"] is not None:
-        from imucalib.report.lab.files import write_reports
-
-        for path in write_reports(run, options["output"]):
-            note(f"wrote {path}", quiet)
-    if options["as_json"]:
-        from imucalib.report.lab.data import lab_dict
-
-        emit_json(lab_dict(run))
-    elif not quiet:
-        click.echo(render_text(lab_document(run), width(), color=color()), nl=False)
-    return run.outcome.exit_code
+    run = calibrate_files(files, request_of(options), lambda text: note(text, options["quiet"]))
+    return finish([Report(run, lab_document(run))], options)

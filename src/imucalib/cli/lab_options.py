@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from imucalib.cli.gravity_options import gravity_of, gravity_options, limits_of
+from imucalib.cli.calibrating import Shared, shared_of
 from imucalib.cli.output import numbers
 from imucalib.cli.recording_options import one_scale
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-_LIMITS = ("max-error", "max-inclination-error", "max-toolface-error", "max-norm-error")
 _CONVENTIONS = (
     "gravity_sign",
     "z_axis",
@@ -28,12 +27,6 @@ _CONVENTIONS = (
     "toolface_offset",
 )
 _OPTIONS = (
-    click.option(
-        "-o",
-        "--output",
-        type=click.Path(path_type=Path),
-        help="Folder for calibration.yaml, report.html and report.json.",
-    ),
     click.option(
         "--recording",
         type=click.Path(path_type=Path),
@@ -94,7 +87,7 @@ _OPTIONS = (
         help="What is minimised; settings: angles are uncertain as set.",
     ),
     click.option(
-        "--as-published", is_flag=True, help="Paper 004's own method and split (its Table 2)."
+        "--as-published", is_flag=True, help="The paper's own method, as it was published."
     ),
     click.option(
         "--train",
@@ -119,29 +112,6 @@ _OPTIONS = (
         "--sigma", type=float, help="Declared noise of a reading, mg; default: from the data."
     ),
     click.option(
-        "--declare", multiple=True, metavar="EFFECT", help="Put an effect into the base model."
-    ),
-    click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects."),
-    click.option(
-        "--without", multiple=True, metavar="EFFECT", help="Leave effects out of the search."
-    ),
-    click.option(
-        "--effects",
-        "effects_file",
-        type=click.Path(path_type=Path),
-        help="Python file with effects of your own.",
-    ),
-    click.option("--no-loop", is_flag=True, help="Fit the base model only."),
-    click.option(
-        "--curves",
-        is_flag=True,
-        help="Correct structure without a name by a smooth curve, where that holds out.",
-    ),
-    click.option(
-        "--draws", default=1000, show_default=True, help="Simulated data sets behind each p-value."
-    ),
-    click.option("--max-error", type=float, help="Limit: held-out error, mg rms; exit 1 beyond."),
-    click.option(
         "--max-inclination-error",
         type=float,
         help="Limit: largest held-out inclination error, deg.",
@@ -157,20 +127,19 @@ def lab_options(command: Command) -> Command:
     """Add the options; `request_of` turns their values into a LabRequest."""
     for option in reversed(_OPTIONS):
         command = option(command)
-    return gravity_options(command)
+    return command
 
 
 def request_of(options: dict[str, Any]) -> LabRequest:
     """The request that the options state; raises click's usage errors."""
     from imucalib.calibrators.lab.request import LabRequest, as_published
 
-    settings = _settings(options)
-    gravity, source = gravity_of(options)
+    shared = shared_of(options)
     request = LabRequest(
         unit=options["unit"],
         lsb_per_g=one_scale(options["lsb"]),
-        gravity=gravity,
-        gravity_source=source,
+        gravity=shared.gravity,
+        gravity_source=shared.gravity_source,
         reference=options["reference"],
         fixes=tuple(_fix(text) for text in options["fixes"]),
         exclude=numbers(options["exclude"], "--exclude"),
@@ -178,33 +147,32 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         swap_angles=options["swap_angles"],
         keep_angles=options["keep_angles"],
         train=numbers(options["train"], "--train"),
-        limits=limits_of(options, _LIMITS),
-        settings=settings,
-        seed=options["seed"],
+        limits=shared.limits,
+        settings=_settings(options, shared),
+        seed=shared.seed,
+        command=shared.command,
     )
     return as_published(request) if options["as_published"] else request
 
 
-def _settings(options: dict[str, Any]) -> LabSettings:
+def _settings(options: dict[str, Any], shared: Shared) -> LabSettings:
     from dataclasses import replace
 
     from imucalib.calibrators.lab.calibrate import LabSettings
     from imucalib.calibrators.lab.conventions import preset
-    from imucalib.effects import load_file
-    from imucalib.loop.found import LoopSettings
     from imucalib.units import MG
 
     stated = {key: options[key] for key in _CONVENTIONS if options[key] is not None}
     return LabSettings(
         model=options["model"],
         objective=options["objective"],
-        declare=options["declare"],
-        only=options["only"],
-        without=options["without"],
-        loop=not options["no_loop"],
+        declare=shared.declare,
+        only=shared.only,
+        without=shared.without,
+        loop=shared.loop,
         sigma=None if options["sigma"] is None else options["sigma"] * MG,
-        rules=LoopSettings(draws=options["draws"], curves=options["curves"]),
-        extra_effects=load_file(options["effects_file"]) if options["effects_file"] else {},
+        rules=shared.rules,
+        extra_effects=shared.extra_effects,
         conventions=replace(preset(options["convention"]), **stated),
     )
 

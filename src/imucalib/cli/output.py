@@ -9,12 +9,37 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+if TYPE_CHECKING:
+    Kind = click.ParamType[str]
+else:
+    Kind = click.ParamType
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+
+class ExportForm(Kind):
+    """The name of an export, whichever files there are."""
+
+    name = "form"
+
+    def get_metavar(self, *_: Any, **__: Any) -> str:
+        from imucalib.exports import exports
+
+        return f"[{'|'.join(exports())}]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        from imucalib.exports import exports
+
+        if value not in exports():
+            self.fail(f"'{value}' is none of {', '.join(exports())}", param, ctx)
+        return str(value)
+
+
+EXPORT_FORM = ExportForm()
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 seed_option = click.option(

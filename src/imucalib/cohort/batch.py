@@ -120,15 +120,25 @@ def run_task(task: Task, *, resume: bool = True) -> Entry:
         capture_output=True, text=True, check=False, env={**os.environ, **threads},
         stdin=subprocess.DEVNULL,
     )  # fmt: skip
-    report: dict[str, Any] | None = None
-    if done.returncode in (0, 1, 4, 5) and done.stdout.strip():  # 4 without output: refused
-        report = json.loads(done.stdout)
-    error = "" if report is not None else (done.stderr.strip() or f"ended by {done.returncode}")
+    report, error = _told(done.stdout)
+    error = error or ("" if report else done.stderr.strip() or f"ended by {done.returncode}")
     entry = Entry(task.recording, key, done.returncode, time.monotonic() - start, error, report)
     Path(task.entry).parent.mkdir(parents=True, exist_ok=True)
     with replaced_atomically(task.entry) as temporary:
         temporary.write_text(json.dumps(asdict(entry), allow_nan=False) + "\n", encoding="utf-8")
     return entry
+
+
+def _told(stdout: str) -> tuple[dict[str, Any] | None, str]:
+    """The report that a command printed, or its failure in words; neither where it was killed."""
+    try:
+        content = json.loads(stdout)
+    except ValueError:
+        return None, ""
+    if "error" not in content:
+        return content, ""
+    failure = content["error"]
+    return None, ". ".join(failure[key] for key in ("message", "remedy") if failure[key])
 
 
 def read_entry(path: Path) -> Entry | None:
@@ -193,7 +203,7 @@ def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
 
 
 def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:
-    error = report["loop"]["error"]
+    error = report["loop"]["errors"][0]
     found: dict[str, Any] = {
         "sha256": report["provenance"]["sha256"],
         "samples": report["provenance"]["samples"],

@@ -8,21 +8,30 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.file import write_whole
 from imucalib.discovery import modules_of
+from imucalib.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A file's name and text, and what of the calibration it could not carry, in words."""
+
+    file: str
+    text: str
+    lost: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Export:
-    """One form: its name on the command line, the file it makes, and the text of that file from a
-    calibration and the name of the recording that it came from."""
+    """One form: its name on the command line, the file it makes, and how from a calibration and the
+    name of the recording that it came from: text, and what is lost. Raises UsageError for a
+    calibration that it cannot hold."""
 
     name: str
     file: str
-    text: Callable[[Calibration, str], str]
+    make: Callable[[Calibration, str], tuple[str, tuple[str, ...]]]
 
 
 @cache
@@ -31,13 +40,13 @@ def exports() -> dict[str, Export]:
     return {m.EXPORT.name: m.EXPORT for m in modules_of(__name__) if hasattr(m, "EXPORT")}
 
 
-def write_exports(
-    calibration: Calibration, source: Path, formats: tuple[str, ...], folder: Path
-) -> tuple[Path, ...]:
-    """Write the coefficients in the forms that are named; returns the paths."""
-    paths = []
-    for name in formats:
-        form = exports()[name]
-        write_whole(folder / form.file, form.text(calibration, source.name))
-        paths.append(folder / form.file)
-    return tuple(paths)
+def exported(calibration: Calibration, source: str, name: str) -> Exported:
+    """A calibration in the form that is named.
+
+    Raises UsageError for an unknown form and for a calibration that it cannot hold.
+    """
+    if name not in exports():
+        raise UsageError(f"no form is called '{name}'", remedy=f"use: {', '.join(exports())}")
+    form = exports()[name]
+    text, lost = form.make(calibration, source)
+    return Exported(form.file, text, lost)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 from io import StringIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.core.sphere import even_directions
+from imucalib.errors import UsageError
 from imucalib.exports import Export
-from imucalib.units import MG, STANDARD_GRAVITY
+from imucalib.exports.linear import lost_parts, sphere_of
+from imucalib.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -19,51 +21,85 @@ Array = NDArray[np.float64]
 _REFERENCE_C = 25.0
 
 
-def ggir_csv(calibration: Calibration, filename: str) -> str:
+def ggir_csv(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
     """One row of GGIR's backup.cal.coef: corrected = scale * (raw + offset + tempoffset ΔT), in g.
 
-    GGIR has no terms between the axes, so the row holds the six numbers that come nearest over an
-    even sphere; their own largest error goes to cal.error.end with the calibration's. ΔT counts
-    from the middle of the temperatures that were seen, where the offsets hold.
+    GGIR has no terms between the axes, so the row holds the numbers that come nearest over an even
+    sphere and the temperatures that were seen; their own mean error goes to cal.error.end with the
+    calibration's. ΔT counts from the middle of those temperatures, where the offsets hold. Raises
+    UsageError for an array.
     """
-    scale, offset, lost = nearest_six(calibration)
-    span = calibration.valid.get("temperature", (_REFERENCE_C, _REFERENCE_C))
-    middle = 0.5 * (span[0] + span[1])
-    slope = np.zeros(3)
-    for p in calibration.parameters:
-        if p.effect == "temperature_bias":
-            slope["xyz".index(p.name[-1])] = -p.value * MG / STANDARD_GRAVITY
-    offset = offset + slope * (middle - _REFERENCE_C)
-    error = dict(calibration.facts.get("error_mg", {}))
-    end = np.hypot(float(error.get("final_held_out", 0.0)), lost) * 1e-3
+    if calibration.triads:
+        raise UsageError(
+            f"a row of GGIR holds one accelerometer, this calibration is of "
+            f"{len(calibration.triads)} IMUs",
+            remedy="use c-header",
+        )
+    row = nearest_row(calibration)
+    start, end = _errors(calibration)
     numbers = {
-        "cal.error.start": float(error.get("raw", 0.0)) * 1e-3,
-        "cal.error.end": end,
-        **{f"scale.{a}": scale[k] for k, a in enumerate("xyz")},
-        **{f"offset.{a}": offset[k] for k, a in enumerate("xyz")},
-        **{f"temperature.offset.{a}": slope[k] for k, a in enumerate("xyz")},
-        "meantempcal": middle,
+        "cal.error.start": start * 1e-3,
+        "cal.error.end": np.hypot(end, row.lost) * 1e-3,
+        **{f"scale.{a}": row.scale[k] for k, a in enumerate("xyz")},
+        **{f"offset.{a}": row.offset[k] for k, a in enumerate("xyz")},
+        **{f"temperature.offset.{a}": row.slope[k] for k, a in enumerate("xyz")},
+        "meantempcal": row.middle,
     }
     out = StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["filename", *numbers])
     writer.writerow([filename, *(f"{v:.9g}" for v in numbers.values())])
-    return out.getvalue()
+    lost = (
+        f"what GGIR has no coefficient for: {row.lost:.2f} mg on average over the sphere, which "
+        "cal.error.end includes",
+        *lost_parts(calibration),
+    )
+    return out.getvalue(), lost
 
 
-def nearest_six(calibration: Calibration) -> tuple[Array, Array, float]:
-    """Scale (3,), offset (3,) in g and the mean error (mg) that leaving out the rest makes."""
+def _errors(calibration: Calibration) -> tuple[float, float]:
+    """The principal error raw and held out, mg; NaN where the file does not tell."""
+    for error in calibration.facts.get("errors", ()):
+        if error["unit"] == "mg":
+            raw, final = (
+                np.nan if v is None else float(v)
+                for v in (error["raw"], error["held_out"]["final"])
+            )
+            return raw, final
+    return np.nan, np.nan
+
+
+@dataclass(frozen=True)
+class Row:
+    """scale, offset (g), slope (g/°C) : (3,); middle : °C; lost : mg, the mean error of |a| that
+    leaving out the rest makes."""
+
+    scale: Array
+    offset: Array
+    slope: Array
+    middle: float
+    lost: float
+
+
+def nearest_row(calibration: Calibration) -> Row:
+    """GGIR's coefficients that make the norm right over the sphere, by least squares."""
     from scipy.optimize import least_squares
 
-    linear = calibration.matrices()
-    sphere = even_directions(600)
-    raw = sphere @ linear.S.T + linear.c / STANDARD_GRAVITY
+    seen = sphere_of(calibration)
+    raw = seen.reading / STANDARD_GRAVITY
+    low, high = calibration.valid.get("temperature", (_REFERENCE_C, _REFERENCE_C))
+    middle = 0.5 * (low + high)
+    warm = seen.context["temperature"] - middle if "temperature" in seen.context else None
+    start = np.concatenate([np.diag(calibration.matrices().M), np.zeros(3 if warm is None else 6)])
 
     def norm_error(p: Array) -> Array:
-        return np.asarray(np.linalg.norm(p[:3] * (raw + p[3:]), axis=1) - 1.0)
+        offset = p[3:6] if warm is None else p[3:6] + warm[:, None] * p[6:]
+        return np.asarray(np.linalg.norm(p[:3] * (raw + offset), axis=1) - 1.0)
 
-    found = least_squares(norm_error, np.concatenate([np.diag(linear.M), np.zeros(3)])).x
-    return found[:3], found[3:], float(np.mean(np.abs(norm_error(found)))) * 1e3
+    found = least_squares(norm_error, start, x_scale="jac", xtol=1e-12, ftol=1e-12).x
+    slope = np.zeros(3) if warm is None else found[6:]
+    lost = float(np.mean(np.abs(norm_error(found)))) * 1e3
+    return Row(found[:3], found[3:6], slope, middle, lost)
 
 
 EXPORT = Export("ggir-csv", "ggir_calibration.csv", ggir_csv)

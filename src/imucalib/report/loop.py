@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.loop.evidence import Score
-from imucalib.loop.found import FitLoop
-from imucalib.report.document import Block, Section, Table, Text, Tone
+from imucalib.report.document import Block, Facts, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, probability
 from imucalib.units import MG
 
 _HELD_OUT = {
     "actigraph": "Held out: each block of time predicted by a fit without it.",
+    "array": "Held out: each half of the motion, in blocks, under positions and effects of the "
+    "other; ω, dω/dt and s are every sample's own. MAD: median absolute deviation.",
     "": "Held out: each position predicted by a fit without it, or the test rows.",
 }
 _ANEW = (
@@ -22,80 +24,133 @@ _ANEW = (
 )
 
 
-def error_table(error: ErrorSummary, calibrator: str = "", loop: FitLoop | None = None) -> Table:
+def error_table(error: ErrorSummary, note: str = "") -> Table:
     """Error before and after, fitted and on data that was not fitted, with the floor."""
-    note = _HELD_OUT.get(calibrator, _HELD_OUT[""])
+    digits = 3 if error.unit == "m/s²" else 2
 
     def number(value: float) -> str:
-        return "-" if math.isnan(value) else f"{value:.2f}"  # there was no held-out part
+        return "-" if math.isnan(value) else f"{value:.{digits}f}"  # there was no held-out part
 
+    held, fitted = error.held_out, not (math.isnan(error.base) and math.isnan(error.final))
     rows = (
-        ("raw reading", number(error.raw), number(error.held_out.raw)),
-        ("base model", number(error.base), number(error.held_out.base)),
-        ("final model", number(error.final), number(error.held_out.final)),
-        ("noise floor", number(error.floor), ""),
+        ("raw reading", error.raw, held.raw),
+        ("base model", error.base, held.base),
+        ("final model", error.final, held.final),
     )
-    return Table(
-        f"Error before and after ({error.metric}, {error.unit})",
-        ("", "fitted", "held out"),
-        rows,
-        "lrr",
-        _ANEW if loop and loop.steps else note,
+    floor = ("noise floor", number(error.floor), *(("",) if fitted else ()))
+    shown = tuple(
+        (name, *((number(f),) if fitted else ()), number(h))
+        for name, f, h in rows
+        if fitted or not math.isnan(h)
     )
+    header = ("", "fitted", "held out") if fitted else ("", "held out")
+    title = f"Error before and after ({error.metric}, {error.unit})"
+    return Table(title, header, (*shown, floor), "l" + "r" * (len(header) - 1), note)
 
 
 def loop_section(outcome: Outcome) -> Section:
     """What was found, step by step, and what stays."""
-    loop = outcome.loop
-    blocks: list[Block] = []
-    if loop is None:
-        table = error_table(outcome.error, outcome.calibrator)
-        return Section("Closed loop", (Text("The search was not run."), table))
-    if loop.records:
-        rows = tuple(
-            (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), probability(r.p, 299), r.likely)
-            for r in loop.records
-        )
-        header = ("record", "channel", "off by", "p", "likely")
-        tones: dict[int, Tone] = dict.fromkeys(range(len(rows)), "bad")
-        blocks.append(
-            Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones)
-        )
-    blocks.append(_verdict(loop))
-    if loop.steps:
-        unit = 1.0 if outcome.error.unit != "mg" else 9.80665e-3
-        rows = tuple(
-            (
-                s.effect,
-                probability(s.p, s.draws),
-                f"{s.checked[0].before / unit:.2f}",
-                f"{s.checked[0].after / unit:.2f}",
-                ", ".join(s.aliases) or "-",
-            )
-            for s in loop.steps
-        )
-        header = ("effect added", "p", "before", "after", "cannot be told from")
-        note = (
-            f"Leave-one-out error in {outcome.error.unit} rms, which took part in the choice; p is "
-            "the chance in the whole search."
-        )
-        blocks.append(Table("Steps of the loop", header, rows, "lrrrl", note))
-    blocks.append(error_table(outcome.error, outcome.calibrator, loop))
+    found = outcome.findings
+    note = _HELD_OUT.get(outcome.calibrator, _HELD_OUT[""])
+    if found and found.steps and outcome.calibrator != "array":
+        note = _ANEW
+    known = [e for e in outcome.errors if not (math.isnan(e.base) and math.isnan(e.held_out.base))]
+    shown = [error_table(e, note if e is known[-1] else "") for e in known]
+    if found is None:
+        return Section("Closed loop", (Text("The search was not run."), *shown))
+    blocks: list[Block] = [*_records(found), _verdict(found)]
+    if any(size for _, size in found.declared):
+        blocks.append(Table("Declared effects", ("effect", "size"), found.declared, "ll"))
+    limits = [
+        f"{words} {', '.join(names)}"
+        for words, names in (("only", found.only), ("without", found.without)) if names
+    ]  # fmt: skip
+    if limits:
+        blocks.append(Text(f"The search was limited: {'; '.join(limits)}."))
+    blocks += _steps(found)
+    blocks += shown
+    if found.facts:
+        blocks.append(Facts(found.facts))
     return Section("Closed loop", tuple(blocks))
 
 
-def _verdict(loop: FitLoop) -> Text:
-    names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in loop.named)
-    records = ", ".join(r.where for r in loop.records)
+def _records(found: Findings) -> list[Table]:
+    if not found.records:
+        return []
+    rows = tuple(
+        (r.where, r.channel, plus_minus(r.size, r.sd, r.unit), probability(r.p, 299), r.likely)
+        for r in found.records
+    )
+    header = ("record", "channel", "off by", "p", "likely")
+    tones: dict[int, Tone] = dict.fromkeys(range(len(rows)), "bad")
+    return [Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones)]
+
+
+def _steps(found: Findings) -> list[Table]:
+    """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
+    if not found.steps:
+        return []
+    checks = found.steps[0].checks
+    sized, nats = (any(getattr(s, name) for s in found.steps) for name in ("size", "held_out"))
+    rows = tuple(
+        (
+            s.effect,
+            *((s.size,) if sized else ()),
+            probability(s.p, s.draws),
+            *((f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)) if nats else ()),
+            *_changes(s),
+            ", ".join(s.aliases) or "-",
+        )
+        for s in found.steps
+    )
+    errors = (
+        ("before", "after") if len(checks) == 1 else tuple(f"{c.metric}, {c.unit}" for c in checks)
+    )
+    header = (
+        "effect added",
+        *(("size",) if sized else ()),
+        "p",
+        *(("nats", "held out, nats") if nats else ()),
+        *errors,
+        "cannot be told from",
+    )
+    align = "l" + "l" * sized + "r" * (len(header) - 2 - sized) + "l"
+    if len(checks) == 1:
+        note = (
+            f"{_upper(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, which took "
+            "part in the choice; p is the chance in the whole search."
+        )
+    else:
+        note = (
+            "p is the chance in the whole search. Held out: what each half of the data gains by "
+            "the effect as the other half has it. Residuals: median absolute deviation, held out."
+        )
+    return [Table("Steps of the loop", header, rows, align, note)]
+
+
+def _changes(step: FoundStep) -> tuple[str, ...]:
+    if len(step.checks) == 1:
+        (check,) = step.checks
+        return f"{check.before:.{check.digits}f}", f"{check.after:.{check.digits}f}"
+    return tuple(f"{c.before:.{c.digits}f} -> {c.after:.{c.digits}f}" for c in step.checks)
+
+
+def _upper(text: str) -> str:
+    return text[0].upper() + text[1:]
+
+
+def _verdict(found: Findings) -> Text:
+    named = [s for s in found.steps if not s.curve]
+    names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in named)
+    records = ", ".join(r.where for r in found.records)
     cause = " and ".join(
         part for part in (f"a wrong record ({records})" if records else "", names) if part
     )
-    parts = [f"{u.name} (driven by {u.driver})" if u.driver else u.name for u in loop.unexplained]
-    for step in loop.curves:
-        what, against = step.effect.removeprefix("curve@").split(":")[:2]
-        parts.append(f"{what} against {against}, corrected by a curve".replace("_", "-"))
+    parts = [f"{u.name} (driven by {u.driver})" if u.driver else u.name for u in found.unexplained]
+    parts += [f"{s.curve}, corrected by a curve" for s in found.steps if s.curve]
     unknown = ", ".join(parts)
     return {
+        "not run": Text("Fitted with the declared effects; the search was not run."),
         "nothing missing": Text("Nothing is missing: no candidate passes the search.", "ok"),
         "explained": Text(f"The residual is explained by {cause}.", "ok"),
         "explained in part": Text(
@@ -104,11 +159,11 @@ def _verdict(loop: FitLoop) -> Text:
         "unexplained": Text(
             f"Unexplained structure: {unknown}. No effect of the catalogue fits.", "bad"
         ),
-    }[loop.verdict]
+    }[found.verdict]
 
 
 def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
-    """Name, kind, evidence, p, share left and strength of every candidate."""
+    """Name, kind, evidence, p, share left, strength and size (mg) of every candidate."""
     return [
         (
             s.name,
@@ -117,18 +172,20 @@ def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
             "-" if s.absorbed else probability(s.p, s.draws),
             f"{100.0 * s.left:.1f}",
             f"{s.strength:.1f}",
+            f"{s.size / MG:.2g}" if s.size else "-",
         )
         for s in scores
     ]
 
 
-def candidate_section(loop: FitLoop) -> Section:
-    """Every candidate of the last search with its numbers, and why not."""
-    rejected = dict(loop.rejected)
-    sizes = [f"{s.size / MG:.2g}" if s.size else "-" for s in loop.scores]
-    rows = [(*row, size) for row, size in zip(candidate_rows(loop.scores), sizes, strict=True)]
+def candidate_section(found: Findings) -> Section:
+    """Every candidate of the last search with its numbers, why not, and what cannot be shown."""
+    rejected = dict(found.rejected)
+    # Of a scan only members that say something: it has hundreds.
+    scores = [s for s in found.scores if "@" not in s.name or s.evidence > 1.0]
+    rows = candidate_rows(scores)
     rows += [(name, "effect", "rejected", "-", "-", "-", "-") for name in rejected]
-    rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in loop.missing]
+    rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in found.missing]
     header = ("candidate", "kind", "evidence (nats)", "p", "left (%)", "λ", "size (mg)")
     note = (
         "Last search, after everything above was added. Left: share of the effect that the fitted "
@@ -137,12 +194,18 @@ def candidate_section(loop: FitLoop) -> Section:
         "be tested on these data and shifts the answer by so much."
     )
     why = "; ".join(
-        f"{name}: {reason}" for name, reason in (*rejected.items(), *loop.missing.items())
+        f"{name}: {reason}" for name, reason in (*rejected.items(), *found.missing.items())
     )
-    blocks: tuple[Block, ...] = (Table("All candidates", header, tuple(rows), "llrrrrr", note),)
+    blocks: list[Block] = [Table("All candidates", header, tuple(rows), "llrrrrr", note)]
     if why:
-        blocks = (*blocks, Text(f"Rejected or not tested: {why}."))
-    return Section("Candidates tried", blocks, brief=False)
+        blocks.append(Text(f"Rejected or not tested: {why}."))
+    if found.not_testable:
+        table = tuple((u.effect, u.typical, f"{u.shift:.2g} {u.unit}") for u in found.not_testable)
+        blocks.append(
+            Table("What these data cannot show", ("not testable", "at", "moves the answer by"),
+                  table, "llr", "Absorbed by what is fitted, or by effects already in the model.")
+        )  # fmt: skip
+    return Section("Candidates tried", tuple(blocks), brief=False)
 
 
 def advice_section(outcome: Outcome) -> Section:

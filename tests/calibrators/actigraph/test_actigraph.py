@@ -15,7 +15,6 @@ from imucalib import cli
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
-from imucalib.calibrators.actigraph.calibration import actigraph_calibration
 from imucalib.calibrators.actigraph.errors import norm_sd
 from imucalib.calibrators.actigraph.observations import observations_of
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -29,11 +28,12 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.core.sphere import even_directions
+from imucalib.core.truth import Truth
 from imucalib.effects import families, known, named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit
 from imucalib.exports import exports
-from imucalib.exports.ggir import nearest_six
+from imucalib.exports.ggir import nearest_row
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -177,13 +177,13 @@ def test_members_of_scans_keep_the_laws(name: str) -> None:
     x = G * rng.uniform(-1.0, 1.0, (n, 1, 3))
     typical = np.array([p.typical for p in effect.parameters(context)])
     theta = typical * rng.uniform(-1.0, 1.0, typical.size)
-    action = effect.act(theta, x, context)
-    assert np.array_equal(effect.act(0.0 * theta, x, context).delta, np.zeros_like(x))
+    action = effect.act(theta, Truth(x), context)
+    assert np.array_equal(effect.act(0.0 * theta, Truth(x), context).delta, np.zeros_like(x))
     assert np.allclose(action.d_theta @ theta, action.delta, atol=1e-12)
     for axis in range(3):
         step = np.zeros(3)
         step[axis] = 1e-5
-        up, down = (effect.act(theta, x + s, context).delta for s in (step, -step))
+        up, down = (effect.act(theta, Truth(x + s), context).delta for s in (step, -step))
         assert np.allclose((up - down) / 2e-5, action.d_x[..., axis], atol=1e-6)
     model = Model((*nine().effects, effect))
     start = np.concatenate([np.zeros(9), theta])
@@ -203,9 +203,9 @@ def test_a_step_is_undone_at_its_own_time(tmp_path: Path) -> None:
     plan = WeekPlan(days=2.0, plant={"bias_step@86400s": (30.0, -20.0, 40.0)})
     week = simulated_week(plan, 8)
     run = run_of(week.runs, week.scanned, ActigraphRequest(), lambda text: None)
-    assert [s.effect.partition("@")[0] for s in run.outcome.loop.steps] == ["bias_step"]
+    assert [s.effect.partition("@")[0] for s in run.outcome.findings.steps] == ["bias_step"]
     path = tmp_path / "calibration.yaml"
-    write_calibration(actigraph_calibration(run), path)
+    write_calibration(run.calibration, path)
     t = np.array([3600.0, 170000.0])
     theta = np.concatenate([plan.sensor[name] for name in NINE])
     force = G * np.array([[0.6, 0.0, 0.8], [0.6, 0.0, 0.8]])
@@ -273,7 +273,8 @@ def test_the_wrist_calibration_and_its_exports_agree(wrist: tuple[Path, int]) ->
     assert np.allclose(np.array(q15, float) / 2**15, linear.b / G, atol=2**-16)
     names, values = (out / exports()["ggir-csv"].file).read_text(encoding="utf-8").splitlines()
     row = dict(zip(names.split(","), values.split(","), strict=True))
-    scale, offset, lost = nearest_six(calibration)
+    row_of = nearest_row(calibration)
+    scale, offset, lost = row_of.scale, row_of.offset, row_of.lost
     assert float(row["scale.x"]) == pytest.approx(scale[0], rel=1e-8)
     assert float(row["offset.z"]) == pytest.approx(offset[2], abs=1e-9)
     six = np.linalg.norm(scale * (raw / G + offset), axis=1)

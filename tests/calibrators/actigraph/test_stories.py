@@ -17,6 +17,7 @@ from imucalib.calibrators.actigraph.simulation import (
 from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Response
 from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.effects import catalogue
 from imucalib.estimators.least_squares import fit
 from imucalib.loop import evidence
@@ -69,10 +70,12 @@ def the_very_converter() -> Effect:
     """The planted curve itself, its size on each axis unknown."""
     shape = code_steps(1.0)
 
-    def basis(x: Array, context: Context) -> Array:
+    def basis(truth: Truth, context: Context) -> Array:
+        x = truth.force
         return np.asarray(np.eye(3) * MG * shape(x / STANDARD_GRAVITY)[..., None])
 
-    def basis_dx(x: Array, context: Context) -> Array:
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        x = truth.force
         out = np.zeros((*x.shape, 3, 3))
         step = 1e-6
         slope = (shape(x / STANDARD_GRAVITY + step) - shape(x / STANDARD_GRAVITY - step)) / 2 / step

@@ -106,7 +106,7 @@ def test_postures_in_one_plane_are_weak_and_said_so() -> None:
     lying = replace(week.runs, mean=flat)
     run = run_of(lying, week.scanned, ActigraphRequest(), lambda text: None)
     assert (run.outcome.status, run.outcome.exit_code) == ("weak", 4)
-    assert run.outcome.loop is None
+    assert run.outcome.findings is None
     assert "never z up, z down" in run.outcome.reasons[0]
     assert "bias_z" in run.outcome.reasons[0]
     assert "bias_x" not in run.outcome.reasons[0]
@@ -172,8 +172,8 @@ def test_a_coarse_resolution_is_said_so() -> None:
         week.runs, mean=coarse, noise=np.full(3, 0.29 * step), resolution=np.full(3, step)
     )
     run = run_of(runs, week.scanned, ActigraphRequest(), lambda text: None)
-    assert run.outcome.loop is not None
-    assert "3.5 mg" in run.outcome.loop.missing["quantisation"]
+    assert run.outcome.findings is not None
+    assert "3.5 mg" in run.outcome.findings.missing["quantisation"]
     words = " ".join(render_text(actigraph_document(run), 200, color=False).split())
     assert "the smallest step, 12 mg, does not average out: 3.5 mg a posture" in words
     fine = replace(runs, noise=np.full(3, 0.6 * step))

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.calibrate import ArrayRun, calibrate_array
+from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.errors import ImucalError, Undetermined, UnreadableInput
 from imucalib.recording.recording import Channel, Recording
-from imucalib.report.array.files import write_draws
+from imucalib.report.array.draws import write_draws
 from imucalib.units import DEG
 
 BOARD = read_board("mimu4444_corners")

@@ -13,14 +13,15 @@ from click.testing import CliRunner
 
 from imucalib import cli
 from imucalib.calibrators.array.board import board_names, read_board
-from imucalib.calibrators.array.calibrate import ArrayRun, calibrate_array
+from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.logs import repeatability
 from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
-from imucalib.report.array.files import write_draws
+from imucalib.report.array.draws import write_draws
 from imucalib.writers import write
 from worlds.places import DATA
 
@@ -113,7 +114,7 @@ def test_lost_samples_are_left_out_of_all(log: SimulatedLog) -> None:
     keep[5000:5010] = False
     short = replace(acc, t=acc.t[keep], values=acc.values[keep])
     found = calibrate(changed(log.recording, **{"imu2/acceleration": short}))
-    assert any("10 without a partner left out" in text for text in found.notes)
+    assert any("10 without a partner left out" in text for text in found.outcome.notes)
 
 
 def test_a_unit_mistake_is_refused(log: SimulatedLog) -> None:
@@ -208,4 +209,4 @@ def test_a_measured_board() -> None:
     under = off[1::2].mean(axis=0)
     assert under == pytest.approx([-0.55, -0.45, -0.18], abs=0.15)
     assert np.abs(off[2::2].mean(axis=0)).max() < 0.2
-    assert run.exit_code == 5
+    assert run.outcome.exit_code == 5

@@ -8,7 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.corrected import corrected_samples, gyro_gains
+from imucalib.calibration.outcome import Outcome
+from imucalib.calibration.provenance import provenance_of
+from imucalib.calibrators.array.corrected import corrected_samples
+from imucalib.calibrators.array.findings import array_errors, array_findings
+from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.loop.asked import Asked, named_effect
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
@@ -22,8 +26,8 @@ from imucalib.estimators.array.gram import Columns, gram
 from imucalib.estimators.array.noise import SensorNoise, chosen_noise, fitted_noise
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
 from imucalib.recording.recording import Channel
-from imucalib.report.array.loop import array_candidate_section, array_loop_section, loop_dict
 from imucalib.report.document import Document, Text
+from imucalib.report.loop import candidate_section, loop_section
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import render_text
 from imucalib.units import DEG
@@ -181,21 +185,32 @@ def test_the_catalogue_knows_the_chip_axes() -> None:
 def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
     data = corrected_samples(clean.final)
     assert data.samples == len(clean.final.setup.inner)
-    assert gyro_gains(clean.final) == pytest.approx(np.broadcast_to(np.eye(3), (8, 3, 3)))
+    assert linear_part(clean).gyro_gain == pytest.approx(np.broadcast_to(np.eye(3), (8, 3, 3)))
     found = closed(planted_log("gyro scale of each IMU, 2 %", 2)[0], 150)
-    assert np.abs(gyro_gains(found.final) - np.eye(3)).max() == pytest.approx(0.045, abs=0.03)
+    assert np.abs(linear_part(found).gyro_gain - np.eye(3)).max() == pytest.approx(0.045, abs=0.03)
+
+
+def outcome_of(found: MotionLoop) -> Outcome:
+    made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
+    errors = array_errors(found, (0.04, 0.003), 8)
+    return Outcome("array", errors, made, array_findings(found))
+
+
+def said(found: MotionLoop, width: int) -> str:
+    document = Document("a", Text("b"), (loop_section(outcome_of(found)),))
+    return render_text(document, width, color=False)
 
 
 def test_reports_carry_the_loop(clean: MotionLoop) -> None:
     for found in (clean, closed(planted_log("bad accelerometer, 1 %", 4)[0], 150)):
-        sections = array_loop_section(found), array_candidate_section(found)
+        sections = loop_section(outcome_of(found)), candidate_section(array_findings(found))
         document = Document("array", Text("done", "ok"), sections)
-        assert "Residuals before and after" in render_text(document, 100, color=False)
+        assert "Error before and after" in render_text(document, 100, color=False)
         assert "common_gyro_scale" in render_html(document)
-        content = json.loads(json.dumps(loop_dict(found), allow_nan=False))
-        assert content["verdict"] == found.verdict
-        assert len(content["steps"]) == len(found.steps)
-        assert {c["name"] for c in content["candidates"]} >= {"gyro_delay", "cubic"}
+        told = array_findings(found)
+        assert told.verdict == found.verdict
+        assert [s.effect for s in told.steps] == [s.effect for s in found.steps]
+        assert {s.name for s in told.scores} >= {"gyro_delay", "cubic"}
 
 
 def test_too_broken_a_motion_is_not_searched() -> None:
@@ -258,8 +273,8 @@ def test_a_declared_effect_is_in_the_model_and_others_can_be_left_out() -> None:
     assert abs(float(term.theta[0]) - 1.0) < 4.0 * float(declared.final.sd_of(term)[0])
     assert "gyro_delay" not in named(declared)
     assert np.sqrt(np.mean(positions_z(declared, true) ** 2)) < 1.6
-    assert loop_dict(declared)["declared"][0]["effect"] == "gyro_delay"
-    text = render_text(Document("a", Text("b"), (array_loop_section(declared),)), 100, color=False)
+    assert array_findings(declared).declared[0][0] == "gyro_delay"
+    text = said(declared, 100)
     assert "Declared effects" in text
     without = loop(Asked(without=("gyro_delay",)))
     assert "gyro_delay" not in {s.effect for s in without.steps}
@@ -371,17 +386,17 @@ def test_curves_correct_what_has_no_name_where_it_helps() -> None:
     assert found.verdict == "unexplained"
     assert found.after.acceleration < found.before.acceleration
     assert np.abs(found.final.r - true).max() < 5e-5
-    text = render_text(Document("a", Text("b"), (array_loop_section(found),)), 200, color=False)
-    assert "corrected by a curve: position of imu5 against time" in " ".join(text.split())
+    text = said(found, 200)
+    assert "position of imu5 against time, corrected by a curve" in " ".join(text.split())
 
 
 def test_the_file_says_what_the_clocks_were() -> None:
-    from imucalib.calibrators.array.calibration import effect_list
+    from imucalib.calibrators.array.findings import effect_blocks
     from imucalib.calibrators.array.loop.ages import beats
 
     found = closed(planted_log("clock skew, 1 ms", 11)[0], 200)
     assert found.ages is not None
-    entry = next(e for e in effect_list(found) if e["effect"] == "gyro_sample_age")
+    entry = next(e for e in effect_blocks(found) if e["effect"] == "gyro_sample_age")
     assert [b["imu"] for b in entry["beats"] if b] == list(BOARD.imus)
     t = found.final.setup.t
     for k, beat in enumerate(beats(found.ages, t)):

@@ -7,27 +7,20 @@ from collections.abc import Mapping
 import numpy as np
 
 from imucalib.calibration.outcome import Limit
-from imucalib.calibrators.actigraph.calibrate import ActigraphResult, unseen
-from imucalib.calibrators.actigraph.errors import mean_error, norm_sd
+from imucalib.calibrators.actigraph.calibrate import ActigraphResult
+from imucalib.calibrators.actigraph.coverage import Coverage
+from imucalib.calibrators.actigraph.errors import mean_error
 from imucalib.calibrators.actigraph.weak import open_words
-from imucalib.core.sphere import even_directions
 from imucalib.units import MG
 
 #: The field calls a calibration good below this error (mg); a tenth of it is well known.
 _GOOD, _WELL_KNOWN = 10.0, 1.0
 
 
-def weakest(result: ActigraphResult) -> tuple[float, float]:
-    """Mean and largest standard deviation (mg) of the corrected |a| over all directions."""
-    sd = norm_sd(result.final, even_directions()) / MG
-    return float(sd.mean()), float(sd.max())
-
-
-def reasons(result: ActigraphResult) -> tuple[str, ...]:
+def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
     """Why the calibration is not simply good."""
-    found = [coverage_words(result)] if result.weak else []
-    missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
-    _, largest = weakest(result)
+    found = [coverage_words(result, coverage)] if result.weak else []
+    missing, largest = coverage.unseen, coverage.worst_sd
     if largest > _WELL_KNOWN and not result.weak:
         where = f"; no posture with {', '.join(missing)}" if missing else ""
         found.append(f"the error in some directions is known to {largest:.1f} mg only{where}")
@@ -49,31 +42,31 @@ def reasons(result: ActigraphResult) -> tuple[str, ...]:
     return tuple(found)
 
 
-def coverage_words(result: ActigraphResult) -> str:
+def coverage_words(result: ActigraphResult, coverage: Coverage) -> str:
     """What weak coverage of the sphere leaves open, in the field's terms."""
-    missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
+    missing = coverage.unseen
     count = f"{result.runs.n} posture run" + "s" * (result.runs.n != 1)
     never = f" (never {', '.join(missing)})" if missing else ""
     text = f"weak coverage of the sphere: {count}{never} leave open {open_words(result.base)}"
     if result.base.prior is not None:
         text += "; what is open stays near its nominal value, with a data sheet's uncertainty"
-    return f"{text}; |a| is known to {weakest(result)[1]:.1f} mg in the worst direction"
+    return f"{text}; |a| is known to {coverage.worst_sd:.1f} mg in the worst direction"
 
 
-def advice(result: ActigraphResult) -> tuple[str, ...]:
+def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
     """The next steps, most useful first."""
     found = []
-    missing = [e for e in unseen(result.runs) if e[0] in "xyz"]
+    missing = coverage.unseen
     if result.weak and result.loop is None:
         found.append(
             "What the nine parameters lack was not searched for: that takes postures which "
             "determine all of them."
         )
-    if missing and weakest(result)[1] > _WELL_KNOWN:
+    if missing and coverage.worst_sd > _WELL_KNOWN:
         found.append(
             f"Rest the sensor for ten seconds with {', '.join(missing)}, or record more nights."
         )
-    elif weakest(result)[1] > _WELL_KNOWN and result.widened < 1.5:
+    elif coverage.worst_sd > _WELL_KNOWN and result.widened < 1.5:
         found.append("More postures at rest, in new directions, make the parameters better known.")
     loop = result.loop
     in_time = loop and any(u.driver == "order" for u in loop.unexplained)

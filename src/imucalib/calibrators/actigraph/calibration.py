@@ -2,62 +2,79 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration, from_fit
+from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.series import series_facts
-from imucalib.calibrators.actigraph.advice import weakest
+from imucalib.calibrators.actigraph.calibrate import ActigraphResult
+from imucalib.calibrators.actigraph.coverage import Coverage
 from imucalib.calibrators.actigraph.errors import sphere_cells
-from imucalib.calibrators.actigraph.observations import quantisation
-from imucalib.calibrators.actigraph.run import ActigraphRun
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.series import Series, series_block
 from imucalib.calibrators.actigraph.weak import from_data
+from imucalib.core.fit import Fit
+from imucalib.rests.runs import Scan
 from imucalib.units import MG
 
 
-def actigraph_calibration(run: ActigraphRun) -> Calibration:
+def actigraph_calibration(
+    outcome: Outcome,
+    result: ActigraphResult,
+    scanned: Scan,
+    request: ActigraphRequest,
+    details: Mapping[str, Any],
+    parts: Series | None,
+) -> Calibration:
     """The calibration of a run's final fit."""
-    origin = run.outcome.provenance
     facts: dict[str, Any] = {
-        "gravity_source": run.request.gravity_source,
+        "gravity_source": request.gravity_source,
         "frame": "x keeps its direction; gravity alone cannot see a rotation of the frame",
-        "clock": {"start_ns": run.scanned.start_ns, "span_s": max(run.scanned.stop, 1.0)},
-        "error_mg": error_block(run),
-        "coverage": coverage_block(run),
-        "from_data": data_share_block(run),
-        "provenance": {
-            "input": origin.path,
-            "sha256": origin.sha256,
-            "samples": origin.samples,
-            "gaps": origin.gaps,
-            "mapping": dict(origin.mapping),
-            "settings": dict(origin.settings),
-            "seed": origin.seed,
-            "versions": dict(origin.versions),
-            "time": origin.time,
-        },
+        "clock": {"start_ns": scanned.start_ns, "span_s": max(scanned.stop, 1.0)},
+        "errors": [error.as_dict() for error in outcome.errors],
+        "error_mg": details["error_mg"],
+        "coverage": details["coverage"],
+        "from_data": details["from_data"],
+        "provenance": outcome.provenance.as_dict(),
     }
     whole = from_fit(
-        run.result.final,
+        result.final,
         "actigraph",
         raw_unit="m/s2",
         raw_to_si=1.0,
-        gravity=run.request.gravity,
-        status=run.outcome.status,
-        reasons=run.outcome.reasons,
+        gravity=request.gravity,
+        status=outcome.status,
+        reasons=outcome.reasons,
         facts=facts,
     )
-    if run.series is None:
+    if parts is None:
         return whole
-    parts = [(part.start, part.stop, part.fit) for part in run.series.parts]
-    return replace(whole, facts=facts | series_facts(whole, parts, differ=run.series.differ))
+    fits = [(part.start, part.stop, part.fit) for part in parts.parts]
+    return replace(whole, facts=facts | series_facts(whole, fits, differ=parts.differ))
 
 
-def error_block(run: ActigraphRun) -> dict[str, Any]:
+def actigraph_details(
+    result: ActigraphResult, coverage: Coverage, parts: Series | None
+) -> dict[str, Any]:
+    """What only a worn sensor has to say, for report.json; the shorter blocks also for the YAML."""
+    details: dict[str, Any] = {
+        "error_mg": _error_block(result),
+        "coverage": coverage.as_dict(),
+        "from_data": _data_share_block(result.final),
+        "sphere": _sphere_block(result),
+    }
+    if parts is not None:
+        details["series"] = series_block(parts)
+    return details
+
+
+def _error_block(result: ActigraphResult) -> dict[str, Any]:
     """Mean error of |a| over posture runs, mg: raw, nine parameters, final; rms beside."""
-    error, result = run.outcome.error, run.result
+    error = result.error
     return {
         "metric": "mean absolute error of the norm over posture runs",
         "raw": error.raw,
@@ -71,44 +88,13 @@ def error_block(run: ActigraphRun) -> dict[str, Any]:
     }
 
 
-def coverage_block(run: ActigraphRun) -> dict[str, Any]:
-    """What was recorded: time, windows, range of each axis, temperature."""
-    runs, scanned = run.runs, run.scanned
-    mean_sd, worst_sd = weakest(run.result)
-    reading = runs.mean / run.request.gravity
-    warm = runs.temperature[np.isfinite(runs.temperature)]
-    block: dict[str, Any] = {
-        "hours": scanned.stop / 3600.0,
-        "rate_hz": scanned.rate,
-        "windows": runs.total,
-        "still_windows": runs.still,
-        "still_hours": runs.still * run.request.window / 3600.0,
-        "posture_runs": runs.n,
-        "runs_that_count_less": run.result.light,
-        "noise_of_a_sample_mg": (runs.noise / MG).tolist(),
-        "resolution_mg": (runs.resolution / MG).tolist(),
-        "quantisation_mg": quantisation(runs) / MG,
-        "axis_range_g": {
-            a: [float(reading[:, k].min()), float(reading[:, k].max())] for k, a in enumerate("xyz")
-        },
-        "norm_sd_mean_mg": mean_sd,
-        "norm_sd_largest_mg": worst_sd,
-    }
-    if warm.size:
-        block["temperature_degC"] = [float(warm.min()), float(warm.max())]
-        block["temperature_reference_degC"] = 25.0
-    return block
-
-
-def data_share_block(run: ActigraphRun) -> dict[str, float]:
+def _data_share_block(fit: Fit) -> dict[str, float]:
     """Of each parameter: 1 - (sd / typical size)², 0 where nothing was learnt, 1 where all was."""
-    fit = run.result.final
     return {p.name: float(v) for p, v in zip(fit.parameters, from_data(fit), strict=True)}
 
 
-def sphere_block(run: ActigraphRun) -> list[dict[str, Any]]:
+def _sphere_block(result: ActigraphResult) -> list[dict[str, Any]]:
     """Error over the sphere, cell by cell."""
-    result = run.result
     cells = sphere_cells(result.base, result.final, result.final_held)
     return [
         {("name" if k == "name" else k if k == "runs" else f"{k}_mg"): v

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration, from_fit
-from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Outcome
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run, quality_of
 from imucalib.calibrators.actigraph.calibration_points import (
     PointCollector,
     published_still,
     two_sets,
 )
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.actigraph.run import provenance_of
+from imucalib.calibrators.actigraph.run import provenance
 from imucalib.calibrators.actigraph.weak import NINE
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
@@ -55,14 +55,13 @@ class PublishedMethod:
     improvement: float
 
 
-@dataclass(frozen=True)
-class PublishedRun:
+@dataclass(frozen=True, kw_only=True)
+class PublishedRun(Run):
     """The paper's procedure on one recording.
 
     points, control : (18, 3) g, to calibrate with and to verify with
     """
 
-    outcome: Outcome
     points: Array
     control: Array
     methods: tuple[PublishedMethod, ...]
@@ -89,28 +88,64 @@ def calibrate_as_published(
             where=scanned.path,
             remedy="record longer, or leave --as-published out: all windows then count",
         )
+    return _run(points, control, scanned, request)
+
+
+def _run(
+    points: PointCollector, control: PointCollector, scanned: Scan, request: ActigraphRequest
+) -> PublishedRun:
+    """The chosen method's result, verified on the second set, with all methods beside it."""
     methods = compared(points, control)
     chosen = next(m for m in methods if m.name == ARITHMETIC[request.arithmetic])
     first = np.array(points.points)
-    found = published_fit(chosen.p, first, request.gravity)
-    raw = float(np.mean(np.abs(np.linalg.norm(first, axis=1) - 1.0))) * 1e3
     second = np.array(control.points).reshape(-1, 3)
-    raw_second = (
-        float(np.mean(np.abs(np.linalg.norm(second, axis=1) - 1.0))) * 1e3
-        if len(second)
-        else float("nan")
+    found = published_fit(chosen.p, first, request.gravity)
+    error = _error(chosen, found, first, second)
+    outcome = Outcome(
+        calibrator="actigraph",
+        errors=(error,),
+        provenance=provenance(scanned, request),
+        quality=quality_of(found),
+        reasons=() if len(second) else ("no second set of points to verify with",),
+        limits=_limits(error, request),
+        notes=scanned.notes,
+    )
+    blocks_of = {m.name: method_block(m) for m in methods}
+    return PublishedRun(
+        outcome=outcome,
+        calibration=_calibration(outcome, found, request, blocks_of),
+        details={
+            "methods": blocks_of,
+            "points_g": first.tolist(),
+            "control_points_g": second.tolist(),
+        },
+        points=first,
+        control=second,
+        methods=methods,
+        scanned=scanned,
+        request=request,
+    )
+
+
+def _error(chosen: PublishedMethod, found: Fit, first: Array, second: Array) -> ErrorSummary:
+    raw, raw_second = (
+        float(np.mean(np.abs(np.linalg.norm(v, axis=1) - 1.0))) * 1e3 if len(v) else float("nan")
+        for v in (first, second)
     )
     floor = found.noise.factor * float(np.sqrt(2.0 / np.pi))
-    error = ErrorSummary(
+    return ErrorSummary(
         "mean error of |a|", "mg", raw, chosen.fitted, chosen.fitted, floor,
         HeldOutError(raw_second, chosen.verified, chosen.verified),
     )  # fmt: skip
-    reasons = () if len(second) else ("no second set of points to verify with",)
-    outcome = Outcome(
-        "actigraph", found, None, error, provenance_of(scanned, request), reasons,
-        notes=scanned.notes,
-    )  # fmt: skip
-    return PublishedRun(outcome, first, second, methods, scanned, request)
+
+
+def _limits(error: ErrorSummary, request: ActigraphRequest) -> tuple[Limit, ...]:
+    """The user's limits against the second set of points."""
+    value = {"max-error": error.held_out.final}
+    return tuple(
+        Limit(name, value.get(name, float("nan")), limit, "mg")
+        for name, limit in request.limits.items()
+    )
 
 
 def compared(points: PointCollector, control: PointCollector) -> tuple[PublishedMethod, ...]:
@@ -150,24 +185,18 @@ def published_fit(p: Array, points: Array, gravity: float) -> Fit:
     return replace(rough, covariance=np.asarray(rough.noise.factor**2 * inverse))
 
 
-def published_calibration(run: PublishedRun) -> Calibration:
-    """The calibration file's content."""
-    origin = run.outcome.provenance
+def _calibration(
+    outcome: Outcome, fit: Fit, request: ActigraphRequest, methods: dict[str, Any]
+) -> Calibration:
     facts: dict[str, Any] = {
-        "gravity_source": run.request.gravity_source,
-        "method": {m.name: method_block(m) for m in run.methods},
-        "provenance": {
-            "input": origin.path,
-            "sha256": origin.sha256,
-            "samples": origin.samples,
-            "settings": dict(origin.settings),
-            "versions": dict(origin.versions),
-            "time": origin.time,
-        },
+        "gravity_source": request.gravity_source,
+        "errors": [error.as_dict() for error in outcome.errors],
+        "method": methods,
+        "provenance": outcome.provenance.as_dict(),
     }
     return from_fit(
-        run.outcome.fit, "actigraph", raw_unit="m/s2", raw_to_si=1.0, gravity=run.request.gravity,
-        status=run.outcome.status, reasons=run.outcome.reasons, facts=facts,
+        fit, "actigraph", raw_unit="m/s2", raw_to_si=1.0, gravity=request.gravity,
+        status=outcome.status, reasons=outcome.reasons, facts=facts,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ class ActigraphRequest:
     declare, only, without : effects of the base model, and of the search
     every : s, length of the parts that are calibrated each on its own, or None
     blocks : contiguous stretches of time that are left out in turn to measure the error
+    command : the line that was typed, for the provenance
     """
 
     gravity: float = STANDARD_GRAVITY
@@ -38,3 +39,20 @@ class ActigraphRequest:
     every: float | None = None
     limits: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
+    command: str = ""
+
+    def stated(self) -> dict[str, object]:
+        """The settings as provenance keeps them."""
+        return {
+            "window_s": self.window,
+            "gravity_m_per_s2": self.gravity,
+            "gravity_source": self.gravity_source,
+            "as_published": self.as_published,
+            "declare": list(self.declare),
+            "only": list(self.only),
+            "without": list(self.without),
+            "loop": self.loop,
+            "blocks": self.blocks,
+            "alpha": self.rules.alpha,
+            "draws": self.rules.draws,
+        }

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from imucalib import __version__
-from imucalib.calibration.outcome import Outcome, Provenance
+from imucalib.calibration.findings import Findings, findings_of
+from imucalib.calibration.outcome import Outcome, Run, quality_of
+from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.actigraph.advice import advice, limits_of, reasons
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
+from imucalib.calibrators.actigraph.calibration import actigraph_calibration, actigraph_details
+from imucalib.calibrators.actigraph.coverage import Coverage, coverage_of
 from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import Series, series, without_found
@@ -24,12 +25,12 @@ from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan
 from imucalib.units import MG
 
 
-@dataclass(frozen=True)
-class ActigraphRun:
-    """A finished run: the outcome that all calibrators share, and what only `actigraph` reports."""
+@dataclass(frozen=True, kw_only=True)
+class ActigraphRun(Run):
+    """A finished run: what all calibrators share, and what only its own report shows."""
 
-    outcome: Outcome
     result: ActigraphResult
+    coverage: Coverage
     scanned: Scan
     request: ActigraphRequest
     series: Series | None = None
@@ -61,23 +62,46 @@ def run_of(
         say(f"  {text}")
     result = calibrate(runs, scanned, request, np.random.default_rng(request.seed))
     result = replace(result, loop=result.loop and with_untestable(result.loop, runs))
-    declined = (result.declined,) if result.declined else ()
-    outcome = Outcome(
-        calibrator="actigraph",
-        fit=result.final,
-        loop=result.loop,
-        error=result.error,
-        provenance=provenance_of(scanned, request),
-        reasons=reasons(result),
-        advice=advice(result),
-        limits=limits_of(result, request.limits),
-        notes=(*scanned.notes, *runs.notes, *declined),
-        weak=result.weak,
-    )
+    coverage = coverage_of(result, scanned, gravity=request.gravity, window=request.window)
+    outcome = _judged(result, coverage, scanned, request)
     parts = None
     if request.every:
         parts = series(without_found(runs, result.final, request), scanned, request, say)
-    return ActigraphRun(outcome, result, scanned, request, parts)
+    details = actigraph_details(result, coverage, parts)
+    return ActigraphRun(
+        outcome=outcome,
+        calibration=actigraph_calibration(outcome, result, scanned, request, details, parts),
+        details=details,
+        result=result,
+        coverage=coverage,
+        scanned=scanned,
+        request=request,
+        series=parts,
+    )
+
+
+def _judged(
+    result: ActigraphResult, coverage: Coverage, scanned: Scan, request: ActigraphRequest
+) -> Outcome:
+    declined = (result.declined,) if result.declined else ()
+    return Outcome(
+        calibrator="actigraph",
+        errors=(result.error,),
+        provenance=provenance(scanned, request),
+        findings=_findings(result.loop, request),
+        quality=quality_of(result.final),
+        reasons=reasons(result, coverage),
+        advice=advice(result, coverage),
+        limits=limits_of(result, request.limits),
+        notes=(*scanned.notes, *result.runs.notes, *declined),
+        weak=result.weak,
+    )  # fmt: skip
+
+
+def _findings(loop: FitLoop | None, request: ActigraphRequest) -> Findings | None:
+    if loop is None:
+        return None
+    return findings_of(loop, declared=request.declare, only=request.only, without=request.without)
 
 
 def with_untestable(loop: FitLoop, runs: PostureRuns) -> FitLoop:
@@ -92,37 +116,15 @@ def with_untestable(loop: FitLoop, runs: PostureRuns) -> FitLoop:
     return replace(loop, missing={**loop.missing, "quantisation": why})
 
 
-def provenance_of(scanned: Scan, request: ActigraphRequest) -> Provenance:
-    """Where the numbers come from; enough to compute them again."""
-    import scipy
-
-    settings: dict[str, object] = {
-        "window_s": request.window,
-        "gravity_m_per_s2": request.gravity,
-        "gravity_source": request.gravity_source,
-        "as_published": request.as_published,
-        "declare": list(request.declare),
-        "only": list(request.only),
-        "without": list(request.without),
-        "loop": request.loop,
-        "blocks": request.blocks,
-        "alpha": request.rules.alpha,
-        "draws": request.rules.draws,
-    }
-    versions = {
-        "imucalib": __version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-    }
-    return Provenance(
-        Path(scanned.path).name,
-        scanned.sha256,
-        scanned.samples,
-        scanned.gaps,
-        scanned.mapping,
-        settings,
-        request.seed,
-        versions,
-        datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+def provenance(scanned: Scan, request: ActigraphRequest) -> Provenance:
+    """Where the numbers come from."""
+    return provenance_of(
+        path=scanned.path,
+        sha256=scanned.sha256,
+        samples=scanned.samples,
+        gaps=scanned.gaps,
+        mapping=scanned.mapping,
+        settings=request.stated(),
+        seed=request.seed,
+        command=request.command,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,3 +142,29 @@ def _tested(parts: tuple[Part, ...], good: list[Fit]) -> Series:
     return Series(
         parts, parameters, np.asarray(common), statistic, dof, float(chi2.sf(statistic, dof)), moved
     )
+
+
+def series_block(found: Series) -> dict[str, Any]:
+    """Plain types, ready for JSON."""
+    return {
+        "differ": found.differ,
+        "p_value": found.p,
+        "chi2": found.statistic,
+        "dof": found.dof,
+        "moved": [{"parameter": n, "p_value": p} for n, p in found.moved],
+        "parts": [
+            {
+                "start_s": p.start,
+                "stop_s": p.stop,
+                "runs": p.runs,
+                "reason": p.reason,
+                "parameters": [
+                    {"name": q.name, "value": float(v), "sd": float(s), "unit": q.unit}
+                    for q, v, s in zip(found.parameters, p.fit.theta, p.fit.sd, strict=True)
+                ]
+                if p.fit is not None
+                else [],
+            }
+            for p in found.parts
+        ],
+    }

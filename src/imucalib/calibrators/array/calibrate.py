@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving, moving_part, samples_of, spread_over
 from imucalib.calibrators.array.request import NON_LINEARITY, ArrayRequest
 from imucalib.calibrators.array.rests import RestFit, fit_rests
-from imucalib.errors import UNEXPLAINED_EXIT_CODE, NotConverged, Undetermined
+from imucalib.calibrators.array.run import ArrayRun, finished
+from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
 from imucalib.estimators.array.sampler import (
     ArrayPositions,
@@ -36,46 +37,6 @@ Say = Callable[[str], None]
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
 LOOP_SAMPLES = 1200  # moving samples of the final fit, at most
 _FIRST = 250  # samples of the first look, from which the number needed is told
-_UNEXPLAINED = 3.0  # accelerometer sigma in motion over that at rest
-
-
-@dataclass(frozen=True)
-class ArrayRun:
-    """A finished calibration of one log, every stage of it."""
-
-    recording: Recording
-    board: Board
-    request: ArrayRequest
-    segments: Segments
-    rests: RestFit
-    moving: Moving
-    final: ArrayPositions
-    loop: MotionLoop | None
-    notes: tuple[str, ...]
-
-    @property
-    def noise_ratio(self) -> float:
-        """Accelerometer sigma in motion over that of a sample at rest."""
-        return self.final.noise / float(np.sqrt(np.mean(self.rests.noise**2)))
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why the result is not as good as the noise at rest allows; empty when it is."""
-        found = []
-        if self.noise_ratio > _UNEXPLAINED:
-            found.append(
-                f"in motion the accelerometers scatter {self.final.noise:.2f} m/s², "
-                f"{self.noise_ratio:.0f} times their noise at rest, and what stays is not explained"
-            )
-        if self.loop is not None and self.loop.unexplained:
-            names = "; ".join(u.name for u in self.loop.unexplained)
-            found.append(f"structure that no effect of the catalogue explains: {names}")
-        return tuple(found)
-
-    @property
-    def exit_code(self) -> int:
-        """0 consistent with the noise at rest, 5 a part of the residual is not explained."""
-        return UNEXPLAINED_EXIT_CODE if self.reasons else 0
 
 
 def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> ArrayRun:
@@ -84,6 +45,8 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     Raises UnreadableInput for a recording that does not match the board, Undetermined when the
     rests or the motion do not hold the answer, NotConverged when the chains disagree.
     """
+    if request.limits and not (request.loop or request.asked.declare):
+        raise UsageError("limits need held-out data", remedy="leave --no-loop out")
     log, board = array_log(recording, request.board)
     segments = still_segments(recording)
     order = _order(segments, board, recording)
@@ -105,7 +68,10 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     notes = (*recording.notes, *segments.notes, *log.notes, *final.notes)
     if request.loop and loop is None:
         notes += ("the motion is too broken up for the search of the loop",)
-    return ArrayRun(recording, board, request, segments, rests, moving, final, loop, notes)
+    return finished(
+        recording=recording, board=board, request=request, segments=segments, rests=rests,
+        moving=moving, final=final, loop=loop, notes=notes,
+    )  # fmt: skip
 
 
 def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
@@ -134,7 +100,7 @@ def _loop(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -
     rng = np.random.default_rng(request.seed)
     return close_array_loop(
         setup, rest_terms(rests), moving, rng,
-        replace(ARRAY_RULES, curves=request.curves), whole,
+        replace(ARRAY_RULES, curves=request.curves, draws=request.draws), whole,
         asked=replace(request.asked, search=request.loop),
     )  # fmt: skip
 

@@ -1,193 +1,165 @@
-"""The calibration file of an array: positions with their covariance, and every triad's first order.
+"""The calibration of an array: positions with their covariance, and every IMU's linear correction.
 
-It has its own schema: the shared one describes a single triad by effects of the catalogue.
+The positions are its parameters. Found effects with their values, and what of them no linear
+correction carries, stand beside it.
 """
 
 from __future__ import annotations
 
-import platform
-from datetime import UTC, datetime
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from imucalib import __version__
-from imucalib.calibrators.array.calibrate import ArrayRun
-from imucalib.calibrators.array.corrected import gyro_gains
-from imucalib.calibrators.array.frame import BASE
-from imucalib.calibrators.array.loop.ages import beats
-from imucalib.calibrators.array.loop.at_rest import AT_REST
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.outcome import Outcome
+from imucalib.calibration.triads import Triad
+from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.findings import effect_blocks, noise_block, rest_blocks
+from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.rests import RestFit
-from imucalib.effects.record_error import is_record_error
-from imucalib.units import DEG
+from imucalib.estimators.array.sampler import ArrayPositions
 
-SCHEMA = "imucal/array-calibration"
-VERSION = 1
-FORMULA = (
-    "In board axes (axes of the board file applied): force = inv(gain) (reading - bias), "
-    "rate = inv(gyro_gain) (reading - gyro_bias); force_k = s + (Ω(ω)² + Ω(dω/dt)) position_k. "
-    "Every effect listed adds what its equation says; gyro_gain holds the gain effects already"
-)
+#: Blocks of report.json that the YAML has, too.
+_SHARED = ("board", "reference", "positions_mm", "size", "accelerometer_sigma_in_motion_m_per_s2",
+           "effects", "not_undone", "diagnostics")  # fmt: skip
 
 
-def array_calibration(run: ArrayRun) -> dict[str, Any]:
-    """Plain types, ready for YAML and JSON."""
-    scale, scale_sd = run.final.scale
-    return {
-        "schema": SCHEMA,
-        "version": VERSION,
-        "calibrator": "array",
-        "status": "marginal" if run.reasons else "ok",
-        "reasons": list(run.reasons),
-        "formula": FORMULA,
-        "board": run.board.name,
-        "reference": run.board.imus[0],
-        "gravity_m_per_s2": run.request.gravity,
-        "positions_mm": _positions(run),
-        "covariance_mm2": (1e6 * run.final.covariance).tolist(),
+def array_calibration(
+    outcome: Outcome,
+    details: Mapping[str, Any],
+    *,
+    rests: RestFit,
+    moving: Moving,
+    final: ArrayPositions,
+    board: Board,
+    linear: LinearPart | None,
+) -> Calibration:
+    """The calibration of a log."""
+    mean, sd = 1e3 * final.mean, 1e3 * final.sd
+    covariance = 1e6 * final.covariance
+    # Standard deviations are the covariance's, to the last bit.
+    sd[1:] = np.sqrt(np.diag(covariance)).reshape(-1, 3)
+    parameters = tuple(
+        StoredParameter(
+            f"{imu}.{axis}", "positions", "array", float(mean[k, i]), float(sd[k, i]), "mm"
+        )
+        for k, imu in enumerate(board.imus)
+        if k
+        for i, axis in enumerate("xyz")
+    )
+    facts = {name: details[name] for name in _SHARED if name in details}
+    settings = outcome.provenance.settings
+    return Calibration(
+        calibrator="array",
+        parameters=parameters,
+        covariance=covariance,
+        raw_unit="m/s2",
+        raw_to_si=1.0,
+        gravity=rests.gravity,
+        status=outcome.status,
+        reasons=outcome.reasons,
+        facts={
+            "gravity_source": settings["gravity_source"],
+            "errors": [error.as_dict() for error in outcome.errors],
+            **facts,
+            "provenance": outcome.provenance.as_dict(),
+        },
+        triads=_triads(rests, moving, board, linear),
+    )
+
+
+def _triads(
+    rests: RestFit, moving: Moving, board: Board, found: LinearPart | None
+) -> tuple[Triad, ...]:
+    """Each IMU as the rests and the found effects' linear parts have it."""
+    gain, bias, covariance = rests.in_board_axes()
+    gyro_gain, gyro_bias = moving.gyros.gain, rests.gyro_bias[0]
+    if found is not None:
+        bias = bias + np.einsum("kij,kj->ki", gain, found.offset)
+        gain = gain @ found.gain
+        gyro_gain, gyro_bias = found.gyro_gain, gyro_bias + found.gyro_offset
+    return tuple(
+        Triad(
+            name=name,
+            rotation=board.rotations[k],
+            gain=gain[k],
+            bias=bias[k],
+            gyro_gain=gyro_gain[k],
+            gyro_bias=gyro_bias[k],
+            covariance=covariance[k],
+            noise=float(rests.noise[k]),
+            gyro_noise=float(rests.gyro_noise[k]),
+        )
+        for k, name in enumerate(board.imus)
+    )
+
+
+def array_details(
+    rests: RestFit,
+    moving: Moving,
+    final: ArrayPositions,
+    board: Board,
+    loop: MotionLoop | None,
+    linear: LinearPart | None,
+) -> dict[str, Any]:
+    """What only an array has to say, for report.json; a part of it also for the YAML."""
+    mean, sd, drawn = ((1e3 * v).tolist() for v in (final.mean, final.sd, board.drawn))
+    scale, scale_sd = final.scale
+    details: dict[str, Any] = {
+        "board": board.name,
+        "reference": board.imus[0],
+        "positions_mm": [
+            {"imu": name, "mean": mean[k], "sd": sd[k], "drawn": drawn[k]}
+            for k, name in enumerate(board.imus)
+        ],
         "size": {
             "relative_to_drawing": scale,
             "sd": scale_sd,
-            "sd_from_gyro_tolerance": run.moving.gyros.scale_sd,
+            "sd_from_gyro_tolerance": moving.gyros.scale_sd,
         },
-        "triads": _triads(run),
-        "accelerometer_sigma_in_motion_m_per_s2": run.final.noise,
-        "effects": [*rest_effects(run.rests), *(effect_list(run.loop) if run.loop else [])],
-        "diagnostics": diagnostics(run),
-        "provenance": provenance(run),
+        "accelerometer_sigma_in_motion_m_per_s2": final.noise,
+        "diagnostics": _diagnostics(final),
+        "rests": {
+            "count": rests.poses,
+            "residual_m_per_s2": rests.residual,
+            "residual_before_search_m_per_s2": rests.before,
+            "verdict": rests.loop.verdict if rests.loop else "not run",
+        },
+        "moving": dict(moving.counts),
+        "not_undone": [
+            {"effect": name, "rms": rms, "unit": unit}
+            for name, rms, unit in (*_drift(rests), *(linear.left if linear else ()))
+        ],
     }
+    details["effects"] = rest_blocks(rests)
+    if loop is not None:
+        details["effects"] += effect_blocks(loop)
+        details["noise"] = noise_block(loop)
+    return details
 
 
-def rest_effects(rests: RestFit) -> list[dict[str, Any]]:
-    """What was found at rest, with values and standard deviations, plain types."""
-    fit = rests.fit
-    slices = fit.model.slices(fit.observations.context)
-    return [
-        {
-            "effect": AT_REST + effect.name,
-            "declared": False,
-            "channel": effect.channel,
-            "equation": effect.equation,
-            "parameters": [
-                {"name": p.name, "unit": p.unit, "value": float(v), "sd": float(s)}
-                for p, v, s in zip(
-                    fit.parameters[slices[effect.name]], fit.theta[slices[effect.name]],
-                    fit.sd[slices[effect.name]], strict=True,
-                )
-            ],
-        }
-        for effect in fit.model.effects
-        if effect.name not in BASE and not is_record_error(effect.name)
-    ]  # fmt: skip
+def _drift(rests: RestFit) -> Iterator[tuple[str, float, str]]:
+    """How the offsets moved during the rests, against their end, which is where the biases hold."""
+    t = np.linspace(rests.start, rests.stop, 21)
+    away = rests.offset(t) - rests.offset(t[-1:])
+    if away.any():
+        yield "drift of the rests", float(np.sqrt(np.mean(away**2))), "m/s²"
 
 
-def effect_list(loop: MotionLoop) -> list[dict[str, Any]]:
-    """Accepted effects with values and standard deviations, plain types."""
-    state = loop.final
-    return [
-        {
-            **_beats(loop, term.aged),
-            "effect": term.name,
-            "declared": term.name in loop.asked.declare,
-            "channel": term.effect.channel,
-            "equation": term.effect.equation,
-            "parameters": [
-                {"name": p.name, "unit": p.unit, "value": float(v), "sd": float(s)}
-                for p, v, s in zip(
-                    term.parameters(state.setup.imus), term.theta, state.sd_of(term), strict=True
-                )
-            ],
-        }
-        for term in state.found
-    ]
-
-
-def _beats(loop: MotionLoop, aged: bool) -> dict[str, Any]:
-    """Clocks of the gyros in this recording: they start anew with the power."""
-    if not aged or loop.ages is None:
-        return {}
-    state = loop.final.setup
-    return {
-        "beats": [
-            None if beat is None else {
-                "imu": imu, "hz": beat.frequency, "phase_turns": beat.phase, "at_s": beat.at,
-                "wander_turns": beat.wander,
-            }
-            for imu, beat in zip(state.imus, beats(loop.ages, state.t), strict=True)
-        ]
-    }  # fmt: skip
-
-
-def _positions(run: ArrayRun) -> list[dict[str, Any]]:
-    mean, sd = 1e3 * run.final.mean, 1e3 * run.final.sd
-    drawn = 1e3 * run.board.drawn
-    return [
-        {"imu": name, "mean": mean[k].tolist(), "sd": sd[k].tolist(), "drawn": drawn[k].tolist()}
-        for k, name in enumerate(run.board.imus)
-    ]
-
-
-def _triads(run: ArrayRun) -> list[dict[str, Any]]:
-    rests = run.rests
-    offset = rests.offset(np.array([rests.stop]))[0]
-    gains = run.moving.gyros.gain if run.loop is None else gyro_gains(run.loop.final)
-    return [
-        {
-            "imu": name,
-            "gain": rests.gain[k].tolist(),
-            "gain_sd": rests.gain_sd[k].tolist(),
-            "bias_m_per_s2": offset[k].tolist(),
-            "noise_m_per_s2": float(rests.noise[k]),
-            "gyro_gain": gains[k].tolist(),
-            "gyro_bias_deg_per_s": (rests.gyro_bias[0, k] / DEG).tolist(),
-            "gyro_noise_deg_per_s": float(rests.gyro_noise[k] / DEG),
-        }
-        for k, name in enumerate(run.board.imus)
-    ]
-
-
-def diagnostics(run: ArrayRun) -> dict[str, Any]:
+def _diagnostics(final: ArrayPositions) -> dict[str, Any]:
     """What the sampler says of itself."""
-    found = run.final.convergence
+    found = final.convergence
     return {
-        "sampler": run.final.sampler,
-        "chains": run.final.unknowns.shape[0],
-        "draws": run.final.unknowns.shape[1],
-        "acceptance": run.final.accepted,
+        "sampler": final.sampler,
+        "chains": final.unknowns.shape[0],
+        "draws": final.unknowns.shape[1],
+        "acceptance": final.accepted,
         "largest_rhat": float(np.max(found.rhat)),
         "smallest_bulk_ess": float(np.min(found.bulk)),
         "smallest_tail_ess": float(np.min(found.tail)),
-        "largest_mcse_mm": float(1e3 * np.max(found.mcse[: run.final.prior.positions])),
-        "samples": run.final.data.samples,
-    }
-
-
-def provenance(run: ArrayRun) -> dict[str, Any]:
-    """Enough to compute the result again."""
-    import scipy
-
-    request = run.request
-    return {
-        "path": Path(run.recording.path).name,
-        "sha256": run.recording.sha256,
-        "settings": {
-            "sampler": request.sampler,
-            "samples": request.samples,
-            "motion_prior": request.motion,
-            "determinant_exponent": request.exponent,
-            "accelerometer_sigma": request.accelerometer_sigma,
-            "gyro_covariance": request.gyro_covariance,
-            "prior_sd_mm": 1e3 * run.board.prior_sd,
-            "gravity_source": request.gravity_source,
-        },
-        "seed": request.seed,
-        "versions": {
-            "imucalib": __version__,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-        },
-        "time": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "largest_mcse_mm": float(1e3 * np.max(found.mcse[: final.prior.positions])),
+        "samples": final.data.samples,
     }

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
-from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.problem import ArrayData
 from imucalib.estimators.array.sampler import ArrayPositions
@@ -54,22 +53,3 @@ def widened(found: ArrayPositions, loop: MotionLoop, rng: np.random.Generator) -
     unknowns = found.unknowns.copy()
     unknowns[..., :n] += rng.standard_normal((*shape, n)) @ root.T
     return replace(found, unknowns=unknowns)
-
-
-def gyro_gains(state: ArrayState) -> Array:
-    """(K, 3, 3) what the found effects make of a slow rate: reading = G ω."""
-    k = state.setup.triads
-    still = np.zeros((4, 3))
-    still[1:] = 1e-4 * np.eye(3)
-    none, force = np.zeros((4, 3)), np.zeros((4, k, 3))
-    motion = board_motion(
-        imus=state.setup.imus, rotations=state.setup.rotations, t=np.zeros(4),
-        order=np.full(4, 0.5), rate=still, spin=none, force=force, jerk=force,
-        age=np.zeros((4, k)),
-    )  # fmt: skip
-    total = np.zeros((4, k, 3))
-    for term in state.found:
-        if term.effect.channel == "angular_rate":
-            total += term.reading(term.columns(motion))
-    gain = (total[1:] - total[:1]) / 1e-4
-    return np.asarray(np.eye(3) + gain.transpose(1, 2, 0))

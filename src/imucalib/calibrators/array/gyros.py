@@ -65,3 +65,27 @@ def relative_gyros(rate: Array, rows: Index) -> Gyros:
     inside = np.all(np.abs(apart) < 4.0 * width, axis=1)
     covariance = apart[inside].T @ apart[inside] / inside.sum() / freedom
     return Gyros(gain, mean, scatter, covariance)
+
+
+def gyro_drift(rate: Array, t: Array) -> tuple[Array, Array]:
+    """Coefficients (order + 1, K, 3) rad/s of the gyros' offsets at rest, of powers of a time that
+    runs from -1 at the first rest to 0 at the last, and their standard deviation (K, 3) there; the
+    order by the Bayesian information criterion.
+
+    rate : (n, K, 3) rad/s at n rests; t : (n,) s
+    """
+    values = rate.reshape(len(rate), -1)
+    late = (t - t[-1]) / max(float(np.ptp(t)), 1e-9)
+    tries = []
+    for order in range(3):
+        powers = late[:, None] ** np.arange(order + 1)
+        found = np.linalg.lstsq(powers, values, rcond=None)[0]
+        rest = values - powers @ found
+        size = values.shape[1]
+        cost = values.size * np.log(max(float(np.mean(rest**2)), 1e-300))
+        tries.append((cost + np.log(values.size) * size * (order + 1), found, powers, rest))
+    _, found, powers, rest = min(tries, key=lambda t: t[0])
+    freedom = max(len(rest) - powers.shape[1], 1)
+    leverage = float(np.linalg.inv(powers.T @ powers)[0, 0])
+    sd = np.sqrt(leverage * np.sum(rest**2, axis=0) / freedom)
+    return found.reshape(-1, *rate.shape[1:]), np.asarray(sd.reshape(rate.shape[1:]))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.calibrate import ArrayRun
+from imucalib.calibrators.array.run import ArrayRun
 from imucalib.errors import UsageError
 
 Array = NDArray[np.float64]

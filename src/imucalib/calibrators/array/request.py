@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -9,6 +10,7 @@ from typing import Literal
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.moving import GyroCovariance
+from imucalib.core.effect import Effect
 from imucalib.estimators.array.problem import MotionPrior
 from imucalib.estimators.markov.hmc import Stop
 from imucalib.units import STANDARD_GRAVITY
@@ -24,7 +26,9 @@ class ArrayRequest:
     """samples : moving samples used at most; target : m, the posterior sd at which more samples
     say nothing that matters; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
     iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
-    of the search; curves : whether structure without a name is corrected by smooth curves"""
+    of the search; curves : whether structure without a name is corrected by smooth curves
+    draws : simulated data sets of the search; extra_effects : of the user's own files
+    limits : name -> largest allowed value; command : the line that was typed"""
 
     board: Board
     gravity: float = STANDARD_GRAVITY
@@ -44,3 +48,28 @@ class ArrayRequest:
     curves: bool = False
     checkpoint: Path | None = None
     seed: int = 0
+    draws: int = 499
+    extra_effects: Mapping[str, Effect] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
+    command: str = ""
+
+    def stated(self) -> dict[str, object]:
+        """The settings as provenance keeps them."""
+        return {
+            "board": self.board.name,
+            "sampler": self.sampler,
+            "samples": self.samples,
+            "motion_prior": self.motion,
+            "determinant_exponent": self.exponent,
+            "accelerometer_sigma": self.accelerometer_sigma,
+            "gyro_covariance": self.gyro_covariance,
+            "prior_sd_mm": 1e3 * self.board.prior_sd,
+            "gravity_m_per_s2": self.gravity,
+            "gravity_source": self.gravity_source,
+            "declare": list(self.asked.declare),
+            "only": list(self.asked.only),
+            "without": list(self.asked.without),
+            "loop": self.loop,
+            "curves": self.curves,
+            "draws": self.draws,
+        }

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.frame import BASE, framed_misalignment, in_the_mean_frame
+from imucalib.calibrators.array.gyros import gyro_drift
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Response
@@ -125,6 +126,18 @@ class RestFit:
             total += effect.act(self.fit.theta[slices[effect.name]], truth, context).delta
         return total
 
+    def in_board_axes(self) -> tuple[Array, Array, Array]:
+        """Gains (K, 3, 3), offsets (K, 3) m/s² at the end of the rests and their covariance
+        (K, 12, 12), of readings and forces in board axes."""
+        turn, count = self.rotations, len(self.gain)
+        gain = turn @ self.gain @ turn.transpose(0, 2, 1)
+        offset = (turn @ self.offset(np.array([self.stop]))[0][..., None])[..., 0]
+        both = np.zeros((count, 12, 12))
+        both[:, :9, :9] = np.einsum("kij,kab->kiajb", turn, turn).reshape(count, 9, 9)
+        both[:, 9:, 9:] = turn
+        own = self.covariance[np.arange(count), :, np.arange(count)]
+        return gain, offset, np.asarray(both @ own @ both.transpose(0, 2, 1))
+
     def powers(self, t: Array) -> Array:
         """(N, order + 1) of the gyros' drift."""
         late = np.clip((t - self.stop) / (self.stop - self.start), -1.0, 0.0)
@@ -163,7 +176,9 @@ def fit_rests(
     gain, covariance = in_the_mean_frame(fit, board.rotations)
     _refuse_vague(gain, covariance, board)
     middle = data.context["time"]
-    drift, drift_sd = _gyro_drift(segments.rate[:, order], middle, board)
+    drift, drift_sd = gyro_drift(
+        np.einsum("kij,nkj->nki", board.rotations, segments.rate[:, order]), middle
+    )
     return RestFit(
         fit, loop, gain, covariance,
         np.sqrt(np.mean(segments.noise[order] ** 2, axis=1)),
@@ -234,26 +249,3 @@ def _refuse_vague(gain: Array, covariance: Array, board: Board) -> None:
             f"{100 * worst.max():.0f} % of gravity",
             remedy="check its mounting axes in the board file, and the unit of the recording",
         )
-
-
-def _gyro_drift(rate: Array, t: Array, board: Board) -> tuple[Array, Array]:
-    """Coefficients (order + 1, K, 3) rad/s of the gyros' offsets at rest, in board axes, and their
-    standard deviation (K, 3) at the last rest; the order by the Bayesian information criterion.
-
-    rate : (n, K, 3) rad/s in package axes
-    """
-    values = np.einsum("kij,nkj->nki", board.rotations, rate).reshape(len(rate), -1)
-    late = (t - t[-1]) / max(float(np.ptp(t)), 1e-9)
-    tries = []
-    for order in range(3):
-        powers = late[:, None] ** np.arange(order + 1)
-        found = np.linalg.lstsq(powers, values, rcond=None)[0]
-        rest = values - powers @ found
-        size = values.shape[1]
-        cost = values.size * np.log(max(float(np.mean(rest**2)), 1e-300))
-        tries.append((cost + np.log(values.size) * size * (order + 1), found, powers, rest))
-    _, found, powers, rest = min(tries, key=lambda t: t[0])
-    freedom = max(len(rest) - powers.shape[1], 1)
-    leverage = float(np.linalg.inv(powers.T @ powers)[0, 0])
-    sd = np.sqrt(leverage * np.sum(rest**2, axis=0) / freedom)
-    return found.reshape(-1, board.count, 3), np.asarray(sd.reshape(board.count, 3))

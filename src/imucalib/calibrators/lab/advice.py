@@ -160,13 +160,15 @@ def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...
     """The user's limits against held-out errors."""
     if not result.splits and asked:
         raise UsageError("limits need held-out data", remedy="use another objective, or --train")
+    if not asked:
+        return ()
+    split = result.splits[-1]
+    angles = attitude_errors(split.final, gravity_of(result.observations))
     found = []
     angles_known = isinstance(result.observations.reference, KnownVector)
     for name, limit in asked.items():
         if not angles_known and name in ("max-inclination-error", "max-toolface-error"):
             raise UsageError(f"--{name} needs known angles", remedy="use --max-error")
-        split = result.splits[-1]
-        angles = attitude_errors(split.final, gravity_of(result.observations))
         value, unit = {
             "max-error": (split.final.rms() / MG, "mg rms"),
             "max-inclination-error": (worst(angles.inclination), "deg"),

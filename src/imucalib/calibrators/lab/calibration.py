@@ -2,68 +2,72 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration, from_fit
+from imucalib.calibration.outcome import Outcome
 from imucalib.calibrators.lab.advice import fixture_curve
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
-from imucalib.calibrators.lab.calibrate import gravity_of
+from imucalib.calibrators.lab.bench import RawUnit
+from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
 from imucalib.calibrators.lab.errors import setting_noise
-from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
+from imucalib.loop.held_out import errors
 from imucalib.units import DEG, MG
 
 
-def lab_calibration(run: LabRun) -> Calibration:
-    """The calibration of a run's final fit."""
-    outcome = run.outcome
+def lab_calibration(
+    outcome: Outcome,
+    result: LabResult,
+    raw: RawUnit,
+    request: LabRequest,
+    details: Mapping[str, Any],
+) -> Calibration:
+    """The calibration of a run's final fit, with the blocks that people read beside the numbers."""
+    facts = {
+        "gravity_source": request.gravity_source,
+        "errors": [error.as_dict() for error in outcome.errors],
+        "noise": details["noise"],
+        "held_out": details["held_out"],
+    }
+    if "fixture" in details:
+        facts["conventions"] = asdict(result.settings.conventions)
+        facts["fixture"] = details["fixture"]
+    facts["left_out"] = details["left_out"]
+    facts["provenance"] = outcome.provenance.as_dict()
     return from_fit(
-        run.result.final,
+        result.final,
         "lab",
-        raw_unit=run.raw.name,
-        raw_to_si=run.raw.si,
-        gravity=run.request.gravity,
+        raw_unit=raw.name,
+        raw_to_si=raw.si,
+        gravity=request.gravity,
         status=outcome.status,
         reasons=(*outcome.reasons, *outcome.undecided),
-        facts=_facts(run),
+        facts=facts,
     )
 
 
-def _facts(run: LabRun) -> dict[str, Any]:
-    origin, fit = run.outcome.provenance, run.result.final
-    facts: dict[str, Any] = {
-        "gravity_source": run.request.gravity_source,
-        "noise": noise_block(run),
-        "held_out": held_out_block(run),
+def lab_details(result: LabResult, excluded: tuple[str, ...]) -> dict[str, Any]:
+    """What only a bench has to say, for report.json; the shorter blocks also for the YAML."""
+    details: dict[str, Any] = {
+        "noise": noise_block(result.final),
+        "held_out": held_out_block(result),
+        "left_out": list(excluded),
+        "positions": _positions(result),
     }
-    if isinstance(fit.observations.reference, KnownVector):
-        facts["conventions"] = asdict(run.request.settings.conventions)
-        facts["fixture"] = fixture_block(run)
-    facts["provenance"] = {
-        "input": origin.path,
-        "sha256": origin.sha256,
-        "positions": origin.samples,
-        "used": len(run.result.used),
-        "left_out": list(run.excluded),
-        "mapping": {k: _plain(v) for k, v in origin.mapping.items()},
-        "settings": {k: _plain(v) for k, v in origin.settings.items()},
-        "seed": origin.seed,
-        "versions": dict(origin.versions),
-        "time": origin.time,
-    }
-    return facts
+    if isinstance(result.observations.reference, KnownVector):
+        details["fixture"] = fixture_block(result.final)
+    return details
 
 
-def _plain(value: object) -> Any:
-    return list(value) if isinstance(value, tuple) else value
-
-
-def noise_block(run: LabRun) -> dict[str, Any]:
+def noise_block(fit: Fit) -> dict[str, Any]:
     """Noise of the readings (mg) and scatter of the settings (deg), with their sd."""
-    fit = run.result.final
     sigma = fit.noise.factor * float(np.median(fit.at.sigma)) / MG
     block: dict[str, Any] = {"reading_mg": sigma, "reading_sd_mg": sigma * float(fit.noise_sd[0])}
     for k, (name, sd) in enumerate(setting_noise(fit.noise).items(), start=1):
@@ -73,26 +77,25 @@ def noise_block(run: LabRun) -> dict[str, Any]:
     return block
 
 
-def held_out_block(run: LabRun) -> list[dict[str, Any]]:
+def held_out_block(result: LabResult) -> list[dict[str, Any]]:
     """Errors on data that was not fitted, largest and rms, per split and model."""
-    gravity = gravity_of(run.result.observations)
+    gravity = gravity_of(result.observations)
     rows = []
-    for split in run.result.splits:
+    for split in result.splits:
         for name, held in (("base", split.base), ("final", split.final)):
-            errors = attitude_errors(held, gravity)
+            found = attitude_errors(held, gravity)
             row: dict[str, Any] = {"split": split.name, "model": name, "positions": len(split.rows)}
-            if isinstance(run.result.observations.reference, KnownVector):
+            if isinstance(result.observations.reference, KnownVector):
                 row |= {
-                    "tool_face_deg": [worst(errors.tool_face), rms(errors.tool_face)],
-                    "inclination_deg": [worst(errors.inclination), rms(errors.inclination)],
+                    "tool_face_deg": [worst(found.tool_face), rms(found.tool_face)],
+                    "inclination_deg": [worst(found.inclination), rms(found.inclination)],
                 }
-            rows.append({**row, "norm_mg": [worst(errors.norm), rms(errors.norm)]})
+            rows.append({**row, "norm_mg": [worst(found.norm), rms(found.norm)]})
     return rows
 
 
-def fixture_block(run: LabRun) -> dict[str, Any]:
+def fixture_block(fit: Fit) -> dict[str, Any]:
     """What the bench is off by: inclination against the dial with 95 % intervals."""
-    fit = run.result.final
     effects = [e.name for e in fit.model.effects if e.stage == "fixture"]
     at = np.radians([0.0, 30.0, 50.0, 60.0, 90.0])
     shift, sd, half = fixture_curve(fit, at)
@@ -107,3 +110,27 @@ def fixture_block(run: LabRun) -> dict[str, Any]:
         for a, s, d, h in zip(at, shift, sd, half, strict=True)
     ]
     return {"effects": effects, "inclination": curve if effects else []}
+
+
+def _positions(result: LabResult) -> list[dict[str, Any]]:
+    fit, whole = result.final, result.observations
+    known = isinstance(whole.reference, KnownVector)
+    held = errors(fit, fit.theta, whole)
+    angle = attitude_errors(held, gravity_of(whole))
+    used = set(result.used.tolist())
+    rows = []
+    for k, label in enumerate(whole.label):
+        row: dict[str, Any] = {
+            "position": label,
+            "fitted": k in used,
+            "corrected_m_per_s2": held.corrected[k, 0].tolist(),
+            "norm_error_mg": float(angle.norm[k]),
+        }
+        if known:
+            row |= {
+                "error_mg": (held.error[k, 0] / MG).tolist(),
+                "inclination_error_deg": float(angle.inclination[k]),
+                "tool_face_error_deg": float(angle.tool_face[k]),
+            }
+        rows.append(row)
+    return rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.units import STANDARD_GRAVITY
@@ -15,6 +15,7 @@ class LabRequest:
 
     fixes : (row from 1, column role, value in the table's unit); exclude : rows from 1
     train : rows from 1 to choose and fit on; limits : name -> largest allowed value
+    command : the line that was typed, for the provenance
     """
 
     unit: str | None = None
@@ -31,6 +32,30 @@ class LabRequest:
     limits: Mapping[str, float] = field(default_factory=dict)
     settings: LabSettings = field(default_factory=LabSettings)
     seed: int = 0
+    command: str = ""
+
+    def stated(self) -> dict[str, object]:
+        """The settings as provenance keeps them."""
+        settings = self.settings
+        return {
+            "reference": self.reference,
+            "model": settings.model,
+            "objective": settings.objective,
+            "declare": list(settings.declare),
+            "only": list(settings.only),
+            "without": list(settings.without),
+            "loop": settings.loop,
+            "gravity_m_per_s2": self.gravity,
+            "gravity_source": self.gravity_source,
+            "conventions": asdict(settings.conventions),
+            "fix": [f"{row}:{role}={value!r}" for row, role, value in self.fixes],
+            "exclude": list(self.exclude),
+            "auto_exclude": self.auto_exclude,
+            "train": list(self.train),
+            "swap_angles": self.swap_angles,
+            "alpha": settings.rules.alpha,
+            "draws": settings.rules.draws,
+        }
 
 
 def as_published(request: LabRequest) -> LabRequest:

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibration.outcome import Outcome
+from imucalib.calibration.findings import Findings, findings_of
+from imucalib.calibration.outcome import Outcome, Run, quality_of
+from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.lab.advice import advice, fix_option, limits_of, reasons
 from imucalib.calibrators.lab.bench import RawUnit, corrected_cells, raw_unit, swapped_angles
-from imucalib.calibrators.lab.calibrate import LabResult, calibrate
+from imucalib.calibrators.lab.calibrate import LabResult, LabSettings, calibrate
+from imucalib.calibrators.lab.calibration import lab_calibration, lab_details
 from imucalib.calibrators.lab.checks import (
     implausible_sizes,
     kept_rows,
@@ -21,19 +24,18 @@ from imucalib.calibrators.lab.checks import (
     with_train,
 )
 from imucalib.calibrators.lab.position_table import PositionTable
-from imucalib.calibrators.lab.provenance import provenance_of
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
+from imucalib.loop.found import FitLoop
 from imucalib.loop.record_errors import RecordError
 
 Index = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
-class LabRun:
-    """A finished run: the outcome that all calibrators share, and what only `lab` reports."""
+@dataclass(frozen=True, kw_only=True)
+class LabRun(Run):
+    """A finished run: what all calibrators share, and what only the report of `lab` shows."""
 
-    outcome: Outcome
     result: LabResult
     table: PositionTable
     raw: RawUnit
@@ -72,19 +74,66 @@ def run_lab(
         f"({r.likely}); decide with {fix_option(r, raw)}"
         for r in _records(result)
     )
-    outcome = Outcome(
+    provenance = _provenance(table, raw, request, mapping or dict(table.names), gaps)
+    outcome = _judged(result, raw, request, provenance, undecided, (raw.sentence, *notes))
+    details = lab_details(result, excluded)
+    return LabRun(
+        outcome=outcome,
+        calibration=lab_calibration(outcome, result, raw, request, details),
+        details=details,
+        result=result,
+        table=table,
+        raw=raw,
+        request=request,
+        excluded=excluded,
+    )
+
+
+def _judged(
+    result: LabResult,
+    raw: RawUnit,
+    request: LabRequest,
+    provenance: Provenance,
+    undecided: tuple[str, ...],
+    notes: tuple[str, ...],
+) -> Outcome:
+    return Outcome(
         calibrator="lab",
-        fit=result.final,
-        loop=result.loop,
-        error=result.error,
-        provenance=provenance_of(table, raw, request, mapping or dict(table.names), gaps),
+        errors=(result.error,),
+        provenance=provenance,
+        findings=_findings(result.loop, result.settings),
+        quality=quality_of(result.final),
         reasons=reasons(result, raw),
         advice=advice(result, raw),
         undecided=undecided,
         limits=limits_of(result, request.limits),
-        notes=(raw.sentence, *notes),
+        notes=notes,
+    )  # fmt: skip
+
+
+def _findings(loop: FitLoop | None, chosen: LabSettings) -> Findings | None:
+    if loop is None:
+        return None
+    return findings_of(loop, declared=chosen.declare, only=chosen.only, without=chosen.without)
+
+
+def _provenance(
+    table: PositionTable,
+    raw: RawUnit,
+    request: LabRequest,
+    mapping: Mapping[str, object],
+    gaps: int,
+) -> Provenance:
+    return provenance_of(
+        path=table.path,
+        sha256=table.sha256,
+        samples=table.n,
+        gaps=gaps,
+        mapping=mapping,
+        settings={**request.stated(), "unit": raw.name},
+        seed=request.seed,
+        command=request.command,
     )
-    return LabRun(outcome, result, table, raw, request, excluded)
 
 
 def _kept(table: PositionTable, request: LabRequest) -> tuple[Index, tuple[str, ...]]:

@@ -1,8 +1,6 @@
-"""The series of calibrations of one recording, as a section, as JSON and as files."""
+"""The series of calibrations of one recording, as a section of the report."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -58,29 +56,3 @@ def series_section(found: Calibrations) -> Section:
         Text(f"{words}{moved}.", "warning" if found.differ else "ok"), table, plot,
     )  # fmt: skip
     return Section("Recalibration over time", blocks)
-
-
-def series_block(found: Calibrations) -> dict[str, Any]:
-    """Plain types, ready for JSON."""
-    return {
-        "differ": found.differ,
-        "p_value": found.p,
-        "chi2": found.statistic,
-        "dof": found.dof,
-        "moved": [{"parameter": n, "p_value": p} for n, p in found.moved],
-        "parts": [
-            {
-                "start_s": p.start,
-                "stop_s": p.stop,
-                "runs": p.runs,
-                "reason": p.reason,
-                "parameters": [
-                    {"name": q.name, "value": float(v), "sd": float(s), "unit": q.unit}
-                    for q, v, s in zip(found.parameters, p.fit.theta, p.fit.sd, strict=True)
-                ]
-                if p.fit is not None
-                else [],
-            }
-            for p in found.parts
-        ],
-    }

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from imucalib.calibrators.array.calibrate import ArrayRun
-from imucalib.calibrators.array.calibration import provenance
 from imucalib.calibrators.array.logs import Repeatability
+from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.array.growth import growth_plot
-from imucalib.report.array.loop import array_candidate_section, array_loop_section
 from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
 from imucalib.report.document import Document, Facts, Section, Table, Text
+from imucalib.report.loop import loop_section
+from imucalib.report.sections import closing_sections, verdict
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import DEG
 
@@ -20,26 +22,18 @@ def array_document(run: ArrayRun) -> Document:
     sections = (
         Section("Positions", (_position_table(run), _size(run))),
         _board_section(run),
-        array_loop_section(run.loop),
+        loop_section(run.outcome),
         _motion_section(run),
-        _static_section(run),
+        _rests_section(run),
         Section("Observability", _observability(run)),
-        *((array_candidate_section(run.loop),) if run.loop else ()),
+        *closing_sections(run.outcome),
         _chain_section(run),
-        Section("Notes", tuple(Text(n) for n in run.notes), brief=False),
-    )
-    made = provenance(run)
-    footer = (
-        ("input", f"{made['path']}, sha256 {made['sha256'][:16]}…"),
-        ("seed", str(run.request.seed)),
-        ("versions", ", ".join(f"{k} {v}" for k, v in made["versions"].items())),
-        ("time", made["time"]),
     )
     return Document(
-        f"Positions of {run.board.name} from {made['path']}",
+        f"Positions of {run.board.name} from {run.outcome.provenance.path}",
         _verdict(run),
         tuple(s for s in sections if s.blocks),
-        footer,
+        run.outcome.provenance.footer,
     )
 
 
@@ -56,8 +50,7 @@ def _verdict(run: ArrayRun) -> Text:
         f"{run.final.data.samples} moving samples; they differ from the drawing by "
         f"{np.sqrt(np.mean(off**2)):.2g} mm rms."
     )
-    why = " ".join(f"{r[0].upper()}{r[1:]}." for r in run.reasons)
-    return Text(f"{text} {why}".strip(), "warning" if run.reasons else "ok")
+    return verdict(run.outcome, text)
 
 
 def _position_table(run: ArrayRun) -> Table:
@@ -104,25 +97,24 @@ def _motion_section(run: ArrayRun) -> Section:
     return Section("The motion", (Facts(tuple(rows)),))
 
 
-def _static_section(run: ArrayRun) -> Section:
-    static = run.rests
-    loop = static.loop
+def _rests_section(run: ArrayRun) -> Section:
+    rests = run.rests
+    loop = rests.loop
     found = ", ".join(s.effect for s in loop.named) if loop and loop.named else "nothing"
     facts = Facts(
         (
-            ("rests", str(static.poses)),
-            ("gravity", f"{static.gravity:.5f} m/s² ({run.request.gravity_source})"),
-            ("residual", f"{1e3 * static.residual:.2f} mm/s² rms, "
-             f"{1e3 * static.before:.2f} before the search"),
+            ("rests", str(rests.poses)),
+            ("gravity", f"{rests.gravity:.5f} m/s² ({run.request.gravity_source})"),
+            ("residual", f"{1e3 * rests.residual:.2f} mm/s² rms, "
+             f"{1e3 * rests.before:.2f} before the search"),
             ("found at rest", found),
         )
     )  # fmt: skip
-    turned = static.rotations @ static.gain @ static.rotations.transpose(0, 2, 1)
-    relative = turned @ np.linalg.inv(turned[0])
-    offset = static.offset(np.array([static.stop]))[0]
+    gain, offset, _ = rests.in_board_axes()
+    relative = gain @ np.linalg.inv(gain[0])
     rows = []
     for k, name in enumerate(run.board.imus):
-        diagonal = ", ".join(f"{v:+.4f}" for v in np.diag(static.gain[k]) - 1.0)
+        diagonal = ", ".join(f"{v:+.4f}" for v in np.diag(gain[k]) - 1.0)
         twist = 0.5 * (relative[k] - relative[k].T)
         angles = ", ".join(f"{v / DEG:+.2f}" for v in (twist[2, 1], twist[0, 2], twist[1, 0]))
         bias = ", ".join(f"{v:+.3f}" for v in offset[k])
@@ -204,3 +196,14 @@ def repeatability_section(found: Repeatability, runs: tuple[ArrayRun, ...]) -> S
         (Text(verdict, "ok" if tone == "ok" else "warning"),
          Table("Pooled positions", header, tuple(rows), "lrrrr")),
     )  # fmt: skip
+
+
+def repeatability_dict(found: Repeatability) -> dict[str, Any]:
+    """Pooled positions of several logs, plain types."""
+    return {
+        "z_rms": found.z_rms,
+        "inflation": found.inflation,
+        "mean_mm": (1e3 * found.mean).tolist(),
+        "sd_mm": (1e3 * found.sd).tolist(),
+        "between_logs_mm": (1e3 * found.between).tolist(),
+    }

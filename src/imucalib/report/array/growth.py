@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.calibrate import ArrayRun
+from imucalib.calibrators.array.run import ArrayRun
 from imucalib.errors import ImucalError
 from imucalib.estimators.array.mode import laplace_frame
 from imucalib.report.document import Plot, Series

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.array.calibrate import ArrayRun
+from imucalib.calibrators.array.run import ArrayRun
 from imucalib.estimators.markov.convergence import autocorrelation
 from imucalib.report.document import Plot, Series
 

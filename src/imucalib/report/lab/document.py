@@ -4,30 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.outcome import Status
 from imucalib.calibrators.lab.advice import curve_words
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms, worst
 from imucalib.calibrators.lab.calibrate import gravity_of
-from imucalib.calibrators.lab.calibration import lab_calibration
 from imucalib.calibrators.lab.errors import setting_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import fitted
-from imucalib.report.document import Block, Document, Facts, Section, Table, Text, Tone
+from imucalib.report.document import Block, Document, Facts, Section, Table, Text
 from imucalib.report.lab.plots import dial_section, residual_plots, uncertainty_section
 from imucalib.report.lab.tables import iscwsa_table, position_table, published_table, training_note
 from imucalib.report.loop import advice_section, candidate_section, loop_section
-from imucalib.report.matrices import linear_blocks
-from imucalib.significant_digits import plus_minus, spread, with_sd
+from imucalib.report.sections import parameter_table, sensor_section, verdict
+from imucalib.significant_digits import plus_minus, spread
 from imucalib.units import DEG, MG
-
-_TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "failed": "bad"}
 
 
 def lab_document(run: LabRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
-    calibration = lab_calibration(run)
     outcome = run.outcome
     sections = [
         loop_section(outcome),
@@ -37,12 +31,12 @@ def lab_document(run: LabRun) -> Document:
         _bench_section(run),
         dial_section(run),
         advice_section(outcome),
-        _sensor_section(run, calibration),
+        sensor_section(run.calibration, iscwsa_table(run.calibration)),
         uncertainty_section(run),
         Section("Positions", (position_table(run),), brief=False),
     ]
-    if outcome.loop:
-        sections.append(candidate_section(outcome.loop))
+    if outcome.findings:
+        sections.append(candidate_section(outcome.findings))
     if run.request.settings.objective == "paper":
         sections.append(Section("As published", (published_table(run),), brief=False))
     return Document(
@@ -54,35 +48,21 @@ def lab_document(run: LabRun) -> Document:
 
 
 def _verdict(run: LabRun) -> Text:
-    outcome = run.outcome
-    error = outcome.error
+    error = run.outcome.error
     head = (
         f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
         f"{error.held_out.final:.2f} {error.unit} rms final (noise floor {error.floor:.2f})."
     )
-    broken = [
-        f"{x.name}: {x.value:.3g} {x.unit} exceeds {x.limit:g}" for x in outcome.limits if x.broken
-    ]
-    why = [f"{r[0].upper()}{r[1:]}" for r in outcome.reasons if not r.startswith("record errors")]
-    text = " ".join([head, *(f"{t}." for t in (*broken, *outcome.undecided, *why))])
-    return Text(text, _TONE[outcome.status])
+    return verdict(run.outcome, head)
 
 
 def _parameter_section(run: LabRun) -> Section:
-    fit = run.result.final
-    slices = fit.model.slices(fit.observations.context)
-    effect_of = {k: n for n, part in slices.items() for k in range(part.start, part.stop)}
-    rows = tuple(
-        (p.name, effect_of[k], *with_sd(float(v), float(s)), p.unit)
-        for k, (p, v, s) in enumerate(zip(fit.parameters, fit.theta, fit.sd, strict=True))
-    )
-    factor = fit.noise.factor
+    factor = run.result.final.noise.factor
     note = (
         f"sd with the noise as estimated ({factor:.2f} times the declared or assumed one); with "
         f"the declared noise taken at its word, divide by {factor:.2f}."
     )
-    table = Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), rows, "llrrl", note)
-    return Section("Parameters", (table,))
+    return Section("Parameters", (parameter_table(run.calibration, note),))
 
 
 def _angle_section(run: LabRun) -> Section:
@@ -144,9 +124,3 @@ def _bench_section(run: LabRun) -> Section:
     rows += [("left out", text) for text in run.excluded]
     words = curve_words(fit)
     return Section("The bench", (Facts(tuple(rows)), *((Text(words),) if words else ())))
-
-
-def _sensor_section(run: LabRun, calibration: Calibration) -> Section:
-    linear = calibration.matrices()
-    table, angles = linear_blocks(linear, "Scale: sensitivity of each axis, free of the frame.")
-    return Section("The sensor", (table, angles, iscwsa_table(calibration, linear)), brief=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.matrices import Matrices
 from imucalib.calibrators.lab.attitude import attitude_errors
 from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.run import LabRun
@@ -54,8 +53,9 @@ def position_table(run: LabRun) -> Table:
     return Table("Residuals by position", header, tuple(rows), "l" + "r" * (len(header) - 1), note)
 
 
-def iscwsa_table(calibration: Calibration, linear: Matrices) -> Table:
+def iscwsa_table(calibration: Calibration) -> Table:
     """ISCWSA error-model codes: the error that was removed and the 1-sigma that stays."""
+    linear = calibration.matrices()
     by_name = {p.name: p for p in calibration.parameters}
     pair = (0, 1)
 

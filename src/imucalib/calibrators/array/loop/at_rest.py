@@ -20,6 +20,7 @@ def with_rests(loop: MotionLoop, rests: FitLoop | None) -> MotionLoop:
         return loop
     return replace(
         loop,
+        rests=rests,
         records=rests.records,
         steps=(*rest_steps(rests), *loop.steps),
         rejected=(*((AT_REST + name, why) for name, why in rests.rejected), *loop.rejected),

@@ -18,7 +18,7 @@ from imucalib.calibrators.array.loop.state import ArrayState, settled, start_sta
 from imucalib.calibrators.array.loop.subject import MotionSubject, without_a_name
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.moving import Moving
-from imucalib.loop.found import Loop, LoopSettings
+from imucalib.loop.found import FitLoop, Loop, LoopSettings
 from imucalib.loop.subject import close
 
 ARRAY_RULES = LoopSettings(draws=499, most_effects=8)
@@ -31,7 +31,7 @@ class MotionLoop(Loop[ArrayState]):
     ages : clocks of the gyros, or None; before, after : held-out residuals; impact : what cannot
     be seen, with the m rms by which its typical size moves the positions; dispersion : how many
     times fewer accelerometer samples the noise that neighbours share leaves; asked : what the user
-    declared
+    declared; rests : the search at rest, of which `with_rests` made a part of this one
     """
 
     ages: Ages | None
@@ -40,6 +40,7 @@ class MotionLoop(Loop[ArrayState]):
     impact: Mapping[str, float]
     dispersion: float
     asked: Asked = NOTHING_ASKED
+    rests: FitLoop | None = None
 
 
 def close_array_loop(

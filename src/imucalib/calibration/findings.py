@@ -1,0 +1,132 @@
+"""What a search found, as reports, JSON and tables take it: the same for every calibrator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from imucalib.calibration.calibration import StoredParameter, stored_parameters
+from imucalib.core.fit import Fit
+from imucalib.loop.evidence import Score
+from imucalib.loop.found import FitLoop, Step, Unexplained
+from imucalib.loop.record_errors import RecordError
+from imucalib.significant_digits import plus_minus
+from imucalib.units import MG
+
+
+@dataclass(frozen=True)
+class Check:
+    """An error before and after a step; digits : how many decimals it is worth."""
+
+    metric: str
+    unit: str
+    before: float
+    after: float
+    digits: int = 2
+
+
+@dataclass(frozen=True)
+class FoundStep:
+    """One accepted effect.
+
+    size : in words where there are many parameters; checks : errors that the choice has seen or
+    not, as their metric says; held_out : nats that data gain which did not estimate it; curve :
+    what a correction without a name corrects, in words, or empty
+    """
+
+    effect: str
+    p: float
+    draws: int
+    evidence: float
+    checks: tuple[Check, ...]
+    aliases: tuple[str, ...]
+    parameters: tuple[StoredParameter, ...] = ()
+    size: str = ""
+    held_out: tuple[float, ...] = ()
+    curve: str = ""
+
+
+@dataclass(frozen=True)
+class Untestable:
+    """An effect that these data cannot show; shift : what its typical size does to the answer."""
+
+    effect: str
+    typical: str
+    shift: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Findings:
+    """A finished search.
+
+    verdict : "nothing missing", "explained", "explained in part", "unexplained", or "not run"
+    declared : effects of the base model beyond the usual ones, with their size in words
+    only, without : how the user limited the search; missing : why effects were not tested
+    facts : name and words of what else it estimated
+    """
+
+    verdict: str
+    steps: tuple[FoundStep, ...] = ()
+    records: tuple[RecordError, ...] = ()
+    rejected: tuple[tuple[str, str], ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
+    scores: tuple[Score, ...] = ()
+    missing: Mapping[str, str] = field(default_factory=dict)
+    not_testable: tuple[Untestable, ...] = ()
+    declared: tuple[tuple[str, str], ...] = ()
+    only: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    facts: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def open(self) -> bool:
+        """Whether structure without a name was found, corrected by a curve or not."""
+        return bool(self.unexplained) or any(step.curve for step in self.steps)
+
+
+def findings_of(
+    loop: FitLoop,
+    *,
+    declared: Sequence[str] = (),
+    only: tuple[str, ...] = (),
+    without: tuple[str, ...] = (),
+) -> Findings:
+    """The shared loop's search."""
+    return Findings(
+        verdict=loop.verdict,
+        steps=tuple(_step(step, loop.final) for step in loop.steps),
+        records=loop.records,
+        rejected=loop.rejected,
+        unexplained=loop.unexplained,
+        scores=loop.scores,
+        missing=loop.missing,
+        declared=tuple((name, _size(loop.final, name)) for name in declared),
+        only=only,
+        without=without,
+    )
+
+
+def _step(step: Step, final: Fit) -> FoundStep:
+    before, after = step.checked[0].before, step.checked[0].after
+    check = Check("leave-one-out error, rms", "mg", before / MG, after / MG)
+    curve = ""
+    if step.curve:
+        what, against = step.effect.removeprefix("curve@").split(":")[:2]
+        curve = f"{what} against {against}".replace("_", "-")
+    own = tuple(p for p in stored_parameters(final) if p.effect == step.effect)
+    return FoundStep(
+        effect=step.effect,
+        p=step.p,
+        draws=step.draws,
+        evidence=step.evidence,
+        checks=(check,),
+        aliases=step.aliases,
+        parameters=own,
+        curve=curve,
+    )
+
+
+def _size(fit: Fit, name: str) -> str:
+    own = [p for p in stored_parameters(fit) if p.effect == name]
+    return ", ".join(plus_minus(p.value, p.sd, p.unit) for p in own[:3])

@@ -1,0 +1,93 @@
+"""Where a result comes from: enough to compute it again."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imucalib import __version__
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where the numbers come from; enough to compute them again.
+
+    path : name of the input; mapping : how it was read; command : the line that was typed, or empty
+    """
+
+    path: str
+    sha256: str
+    samples: int
+    gaps: int
+    mapping: Mapping[str, object]
+    settings: Mapping[str, object]
+    seed: int
+    versions: Mapping[str, str]
+    time: str
+    command: str = ""
+
+    @property
+    def footer(self) -> tuple[tuple[str, str], ...]:
+        """What stands at the foot of every report."""
+        return (
+            ("input", f"{self.path}, sha256 {self.sha256[:16]}…"),
+            *((("command", self.command),) if self.command else ()),
+            ("seed", str(self.seed)),
+            ("versions", ", ".join(f"{k} {v}" for k, v in self.versions.items())),
+            ("time", self.time),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """The block of calibration.yaml and report.json."""
+        return {
+            "input": self.path,
+            "sha256": self.sha256,
+            "samples": self.samples,
+            "gaps": self.gaps,
+            "mapping": dict(self.mapping),
+            "settings": dict(self.settings),
+            "command": self.command,
+            "seed": self.seed,
+            "versions": dict(self.versions),
+            "time": self.time,
+        }
+
+
+def provenance_of(
+    *,
+    path: str,
+    sha256: str,
+    samples: int,
+    mapping: Mapping[str, object],
+    settings: Mapping[str, object],
+    seed: int = 0,
+    gaps: int = 0,
+    command: str = "",
+) -> Provenance:
+    """The provenance of a run that ends now, on this machine."""
+    import scipy
+
+    versions = {
+        "imucalib": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+    return Provenance(
+        path=Path(path).name,
+        sha256=sha256,
+        samples=samples,
+        gaps=gaps,
+        mapping=mapping,
+        settings=settings,
+        seed=seed,
+        versions=versions,
+        time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        command=command,
+    )

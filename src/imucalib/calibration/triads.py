@@ -1,0 +1,127 @@
+"""The IMUs of an array: each one's linear correction, stored and applied."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.errors import UnreadableInput
+from imucalib.recording.recording import Channel, Recording
+from imucalib.units import DEG
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Triad:
+    """One IMU in board axes: force = gain⁻¹ (rotation·reading - bias), and the same for the rate.
+
+    rotation : (3, 3), package axes to board axes; gain, gyro_gain : (3, 3)
+    bias : (3,) m/s²; gyro_bias : (3,) rad/s; noise : m/s², gyro_noise : rad/s, of a sample at rest
+    covariance : (12, 12) of the gain (9, rows first) and the bias (3, m/s²)
+    """
+
+    name: str
+    rotation: Array
+    gain: Array
+    bias: Array
+    gyro_gain: Array
+    gyro_bias: Array
+    covariance: Array
+    noise: float
+    gyro_noise: float
+
+    def force(self, reading: Array) -> Array:
+        """Specific force (n, 3) m/s² in board axes from readings (n, 3) m/s² in package axes."""
+        return np.asarray((reading @ self.rotation.T - self.bias) @ np.linalg.inv(self.gain).T)
+
+    def rate(self, reading: Array) -> Array:
+        """Angular rate (n, 3) rad/s in board axes from readings (n, 3) rad/s in package axes."""
+        turned = reading @ self.rotation.T - self.gyro_bias
+        return np.asarray(turned @ np.linalg.inv(self.gyro_gain).T)
+
+    @property
+    def finite(self) -> bool:
+        values = (self.rotation, self.gain, self.bias, self.gyro_gain, self.gyro_bias,
+                  self.covariance, self.noise, self.gyro_noise)  # fmt: skip
+        return all(bool(np.isfinite(v).all()) for v in values)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The block of calibration.yaml and report.json."""
+        sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return {
+            "imu": self.name,
+            "rotation": self.rotation.tolist(),
+            "gain": self.gain.tolist(),
+            "gain_sd": sd[:9].reshape(3, 3).tolist(),
+            "bias_m_per_s2": self.bias.tolist(),
+            "covariance": self.covariance.tolist(),
+            "noise_m_per_s2": self.noise,
+            "gyro_gain": self.gyro_gain.tolist(),
+            "gyro_bias_deg_per_s": (self.gyro_bias / DEG).tolist(),
+            "gyro_noise_deg_per_s": self.gyro_noise / DEG,
+        }
+
+
+def triad_from(block: Mapping[str, Any]) -> Triad:
+    """A triad from its block; raises KeyError, TypeError or ValueError where it is damaged."""
+
+    def array(key: str, *shape: int) -> Array:
+        return np.array(block[key], dtype=float).reshape(shape)
+
+    return Triad(
+        name=str(block["imu"]),
+        rotation=array("rotation", 3, 3),
+        gain=array("gain", 3, 3),
+        bias=array("bias_m_per_s2", 3),
+        gyro_gain=array("gyro_gain", 3, 3),
+        gyro_bias=array("gyro_bias_deg_per_s", 3) * DEG,
+        covariance=array("covariance", 12, 12),
+        noise=float(block["noise_m_per_s2"]),
+        gyro_noise=float(block["gyro_noise_deg_per_s"]) * DEG,
+    )
+
+
+def correct_triads(
+    triads: Sequence[Triad], recording: Recording, only: str | None
+) -> dict[str, Channel]:
+    """The channels of a recording with every IMU's readings corrected, in board axes.
+
+    only : the one IMU to correct, or None for all. IMUs are matched by name, or by their order
+    where their number is the board's. Raises UnreadableInput where that leaves none, and for
+    acceleration that is not in m/s²; rates that are not in rad/s stay as they are.
+    """
+    names = list(dict.fromkeys(
+        c.triad for c in recording.channels.values() if c.quantity == "acceleration"
+    ))  # fmt: skip
+    by_name = {t.name: t for t in triads}
+    if not set(names) & set(by_name) and len(names) == len(triads):
+        by_name = dict(zip(names, triads, strict=True))
+    chosen = [n for n in names if n in by_name and only in (None, n, by_name[n].name)]
+    if not chosen:
+        raise UnreadableInput(
+            f"the calibration is of {len(triads)} IMUs ({', '.join(t.name for t in triads)}), none "
+            f"of which the recording holds ({', '.join(names) or 'no accelerometer'})",
+            where=recording.path,
+            remedy="name the recording's IMUs as the calibration does, with a mapping",
+        )
+    channels = dict(recording.channels)
+    for name, channel in recording.channels.items():
+        if channel.triad not in chosen:
+            continue
+        triad = by_name[channel.triad]
+        if channel.quantity == "acceleration":
+            if channel.unit != "m/s2":
+                raise UnreadableInput(
+                    f"the acceleration of {channel.triad} has no scale (unit {channel.unit})",
+                    where=recording.path,
+                    remedy="give --acc-unit, or --acc-unit counts with --lsb",
+                )
+            channels[name] = replace(channel, values=triad.force(channel.values))
+        elif channel.quantity == "angular_rate" and channel.unit == "rad/s":
+            channels[name] = replace(channel, values=triad.rate(channel.values))
+    return channels

@@ -1,0 +1,217 @@
+"""The array's search in the words of all searches: the one place where its loop is read for them.
+
+What a reading of the loop needs beyond `Findings` stands here too: errors before and after, effects
+with their values, and how much of them a linear correction carries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibration.calibration import StoredParameter, stored_parameters
+from imucalib.calibration.findings import Check, Findings, FoundStep, Untestable
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError
+from imucalib.calibrators.array.frame import BASE
+from imucalib.calibrators.array.loop.ages import beats
+from imucalib.calibrators.array.loop.at_rest import AT_REST
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.curves import CURVE
+from imucalib.calibrators.array.loop.terms import Term
+from imucalib.calibrators.array.loop.worth import size_in_words
+from imucalib.calibrators.array.rests import RestFit
+from imucalib.effects.record_error import is_record_error
+from imucalib.estimators.array.noise import SensorNoise
+from imucalib.loop.found import Step
+from imucalib.units import DEG
+
+Array = NDArray[np.float64]
+_NORMAL_MAD = 1.4826
+_NAN = float("nan")
+
+
+def array_findings(loop: MotionLoop) -> Findings:
+    """The search as all calibrators report it."""
+    a, g = loop.final.noise
+    return Findings(
+        verdict=loop.verdict if loop.asked.search else "not run",
+        steps=tuple(_step(step, loop) for step in loop.steps),
+        records=loop.records,
+        rejected=loop.rejected,
+        unexplained=loop.unexplained,
+        scores=loop.scores,
+        missing=loop.missing,
+        not_testable=tuple(_untestable(name, m) for name, m in loop.impact.items()),
+        declared=tuple(
+            (t.name, size_in_words(loop.final, t))
+            for t in loop.final.found
+            if t.name in loop.asked.declare
+        ),
+        only=loop.asked.only,
+        without=loop.asked.without,
+        facts=(
+            ("accelerometer noise", _noise_words(a, 1.0, "m/s²")),
+            ("gyro noise", _noise_words(g, DEG, "deg/s")),
+            ("shared by neighbours", f"{loop.dispersion:.2f} times fewer samples"),
+        ),
+    )
+
+
+#: What an error is called in a step's table, and its decimals.
+_CHECKED = {"accelerometers": ("acc residual", 3), "gyros": ("gyro residual", 2)}
+
+
+def _step(step: Step, loop: MotionLoop) -> FoundStep:
+    checks = []
+    for c in step.checked:
+        metric, digits = _CHECKED.get(c.name, (f"{c.name}, leave one out", 5))
+        checks.append(Check(metric, c.unit.replace("m/s2", "m/s²"), c.before, c.after, digits))
+    own = [p for t in loop.final.found if t.name == step.effect for p in _parameters(loop, t)]
+    if step.effect.startswith(AT_REST) and loop.rests is not None:
+        stored = stored_parameters(loop.rests.final)
+        own = [p for p in stored if p.effect == step.effect.removeprefix(AT_REST)]
+    return FoundStep(
+        effect=step.effect,
+        p=step.p,
+        draws=step.draws,
+        evidence=step.evidence,
+        checks=tuple(checks),
+        aliases=step.aliases,
+        parameters=tuple(own),
+        size=step.value,
+        held_out=step.gains,
+        curve=step.effect.removeprefix(CURVE) if step.curve else "",
+    )
+
+
+def _parameters(loop: MotionLoop, term: Term) -> Iterator[StoredParameter]:
+    state = loop.final
+    for p, value, sd in zip(
+        term.parameters(state.setup.imus), term.theta, state.sd_of(term), strict=True
+    ):
+        yield StoredParameter(p.name, term.name, "sensor", float(value), float(sd), p.unit)
+
+
+def _untestable(name: str, impact: float) -> Untestable:
+    parameter = array_catalogue()[name].each[0]
+    return Untestable(name, f"{parameter.typical:g} {parameter.unit}", 1e3 * impact, "mm rms")
+
+
+def array_errors(
+    loop: MotionLoop | None, noise: tuple[float, float], imus: int
+) -> tuple[ErrorSummary, ...]:
+    """Residuals of the accelerometers (m/s²), which are the principal ones, and the gyros (deg/s).
+
+    noise : m/s² and rad/s, of a sample at rest, which sets the floor: of the 3 K numbers of a
+    sample the motion takes 6 from the accelerometers (dω/dt and s) and 3 from the gyros (ω)
+    """
+    floors = (
+        noise[0] / _NORMAL_MAD * np.sqrt(1.0 - 2.0 / imus),
+        noise[1] / DEG / _NORMAL_MAD * np.sqrt(1.0 - 1.0 / imus),
+    )
+    held = ((_NAN, _NAN), (_NAN, _NAN))
+    if loop is not None:
+        before, after = loop.before, loop.after
+        held = (before.acceleration, after.acceleration), (before.rate, after.rate)
+    return tuple(
+        ErrorSummary(
+            metric=f"{sensor} residual in motion, MAD",
+            unit=unit,
+            raw=_NAN,
+            base=_NAN,
+            final=_NAN,
+            floor=float(floor),
+            held_out=HeldOutError(_NAN, *two),
+        )
+        for sensor, unit, floor, two in zip(
+            ("accelerometer", "gyro"), ("m/s²", "deg/s"), floors, held, strict=True
+        )
+    )
+
+
+def _noise_words(noise: SensorNoise, unit: float, name: str) -> str:
+    """The distribution in words."""
+    words = f"{noise.sigma / unit:.3g} {name}"
+    if noise.growth > 0.0:
+        words += f" times sqrt(1 + (|ω| / {1.0 / noise.growth / DEG:.0f} deg/s)²)"
+    if np.isfinite(noise.freedom):
+        words += f", Student t of {noise.freedom:g} degrees of freedom"
+    if noise.gained > 0.0:
+        words += f"; held-out halves gain {noise.gained:.0f} nats by that shape"
+    return words
+
+
+def noise_block(loop: MotionLoop) -> dict[str, Any]:
+    """Noise in motion, and the beats of the gyros' clocks, for report.json."""
+    shapes = dict(zip(("accelerometer", "gyroscope"), loop.final.noise, strict=True))
+    block: dict[str, Any] = {
+        name: {
+            "sigma_si": noise.sigma,
+            "growth_s_per_rad": noise.growth,
+            "student_t": noise.freedom,
+            "factor_of_imu": noise.factor,
+            "held_out_nats": noise.gained,
+        }
+        for name, noise in shapes.items()
+    }
+    block["shared_by_neighbours"] = loop.dispersion
+    block["beats_hz"] = [] if loop.ages is None else loop.ages.clock.frequency
+    return block
+
+
+def rest_blocks(rests: RestFit) -> list[dict[str, Any]]:
+    """What was found at rest, with values and standard deviations, for the YAML and report.json."""
+    stored = stored_parameters(rests.fit)
+    return [
+        {
+            "effect": AT_REST + effect.name,
+            "declared": False,
+            "channel": effect.channel,
+            "equation": effect.equation,
+            "parameters": [
+                {"name": p.name, "unit": p.unit, "value": p.value, "sd": p.sd}
+                for p in stored
+                if p.effect == effect.name
+            ],
+        }
+        for effect in rests.fit.model.effects
+        if effect.name not in BASE and not is_record_error(effect.name)
+    ]
+
+
+def effect_blocks(loop: MotionLoop) -> list[dict[str, Any]]:
+    """Accepted effects with values and standard deviations, for the YAML and report.json."""
+    return [
+        {
+            **_beats(loop, term),
+            "effect": term.name,
+            "declared": term.name in loop.asked.declare,
+            "channel": term.effect.channel,
+            "equation": term.effect.equation,
+            "parameters": [
+                {"name": p.name, "unit": p.unit, "value": p.value, "sd": p.sd}
+                for p in _parameters(loop, term)
+            ],
+        }
+        for term in loop.final.found
+    ]
+
+
+def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
+    """Clocks of the gyros in this recording: they start anew with the power."""
+    if not term.aged or loop.ages is None:
+        return {}
+    setup = loop.final.setup
+    return {
+        "beats": [
+            None if beat is None else {
+                "imu": imu, "hz": beat.frequency, "phase_turns": beat.phase, "at_s": beat.at,
+                "wander_turns": beat.wander,
+            }
+            for imu, beat in zip(setup.imus, beats(loop.ages, setup.t), strict=True)
+        ]
+    }  # fmt: skip

@@ -1,0 +1,74 @@
+"""How much of what was found a linear correction of every IMU carries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.motion import board_motion
+from imucalib.calibrators.array.loop.terms import Term
+from imucalib.units import DEG
+
+Array = NDArray[np.float64]
+_SMALL = 1e-6  # share of an effect beyond its linear part from which on it counts
+
+
+@dataclass(frozen=True)
+class LinearPart:
+    """What found effects add to a calibrated reading, to first order about rest.
+
+    gain, offset : (K, 3, 3) and (K, 3) of the accelerometers, m/s²: reading = gain force + offset
+    gyro_gain, gyro_offset : the same of the gyros, rad/s
+    left : effects of which more remains, and its rms in this motion, with the unit
+    """
+
+    gain: Array
+    offset: Array
+    gyro_gain: Array
+    gyro_offset: Array
+    left: tuple[tuple[str, float, str], ...]
+
+
+def linear_part(loop: MotionLoop) -> LinearPart:
+    """The linear part of all found effects, in the middle of the motion."""
+    state = loop.final
+    k = state.setup.triads
+    gains, offsets, left = {}, {}, []
+    for channel in ("acceleration", "angular_rate"):
+        gains[channel] = np.tile(np.eye(3), (k, 1, 1))
+        offsets[channel] = np.zeros((k, 3))
+    for term in state.found:
+        gyro = term.effect.channel == "angular_rate"
+        gain, offset = _slope(loop, term, gyro=gyro)
+        gains[term.effect.channel] += gain
+        offsets[term.effect.channel] += offset
+        motion = state.motion
+        seen = motion.truth.turning.rate if gyro else motion.truth.force
+        drive = motion.context.in_common(seen)
+        whole = term.reading(term.columns(motion))
+        beyond = whole - np.einsum("kij,tkj->tki", gain, drive) - offset
+        rms, of = (float(np.sqrt(np.mean(v**2))) for v in (beyond, whole))
+        if rms > _SMALL * of:
+            left.append((term.name, rms / DEG if gyro else rms, "deg/s" if gyro else "m/s²"))
+    return LinearPart(gains["acceleration"], offsets["acceleration"], gains["angular_rate"],
+                      offsets["angular_rate"], tuple(left))  # fmt: skip
+
+
+def _slope(loop: MotionLoop, term: Term, *, gyro: bool) -> tuple[Array, Array]:
+    """(K, 3, 3) and (K, 3): what a term adds per unit of force or rate, and at rest."""
+    state, h = loop.final, 1e-4
+    k = state.setup.triads
+    small = np.zeros((4, 3))
+    small[1:] = h * np.eye(3)
+    zero, still = np.zeros((4, k, 3)), np.zeros((4, 3))
+    force = zero if gyro else np.broadcast_to(small[:, None], (4, k, 3)).copy()
+    at = board_motion(
+        imus=state.setup.imus, rotations=state.setup.rotations,
+        t=np.full(4, float(np.median(state.setup.t))), order=np.full(4, 0.5),
+        rate=small if gyro else still, spin=still, force=force, jerk=zero, age=np.zeros((4, k)),
+    )  # fmt: skip
+    made = term.reading(term.columns(at))
+    return np.asarray((made[1:] - made[:1]).transpose(1, 2, 0) / h), np.asarray(made[0])

@@ -1,0 +1,129 @@
+"""A finished calibration of one log: what all calibrators hand out, and every stage of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibration.outcome import ErrorSummary, Limit, Outcome, Run
+from imucalib.calibration.provenance import Provenance, provenance_of
+from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.calibration import array_calibration, array_details
+from imucalib.calibrators.array.findings import array_errors, array_findings
+from imucalib.calibrators.array.linear_part import linear_part
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.moving import Moving
+from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.calibrators.array.rests import RestFit
+from imucalib.estimators.array.sampler import ArrayPositions
+from imucalib.recording.recording import Recording
+from imucalib.rests.segments import Segments
+
+_UNEXPLAINED = 3.0  # accelerometer sigma in motion over that at rest
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrayRun(Run):
+    """A finished run: what all calibrators share, and every stage for its own report."""
+
+    recording: Recording
+    board: Board
+    request: ArrayRequest
+    segments: Segments
+    rests: RestFit
+    moving: Moving
+    final: ArrayPositions
+    loop: MotionLoop | None
+
+
+def finished(
+    *,
+    recording: Recording,
+    board: Board,
+    request: ArrayRequest,
+    segments: Segments,
+    rests: RestFit,
+    moving: Moving,
+    final: ArrayPositions,
+    loop: MotionLoop | None,
+    notes: tuple[str, ...],
+) -> ArrayRun:
+    """The run of these stages: judged, with its calibration."""
+    errors = array_errors(loop, (_rms(rests.noise), _rms(rests.gyro_noise)), board.count)
+    ratio = final.noise / _rms(rests.noise)
+    loud = ratio > _UNEXPLAINED
+    outcome = Outcome(
+        calibrator="array",
+        errors=errors,
+        provenance=_provenance(recording, request),
+        findings=array_findings(loop) if loop else None,
+        reasons=_reasons(final, ratio if loud else 0.0, loop),
+        limits=_limits(request, errors, final),
+        notes=notes,
+        loud=loud,
+    )
+    linear = linear_part(loop) if loop else None
+    details = array_details(rests, moving, final, board, loop, linear)
+    return ArrayRun(
+        outcome=outcome,
+        calibration=array_calibration(
+            outcome, details, rests=rests, moving=moving, final=final, board=board, linear=linear
+        ),
+        details=details,
+        recording=recording,
+        board=board,
+        request=request,
+        segments=segments,
+        rests=rests,
+        moving=moving,
+        final=final,
+        loop=loop,
+    )
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _reasons(final: ArrayPositions, ratio: float, loop: MotionLoop | None) -> tuple[str, ...]:
+    """Why the result is not as good as the noise at rest allows; empty when it is."""
+    found = []
+    if ratio:
+        found.append(
+            f"in motion the accelerometers scatter {final.noise:.2f} m/s², "
+            f"{ratio:.0f} times their noise at rest, and what stays is not explained"
+        )
+    if loop is not None and loop.unexplained:
+        names = "; ".join(u.name for u in loop.unexplained)
+        found.append(f"structure that no effect of the catalogue explains: {names}")
+    return tuple(found)
+
+
+def _limits(
+    request: ArrayRequest, errors: tuple[ErrorSummary, ...], final: ArrayPositions
+) -> tuple[Limit, ...]:
+    """The user's limits against what was found."""
+    values = {
+        "max-error": (errors[0].held_out.final, errors[0].unit),
+        "max-gyro-error": (errors[1].held_out.final, errors[1].unit),
+        "max-position-sd": (1e3 * float(final.sd.max()), "mm"),
+    }
+    return tuple(
+        Limit(name, values[name][0], limit, values[name][1])
+        for name, limit in request.limits.items()
+    )
+
+
+def _provenance(recording: Recording, request: ArrayRequest) -> Provenance:
+    return provenance_of(
+        path=recording.path,
+        sha256=recording.sha256,
+        samples=max((len(c.t) for c in recording.channels.values()), default=0),
+        gaps=len(recording.gaps),
+        mapping=recording.mapping,
+        settings=request.stated(),
+        seed=request.seed,
+        command=request.command,
+    )

@@ -1,0 +1,198 @@
+"""What every command that calibrates has: options, files, printing and exit code, defined once."""
+
+from __future__ import annotations
+
+import functools
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imucalib.cli.gravity_options import gravity_of, gravity_options
+from imucalib.cli.output import (
+    EXPORT_FORM,
+    Command,
+    color,
+    emit_json,
+    json_option,
+    note,
+    quiet_option,
+    seed_option,
+    width,
+)
+from imucalib.cli.recording_options import recording_options
+
+if TYPE_CHECKING:
+    from imucalib.core.effect import Effect
+    from imucalib.loop.found import LoopSettings
+    from imucalib.report.document import Document
+    from imucalib.report.files import Report
+
+#: Where the root command leaves the arguments that it was called with.
+ARGUMENTS = "imucal.arguments"
+_OPTIONS = (
+    click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False),
+                 help="Folder for calibration.yaml, report.html and report.json."),
+    click.option("--declare", multiple=True, metavar="EFFECT",
+                 help="Put an effect into the base model; of one IMU of an array: NAME@imu3."),
+    click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects."),
+    click.option("--without", multiple=True, metavar="EFFECT",
+                 help="Leave effects out of the search."),
+    click.option("--effects", "effects_file", type=click.Path(path_type=Path),
+                 help="Python file with effects of your own."),
+    click.option("--loop/--no-loop", default=True, show_default=True,
+                 help="Search for what the model lacks."),
+    click.option("--curves", is_flag=True,
+                 help="Correct structure without a name by a smooth curve, where that holds out."),
+    click.option("--draws", type=click.IntRange(min=1),
+                 help="Simulated data sets behind each p-value; default 1000, of an array 499."),
+    click.option("--max-error", type=float,
+                 help="Limit: held-out error, in the report's unit (mg; array: m/s²); exit 1 "
+                 "beyond."),
+    click.option("--export", multiple=True, type=EXPORT_FORM,
+                 help="Write the coefficients for another program, too."),
+)  # fmt: skip
+
+
+def calibrating(command: Command) -> Command:
+    """Add the options of a calibrating command and mark it as one.
+
+    `shared_of` reads their values, `finish` does what they ask once the run is there.
+    """
+
+    @functools.wraps(command)
+    def checked(*args: Any, **options: Any) -> Any:
+        if options["export"] and options["output"] is None:
+            raise click.UsageError("--export needs a folder: -o")
+        return command(*args, **options)
+
+    checked.calibrates = True  # type: ignore[attr-defined]
+    whole: Any = checked
+    for option in (quiet_option, json_option, seed_option):
+        whole = option(whole)
+    whole = recording_options(whole)
+    for option in reversed(_OPTIONS):
+        whole = option(whole)
+    found: Command = gravity_options(whole)
+    return found
+
+
+def calibrates(command: click.Command) -> bool:
+    """Whether a command is a calibrating one."""
+    return bool(getattr(command.callback, "calibrates", False))
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What the shared options ask. draws : None for the calibrator's own number"""
+
+    gravity: float
+    gravity_source: str
+    declare: tuple[str, ...]
+    only: tuple[str, ...]
+    without: tuple[str, ...]
+    loop: bool
+    curves: bool
+    draws: int | None
+    extra_effects: Mapping[str, Effect]
+    limits: Mapping[str, float]
+    seed: int
+    command: str
+
+    @property
+    def rules(self) -> LoopSettings:
+        """The shared loop's settings."""
+        from imucalib.loop.found import LoopSettings
+
+        return LoopSettings(draws=self.draws or LoopSettings.draws, curves=self.curves)
+
+
+def shared_of(options: Mapping[str, Any]) -> Shared:
+    """The values of the shared options; all "--max-*" are limits. Raises click's usage errors."""
+    from imucalib.effects import load_file
+
+    limits = {
+        name.replace("_", "-"): value
+        for name, value in options.items()
+        if name.startswith("max_") and value is not None
+    }
+    for name, limit in limits.items():
+        if not limit >= 0.0:
+            raise click.BadParameter("a limit is zero or more", param_hint=f"--{name}")
+    gravity, source = gravity_of(options)
+    return Shared(
+        gravity=gravity,
+        gravity_source=source,
+        declare=options["declare"],
+        only=options["only"],
+        without=options["without"],
+        loop=options["loop"],
+        curves=options["curves"],
+        draws=options["draws"],
+        extra_effects=load_file(options["effects_file"]) if options["effects_file"] else {},
+        limits=limits,
+        seed=options["seed"],
+        command=command_line(),
+    )
+
+
+def command_line() -> str:
+    """The line that was typed, ready to be pasted."""
+    arguments = click.get_current_context().meta.get(ARGUMENTS, ())
+    return shlex.join(["imucal", *arguments])
+
+
+@dataclass(frozen=True)
+class Together:
+    """What several logs of one command say together: to print, and as JSON under `name`."""
+
+    name: str
+    document: Document
+    content: dict[str, Any]
+
+
+def finish(
+    reports: Sequence[Report], options: Mapping[str, Any], together: Together | None = None
+) -> int:
+    """Write the files, print the result, and return the exit code.
+
+    Several reports go to folders of their own, named after their inputs.
+    """
+    quiet = options["quiet"]
+    if options["output"] is not None:
+        for report in reports:
+            stem = Path(report.run.outcome.provenance.path).stem
+            _write(report, options["output"] / stem if len(reports) > 1 else options["output"],
+                   options["export"], quiet)  # fmt: skip
+    if options["as_json"]:
+        contents = [report.content for report in reports]
+        emit_json({"logs": contents, together.name: together.content} if together else contents[0])
+    elif not quiet:
+        for report in reports:
+            show(report.document)
+        if together:
+            show(together.document)
+    return max(report.run.outcome.exit_code for report in reports)
+
+
+def _write(report: Report, folder: Path, forms: tuple[str, ...], quiet: bool) -> None:
+    from imucalib.exports import exported
+    from imucalib.report.files import write_report
+
+    run = report.run
+    made = [exported(run.calibration, run.outcome.provenance.path, name) for name in forms]
+    for path in write_report(report, folder, made):
+        note(f"wrote {path}", quiet)
+    for one in made:
+        for text in one.lost:
+            note(f"{one.file} lacks {text}", quiet)
+
+
+def show(document: Document) -> None:
+    """A document as text on stdout."""
+    from imucalib.report.render.text import render_text
+
+    click.echo(render_text(document, width(), color=color()), nl=False)

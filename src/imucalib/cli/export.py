@@ -1,0 +1,58 @@
+"""imucal export"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from imucalib.cli.output import EXPORT_FORM, emit_json, json_option, note, quiet_option
+
+
+@click.command("export", short_help="Write coefficients for another program.")
+@click.argument("calibration", type=click.Path(path_type=Path))
+@click.option("--to", "form", required=True, type=EXPORT_FORM, help="Form of the other program.")
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
+              help="File to write; default: stdout.")  # fmt: skip
+@click.option("--effects", "effects_file", type=click.Path(path_type=Path),
+              help="Python file with effects of your own that the calibration uses.")  # fmt: skip
+@json_option
+@quiet_option
+def command(
+    calibration: Path,
+    form: str,
+    output: Path | None,
+    effects_file: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Write a calibration's coefficients in the form of another program.
+
+    What the form cannot carry is said in the file and on stderr, in mg; a form that cannot hold the
+    calibration at all refuses it.
+
+    \b
+    Example: imucal export out/calibration.yaml --to c-header -o calibration.h
+    """
+    from imucalib.calibration.file import check, read, write_whole
+    from imucalib.effects import load_file
+    from imucalib.exports import exported
+
+    if effects_file is not None:
+        load_file(effects_file)
+    loaded = read(calibration)
+    check(loaded, str(calibration))
+    source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
+    made = exported(loaded, source, form)
+    if output is not None:
+        write_whole(output, made.text)
+    for text in made.lost:
+        note(f"{form} lacks {text}", quiet)
+    if as_json:
+        place = {"output": str(output)} if output else {"text": made.text}
+        emit_json({"form": form, **place, "lost": list(made.lost)})
+    elif output is None:
+        click.echo(made.text, nl=False)
+    elif not quiet:
+        click.echo(f"wrote {output}")
+    return 0

@@ -1,0 +1,85 @@
+"""What the report of every calibrator has, and the whole report of one that has no own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.outcome import Outcome, Run, Status
+from imucalib.report.document import Document, Facts, Section, Table, Text, Tone
+from imucalib.report.loop import advice_section, candidate_section, loop_section
+from imucalib.significant_digits import plus_minus, with_sd
+from imucalib.units import MG
+
+_TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
+
+
+def standard_document(run: Run) -> Document:
+    """Everything that a reader of any calibration must know, headline first."""
+    outcome, calibration = run.outcome, run.calibration
+    error = outcome.error
+    head = (
+        f"Held-out {error.metric} {error.held_out.base:.3g} {error.unit} before, "
+        f"{error.held_out.final:.3g} {error.unit} after (noise floor {error.floor:.3g})."
+    )
+    sections = [
+        loop_section(outcome),
+        Section("Parameters", (parameter_table(calibration, ""),)),
+        advice_section(outcome),
+    ]
+    if not calibration.triads:
+        sections.append(sensor_section(calibration))
+    sections += closing_sections(outcome)
+    title = f"Calibration of {outcome.provenance.path} by {outcome.calibrator}"
+    return Document(title, verdict(outcome, head), tuple(sections), outcome.provenance.footer)
+
+
+def verdict(outcome: Outcome, head: str, beside: Sequence[str] = ()) -> Text:
+    """The headline: a figure, broken limits, what is undecided, and reasons; toned by the status.
+
+    beside : sentences of the calibrator's own, after the reasons
+    """
+    # A wrong record is told by what is undecided about it.
+    told = [r for r in outcome.reasons if not (outcome.undecided and r.startswith("record errors"))]
+    why = [f"{r[0].upper()}{r[1:]}" for r in (*told, *beside)]
+    text = " ".join([head, *(f"{t}." for t in (*outcome.broken, *outcome.undecided, *why))])
+    return Text(text, _TONE[outcome.status])
+
+
+def parameter_table(calibration: Calibration, note: str) -> Table:
+    """Every parameter with its standard deviation."""
+    rows = tuple(
+        (p.name, p.effect, *with_sd(p.value, p.sd), p.unit) for p in calibration.parameters
+    )
+    return Table("Parameters", ("parameter", "effect", "value", "sd", "unit"), rows, "llrrl", note)
+
+
+def sensor_section(calibration: Calibration, *more: Table) -> Section:
+    """M, b and the scales, and the angles between the sensing axes."""
+    linear = calibration.matrices()
+    rows = tuple(
+        (
+            letter,
+            "  ".join(f"{v:+.6f}" for v in linear.M[k]),
+            f"{linear.b[k] / MG:+.3f}",
+            *with_sd(float(linear.scale[k]), float(linear.scale_sd[k])),
+        )
+        for k, letter in enumerate("xyz")
+    )
+    header = ("axis", "M", "b, mg", "scale", "sd")
+    note = "The linear part. Scale: sensitivity of each axis, free of the frame."
+    table = Table("corrected = M raw + b", header, rows, "llrrr", note)
+    angles = Facts(
+        tuple(
+            (f"angle {pair}", plus_minus(float(a), float(s), "deg"))
+            for pair, a, s in zip(("xy", "xz", "yz"), linear.angle, linear.angle_sd, strict=True)
+        )
+    )
+    return Section("The sensor", (table, angles, *more), brief=False)
+
+
+def closing_sections(outcome: Outcome) -> tuple[Section, ...]:
+    """The candidates, where there was a search, and the notes."""
+    found = (candidate_section(outcome.findings),) if outcome.findings else ()
+    notes = tuple(Text(n) for n in outcome.notes)
+    return (*found, *((Section("Notes", notes, brief=False),) if notes else ()))

@@ -1,0 +1,139 @@
+"""An array's calibration applied: every IMU reads the same force and rate, and the rest is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from imucalib import cli
+from imucalib.calibration.apply import apply_to_recording
+from imucalib.calibration.file import check, read, write
+from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.calibrate import calibrate_array
+from imucalib.calibrators.array.loop.asked import Asked
+from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.calibrators.array.run import ArrayRun
+from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
+from imucalib.errors import UnreadableInput
+from imucalib.readers import read as read_recording
+from imucalib.recording.recording import Recording
+from imucalib.units import DEG, STANDARD_GRAVITY
+from imucalib.writers import write as write_recording
+
+BOARD = read_board("mimu4444_corners")
+QUADRATIC = 5e-4  # 1 per m/s²
+
+
+@pytest.fixture(scope="module")
+def log() -> SimulatedLog:
+    planted = {"quadratic": QUADRATIC}  # no reading of this motion reaches its range
+    plan = LogPlan(poses=14, pose_seconds=3.0, seconds=25.0, twist=450.0, planted=planted)
+    return simulated_log(BOARD, plan, np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def run(log: SimulatedLog) -> ArrayRun:
+    asked = Asked(
+        declare=("gyro_scale", "gyro_misalignment", "accelerometer_quadratic"), only=("gyro_delay",)
+    )
+    request = ArrayRequest(BOARD, samples=150, loop=False, asked=asked)
+    return calibrate_array(log.recording, request, lambda _: None)
+
+
+def spread(recording: Recording, quantity: str, rows: slice) -> float:
+    """rms over the IMUs of what one reads beside their mean; vectors in board axes."""
+    values = np.array([recording.channels[f"{imu}/{quantity}"].values[rows] for imu in BOARD.imus])
+    return float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
+
+
+def test_it_is_read_back_whole(run: ArrayRun, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    write(run.calibration, path)
+    again = read(path)
+    check(again, str(path))
+    assert [p.name for p in again.parameters][:3] == ["imu1.x", "imu1.y", "imu1.z"]
+    assert again.covariance == pytest.approx(1e6 * run.final.covariance)
+    for one, two in zip(again.triads, run.calibration.triads, strict=True):
+        assert np.allclose(one.gain, two.gain)
+        assert np.allclose(one.gyro_bias, two.gyro_bias)
+        assert np.allclose(one.covariance, two.covariance)
+
+
+def test_all_imus_read_the_same_force_and_rate(log: SimulatedLog, run: ArrayRun) -> None:
+    found = apply_to_recording(run.calibration, log.recording)
+    rest, motion = slice(0, 14 * 300 - 50), slice(14 * 300 + 100, None)
+    still = np.linalg.norm(found.channels["imu4/acceleration"].values[rest], axis=1)
+    assert abs(still.mean() - STANDARD_GRAVITY) < 5e-3
+    assert spread(found, "acceleration", rest) < 1.2 * 0.04
+    # The planted gains are 1 % of about 450 deg/s, and the noise 0.2.
+    assert spread(found, "angular_rate", motion) < 1.5 * 0.2 * DEG
+    turned = {
+        name: replace(c, values=c.values @ BOARD.rotations[BOARD.imus.index(c.triad)].T)
+        for name, c in log.recording.channels.items()
+    }
+    before = replace(log.recording, channels=turned)
+    assert spread(before, "angular_rate", motion) > 10 * spread(found, "angular_rate", motion)
+    assert spread(before, "acceleration", rest) > 3 * spread(found, "acceleration", rest)
+
+
+def test_what_needs_the_motion_is_told(log: SimulatedLog, run: ArrayRun) -> None:
+    left = {row["effect"]: row for row in run.calibration.facts["not_undone"]}
+    assert "gyro_scale" not in left
+    assert "gyro_misalignment" not in left
+    row = left["accelerometer_quadratic"]
+    assert row["unit"] == "m/s²"
+    # The rests take the quadratic's mean into the biases: what stays is the square of the force.
+    felt = np.array([c.values for c in log.recording.channels.values()
+                     if c.quantity == "acceleration"])[:, 14 * 300 + 100 :]  # fmt: skip
+    size = QUADRATIC * float(np.sqrt(np.mean(felt**4)))
+    assert 0.5 * size < row["rms"] < 1.5 * size
+    notes = apply_to_recording(run.calibration, log.recording).notes
+    assert any("accelerometer_quadratic" in n and "not undone" in n for n in notes)
+    assert any("board's axes" in n for n in notes)
+
+
+@pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
+def test_every_format_gives_the_same(
+    suffix: str, log: SimulatedLog, run: ArrayRun, tmp_path: Path
+) -> None:
+    source, target = tmp_path / f"log.{suffix}", tmp_path / f"corrected.{suffix}"
+    write_recording(log.recording, source)
+    write(run.calibration, tmp_path / "c.yaml")
+    arguments = ["apply", str(tmp_path / "c.yaml"), str(source), "-o", str(target), "-q"]
+    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    assert result.exception is None
+    found, want = read_recording(target), apply_to_recording(run.calibration, log.recording)
+    for name, channel in want.channels.items():
+        assert np.allclose(found.channels[name].values, channel.values, atol=1e-6), name
+
+
+def test_one_imu_alone_and_other_names(log: SimulatedLog, run: ArrayRun) -> None:
+    alone = apply_to_recording(run.calibration, log.recording, "imu2")
+    whole = apply_to_recording(run.calibration, log.recording)
+    for name, channel in log.recording.channels.items():
+        want = whole.channels[name] if channel.triad == "imu2" else channel
+        assert np.array_equal(alone.channels[name].values, want.values)
+    renamed = {
+        f"s{name}": replace(c, triad=f"s{c.triad}") for name, c in log.recording.channels.items()
+    }
+    by_order = apply_to_recording(run.calibration, replace(log.recording, channels=renamed))
+    assert np.array_equal(
+        by_order.channels["simu5/acceleration"].values, whole.channels["imu5/acceleration"].values
+    )
+    some = dict(list(renamed.items())[:6])
+    with pytest.raises(UnreadableInput, match="none of which"):
+        apply_to_recording(run.calibration, replace(log.recording, channels=some))
+
+
+def test_a_damaged_triad_does_not_validate(run: ArrayRun) -> None:
+    first, *rest = run.calibration.triads
+    for bad, words in (
+        (replace(first, gain=np.full((3, 3), np.nan)), "finite"),
+        (replace(first, gyro_gain=np.zeros((3, 3))), "inverted"),
+    ):
+        with pytest.raises(UnreadableInput, match=words):
+            check(replace(run.calibration, triads=(bad, *rest)), "f")

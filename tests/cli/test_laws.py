@@ -1,0 +1,305 @@
+"""Laws of every command that calibrates, found by the shared decorator: one contract for all."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import jsonschema
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from ruamel.yaml import YAML
+
+import imucalib
+from imucalib import cli
+from imucalib.calibration.outcome import Limit
+from imucalib.cli.calibrating import calibrates
+from imucalib.errors import ImucalError
+from imucalib.exports import exports
+from imucalib.readers import read
+from imucalib.recording.recording import Recording
+from imucalib.units import STANDARD_GRAVITY
+from worlds.calibrations import INPUTS
+
+SCHEMAS = Path(imucalib.__file__).parent / "schemas"
+GROUP = cli.cli
+CONTEXT = click.Context(GROUP)
+COMMANDS = {
+    name: command
+    for name in GROUP.list_commands(CONTEXT)
+    if (command := GROUP.get_command(CONTEXT, name)) is not None and calibrates(command)
+}
+#: What every calibrating command must offer.
+SHARED = {
+    "output", "as_json", "quiet", "seed", "loop", "curves", "draws", "declare", "only", "without",
+    "effects_file", "export", "max_error", "gravity", "latitude", "height", "mapping", "acc",
+}  # fmt: skip
+FAST = ("--draws", "59")
+
+
+def run(*arguments: object) -> Result:
+    """The command, with what `main` does about exit codes."""
+    result = CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
+    if isinstance(result.exception, ImucalError | click.ClickException):
+        result.return_value = result.exception.exit_code
+    return result
+
+
+def keeps_schema(content: Any, name: str) -> None:
+    schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(content, schema)
+
+
+@dataclass(frozen=True)
+class Done:
+    """One run of a command on its small input."""
+
+    name: str
+    recording: Path
+    options: tuple[str, ...]
+    out: Path
+    result: Result
+
+    @property
+    def report(self) -> dict[str, Any]:
+        return json.loads((self.out / "report.json").read_text(encoding="utf-8"))
+
+    @property
+    def calibration(self) -> Path:
+        return self.out / "calibration.yaml"
+
+
+@pytest.fixture(scope="module", params=sorted(COMMANDS))
+def done(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Done:
+    name = request.param
+    assert name in INPUTS, f"give `{name}` a small input in worlds/calibrations.py"
+    folder = tmp_path_factory.mktemp(name)
+    given = INPUTS[name](folder)
+    arguments = (name, given.recording, *given.options, *FAST)
+    out = folder / "out"
+    result = run(*arguments, "-o", out, "--json", "--max-error", "1e9", "--export", "c-header")
+    assert result.exception is None, result.output
+    return Done(name, given.recording, (*given.options, *FAST), out, result)
+
+
+def test_the_calibrators_are_found() -> None:
+    assert set(COMMANDS) == set(INPUTS)
+
+
+def test_reports_and_calibrations_keep_their_schemas(done: Done) -> None:
+    keeps_schema(done.report, "report")
+    content = YAML(typ="safe", pure=True).load(done.calibration.read_text(encoding="utf-8"))
+    keeps_schema(content, "calibration")
+    for block in (content, done.report):
+        line = shlex.split(block["provenance"]["command"])
+        assert line[:3] == ["imucal", done.name, str(done.recording)]
+    assert {p.name for p in done.out.iterdir()} == {
+        "calibration.yaml", "report.json", "report.html", exports()["c-header"].file
+    }  # fmt: skip
+
+
+def test_json_is_pure_and_is_the_report(done: Done) -> None:
+    assert json.loads(done.result.stdout) == done.report
+    assert done.result.return_value == done.report["exit_code"]
+    assert "wrote" in done.result.stderr
+
+
+def test_errors_are_told_before_and_after(done: Done) -> None:
+    principal = done.report["loop"]["errors"][0]
+    assert principal["held_out"]["final"] > 0.0
+    (limit,) = done.report["limits"]
+    assert limit["value"] == pytest.approx(principal["held_out"]["final"])
+    assert not limit["broken"]
+    page = (done.out / "report.html").read_text(encoding="utf-8")
+    assert "Closed loop" in page
+    assert done.recording.name in page
+    assert f"imucal {done.name}" in page  # the command line in the footer
+
+
+def test_validate_accepts_it_and_no_number_that_is_none(done: Done, tmp_path: Path) -> None:
+    assert run("validate", done.calibration).return_value == 0
+    yaml = YAML(typ="safe", pure=True)
+    for place in ("value", "sd", "covariance", "gravity", "facts"):
+        for bad in (math.nan, math.inf):
+            content = yaml.load(done.calibration.read_text(encoding="utf-8"))
+            if place == "covariance":
+                content["covariance"][0][0] = bad
+            elif place == "gravity":
+                content["gravity_m_per_s2"] = bad
+            elif place == "facts":
+                content["errors"][0]["floor"] = bad
+            else:
+                content["parameters"][0][place] = bad
+            path = tmp_path / "bad.yaml"
+            yaml.dump(content, path)
+            result = run("validate", path)
+            assert result.return_value == 3, (place, bad)
+            assert "finite" in str(result.exception)
+    refused = run("apply", path, done.recording, "-o", tmp_path / "c.csv")
+    assert refused.return_value == 3
+    assert not (tmp_path / "c.csv").exists()
+
+
+def test_apply_accepts_it(done: Done, tmp_path: Path) -> None:
+    target = tmp_path / "corrected.h5"
+    result = run("apply", done.calibration, done.recording, "-o", target, "-q")
+    assert result.return_value == 0, result.exception
+    before, after = read(done.recording), read(target)
+    assert set(after.channels) == set(before.channels)
+    changed = [n for n, c in before.channels.items() if c.quantity == "acceleration"]
+    assert changed
+    for name in changed:
+        raw, corrected = (abs(_at_rest(r, name) - STANDARD_GRAVITY) for r in (before, after))
+        assert np.median(corrected) < 0.5 * np.median(raw), name
+
+
+def _at_rest(recording: Recording, name: str) -> np.ndarray:
+    """|a| of second-long means of the samples that hardly move."""
+    channel = recording.channels[name]
+    per = round(channel.rate)
+    rows = len(channel.values) // per
+    parts = channel.values[: rows * per].reshape(rows, per, 3)
+    still = parts.std(axis=1).max(axis=1)
+    return np.linalg.norm(parts.mean(axis=1)[still < 1.5 * np.median(still[: rows // 2])], axis=1)
+
+
+@pytest.mark.parametrize("form", sorted(exports()))
+def test_export_accepts_it_or_says_why_not(done: Done, form: str, tmp_path: Path) -> None:
+    target = tmp_path / "form.txt"
+    result = run("export", done.calibration, "--to", form, "-o", target)
+    content = YAML(typ="safe", pure=True).load(done.calibration.read_text(encoding="utf-8"))
+    if form == "ggir-csv" and "triads" in content:
+        assert result.return_value == 2
+        assert "8 IMUs" in str(result.exception)
+        assert not target.exists()
+        return
+    assert result.return_value == 0, result.exception
+    text = target.read_text(encoding="utf-8")
+    assert done.recording.name in text
+    shown = run("export", done.calibration, "--to", form, "-q")
+    assert shown.stdout == text
+    told = json.loads(run("export", done.calibration, "--to", form, "--json").stdout)
+    assert told["text"] == text
+    for lost in told["lost"]:
+        assert lost in result.stderr
+    if form == "c-header":
+        assert (done.out / exports()[form].file).read_text(encoding="utf-8") == text
+
+
+def test_batch_and_collect_accept_it(done: Done, tmp_path: Path) -> None:
+    manifest, entries, table = tmp_path / "c.txt", tmp_path / "entries", tmp_path / "cohort.csv"
+    manifest.write_text(f"{done.recording}\n{tmp_path / 'none.csv'}\n")
+    result = run("batch", manifest, "-o", entries, "--calibrator", done.name, "--json", "-q",
+                 "--", *done.options)  # fmt: skip
+    summary = json.loads(result.stdout)
+    assert (summary["calibrated"], len(summary["failed"])) == (1, 1)
+    assert run("collect", entries, "-o", table, "-q").return_value == 0
+    with table.open(newline="") as file:
+        rows = {Path(r["recording"]).name: r for r in csv.DictReader(file)}
+    row, report = rows[done.recording.name], done.report
+    assert row["status"] == report["status"]
+    assert float(row["held_out_final"]) == pytest.approx(
+        report["loop"]["errors"][0]["held_out"]["final"]
+    )
+    parameter = report["parameters"][0]
+    assert float(row[parameter["name"]]) == pytest.approx(parameter["value"])
+    assert rows["none.csv"]["status"] == "unreadable"
+    assert "cannot be opened" in rows["none.csv"]["reasons"]
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_every_command_has_the_shared_options(name: str) -> None:
+    own = {p.name for p in COMMANDS[name].params}
+    assert own >= SHARED, SHARED - own
+
+
+def test_an_option_of_two_commands_is_one_option() -> None:
+    seen: dict[str, tuple[str, tuple[object, ...]]] = {}
+    for name, command in COMMANDS.items():
+        for p in command.params:
+            if not isinstance(p, click.Option):
+                continue
+            what = (p.help, repr(p.type), p.default, p.multiple, tuple(p.opts), p.is_flag)
+            other, first = seen.setdefault(str(p.name), (name, what))
+            assert what == first, f"--{p.name} of {name} and {other}"
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_help_shows_every_limit(name: str) -> None:
+    limits = [p for p in COMMANDS[name].params if str(p.name).startswith("max_")]
+    assert all(isinstance(p, click.Option) and str(p.help).startswith("Limit:") for p in limits)
+
+
+def test_a_broken_limit_is_exit_1(done: Done) -> None:
+    result = run(done.name, done.recording, *done.options, "--max-error", "1e-9", "--json")
+    report = json.loads(result.stdout)
+    assert result.return_value == 1
+    assert report["status"] == "failed"
+    assert [x["broken"] for x in report["limits"]] == [True]
+
+
+def test_a_value_that_does_not_exist_passes_no_limit() -> None:
+    assert Limit("max-error", math.nan, 1e9, "mg").broken
+    assert not Limit("max-error", 1.0, 2.0, "mg").broken
+
+
+def test_without_the_loop_nothing_is_searched_and_quiet_is_quiet(done: Done) -> None:
+    result = run(done.name, done.recording, *done.options, "--no-loop", "--seed", "3", "--json")
+    report = json.loads(result.stdout)
+    keeps_schema(report, "report")
+    assert report["loop"]["verdict"] == "not run"
+    assert (report["loop"]["steps"], report["loop"]["candidates"]) == ([], [])
+    assert report["provenance"]["seed"] == 3
+    quiet = run(done.name, done.recording, *done.options, "--no-loop", "-q")
+    assert (quiet.stdout, quiet.stderr) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        (("--max-error", "nan"), 2),
+        (("--gravity", "1"), 2),
+        (("--export", "c-header"), 2),
+        (("--declare", "aether"), 2),
+        (("--effects", "none.py"), 2),
+        (("--draws", "0"), 2),
+    ],
+)
+def test_a_wrong_call_is_exit_2_and_json_says_so(
+    done: Done, options: tuple[str, ...], code: int
+) -> None:
+    result = run(done.name, done.recording, *done.options, *options, "--json")
+    assert result.return_value == code, result.output
+    error = json.loads(result.stdout)["error"]
+    assert set(error) == {"message", "where", "remedy", "exit_code"}
+    assert error["exit_code"] == code
+    assert error["message"]
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_a_failure_is_json_on_stdout_and_words_on_stderr(name: str, tmp_path: Path) -> None:
+    given = INPUTS[name](tmp_path)
+    arguments = [name, str(tmp_path / "none.csv"), *given.options]
+    done = [
+        subprocess.run([sys.executable, "-m", "imucalib", *arguments, *more],
+                       capture_output=True, text=True, check=False)
+        for more in ((), ("--json",))
+    ]  # fmt: skip
+    assert [d.returncode for d in done] == [3, 3]
+    assert done[0].stdout == ""
+    assert done[0].stderr == done[1].stderr
+    assert "error: " in done[0].stderr
+    error = json.loads(done[1].stdout)["error"]
+    assert error["exit_code"] == 3
+    assert error["message"] in done[1].stderr
+    assert "none.csv" in error["where"]
