@@ -39,6 +39,7 @@ def provenance_of(
         "gravity_source": request.gravity_source,
         "conventions": asdict(request.settings.conventions),
         "fix": [f"{row}:{role}={value!r}" for row, role, value in request.fixes],
+        "repairs": {k: v for k, v in asdict(request.repairs).items() if v},
         "exclude": list(request.exclude),
         "auto_exclude": request.auto_exclude,
         "train": list(request.train),

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.repairs import Repairs
 from imucalib.units import STANDARD_GRAVITY
 
 
@@ -23,6 +24,7 @@ class LabRequest:
     gravity_source: str = "standard gravity (give --gravity or --latitude for the local value)"
     reference: str = "vector"
     fixes: tuple[tuple[int, str, float], ...] = ()
+    repairs: Repairs = field(default_factory=Repairs)
     exclude: tuple[int, ...] = ()
     auto_exclude: bool = False
     swap_angles: bool = False

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibrators.lab.advice import advice, fix_option, limits_of, reasons
-from imucalib.calibrators.lab.bench import RawUnit, corrected_cells, raw_unit, swapped_angles
+from imucalib.calibrators.lab.bench import RawUnit, raw_unit
 from imucalib.calibrators.lab.calibrate import LabResult, calibrate
 from imucalib.calibrators.lab.checks import (
     implausible_sizes,
     kept_rows,
     observations_of,
     refuse_sizes,
-    refuse_swapped,
     with_train,
 )
+from imucalib.calibrators.lab.faults import Faults, doubts, look_for_faults, worthless
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.provenance import provenance_of
+from imucalib.calibrators.lab.repairs import repaired
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
+from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.loop.record_errors import RecordError
 
 Index = NDArray[np.intp]
@@ -50,14 +52,12 @@ def run_lab(
     notes: tuple[str, ...] = (),
 ) -> LabRun:
     """Calibrate a position table. Errors as in `calibrate`; UsageError for swapped angles."""
-    table = corrected_cells(table, request.fixes)
-    table = swapped_angles(table) if request.swap_angles else table
+    table, lost = repaired(table, request.repairs, request.fixes, request.swap_angles)
     raw = raw_unit(table, request.unit, request.lsb_per_g)
     whole = observations_of(table, raw, request)
-    if request.reference == "vector" and not request.keep_angles:
-        refuse_swapped(whole, table, raw, request)
-    rows, excluded = _kept(table, request)
-    result = _calibrated(whole, rows, request)
+    rows, excluded = _kept(table, request, lost)
+    faults = look_for_faults(table, raw, whole, rows, request)
+    result = _first(whole, rows, request, faults)
     if request.auto_exclude and _records(result):
         excluded += tuple(
             f"{r.where}: excluded automatically "
@@ -66,19 +66,21 @@ def run_lab(
         )
         bad = rows[result.used[[r.row for r in _records(result)]]]
         rows = np.setdiff1d(rows, bad)
+        faults = look_for_faults(table, raw, whole, rows, request)
         result = _calibrated(whole, rows, request)
-    undecided = tuple(
+    undecided = faults.undecided(_records(result)) + tuple(
         f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
         f"({r.likely}); decide with {fix_option(r, raw)}"
         for r in _records(result)
     )
+    undecided = undecided or doubts(result, raw, request)
     outcome = Outcome(
         calibrator="lab",
         fit=result.final,
         loop=result.loop,
         error=result.error,
         provenance=provenance_of(table, raw, request, mapping or dict(table.names), gaps),
-        reasons=reasons(result, raw),
+        reasons=reasons(result, raw) + worthless(result, whole),
         advice=advice(result, raw),
         undecided=undecided,
         limits=limits_of(result, request.limits),
@@ -87,15 +89,36 @@ def run_lab(
     return LabRun(outcome, result, table, raw, request, excluded)
 
 
-def _kept(table: PositionTable, request: LabRequest) -> tuple[Index, tuple[str, ...]]:
+def _kept(
+    table: PositionTable, request: LabRequest, lost: tuple[int, ...]
+) -> tuple[Index, tuple[str, ...]]:
     """The rows that were not excluded and have a plausible size, and what was left out."""
-    rows = kept_rows(table, request.exclude)
+    rows = kept_rows(table, (*request.exclude, *lost))
     far = implausible_sizes(table, rows)
     if not request.auto_exclude:
         refuse_sizes(table, far, rows)
     asked = tuple(f"row {r}: excluded as asked" for r in request.exclude)
+    asked += tuple(f"row {r}: left without a value by --shift" for r in lost)
     words = tuple(f"row {r + 1}: excluded automatically (size of |a|)" for r in far)
     return np.setdiff1d(rows, far), asked + words
+
+
+def _first(whole: Observations, rows: Index, request: LabRequest, faults: Faults) -> LabResult:
+    """The calibration of the sheet as it stands; without a search where that would explain slips of
+    hand by physics. What cannot be fitted at all ends with what to paste."""
+    if not faults.slips:
+        return _calibrated(whole, rows, request)
+    settings = replace(
+        request.settings, loop=request.settings.loop and not faults.hiding(request.auto_exclude)
+    )
+    try:
+        return _calibrated(whole, rows, replace(request, settings=settings))
+    except (NotConverged, UnreadableInput) as error:
+        raise UnreadableInput(
+            "; ".join(f.what for f in faults.slips),
+            where=error.where,
+            remedy=" ".join(f.line for f in faults.slips),
+        ) from error
 
 
 def _calibrated(whole: Observations, rows: Index, request: LabRequest) -> LabResult:
