@@ -175,3 +175,122 @@ def shifted(sheet: Sheet, first: int, last: int, *, late: bool) -> Sheet:
         y[a:b] = sheet.reading[a + 1 : b + 1]
     line = f"--shift readings:{first}-{last}={-1 if late else 1}"
     return replace(sheet, reading=y, slip=Slip("shift", tuple(range(first, last + 1)), line))
+
+
+def from_vertical(sheet: Sheet) -> Sheet:
+    """Inclination noted from the vertical."""
+    slip = Slip("vertical", (), "--inclination-zero vertical")
+    return replace(sheet, inclination=90.0 - sheet.inclination, slip=slip)
+
+
+def in_radians(sheet: Sheet) -> Sheet:
+    """Both angles in radians under headings that do not say so."""
+    i, t = np.round(np.deg2rad(sheet.inclination), 6), np.round(np.deg2rad(sheet.tool_face), 6)
+    return replace(sheet, inclination=i, tool_face=t, slip=Slip("radians", (), "--angle-unit rad"))
+
+
+def angles_exchanged(sheet: Sheet) -> Sheet:
+    """The headings of the two angles exchanged."""
+    i, t = sheet.tool_face, sheet.inclination
+    return replace(sheet, inclination=i, tool_face=t, slip=Slip("angles", (), "--swap-angles"))
+
+
+def other_sense(sheet: Sheet) -> Sheet:
+    """Tool-face counted the other way."""
+    t = np.mod(360.0 - sheet.tool_face, 360.0)
+    return replace(sheet, tool_face=t, slip=Slip("sense", (), "--toolface-sense counter-clockwise"))
+
+
+def axes(sheet: Sheet, order: tuple[int, int, int], sign: tuple[int, int, int]) -> Sheet:
+    """Columns permuted and inverted: column order[k] of the sheet is sign[k] times axis k."""
+    y = np.empty_like(sheet.reading)
+    y[:, list(order)] = sheet.reading * np.array(sign)
+    line = ",".join(("-" if s < 0 else "") + "xyz"[k] for s, k in zip(sign, order, strict=True))
+    return replace(sheet, reading=y, slip=Slip("axes", (), f"--axes={line}"))
+
+
+def angle_late(sheet: Sheet, column: str) -> Sheet:
+    """One angle noted a row too early: each reading stands at the angle of the row before."""
+    dial = getattr(sheet, column)
+    moved = np.append(dial[1:], dial[0])
+    return replace(sheet, **{column: moved}, slip=Slip("late", (), f"--shift {column}=1"))
+
+
+def in_counts(sheet: Sheet, per_g: float) -> Sheet:
+    """Readings in counts under headings without a unit."""
+    slip = Slip("counts", (), f"--unit counts --lsb-per-g {per_g:g}")
+    return replace(sheet, reading=sheet.reading * per_g / 1000.0, slip=slip)
+
+
+def apart(sheet: Sheet, p: int, q: int) -> float:
+    """Distance (mg) of the positions of two rows (from 1)."""
+    u = direction(sheet.inclination, sheet.tool_face)
+    return float(1000.0 * np.linalg.norm(u[p - 1] - u[q - 1]))
+
+
+def _any_rows(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None:
+    """A slip about two rows drawn at random; None where it would change little."""
+    n = len(sheet.reading)
+    p, q = (int(r) for r in rng.choice(n, 2, replace=False) + 1)
+    low, high = min(p, q), max(p, q)
+    if apart(sheet, p, q) < 50.0 or (kind != "exchange" and high - low < 2):
+        return None
+    if kind == "exchange":
+        return exchanged(sheet, low, high)
+    if kind == "move":
+        return moved(sheet, p, q)
+    return shifted(sheet, low, high, late=bool(rng.integers(2)))
+
+
+def _any_cell(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None:
+    """A slip in cells of one row drawn at random; None where it would change little."""
+    row = int(rng.integers(1, len(sheet.reading) + 1))
+    a, b = (int(k) for k in rng.choice(3, 2, replace=False))
+    y = sheet.reading[row - 1]
+    if kind == "cells":
+        return cells_exchanged(sheet, row, a, b) if abs(y[a] - y[b]) > 30.0 else None
+    if abs(y[a]) < 60.0:
+        return None
+    return cell(sheet, row, a, -1.0 if kind == "sign" else float(rng.choice([10.0, 0.1])))
+
+
+def _any_angle(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None:
+    """An angle off by 5 to 90 deg; none of tool-face where the tool stands upright."""
+    row = int(rng.integers(1, len(sheet.reading) + 1))
+    column = str(rng.choice(["inclination", "tool_face"]))
+    by = float(rng.choice([-1.0, 1.0]) * rng.choice([5, 10, 20, 30, 60, 90]))
+    blind = column == "tool_face" and abs(sheet.inclination[row - 1]) > 80.0
+    return None if blind else mistyped(sheet, row, column, by)
+
+
+def _any_axes(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None:
+    order, sign = rng.permutation(3), rng.choice([-1, 1], 3)
+    if np.array_equal(order, np.arange(3)) and (sign > 0).all():
+        return None
+    return axes(sheet, tuple(map(int, order)), tuple(map(int, sign)))
+
+
+def _any_late(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None:
+    return angle_late(sheet, str(rng.choice(["inclination", "tool_face"])))
+
+
+def slipped(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet:
+    """A slip of a kind somewhere in the sheet, large enough to matter (some 50 mg)."""
+    while True:
+        made = WHOLE[kind](sheet) if kind in WHOLE else _ANYWHERE[kind](sheet, kind, rng)
+        if made is not None:
+            return made
+
+
+_ANYWHERE = {
+    "exchange": _any_rows, "move": _any_rows, "shift": _any_rows,
+    "sign": _any_cell, "factor ten": _any_cell, "cells": _any_cell,
+    "angle": _any_angle, "axes": _any_axes, "late": _any_late,
+}  # fmt: skip
+WHOLE = {
+    "vertical": from_vertical,
+    "radians": in_radians,
+    "angles": angles_exchanged,
+    "sense": other_sense,
+}
+KINDS = (*_ANYWHERE, *WHOLE)

@@ -126,14 +126,14 @@ def _converter_questions(
 
 
 def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[str, ...]:
-    """What no bench can be, once fitted: settings beyond a hand's, a unit that was guessed wrong."""
+    """What no bench can be, once fitted: settings beyond a hand's, a unit guessed wrong."""
     found = []
     for name, sd in setting_noise(result.final.noise).items():
         if sd / DEG > SCATTER:
             found.append(
-                f"{name}s scatter by {sd / DEG:.1f} deg, a bench is set within {SCATTER:g}: rows or "
-                "angles are wrong in a way that no single slip explains; compare the sheet with "
-                "the notes"
+                f"{name}s scatter by {sd / DEG:.1f} deg, a bench is set within {SCATTER:g}: rows "
+                "or angles are wrong in a way that no single slip explains; compare the sheet "
+                "with the notes"
             )
     slices = result.final.model.slices(result.final.observations.context)
     guessed = request.unit is None and request.lsb_per_g is None and "norm at rest" in raw.sentence

@@ -55,9 +55,9 @@ def angles(base: Base, unit: tuple[float, float] = (1.0, 1.0)) -> list[Hypothesi
     """
     found = []
     others = _others(base)
-    for row in range(base.sheet.n):
+    for row in np.flatnonzero(~base.sheet.copied()):
         for column in (0, 1):
-            one = _typed(base, others[row], row, column, unit[column])
+            one = _typed(base, others[row], int(row), column, unit[column])
             if one is not None:
                 found.append(one)
     return found

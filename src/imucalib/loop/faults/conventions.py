@@ -59,7 +59,7 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     left = {}
     for meaning in tried:
         other = as_meant(sheet, meaning)
-        misfit = np.inf if other is None else linear_misfit(other)
+        misfit = np.inf if other is None else linear_misfit(other, whole=meaning != Meaning())
         left[meaning] = max(misfit, _BENCH)
     plain = left[Meaning()]
     best = min(tried, key=lambda m: (round(left[m], 6), sum(map(bool, m))))
@@ -95,11 +95,12 @@ def as_meant(sheet: Sheet, meaning: Meaning) -> Sheet | None:
     return replace(sheet, inclination=i, tool_face=t).take(known)
 
 
-def linear_misfit(sheet: Sheet) -> float:
-    """rms length (mg) that the best linear map leaves, per degree of freedom; inf for too few."""
+def linear_misfit(sheet: Sheet, *, whole: bool = True) -> float:
+    """rms length (mg) that the best linear map leaves, per degree of freedom; inf for too few rows
+    or, where a `whole` map is asked for, for rows that do not determine it."""
     design = np.column_stack([sheet.truth(), np.ones(sheet.n)])
     found, _, rank, _ = np.linalg.lstsq(design, sheet.reading, rcond=1e-6)
-    if rank < 4 or sheet.n < 6:
+    if (whole and rank < 4) or sheet.n < 6:
         return float("inf")
     rest = sheet.reading - design @ found
     return float(np.sqrt(np.sum(rest**2) / (sheet.n - 4)))

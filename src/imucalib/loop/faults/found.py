@@ -7,7 +7,7 @@ from typing import Literal
 
 from imucalib.loop.faults.sheet import Sheet
 
-Kind = Literal["exchange", "move", "shift", "cell", "angle", "convention", "axes"]
+Kind = Literal["exchange", "move", "shift", "cell", "angle", "convention", "record"]
 
 #: Nats beyond the sheet as it stands, the number of hypotheses of the class paid: below, nothing is
 #: said. Hypotheses that are not farther apart than this are named together.

@@ -20,8 +20,9 @@ Index = NDArray[np.intp]
 _SHORT_LIST = 60
 #: Rows up to which a block may end anywhere; beyond, it reaches to an end of the sheet.
 _ANY_BLOCK = 64
-#: Width (mg) within which the reading that a shift leaves over repeats its neighbour.
-_SPARE = 10.0
+#: Width (mg) of the Cauchy density with which the reading that a shift leaves over repeats its
+#: neighbour, or a stray one its prediction: a reading of another position costs 20 nats.
+_SPARE = 3.0
 
 
 def exchanges(base: Base) -> list[Hypothesis]:
@@ -76,7 +77,8 @@ def cells(base: Base, si: Array) -> list[Hypothesis]:
     own = P[:, np.arange(n), np.arange(n)]
     rss = base.rss[:, None, None] + 2.0 * np.einsum("nhi,Gni->Gnh", d, g)
     rss += np.einsum("nhi,Gnij,nhj->Gnh", d, own, d)
-    score = (base.best(rss) - base.as_it_stands - np.log(n * len(_SLIPS))).ravel()
+    score = base.best(rss) - base.as_it_stands - np.log(n * len(_SLIPS))
+    score = np.where(base.sheet.copied()[:, None], -np.inf, score).ravel()
     found = []
     for k in _leading(score):
         row, slip = divmod(int(k), len(_SLIPS))
@@ -93,6 +95,29 @@ def cells(base: Base, si: Array) -> list[Hypothesis]:
         fault = Fault("cell", f"row {number}: {words}", (number,), float(score[k]), line)
         found.append(Hypothesis(fault, base.sheet.with_reading(changed)))
     return found
+
+
+def records(base: Base) -> list[Hypothesis]:
+    """A reading that belongs nowhere: its row integrated out, the reading Cauchy about what the
+    others predict. It proposes nothing; it keeps slips from being claimed for it."""
+    n = base.sheet.n
+    P, g = _blocks(base)
+    own = P[:, np.arange(n), np.arange(n)]
+    off = np.asarray(np.linalg.solve(own, g[..., None])[..., 0], np.float64)
+    rss = base.rss[:, None] - np.einsum("Gni,Gni->Gn", off, g)
+    each = base.each(rss * base.dof / max(base.dof - 3.0, 1.0))
+    score = (each - _stray(off)).max(axis=0) - base.as_it_stands - np.log(n)
+    found = []
+    for k in _leading(score)[:1]:
+        row = int(base.sheet.row[k])
+        fault = Fault("record", f"row {row}: wrong", (row,), float(score[k]), f"--exclude {row}")
+        found.append(Hypothesis(fault, base.sheet.take(np.delete(np.arange(n), k))))
+    return found
+
+
+def _stray(away: Array) -> Array:
+    """Nats that a reading (..., 3) mg away from where it should be costs, multivariate Cauchy."""
+    return np.asarray(2.0 * np.log1p(np.sum(away**2, axis=-1) / (2.0 * _SPARE**2)))
 
 
 @dataclass(frozen=True)
@@ -151,8 +176,7 @@ def _scores(base: Base, tried: _Blocks, which: Index, points: Index) -> Array:
     score = (each + taken.prior(noise)).max(axis=0)
     twin = np.where(tried.late[which], tried.first[which], tried.last[which])
     away = reading[tried.spare[which]] - reading[tried.source[which, twin]]
-    penalty = 1.5 * np.log1p(np.sum(away**2, axis=1) / (6.0 * _SPARE**2))
-    return np.asarray(score - np.where(lost >= 0, penalty, 0.0))
+    return np.asarray(score - np.where(lost >= 0, _stray(away), 0.0))
 
 
 def _orders(n: int, beside: Index) -> _Blocks | None:

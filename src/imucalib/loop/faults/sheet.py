@@ -63,6 +63,11 @@ class Sheet:
         }  # fmt: skip
         return replace(self, **columns)
 
+    def copied(self) -> NDArray[np.bool_]:
+        """(n,) whether another row has exactly the same three readings: a copy, not a slip."""
+        _, which, count = np.unique(self.reading, axis=0, return_inverse=True, return_counts=True)
+        return np.asarray(count[which.ravel()] > 1)
+
     def beside(self) -> Index:
         """(n - 1,) 1 where no row of the table is left out between two neighbours, else 0."""
         return np.asarray(np.diff(self.row) == 1, np.intp)
