@@ -41,6 +41,7 @@ class LabRun:
     raw: RawUnit
     request: LabRequest
     excluded: tuple[str, ...]
+    faults: Faults
 
 
 def run_lab(
@@ -86,7 +87,7 @@ def run_lab(
         limits=limits_of(result, request.limits),
         notes=(raw.sentence, *notes),
     )
-    return LabRun(outcome, result, table, raw, request, excluded)
+    return LabRun(outcome, result, table, raw, request, excluded, faults)
 
 
 def _kept(
@@ -112,7 +113,7 @@ def _first(whole: Observations, rows: Index, request: LabRequest, faults: Faults
         request.settings, loop=request.settings.loop and not faults.hiding(request.auto_exclude)
     )
     try:
-        return _calibrated(whole, rows, replace(request, settings=settings))
+        return _calibrated(whole, rows, replace(request, settings=settings), faulty=True)
     except (NotConverged, UnreadableInput) as error:
         raise UnreadableInput(
             "; ".join(f.what for f in faults.slips),
@@ -121,9 +122,11 @@ def _first(whole: Observations, rows: Index, request: LabRequest, faults: Faults
         ) from error
 
 
-def _calibrated(whole: Observations, rows: Index, request: LabRequest) -> LabResult:
+def _calibrated(
+    whole: Observations, rows: Index, request: LabRequest, *, faulty: bool = False
+) -> LabResult:
     rng = np.random.default_rng(request.seed)
-    return calibrate(whole.take(rows), with_train(request, rows), rng)
+    return calibrate(whole.take(rows), with_train(request, rows), rng, faulty=faulty)
 
 
 def _records(result: LabResult) -> tuple[RecordError, ...]:

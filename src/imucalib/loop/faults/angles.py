@@ -229,10 +229,11 @@ def _sense(base: Base, row: int, column: int) -> float:
 
 
 def rounded(value: float, sd: float, set_to: Array) -> float:
-    """A value on the steps to which the column is set; finer where three sd do not reach them."""
+    """A value on the steps to which the column is set; finer steps where neither three sd nor a
+    fifth of the step (2 deg at most: what a dial may be off) reach one."""
     for step in _STEPS:
         on = np.abs(set_to / step - np.round(set_to / step)) < 1e-6
         near = round(value / step) * step
-        if on.mean() >= _ON_STEP and abs(near - value) <= max(3.0 * sd, 0.5 * min(step, 1.0)):
+        if on.mean() >= _ON_STEP and abs(near - value) <= max(3.0 * sd, min(step / 5.0, 2.0)):
             return float(round(near, 6)) + 0.0  # no -0
     return float(round(value, 1 if sd < 1.0 else 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from imucalib.calibrators.lab.attitude import attitude_errors
@@ -28,6 +29,8 @@ def lab_dict(run: LabRun) -> dict[str, Any]:
         "matrices": lab_calibration(run).matrices().as_dict(),
         "left_out": list(run.excluded),
         "positions": _positions(run, known),
+        "undecided": list(run.outcome.undecided),
+        "faults": [asdict(fault) for fault in run.faults.slips],
     }
     if known:
         details["fixture"] = fixture_block(run)
