@@ -17,7 +17,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
 from imucalib.errors import UsageError
 from imucalib.loop.faults.conventions import misread_angles
-from imucalib.loop.faults.converter import cut_off, mistaken_scale, step_of
+from imucalib.loop.faults.converter import CutOff, cut_off, mistaken_scale, step_of
 from imucalib.loop.faults.found import Fault
 from imucalib.loop.faults.search import row_faults
 from imucalib.loop.faults.sheet import Sheet, in_order
@@ -92,11 +92,11 @@ def look_for_faults(
     """Every slip that the kept rows show. Raises UsageError where the angle columns mean something
     else (`keep_angles` makes it a question) and UnreadableInput where the axes are mirrored."""
     reading = whole.reading[rows, 0] / MG
-    questions = _converter_questions(reading, table, rows)
     if request.reference != "vector":
-        return Faults((), questions)
+        return Faults((), _converter_questions(cut_off(reading), table, rows))
     conventions = request.settings.conventions
     sheet = sheet_of(table, whole, rows, conventions, request.gravity)
+    questions = _converter_questions(cut_off(reading, sheet.truth()), table, rows)
     misread = misread_angles(sheet)
     if misread is not None:
         sentence, line = misread_words(sheet, misread, request)
@@ -113,10 +113,10 @@ def look_for_faults(
 
 
 def _converter_questions(
-    reading: NDArray[np.float64], table: PositionTable, rows: Index
+    ends: tuple[CutOff, ...], table: PositionTable, rows: Index
 ) -> tuple[str, ...]:
     found = []
-    for end in cut_off(reading):
+    for end in ends:
         numbers = ",".join(str(int(table.row[rows[k]])) for k in end.rows)
         found.append(
             f"{'xyz'[end.axis]} ends at {end.value:.1f} mg in rows {numbers}: the converter is "

@@ -12,6 +12,8 @@ Index = NDArray[np.intp]
 
 #: Rows that must show the same extreme value, and by how much (mg) their other readings differ.
 _REPEATS, _ELSEWHERE = 3, 30.0
+#: How far (mg) they must fall short of what they should be.
+_BEYOND = 20.0
 #: Steps (mg) that bury an ordinary noise, and the share of values that must lie on them.
 _WIDE, _ON_STEPS = 3.0, 0.999
 
@@ -25,22 +27,36 @@ class CutOff:
     rows: Index
 
 
-def cut_off(reading: Array) -> tuple[CutOff, ...]:
+def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
     """Extreme values (n, 3) mg that repeat exactly in rows whose other two readings differ.
 
-    Two rows of one position may repeat a rounded value; three in different positions do not.
+    truth : (n, 3) mg, known positions, whose linear map must lie beyond the value; without, |a| of
+    those rows must fall short of the others'. Rounded readings on a ring repeat too.
     """
     found = []
     for axis in range(3):
         column = reading[:, axis]
-        for end in (float(column.min()), float(column.max())):
+        for end, side in ((float(column.min()), -1.0), (float(column.max()), 1.0)):
             rows = np.flatnonzero(column == end)
             others = np.delete(reading[rows], axis, axis=1)
-            if len(rows) >= _REPEATS and np.ptp(others, axis=0).max() > _ELSEWHERE:
-                values, count = np.unique(np.delete(column, rows), return_counts=True)
-                if not len(values) or count.max() < _REPEATS:
-                    found.append(CutOff(axis, end, rows))
+            if len(rows) < _REPEATS or np.ptp(others, axis=0).max() <= _ELSEWHERE:
+                continue
+            rest = np.setdiff1d(np.arange(len(column)), rows)
+            size = np.linalg.norm(reading, axis=1)
+            short = float(np.median(size[rest]) - np.median(size[rows])) if rest.size else 0.0
+            beyond = short if truth is None else _beyond(column, truth, rows, rest) * side
+            if beyond > _BEYOND:
+                found.append(CutOff(axis, end, rows))
     return tuple(found)
+
+
+def _beyond(column: Array, truth: Array, rows: Index, rest: Index) -> float:
+    """How far (mg) the linear map of the other rows lies beyond the value, in the median."""
+    design = np.column_stack([truth, np.ones(len(truth))])
+    if rest.size < 2 * design.shape[1]:
+        return 0.0
+    found = np.linalg.lstsq(design[rest], column[rest], rcond=1e-6)[0]
+    return float(np.median(design[rows] @ found - column[rows]))
 
 
 def step_of(reading: Array) -> float:
