@@ -22,7 +22,7 @@ def misread_words(sheet: Sheet, misread: Misread, request: LabRequest) -> tuple[
     words, options = [], []
     if meaning.exchanged:
         words.append("exchanged")
-        options.append("without --swap-angles" if request.swap_angles else "--swap-angles")
+        options.append("run without --swap-angles" if request.swap_angles else "--swap-angles")
     if meaning.radians:
         words.append("read as radians")
         options.append("--angle-unit rad")
