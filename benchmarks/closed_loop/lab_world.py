@@ -76,6 +76,8 @@ def trial(job: Job) -> Trial:
         return Trial(job, refused=str(error), seconds=time.process_time() - started)
     seconds = time.process_time() - started
     result = run.result
+    if job.fault and result.loop is None:  # a slip of hand, told before any search
+        return Trial(job, refused="; ".join(run.outcome.undecided), seconds=seconds)
     assert result.loop is not None
     if job.fault:
         return said(Trial(job, seconds=seconds), result.loop)

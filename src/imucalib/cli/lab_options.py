@@ -104,6 +104,25 @@ _OPTIONS = (
         help="Repair one cell, in the table's unit.",
     ),
     click.option(
+        "--swap", "swaps", multiple=True, metavar="ROW,ROW", help="Exchange two rows' readings."
+    ),
+    click.option(
+        "--move",
+        "moves",
+        multiple=True,
+        metavar="ROW,ROW",
+        help="A row's reading belongs to the other row, those between one row nearer.",
+    ),
+    click.option(
+        "--shift",
+        "shifts",
+        multiple=True,
+        metavar="COLUMN[:ROWS]=STEP",
+        help="Readings, inclination or tool_face belong one row down (1) or up (-1).",
+    ),
+    click.option("--axes", help="Columns that are the sensor's x, y, z, for example -y,x,z."),
+    click.option("--angle-unit", type=click.Choice(["deg", "rad"]), help="Unit of the angles."),
+    click.option(
         "--auto-exclude", is_flag=True, help="Leave out records that the search finds wrong."
     ),
     click.option("--swap-angles", is_flag=True, help="Exchange the two angle columns."),
@@ -132,6 +151,7 @@ def lab_options(command: Command) -> Command:
 
 def request_of(options: dict[str, Any]) -> LabRequest:
     """The request that the options state; raises click's usage errors."""
+    from imucalib.calibrators.lab.repairs import repairs_of
     from imucalib.calibrators.lab.request import LabRequest, as_published
 
     shared = shared_of(options)
@@ -142,6 +162,13 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         gravity_source=shared.gravity_source,
         reference=options["reference"],
         fixes=tuple(_fix(text) for text in options["fixes"]),
+        repairs=repairs_of(
+            options["swaps"],
+            options["moves"],
+            options["shifts"],
+            options["axes"],
+            options["angle_unit"],
+        ),
         exclude=numbers(options["exclude"], "--exclude"),
         auto_exclude=options["auto_exclude"],
         swap_angles=options["swap_angles"],

@@ -60,16 +60,6 @@ def linear_map(observations: Observations) -> tuple[Array, Array, int]:
     return solution[:3].T, solution[3], int(rank)
 
 
-def misfit(observations: Observations) -> float:
-    """rms length (m/s²) that the best linear map leaves: large when angles mean another thing."""
-    reference = observations.reference
-    truth = reference.truth(np.zeros(reference.eta_size))[:, 0]
-    design = np.column_stack([truth, np.ones(len(truth))])
-    reading = observations.reading[:, 0]
-    solution = np.linalg.lstsq(design, reading, rcond=1e-6)[0]
-    return float(np.sqrt(np.mean(np.sum((reading - design @ solution) ** 2, axis=1))))
-
-
 def _lower_times_rotation(matrix: Array) -> tuple[Array, Array]:
     q, r = np.linalg.qr(matrix.T)
     sign = np.where(np.diag(r) < 0.0, -1.0, 1.0)

@@ -90,9 +90,9 @@ def _clean() -> tuple[LabRun, ...]:
 
 
 def test_no_row_of_a_clean_table_is_accused() -> None:
-    accused = [k for k, run in enumerate(_clean()) if run.outcome.loop and run.outcome.loop.records]
+    accused = [k for k, run in enumerate(_clean()) if run.result.loop and run.result.loop.records]
     assert len(accused) <= 1
-    assert sum(bool(run.outcome.loop and run.outcome.loop.steps) for run in _clean()) <= 4
+    assert sum(bool(run.result.loop and run.result.loop.steps) for run in _clean()) <= 4
 
 
 def _away(run: LabRun) -> dict[str, tuple[float, float, float]]:
@@ -138,7 +138,7 @@ def test_a_lost_sign_is_found(seed: int) -> None:
     columns = {role: values.copy() for role, values in table.columns.items()}
     columns[axis][row] *= -1.0
     run = calibrated(replace(table, columns=columns))
-    (record,) = run.outcome.loop.records if run.outcome.loop else ()
+    (record,) = run.result.loop.records if run.result.loop else ()
     assert (record.where, record.channel, record.likely) == (
         f"row {row + 1}", axis, f"lost sign of {axis}"
     )  # fmt: skip
@@ -150,7 +150,7 @@ def test_a_wrong_face_is_named() -> None:
     columns = {role: values.copy() for role, values in table.columns.items()}
     columns["ux"][8], columns["uz"][8] = 1.0, 0.0  # +z, written down as +x
     run = calibrated(replace(table, columns=columns))
-    (record,) = run.outcome.loop.records if run.outcome.loop else ()
+    (record,) = run.result.loop.records if run.result.loop else ()
     assert record.where == "row 9"
     assert record.likely == "direction: the record fits face +z"
 
@@ -205,7 +205,7 @@ def test_end_to_end(tmp_path: Path) -> None:
     result = run("lab", path, "--reference", "direction", "-o", out, "--json", "-q", "--draws", 99)
     assert result.return_value == 0
     report = json.loads(result.stdout)
-    assert report["loop"]["error"]["metric"] == "vector error, rms"
+    assert report["loop"]["errors"][0]["metric"] == "vector error, rms"
     assert 0.05 < report["noise"]["tilt_deg"] < 0.4
     values = {p["name"]: (p["value"], p["sd"]) for p in report["parameters"]}
     assert all(abs(values[n][0] - true) < 4.5 * values[n][1] for n, true in TRUTH.items())

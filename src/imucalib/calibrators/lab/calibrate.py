@@ -90,9 +90,15 @@ class LabResult:
 
 
 def calibrate(
-    observations: Observations, settings: LabSettings, rng: np.random.Generator
+    observations: Observations,
+    settings: LabSettings,
+    rng: np.random.Generator,
+    *,
+    faulty: bool = False,
 ) -> LabResult:
     """Fit, search for what is missing, and measure the errors on data that was not fitted.
+
+    faulty : slips of hand are known to inflate the noise, until anything looks undetermined
 
     Raises Undetermined when the positions cannot carry the model, with what is open and what to
     add, and UsageError for unknown models or effects.
@@ -115,7 +121,7 @@ def calibrate(
         final = base
     # A wrong record inflates the noise until everything looks open: judge without it.
     judged = loop.base if loop else base
-    if judged.null_directions and settings.objective not in OBJECTIVES:
+    if judged.null_directions and not faulty and settings.objective not in OBJECTIVES:
         raise undetermined(judged)
     if not final.converged:
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")

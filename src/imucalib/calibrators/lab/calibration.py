@@ -15,6 +15,7 @@ from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
 from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.faults import Faults
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
@@ -53,13 +54,17 @@ def lab_calibration(
     )
 
 
-def lab_details(result: LabResult, excluded: tuple[str, ...]) -> dict[str, Any]:
+def lab_details(
+    result: LabResult, excluded: tuple[str, ...], undecided: tuple[str, ...], faults: Faults
+) -> dict[str, Any]:
     """What only a bench has to say, for report.json; the shorter blocks also for the YAML."""
     details: dict[str, Any] = {
         "noise": noise_block(result.final),
         "held_out": held_out_block(result),
         "left_out": list(excluded),
         "positions": _positions(result),
+        "undecided": list(undecided),
+        "faults": [asdict(fault) for fault in faults.slips],
     }
     if isinstance(result.observations.reference, KnownVector):
         details["fixture"] = fixture_block(result.final)

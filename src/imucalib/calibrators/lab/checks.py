@@ -1,4 +1,4 @@
-"""From a position table to observations, refusing what users mistake: angles, units, rows."""
+"""From a position table to observations, refusing what users mistake: angles, sizes, rows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from imucalib.calibrators.lab.bench import (
     direction_observations,
     position_observations,
     still_observations,
-    swapped_angles,
 )
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.conventions import Conventions
@@ -20,7 +19,6 @@ from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
 from imucalib.errors import UsageError
-from imucalib.estimators.starting_point import misfit
 from imucalib.units import DEG, MG
 
 Array = NDArray[np.float64]
@@ -69,38 +67,6 @@ def _in_degrees(table: PositionTable) -> PositionTable:
                 remedy="angles are in degrees, within two turns",
             )
     return replace(table, columns=columns)
-
-
-def refuse_swapped(
-    observations: Observations, table: PositionTable, raw: RawUnit, request: LabRequest
-) -> None:
-    """Raise UsageError when the angle columns, exchanged or read as radians, fit far better."""
-    as_given = misfit(observations)
-    if as_given < 0.03 * request.gravity:
-        return
-    columns = dict(table.columns)
-    columns["inclination"] = columns["inclination"] / DEG
-    columns["tool_face"] = columns["tool_face"] / DEG
-    turned = replace(table, columns=columns)
-    option = "without it" if request.swap_angles else "--swap-angles"
-    for other, what, remedy in (
-        (swapped_angles(table), "exchanged", f"run again {option}, or name them with --columns"),
-        (
-            turned,
-            "read as radians",
-            "convert them, or name the columns with the unit (inclination_rad)",
-        ),
-    ):
-        if np.abs(other.columns["inclination"]).max() > 720.0:
-            continue
-        changed = misfit(observations_of(other, raw, request))
-        if changed < as_given / 3.0:
-            raise UsageError(
-                f"the angle columns fit far better {what}: {changed / MG:.0f} instead of "
-                f"{as_given / MG:.0f} mg rms",
-                where=table.path,
-                remedy=f"{remedy}; --keep-angles to insist",
-            )
 
 
 def implausible_sizes(table: PositionTable, rows: Index) -> Index:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.repairs import Repairs
 from imucalib.units import STANDARD_GRAVITY
 
 
@@ -24,6 +25,7 @@ class LabRequest:
     gravity_source: str = "standard gravity (give --gravity or --latitude for the local value)"
     reference: str = "vector"
     fixes: tuple[tuple[int, str, float], ...] = ()
+    repairs: Repairs = field(default_factory=Repairs)
     exclude: tuple[int, ...] = ()
     auto_exclude: bool = False
     swap_angles: bool = False
@@ -49,6 +51,7 @@ class LabRequest:
             "gravity_source": self.gravity_source,
             "conventions": asdict(settings.conventions),
             "fix": [f"{row}:{role}={value!r}" for row, role, value in self.fixes],
+            "repairs": {k: v for k, v in asdict(self.repairs).items() if v},
             "exclude": list(self.exclude),
             "auto_exclude": self.auto_exclude,
             "train": list(self.train),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from imucalib.calibration.findings import Findings, findings_of
 from imucalib.calibration.outcome import Outcome, Run, quality_of
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.lab.advice import advice, fix_option, limits_of, reasons
-from imucalib.calibrators.lab.bench import RawUnit, corrected_cells, raw_unit, swapped_angles
+from imucalib.calibrators.lab.bench import RawUnit, raw_unit
 from imucalib.calibrators.lab.calibrate import LabResult, LabSettings, calibrate
 from imucalib.calibrators.lab.calibration import lab_calibration, lab_details
 from imucalib.calibrators.lab.checks import (
@@ -20,12 +20,14 @@ from imucalib.calibrators.lab.checks import (
     kept_rows,
     observations_of,
     refuse_sizes,
-    refuse_swapped,
     with_train,
 )
+from imucalib.calibrators.lab.faults import Faults, doubts, look_for_faults, worthless
 from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.repairs import repaired
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
+from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.loop.found import FitLoop
 from imucalib.loop.record_errors import RecordError
 
@@ -41,6 +43,7 @@ class LabRun(Run):
     raw: RawUnit
     request: LabRequest
     excluded: tuple[str, ...]
+    faults: Faults
 
 
 def run_lab(
@@ -52,14 +55,12 @@ def run_lab(
     notes: tuple[str, ...] = (),
 ) -> LabRun:
     """Calibrate a position table. Errors as in `calibrate`; UsageError for swapped angles."""
-    table = corrected_cells(table, request.fixes)
-    table = swapped_angles(table) if request.swap_angles else table
+    table, lost = repaired(table, request.repairs, request.fixes, request.swap_angles)
     raw = raw_unit(table, request.unit, request.lsb_per_g)
     whole = observations_of(table, raw, request)
-    if request.reference == "vector" and not request.keep_angles:
-        refuse_swapped(whole, table, raw, request)
-    rows, excluded = _kept(table, request)
-    result = _calibrated(whole, rows, request)
+    rows, excluded = _kept(table, request, lost)
+    faults = look_for_faults(table, raw, whole, rows, request)
+    result = _first(whole, rows, request, faults)
     if request.auto_exclude and _records(result):
         excluded += tuple(
             f"{r.where}: excluded automatically "
@@ -68,15 +69,18 @@ def run_lab(
         )
         bad = rows[result.used[[r.row for r in _records(result)]]]
         rows = np.setdiff1d(rows, bad)
+        faults = look_for_faults(table, raw, whole, rows, request)
         result = _calibrated(whole, rows, request)
-    undecided = tuple(
+    undecided = faults.undecided(_records(result)) + tuple(
         f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
         f"({r.likely}); decide with {fix_option(r, raw)}"
         for r in _records(result)
     )
+    undecided = undecided or doubts(result, raw, request)
     provenance = _provenance(table, raw, request, mapping or dict(table.names), gaps)
-    outcome = _judged(result, raw, request, provenance, undecided, (raw.sentence, *notes))
-    details = lab_details(result, excluded)
+    why = reasons(result, raw) + worthless(result, whole)
+    outcome = _judged(result, raw, request, provenance, undecided, why, (raw.sentence, *notes))
+    details = lab_details(result, excluded, undecided, faults)
     return LabRun(
         outcome=outcome,
         calibration=lab_calibration(outcome, result, raw, request, details),
@@ -86,6 +90,7 @@ def run_lab(
         raw=raw,
         request=request,
         excluded=excluded,
+        faults=faults,
     )
 
 
@@ -95,6 +100,7 @@ def _judged(
     request: LabRequest,
     provenance: Provenance,
     undecided: tuple[str, ...],
+    why: tuple[str, ...],
     notes: tuple[str, ...],
 ) -> Outcome:
     return Outcome(
@@ -103,7 +109,7 @@ def _judged(
         provenance=provenance,
         findings=_findings(result.loop, result.settings),
         quality=quality_of(result.final),
-        reasons=reasons(result, raw),
+        reasons=why,
         advice=advice(result, raw),
         undecided=undecided,
         limits=limits_of(result, request.limits),
@@ -136,20 +142,43 @@ def _provenance(
     )
 
 
-def _kept(table: PositionTable, request: LabRequest) -> tuple[Index, tuple[str, ...]]:
+def _kept(
+    table: PositionTable, request: LabRequest, lost: tuple[int, ...]
+) -> tuple[Index, tuple[str, ...]]:
     """The rows that were not excluded and have a plausible size, and what was left out."""
-    rows = kept_rows(table, request.exclude)
+    rows = kept_rows(table, (*request.exclude, *lost))
     far = implausible_sizes(table, rows)
     if not request.auto_exclude:
         refuse_sizes(table, far, rows)
     asked = tuple(f"row {r}: excluded as asked" for r in request.exclude)
+    asked += tuple(f"row {r}: left without a value by --shift" for r in lost)
     words = tuple(f"row {r + 1}: excluded automatically (size of |a|)" for r in far)
     return np.setdiff1d(rows, far), asked + words
 
 
-def _calibrated(whole: Observations, rows: Index, request: LabRequest) -> LabResult:
+def _first(whole: Observations, rows: Index, request: LabRequest, faults: Faults) -> LabResult:
+    """The calibration of the sheet as it stands; without a search where that would explain slips of
+    hand by physics. What cannot be fitted at all ends with what to paste."""
+    if not faults.slips:
+        return _calibrated(whole, rows, request)
+    settings = replace(
+        request.settings, loop=request.settings.loop and not faults.hiding(request.auto_exclude)
+    )
+    try:
+        return _calibrated(whole, rows, replace(request, settings=settings), faulty=True)
+    except (NotConverged, UnreadableInput) as error:
+        raise UnreadableInput(
+            "; ".join(f.what for f in faults.slips),
+            where=error.where,
+            remedy=" ".join(f.line for f in faults.slips),
+        ) from error
+
+
+def _calibrated(
+    whole: Observations, rows: Index, request: LabRequest, *, faulty: bool = False
+) -> LabResult:
     rng = np.random.default_rng(request.seed)
-    return calibrate(whole.take(rows), with_train(request, rows), rng)
+    return calibrate(whole.take(rows), with_train(request, rows), rng, faulty=faulty)
 
 
 def _records(result: LabResult) -> tuple[RecordError, ...]:

@@ -1,0 +1,163 @@
+"""Slips of hand in the bench's sheet, looked for before anything is fitted, and doubts after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.lab.bench import RawUnit, held_settings
+from imucalib.calibrators.lab.calibrate import LabResult
+from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.misread import axes_questions, misread_words
+from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.core.observations import Observations
+from imucalib.errors import UsageError
+from imucalib.loop.faults.conventions import misread_angles
+from imucalib.loop.faults.converter import CutOff, cut_off, mistaken_scale, step_of
+from imucalib.loop.faults.found import Fault
+from imucalib.loop.faults.search import row_faults
+from imucalib.loop.faults.sheet import Sheet, in_order
+from imucalib.loop.record_errors import RecordError
+from imucalib.units import DEG, MG
+
+Index = NDArray[np.intp]
+
+#: Scatter of a bench's settings (deg) beyond which rows or angles are wrong, and how far held-out
+#: errors must lie below the raw readings' for a calibration to be worth its name.
+SCATTER, WORTH = 3.0, 0.9
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What was found. slips : row by row; questions : what only the user can know, in words"""
+
+    slips: tuple[Fault, ...] = ()
+    questions: tuple[str, ...] = ()
+
+    def hiding(self, auto_exclude: bool) -> bool:
+        """Whether a search for physics would explain the slips instead. One wrong record it sets
+        aside on its own; a wrong angle too when it may leave the row out."""
+        alone = ("cell", "angle") if auto_exclude else ("cell",)
+        return any(fault.kind not in alone for fault in self.slips)
+
+    def undecided(self, records: tuple[RecordError, ...]) -> tuple[str, ...]:
+        """Sentences for what the search's own records do not say already."""
+        said = {r.where for r in records}
+        slips = (f for f in self.slips if f.kind != "cell" or f"row {f.rows[0]}" not in said)
+        return (*(f.sentence for f in slips), *self.questions)
+
+
+def sheet_of(
+    table: PositionTable, whole: Observations, rows: Index, conventions: Conventions,
+    gravity: float,
+) -> Sheet:  # fmt: skip
+    """The kept rows as the search for slips sees them; angles in rad become degrees."""
+    dial = {
+        role: table.columns[role] / (DEG if table.unit.get(role) == "rad" else 1.0)
+        for role in ("inclination", "tool_face")
+    }
+    angles = conventions.inside(dial["inclination"][rows], dial["tool_face"][rows])
+    timed = "time" in table and bool(np.all(np.diff(table.columns["time"]) > 0.0))
+    ordered = timed or in_order(*angles)
+    held = {
+        role: np.unique(table.columns[f"{role}_setting"][rows], return_inverse=True)[1]
+        if f"{role}_setting" in table
+        else held_settings(dial[role][rows])
+        if ordered
+        else np.arange(rows.size)
+        for role in dial
+    }
+    sigma = whole.sigma[rows, 0, 0]
+    return Sheet(
+        reading=whole.reading[rows, 0] / MG,
+        inclination=dial["inclination"][rows],
+        tool_face=dial["tool_face"][rows],
+        row=np.asarray(table.row[rows], np.intp),
+        sigma=sigma / np.median(sigma),
+        gravity=gravity / MG,
+        inclination_setting=held["inclination"].astype(np.intp),
+        tool_face_setting=held["tool_face"].astype(np.intp),
+        inside=conventions.inside,
+        ordered=ordered,
+    )
+
+
+def look_for_faults(
+    table: PositionTable, raw: RawUnit, whole: Observations, rows: Index, request: LabRequest
+) -> Faults:
+    """Every slip that the kept rows show. Raises UsageError where the angle columns mean something
+    else (`keep_angles` makes it a question) and UnreadableInput where the axes are mirrored."""
+    reading = whole.reading[rows, 0] / MG
+    if request.reference != "vector":
+        return Faults((), _converter_questions(cut_off(reading), table, rows))
+    conventions = request.settings.conventions
+    sheet = sheet_of(table, whole, rows, conventions, request.gravity)
+    questions = _converter_questions(cut_off(reading, sheet.truth()), table, rows)
+    misread = misread_angles(sheet)
+    if misread is not None:
+        sentence, line = misread_words(sheet, misread, request)
+        if misread.meaning.inclination_steps or misread.meaning.tool_face_steps:
+            fault = Fault("convention", sentence, (), misread.score, line)
+            return Faults((fault,), questions)
+        if not request.keep_angles:
+            raise UsageError(sentence, where=table.path, remedy=f"{line}; --keep-angles to insist")
+        questions += (f"{sentence}; decide with {line}",)
+    questions += axes_questions(sheet, request)
+    unit = tuple(DEG if table.unit.get(r) == "rad" else 1.0 for r in ("inclination", "tool_face"))
+    slips = row_faults(sheet, table.raw(), (unit[0], unit[1]))
+    return Faults(slips, questions)
+
+
+def _converter_questions(
+    ends: tuple[CutOff, ...], table: PositionTable, rows: Index
+) -> tuple[str, ...]:
+    found = []
+    for end in ends:
+        numbers = ",".join(str(int(table.row[rows[k]])) for k in end.rows)
+        found.append(
+            f"{'xyz'[end.axis]} ends at {end.value:.1f} mg in rows {numbers}: the converter is "
+            f"saturated there; decide with --exclude {numbers}"
+        )
+    return tuple(found)
+
+
+def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[str, ...]:
+    """What no bench can be, once fitted: settings beyond a hand's, a unit guessed wrong."""
+    found = []
+    for name, sd in setting_noise(result.final.noise).items():
+        if sd / DEG > SCATTER:
+            found.append(
+                f"{name}s scatter by {sd / DEG:.1f} deg, a bench is set within {SCATTER:g}: rows "
+                "or angles are wrong in a way that no single slip explains; compare the sheet "
+                "with the notes"
+            )
+    slices = result.final.model.slices(result.final.observations.context)
+    guessed = request.unit is None and request.lsb_per_g is None and "norm at rest" in raw.sentence
+    if guessed and "scale" in slices:
+        counts = mistaken_scale(raw.name, result.final.theta[slices["scale"]])
+        if counts is not None:
+            found.append(
+                f"the unit {raw.name} was guessed, and all three axes read as if they had "
+                f"{counts:.10g} counts a g; decide with --unit counts --lsb {counts:.10g}, "
+                f"or --unit {raw.name} if it is right"
+            )
+    return tuple(found)
+
+
+def worthless(result: LabResult, whole: Observations) -> tuple[str, ...]:
+    """Reasons not to pass: no better than the raw reading, or in steps far above the noise."""
+    found = []
+    held = result.error.held_out
+    if np.isfinite(held.final) and not held.final < WORTH * held.raw:
+        found.append(
+            f"held-out error {held.final:.3g} mg is not clearly below the raw reading's "
+            f"{held.raw:.3g} mg"
+        )
+    step = step_of(whole.reading[:, 0] / MG)
+    if step:
+        found.append(f"readings come in steps of {step:.3g} mg: average more samples")
+    return tuple(found)

@@ -1,0 +1,151 @@
+"""Repairs of a position table as the user states them: the lines that `imucal lab` proposes.
+
+They are applied in a fixed order: angle columns exchanged, unit of angles, axes, shifts, moves,
+exchanges, cells. Rows keep their numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.calibrators.lab.bench import corrected_cells, swapped_angles
+from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.errors import UsageError
+
+Index = NDArray[np.intp]
+
+_ANGLES = ("inclination", "tool_face")
+
+
+@dataclass(frozen=True)
+class Shift:
+    """Values of a column that belong `step` rows farther down, within rows first to last.
+
+    what : "readings", "inclination" or "tool_face"; first, last : from 1, 0 for the whole table
+    """
+
+    what: str
+    first: int
+    last: int
+    step: int
+
+
+@dataclass(frozen=True)
+class Repairs:
+    """swaps : pairs of rows whose readings are exchanged; moves : (row, row to which its reading
+    belongs); axes : the columns that are the sensor's x, y, z, as ("-y", "x", "z"), () for as they
+    stand; radians : the angle columns are in rad. Rows count from 1."""
+
+    swaps: tuple[tuple[int, int], ...] = ()
+    moves: tuple[tuple[int, int], ...] = ()
+    shifts: tuple[Shift, ...] = ()
+    axes: tuple[str, ...] = ()
+    radians: bool = False
+
+
+def repairs_of(
+    swaps: tuple[str, ...], moves: tuple[str, ...], shifts: tuple[str, ...], axes: str | None,
+    angle_unit: str | None,
+) -> Repairs:  # fmt: skip
+    """Repairs from the texts of the options. Raises UsageError with an example."""
+    return Repairs(
+        tuple(_pair(text, "--swap") for text in swaps),
+        tuple(_pair(text, "--move") for text in moves),
+        tuple(_shift(text) for text in shifts),
+        _axes(axes) if axes else (),
+        angle_unit == "rad",
+    )
+
+
+def _pair(text: str, option: str) -> tuple[int, int]:
+    try:
+        first, second = (int(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"{option} {text}: not two rows", remedy=f"{option} 3,10") from None
+    return first, second
+
+
+def _shift(text: str) -> Shift:
+    name, sign, step = text.partition("=")
+    what, _, rows = name.partition(":")
+    try:
+        if what not in ("readings", *_ANGLES) or not sign or int(step) not in (-1, 1):
+            raise ValueError
+        first, last = (int(part) for part in rows.split("-")) if rows else (0, 0)
+    except ValueError:
+        raise UsageError(
+            f"--shift {text}: not COLUMN[:ROWS]=STEP",
+            remedy="--shift readings:5-12=-1 or --shift inclination=1; the step is 1 or -1",
+        ) from None
+    return Shift(what, first, last, int(step))
+
+
+def _axes(text: str) -> tuple[str, ...]:
+    parts = tuple(part.strip().removeprefix("+") for part in text.split(","))
+    if sorted(part.removeprefix("-") for part in parts) != ["x", "y", "z"]:
+        raise UsageError(f"--axes {text}: not x, y and z once each", remedy="--axes=-y,x,z")
+    return parts
+
+
+def repaired(
+    table: PositionTable,
+    repairs: Repairs,
+    fixes: tuple[tuple[int, str, float], ...],
+    swap_angles: bool,
+) -> tuple[PositionTable, tuple[int, ...]]:
+    """The table as the user says it should be, and the rows (from 1) that a shift left without a
+    value. Raises UsageError for rows and columns that do not exist."""
+    table = swapped_angles(table) if swap_angles else table
+    if repairs.radians:
+        table = replace(table, unit={**table.unit, **dict.fromkeys(_ANGLES, "rad")})
+    if repairs.axes:
+        raw = {a: table.columns[a] for a in "xyz"}
+        turned = {
+            a: (-1.0 if part.startswith("-") else 1.0) * raw[part.removeprefix("-")]
+            for a, part in zip("xyz", repairs.axes, strict=True)
+        }
+        table = replace(table, columns={**table.columns, **turned})
+    lost: list[int] = []
+    for shift in repairs.shifts:
+        first, last = (shift.first, shift.last) if shift.first else (1, table.n)
+        order = np.arange(table.n)
+        rows = _rows(table, (first, last), "--shift")
+        inside = np.arange(min(rows), max(rows) + 1)
+        order[inside] = np.roll(inside, shift.step)
+        lost.append(int(inside[0] if shift.step > 0 else inside[-1]) + 1)
+        table = _reordered(table, order, shift.what)
+    for at, to in repairs.moves:
+        a, b = _rows(table, (at, to), "--move")
+        order = np.insert(np.delete(np.arange(table.n), a), b, a)
+        table = _reordered(table, order, "readings")
+    for pair in repairs.swaps:
+        a, b = _rows(table, pair, "--swap")
+        order = np.arange(table.n)
+        order[[a, b]] = order[[b, a]]
+        table = _reordered(table, order, "readings")
+    return corrected_cells(table, fixes), tuple(lost)
+
+
+def _rows(table: PositionTable, rows: tuple[int, int], option: str) -> tuple[int, int]:
+    """Rows from 0; UsageError for one that does not exist."""
+    for row in rows:
+        if not 1 <= row <= table.n:
+            raise UsageError(f"{option}: there is no row {row}", remedy=f"rows are 1..{table.n}")
+    return rows[0] - 1, rows[1] - 1
+
+
+def _reordered(table: PositionTable, order: Index, what: str) -> PositionTable:
+    """One angle's column, or all that was read (not set), in another order."""
+    moves = {
+        role: values[order]
+        for role, values in table.columns.items()
+        if (role == what if what != "readings" else not role.startswith(_ANGLES))
+    }
+    if not moves:
+        raise UsageError(
+            f"--shift {what}: no such column", remedy=f"there are: {list(table.names)}"
+        )
+    return replace(table, columns={**table.columns, **moves})

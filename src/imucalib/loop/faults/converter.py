@@ -1,0 +1,91 @@
+"""Readings that the converter did not give as they were: cut off at its range, or in wide steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: Rows that must show the same extreme value, and by how much (mg) their other readings differ.
+_REPEATS, _ELSEWHERE = 3, 30.0
+#: How far (mg) they must fall short of what they should be.
+_BEYOND = 20.0
+#: Steps (mg) that bury an ordinary noise, and the share of values that must lie on them.
+_WIDE, _ON_STEPS = 3.0, 0.999
+
+
+@dataclass(frozen=True)
+class CutOff:
+    """An axis that ends at a value. axis : 0..2; value : mg; rows : (m,) from 0."""
+
+    axis: int
+    value: float
+    rows: Index
+
+
+def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
+    """Extreme values (n, 3) mg that repeat exactly in rows whose other two readings differ.
+
+    truth : (n, 3) mg, known positions, whose linear map must lie beyond the value; without, |a| of
+    those rows must fall short of the others'. Rounded readings on a ring repeat too.
+    """
+    found = []
+    for axis in range(3):
+        column = reading[:, axis]
+        for end, side in ((float(column.min()), -1.0), (float(column.max()), 1.0)):
+            rows = np.flatnonzero(column == end)
+            others = np.delete(reading[rows], axis, axis=1)
+            if len(rows) < _REPEATS or np.ptp(others, axis=0).max() <= _ELSEWHERE:
+                continue
+            rest = np.setdiff1d(np.arange(len(column)), rows)
+            size = np.linalg.norm(reading, axis=1)
+            short = float(np.median(size[rest]) - np.median(size[rows])) if rest.size else 0.0
+            beyond = short if truth is None else _beyond(column, truth, rows, rest) * side
+            if beyond > _BEYOND:
+                found.append(CutOff(axis, end, rows))
+    return tuple(found)
+
+
+def _beyond(column: Array, truth: Array, rows: Index, rest: Index) -> float:
+    """How far (mg) the linear map of the other rows lies beyond the value, in the median."""
+    design = np.column_stack([truth, np.ones(len(truth))])
+    if rest.size < 2 * design.shape[1]:
+        return 0.0
+    found = np.linalg.lstsq(design[rest], column[rest], rcond=1e-6)[0]
+    return float(np.median(design[rows] @ found - column[rows]))
+
+
+def step_of(reading: Array) -> float:
+    """The step (mg) on which all readings (n, 3) lie, when it is wide; else 0."""
+    values = np.unique(reading)
+    apart = np.diff(values)
+    if len(values) < 8:
+        return 0.0
+    step = float(apart.min())
+    if step < _WIDE:
+        return 0.0
+    on = np.abs((values - values[0]) / step - np.round((values - values[0]) / step)) < 1e-3
+    return step if on.mean() >= _ON_STEPS else 0.0
+
+
+#: Scales that a guessed unit may hide: unit -> (counts a g, nominal counts a g of the unit).
+_MISTAKEN = {"mg": ((1024.0, 1000.0), (980.665, 1000.0)), "ug": ((1048576.0, 1e6),)}
+#: Scatter of the sensitivities of an accelerometer's axes, relative.
+_SENSITIVITY = 0.01
+
+
+def mistaken_scale(unit: str, scale: Array) -> float | None:
+    """Counts a g that the three axes' scale errors (3,) make likelier than the unit that was
+    guessed from the size of the readings, or None. Sensitivities scatter by 1 % about either."""
+    size = np.log1p(scale)
+    best, counts = 0.0, None
+    for per_g, nominal in _MISTAKEN.get(unit, ()):
+        away = size - np.log(per_g / nominal)
+        gain = 0.5 * float(size @ size - away @ away) / _SENSITIVITY**2
+        if gain > best:
+            best, counts = gain, per_g
+    return counts

@@ -1,0 +1,243 @@
+"""Readings in the wrong place: two rows exchanged, one moved, a block shifted, one cell misread.
+
+Every such change D of the readings is exact: RSS' = RSS + 2 D'g + D'P D at each point of noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.loop.faults.found import ENOUGH, Fault, Hypothesis
+from imucalib.loop.faults.noise_grid import Base
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: Hypotheses about blocks that are looked at on the whole grid, after a few of its points.
+_SHORT_LIST = 60
+#: Rows up to which a block may end anywhere; beyond, it reaches to an end of the sheet.
+_ANY_BLOCK = 64
+#: Width (mg) of the Cauchy density with which the reading that a shift leaves over repeats its
+#: neighbour, or a stray one its prediction: a reading of another position costs 20 nats.
+_SPARE = 3.0
+
+
+def exchanges(base: Base) -> list[Hypothesis]:
+    """The readings of two rows exchanged: D is d = y_q - y_p in row p, -d in row q."""
+    sheet, n = base.sheet, base.sheet.n
+    p, q = np.triu_indices(n, 1)
+    d = sheet.reading[q] - sheet.reading[p]
+    P, g = _blocks(base)
+    both = P[:, p, p] + P[:, q, q] - P[:, p, q] - P[:, q, p]
+    rss = base.rss[:, None] + 2.0 * np.einsum("hi,Ghi->Gh", d, g[:, p] - g[:, q])
+    rss += np.einsum("hi,Ghij,hj->Gh", d, both, d)
+    score = base.best(rss) - base.as_it_stands - np.log(len(p))
+    found = []
+    for k in _leading(score):
+        order = np.arange(n)
+        order[[p[k], q[k]]] = order[[q[k], p[k]]]
+        rows = (int(sheet.row[p[k]]), int(sheet.row[q[k]]))
+        what = f"rows {rows[0]} and {rows[1]}: their readings are exchanged"
+        fault = Fault("exchange", what, rows, float(score[k]), f"--swap {rows[0]},{rows[1]}")
+        found.append(Hypothesis(fault, sheet.with_reading(sheet.reading[order])))
+    return found
+
+
+def _cell_slips() -> list[tuple[str, Index, Array]]:
+    """Sentence, which cell of the row stands for which, and factor of each."""
+    found = []
+    for axis, name in enumerate("xyz"):
+        for value, words in (
+            (-1.0, f"{name} lost its sign"),
+            (0.1, f"{name} is ten times too large"),
+            (10.0, f"{name} is ten times too small"),
+        ):
+            factor = np.ones(3)
+            factor[axis] = value
+            found.append((words, np.arange(3), factor))
+    for order, pair in (((1, 0, 2), "x and y"), ((2, 1, 0), "x and z"), ((0, 2, 1), "y and z")):
+        found.append((f"{pair} are exchanged", np.array(order), np.ones(3)))
+    return found
+
+
+_SLIPS = _cell_slips()
+
+
+def cells(base: Base, si: Array) -> list[Hypothesis]:
+    """One cell with the wrong sign or ten times too large or small, or two of a row exchanged.
+
+    si : (n, 3) the readings as the sheet has them, for the line to paste
+    """
+    reading, n = base.sheet.reading, base.sheet.n
+    d = np.stack([reading[:, order] * factor - reading for _, order, factor in _SLIPS], axis=1)
+    P, g = _blocks(base)
+    own = P[:, np.arange(n), np.arange(n)]
+    rss = base.rss[:, None, None] + 2.0 * np.einsum("nhi,Gni->Gnh", d, g)
+    rss += np.einsum("nhi,Gnij,nhj->Gnh", d, own, d)
+    score = base.best(rss) - base.as_it_stands - np.log(n * len(_SLIPS))
+    score = np.where(base.sheet.copied()[:, None], -np.inf, score).ravel()
+    found = []
+    for k in _leading(score):
+        row, slip = divmod(int(k), len(_SLIPS))
+        changed = reading.copy()
+        changed[row] += d[row, slip]
+        words, order, factor = _SLIPS[slip]
+        shown = si[row, order] * factor
+        number = int(base.sheet.row[row])
+        line = " ".join(
+            f"--fix {number}:{a}={v:.10g}"
+            for a, v, w in zip("xyz", shown, si[row], strict=True)
+            if v != w
+        )
+        fault = Fault("cell", f"row {number}: {words}", (number,), float(score[k]), line)
+        found.append(Hypothesis(fault, base.sheet.with_reading(changed)))
+    return found
+
+
+def records(base: Base) -> list[Hypothesis]:
+    """A reading that belongs nowhere: its row integrated out, the reading Cauchy about what the
+    others predict. It proposes nothing; it keeps slips from being claimed for it."""
+    n = base.sheet.n
+    P, g = _blocks(base)
+    own = P[:, np.arange(n), np.arange(n)]
+    off = np.asarray(np.linalg.solve(own, g[..., None])[..., 0], np.float64)
+    rss = base.rss[:, None] - np.einsum("Gni,Gni->Gn", off, g)
+    each = base.each(rss * base.dof / max(base.dof - 3.0, 1.0))
+    score = (each - _stray(off)).max(axis=0) - base.as_it_stands - np.log(n)
+    found = []
+    for k in _leading(score)[:1]:
+        row = int(base.sheet.row[k])
+        fault = Fault("record", f"row {row}: wrong", (row,), float(score[k]), f"--exclude {row}")
+        found.append(Hypothesis(fault, base.sheet.take(np.delete(np.arange(n), k))))
+    return found
+
+
+def _stray(away: Array) -> Array:
+    """Nats that a reading (..., 3) mg away from where it should be costs, multivariate Cauchy."""
+    return np.asarray(2.0 * np.log1p(np.sum(away**2, axis=-1) / (2.0 * _SPARE**2)))
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Changes of the order: source (H, n) of each row's reading, the row that is left without
+    one (H,) or -1, the reading that is left over (H,) or -1, first and last row, and direction."""
+
+    source: Index
+    lost: Index
+    spare: Index
+    first: Index
+    last: Index
+    late: NDArray[np.bool_]
+
+
+def blocks(base: Base) -> list[Hypothesis]:
+    """One row's reading moved to another place, or a block of readings one row late or early.
+
+    A shift leaves one row without a reading (integrated out) and one reading over, which repeats
+    its neighbour's unless it stands at an end of the sheet.
+    """
+    sheet = base.sheet
+    tried = _orders(sheet.n, sheet.beside()) if sheet.ordered else None
+    if tried is None:
+        return []
+    few = np.flatnonzero(
+        np.isin(base.grid.inclination, (0.03, 0.3, 3.0))
+        & (base.grid.inclination == base.grid.tool_face)
+        & (base.grid.share > 0.0)
+    )
+    score = _scores(base, tried, np.arange(len(tried.lost)), few)
+    short = np.argsort(-score)[:_SHORT_LIST]
+    score = _scores(base, tried, short, np.arange(len(base.c))) - base.as_it_stands
+    score -= np.log(len(tried.lost))
+    return [_block(base, tried, int(short[k]), float(score[k])) for k in _leading(score)]
+
+
+def _scores(base: Base, tried: _Blocks, which: Index, points: Index) -> Array:
+    reading, n = base.sheet.reading, base.sheet.n
+    y = reading[tried.source[which]].reshape(len(which), -1)
+    lost = tried.lost[which]
+    at = np.flatnonzero(lost >= 0)
+    rows = 3 * lost[at, None] + np.arange(3)
+    rss = np.empty((len(points), len(which)))
+    for k, point in enumerate(points):
+        h = y @ base.P[point]
+        rss[k] = np.einsum("hi,hi->h", h, y)
+        own = base.P[point].reshape(n, 3, n, 3)[lost[at], :, lost[at]]
+        part = h[at[:, None], rows]
+        rss[k, at] -= np.einsum("hi,hi->h", part, np.linalg.solve(own, part[..., None])[..., 0])
+    rss[:, at] *= base.dof / max(base.dof - 3.0, 1.0)
+    each = base.c[points, None] - 0.5 * base.dof * np.log(np.maximum(rss, 1e-12))
+    noise = np.sqrt(np.maximum(rss, 1e-12) / base.dof)
+    grid = base.grid
+    taken = type(grid)(grid.inclination[points], grid.tool_face[points], grid.share[points])
+    score = (each + taken.prior(noise)).max(axis=0)
+    twin = np.where(tried.late[which], tried.first[which], tried.last[which])
+    away = reading[tried.spare[which]] - reading[tried.source[which, twin]]
+    return np.asarray(score - np.where(lost >= 0, _stray(away), 0.0))
+
+
+def _orders(n: int, beside: Index) -> _Blocks | None:
+    """Every block of three or more neighbouring rows, moved in both directions and shifted."""
+    gap = np.concatenate([[0], np.cumsum(1 - beside)])
+    ends = [
+        (a, b)
+        for a in range(n)
+        for b in range(a + 2, n)
+        if gap[a] == gap[b] and (n <= _ANY_BLOCK or a == 0 or b == n - 1)
+    ]
+    found = []
+    for a, b in ends:
+        for late in (True, False):
+            source = np.arange(n)
+            if late:  # the readings of a+1..b are those of a..b-1
+                source[a:b] = np.arange(a + 1, b + 1)
+            else:
+                source[a + 1 : b + 1] = np.arange(a, b)
+            turned = source.copy()
+            turned[b if late else a] = a if late else b
+            found.append((turned, -1, 0, a, b, late))
+            found.append((source, b if late else a, a if late else b, a, b, late))
+    if not found:
+        return None
+    columns = [np.array(column) for column in zip(*found, strict=True)]
+    return _Blocks(*columns)
+
+
+def _block(base: Base, tried: _Blocks, k: int, score: float) -> Hypothesis:
+    sheet = base.sheet
+    a, b = int(sheet.row[tried.first[k]]), int(sheet.row[tried.last[k]])
+    rows = tuple(range(a, b + 1))
+    reading = sheet.reading[tried.source[k]]
+    late = bool(tried.late[k])
+    if tried.lost[k] < 0:
+        at, to = (a, b) if late else (b, a)
+        what = f"row {at}: its reading belongs to row {to}, and those between one row nearer"
+        fault = Fault("move", what, rows, score, f"--move {at},{to}")
+        return Hypothesis(fault, sheet.with_reading(reading))
+    step, lost = (-1, b) if late else (1, a)
+    what = (
+        f"rows {a} to {b}: their readings stand one row {'late' if late else 'early'}, "
+        f"row {lost} has none"
+    )
+    fault = Fault("shift", what, rows, score, f"--shift readings:{a}-{b}={step}")
+    left = np.setdiff1d(np.arange(sheet.n), tried.lost[k])
+    return Hypothesis(fault, sheet.with_reading(reading).take(left))
+
+
+def _blocks(base: Base) -> tuple[Array, Array]:
+    """P as (G, n, n, 3, 3) and g as (G, n, 3)."""
+    n = base.sheet.n
+    P = base.P.reshape(-1, n, 3, n, 3).transpose(0, 1, 3, 2, 4)
+    return P, base.g.reshape(-1, n, 3)
+
+
+def _leading(score: Array) -> Index:
+    """Those that could be said, and their rivals, best first."""
+    best = float(score.max(initial=-np.inf))
+    if best <= ENOUGH:
+        return np.zeros(0, np.intp)
+    order = np.argsort(-score)[:8]
+    return order[score[order] > max(ENOUGH, best - ENOUGH)]

@@ -1,0 +1,168 @@
+"""Slips of hand as a user meets them: told with a line, never passed, settled by pasting it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from imucalib import cli
+from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.calibrators.lab.repairs import Repairs, repaired, repairs_of
+from imucalib.errors import ImucalError, UsageError
+from worlds import sheets
+
+
+def lab(path: Path, *options: str) -> tuple[int, str, dict]:
+    """Exit code, what is said, and the report (empty for a refusal)."""
+    arguments = ["lab", str(path), "--no-loop", "--json", "-q", *options]
+    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    if isinstance(result.exception, ImucalError):
+        return result.exception.exit_code, str(result.exception), {}
+    assert result.exception is None, result.exception
+    report = json.loads(result.stdout)
+    return result.return_value, " | ".join(report["undecided"]), report
+
+
+@pytest.mark.parametrize("kind", sheets.KINDS)
+def test_pasting_the_line_ends_the_matter(tmp_path: Path, kind: str) -> None:
+    clean = sheets.bench(11, name="paper" if kind != "vertical" else "sweeps", scatter=0.1)
+    made = sheets.slipped(clean, kind, np.random.default_rng(6))
+    path = made.write(tmp_path / "sheet.csv")
+    code, text, report = lab(path)
+    assert code in (2, 3, 5)
+    assert report.get("status", "refused") != "ok"
+    assert made.slip.line in text, text
+    code, text, report = lab(path, *shlex.split(made.slip.line))
+    assert (code, text, report["status"]) == (0, "", "ok")
+    assert not report["faults"]
+
+
+def test_a_typed_angle_is_told_with_the_value(tmp_path: Path) -> None:
+    made = sheets.mistyped(sheets.bench(4, scatter=0.1), 14, "tool_face", 10.0)
+    code, text, _ = lab(made.write(tmp_path / "sheet.csv"))
+    assert code == 5
+    assert "row 14: tool-face is 130 on the sheet where the reading says 120" in text
+    assert "--fix 14:tool_face=120" in text
+    assert "e-0" not in text
+
+
+def test_a_lost_sign_is_told_once(tmp_path: Path) -> None:
+    made = sheets.cell(sheets.bench(4, scatter=0.1), 14, 0, -1.0)
+    path = made.write(tmp_path / "sheet.csv")
+    result = CliRunner().invoke(
+        cli.cli, ["lab", str(path), "--json", "-q", "--draws", "99"], standalone_mode=False
+    )
+    report = json.loads(result.stdout)
+    assert result.return_value == 5
+    assert [r["where"] for r in report["loop"]["record_errors"]] == ["row 14"]
+    assert len(report["undecided"]) == 1
+    assert "--fix 14:x" in report["undecided"][0]
+
+
+def test_a_turned_sensor_is_a_question_until_it_is_answered(tmp_path: Path) -> None:
+    made = sheets.axes(sheets.bench(4, name="spread"), (1, 0, 2), (1, -1, 1))
+    path = made.write(tmp_path / "sheet.csv")
+    code, text, report = lab(path)
+    assert (code, report["status"]) == (5, "marginal")
+    assert "--toolface-zero-axis" in text
+    for line in re.findall(r"--(?:axes|toolface-zero-axis)[= ][-+xyz,]+", text):
+        code, text, report = lab(path, *shlex.split(line.rstrip(",")))
+        assert (code, text) == (0, ""), line
+
+
+def test_counts_that_look_like_mg_are_asked_about(tmp_path: Path) -> None:
+    made = sheets.in_counts(sheets.bench(4, name="spread"), 1024.0)
+    path = made.write(tmp_path / "sheet.csv", "inclination,tool_face,x,y,z")
+    for reference in ("vector", "norm"):
+        code, text, _ = lab(path, "--reference", reference)
+        assert code == 5
+        assert made.slip.line in text
+    for answer in (made.slip.line, "--unit mg"):
+        assert lab(path, *shlex.split(answer))[0] == 0
+
+
+def test_the_norm_claims_nothing_about_places(tmp_path: Path) -> None:
+    clean = sheets.bench(4, name="spread")
+    for made in (sheets.exchanged(clean, 3, 9), sheets.mistyped(clean, 5, "inclination", 20.0)):
+        path = made.write(tmp_path / "sheet.csv")
+        assert lab(path, "--reference", "norm")[:2] == (0, "")
+
+
+def test_a_converter_at_its_end(tmp_path: Path) -> None:
+    made = sheets.bench(5, name="spread")
+    y = made.reading.copy()
+    y[:, 2] = np.minimum(y[:, 2], 0.7 * y[:, 2].max())
+    path = replace(made, reading=y).write(tmp_path / "sheet.csv")
+    code, text, _ = lab(path)
+    assert code == 5
+    (rows,) = re.findall(r"--exclude ([\d,]+)", text)
+    assert [int(r) - 1 for r in rows.split(",")] == list(np.flatnonzero(y[:, 2] == y[:, 2].max()))
+
+
+def test_angles_thrown_by_hand_do_not_pass(tmp_path: Path) -> None:
+    """No single slip, but no bench either: settings within ten degrees."""
+    made = sheets.bench(6, name="spread", scatter=8.0)
+    code, text, report = lab(made.write(tmp_path / "sheet.csv"))
+    assert (code, report["status"]) == (5, "marginal")
+    assert "a bench is set within 3" in text
+
+
+def table() -> PositionTable:
+    columns = {"inclination": [0, 10, 20, 30, 40], "tool_face": [0, 0, 0, 5, 5]}
+    columns |= {"x": [1, 2, 3, 4, 5], "y": [0] * 5, "z": [9] * 5}
+    values = {k: np.array(v, float) for k, v in columns.items()}
+    return PositionTable(values, {k: k for k in values}, {}, np.arange(1, 6), "sheet", "")
+
+
+@pytest.mark.parametrize(
+    ("texts", "column", "values", "lost"),
+    [
+        ((("2,4",), (), ()), "x", [1, 4, 3, 2, 5], ()),
+        (((), ("1,4",), ()), "x", [2, 3, 4, 1, 5], ()),
+        (((), ("4,1",), ()), "x", [4, 1, 2, 3, 5], ()),
+        (((), (), ("readings:2-4=-1",)), "x", [1, 3, 4, 2, 5], (4,)),
+        (((), (), ("inclination=1",)), "inclination", [40, 0, 10, 20, 30], (1,)),
+    ],
+)
+def test_what_the_options_do_to_rows(
+    texts: tuple[tuple[str, ...], ...], column: str, values: list[float], lost: tuple[int, ...]
+) -> None:
+    repairs = repairs_of(*texts, None, None)
+    changed, left = repaired(table(), repairs, (), False)
+    assert changed.columns[column].tolist() == values
+    assert left == lost
+    assert changed.columns["tool_face"].tolist() == table().columns["tool_face"].tolist()
+
+
+def test_axes_and_cells() -> None:
+    repairs = repairs_of((), (), (), "-z,x,y", "rad")
+    changed, _ = repaired(table(), repairs, ((2, "tool_face", 7.0),), False)
+    assert changed.raw()[1].tolist() == [-9.0, 2.0, 0.0]
+    assert changed.columns["tool_face"][1] == 7.0
+    assert changed.unit["inclination"] == "rad"
+
+
+@pytest.mark.parametrize(
+    ("swaps", "shifts", "axes", "words"),
+    [
+        (("3",), (), None, "--swap"),
+        (("3,9",), (), None, "no row 9"),
+        ((), ("x=1",), None, "--shift"),
+        ((), ("readings:2-4=2",), None, "1 or -1"),
+        ((), (), "x,y", "--axes"),
+        ((), (), "x,x,z", "once each"),
+    ],
+)
+def test_lines_that_are_wrong_are_refused(
+    swaps: tuple[str, ...], shifts: tuple[str, ...], axes: str | None, words: str
+) -> None:
+    with pytest.raises(UsageError, match=re.escape(words)):
+        repaired(table(), repairs_of(swaps, (), shifts, axes, None), (), False)
+    assert repaired(table(), Repairs(), (), False)[1] == ()
