@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from imucalib.calibration.calibration import StoredParameter, stored_parameters
 from imucalib.core.fit import Fit
+from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import FitLoop, Step, Unexplained
 from imucalib.loop.record_errors import RecordError
@@ -57,10 +58,40 @@ class Untestable:
 
 
 @dataclass(frozen=True)
+class Gain:
+    """What data that took no part in any choice say: errors before and after, and the 95 % interval
+    of what was gained, all in `unit`; proved : whether the gain is beyond chance."""
+
+    before: float
+    after: float
+    low: float
+    high: float
+    proved: bool
+    unit: str
+
+    @property
+    def words(self) -> str:
+        """One sentence's part."""
+        return (
+            f"{self.before:.3g} -> {self.after:.3g} {self.unit} on data that took no part in any "
+            f"choice (gain {self.before - self.after:.2g}, 95 % {self.low:.2g} to {self.high:.2g})"
+        )
+
+
+def gain_of(found: Difference | None) -> Gain | None:
+    """A difference in m/s² as one in mg."""
+    if found is None:
+        return None
+    before, after, low, high = (v / MG for v in (found.before, found.after, found.low, found.high))
+    return Gain(before, after, low, high, found.proved, "mg")
+
+
+@dataclass(frozen=True)
 class Findings:
     """A finished search.
 
-    verdict : "nothing missing", "explained", "explained in part", "unexplained", or "not run"
+    verdict : "nothing missing", "explained", "explained in part", "suspected", "unexplained", or
+        "not run"; gain : what held-out data say of the steps, or of those that they refused
     declared : effects of the base model beyond the usual ones, with their size in words
     only, without : how the user limited the search; missing : why effects were not tested
     facts : name and words of what else it estimated
@@ -78,11 +109,13 @@ class Findings:
     only: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     facts: tuple[tuple[str, str], ...] = ()
+    gain: Gain | None = None
 
     @property
     def open(self) -> bool:
-        """Whether structure without a name was found, corrected by a curve or not."""
-        return bool(self.unexplained) or any(step.curve for step in self.steps)
+        """Whether structure without a proved name was found, corrected or not."""
+        curved = any(step.curve for step in self.steps)
+        return bool(self.unexplained) or curved or self.verdict == "suspected"
 
 
 def findings_of(
@@ -101,6 +134,7 @@ def findings_of(
         unexplained=loop.unexplained,
         scores=loop.scores,
         missing=loop.missing,
+        gain=gain_of(loop.difference),
         declared=tuple((name, _size(loop.final, name)) for name in declared),
         only=only,
         without=without,

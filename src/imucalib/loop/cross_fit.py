@@ -16,54 +16,77 @@ from numpy.typing import NDArray
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.found import FitLoop, LoopSettings
-from imucalib.loop.held_out import Held, errors, theta_without
+from imucalib.loop.design import Fold, parts_of
+from imucalib.loop.difference import Metric, difference
+from imucalib.loop.found import FitLoop, LoopSettings, Unexplained
+from imucalib.loop.held_out import Held, errors, theta_without, without_records
 from imucalib.loop.records import extended, record_names, reduced, set_aside
 from imucalib.loop.search import choose, curve_of, effect_named, objection, refined, search
+from imucalib.units import MG
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-_FOLDS, _QUARTERS = 10, 4  # folds of single positions, and of long recordings
-_FEW = 16
+#: Nats from which on an effect that held-out data refuse is structure without a name, no accident.
+_STRONG = 10.0
 
 
 def cross_fitted(
     loop: FitLoop,
+    folds: tuple[Fold, ...],
     effects: Mapping[str, Effect],
     rng: np.random.Generator,
     settings: LoopSettings,
     families: tuple[Family, ...] = (),
 ) -> tuple[Held, Held]:
-    """Held-out predictions of the base model and of the searched one, every group once.
-
-    Groups are dealt to the folds by chance: dealt in turn, a fold would take whole rings of a
-    bench that repeats itself.
-    """
-    data = loop.plain.observations
-    groups, group = np.unique(data.group, return_inverse=True)
-    folds = min(groups.size, _FOLDS)
-    if groups.size <= _FEW < data.n // 10:
-        # Blocks of time in quarters: where a step falls into a block, half a day is too coarse.
-        first = np.searchsorted(group, np.arange(groups.size))
-        size = np.bincount(group)
-        group = 4 * group + 4 * (np.arange(data.n) - first[group]) // size[group]
-        groups, folds = np.unique(group), _QUARTERS
-    keys = rng.permutation(np.arange(groups.size) % folds)[np.unique(group, return_inverse=True)[1]]
+    """Held-out predictions of the base model and of the searched one, by the same folds."""
     rules = replace(settings, bar=loop.bar)
     wrong = tuple(r.row for r in loop.records)
-    parts: list[tuple[Index, Held, Held]] = []
-    for fold in range(folds):
-        rows = np.flatnonzero(keys == fold)
-        if not rows.size:
-            continue
-        held = data.take(rows)
-        rest = np.setdiff1d(np.arange(data.n), rows)
-        chosen = _searched(loop, rest, wrong, effects, rng, rules, families)
-        before = errors(loop.plain, theta_without(loop.plain, rows), held)
-        parts.append((rows, before, errors(chosen, chosen.theta, held)))
-    order = np.argsort(np.concatenate([rows for rows, _, _ in parts]))
-    return _joined([a for _, a, _ in parts], order), _joined([b for _, _, b in parts], order)
+    data = loop.plain.observations
+    after = []
+    for fold in folds:
+        chosen = _searched(loop, fold.rest, wrong, effects, rng, rules, families)
+        after.append(errors(chosen, chosen.theta, data.take(fold.rows)))
+    return by_folds(loop.plain, folds), _joined(after, folds)
+
+
+def by_folds(fit: Fit, folds: tuple[Fold, ...]) -> Held:
+    """Held-out predictions of a model that nothing was chosen for."""
+    data = fit.observations
+    every = np.arange(data.n)
+    parts = []
+    for fold in folds:
+        theta = without_records(fit, theta_without(fit, np.setdiff1d(every, fold.rest)))
+        parts.append(errors(fit, theta, data.take(fold.rows)))
+    return _joined(parts, folds)
+
+
+def judged(
+    loop: FitLoop, folds: tuple[Fold, ...], before: Held, after: Held, metric: Metric
+) -> FitLoop:
+    """The loop with the word of data that took no part: the difference, and nothing taken where the
+    error there has not fallen. Records that are wrong prove nothing for or against an effect."""
+    good = np.setdiff1d(np.arange(loop.plain.observations.n), [r.row for r in loop.records])
+    part = parts_of(folds)[good]
+    found = difference(before.size[good], after.size[good], part, len(folds), metric)
+    if found.gain > 0.0:
+        return replace(loop, difference=found)
+    why = f"on data that took no part the error is {found.before / MG:.3g} mg without it, "
+    why += f"{found.after / MG:.3g} with it"
+    strong = tuple(
+        Unexplained(f"what looks like {s.effect}", "", "probe", s.p, s.evidence, 0.0)
+        for s in loop.named
+        if s.evidence > _STRONG
+    )
+    return replace(
+        loop,
+        final=loop.base,
+        as_recorded=loop.plain,
+        steps=(),
+        rejected=(*loop.rejected, *((s.effect, why) for s in loop.steps)),
+        unexplained=(*loop.unexplained, *strong),
+        difference=found,
+    )
 
 
 def _searched(
@@ -102,7 +125,9 @@ def _searched(
     return reduced(fit, record_names(fit)) if wrong else fit
 
 
-def _joined(parts: list[Held], order: Index) -> Held:
+def _joined(parts: list[Held], folds: tuple[Fold, ...]) -> Held:
+    order = np.argsort(np.concatenate([fold.rows for fold in folds]))
+
     def each(name: str) -> Array:
         return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])
 

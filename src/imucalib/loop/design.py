@@ -25,10 +25,12 @@ _STRETCH = 10
 
 @dataclass(frozen=True)
 class Fold:
-    """rows : that are predicted; rest : that choose and fit, with neither the rows nor the gap."""
+    """rows : that are predicted; rest : that choose and fit, with neither the rows nor the gap;
+    stretch : whether the rows are one stretch of time, which counts as one number"""
 
     rows: Index
     rest: Index
+    stretch: bool = False
 
 
 def folds_of(data: Observations) -> tuple[Fold, ...]:
@@ -51,4 +53,13 @@ def folds_of(data: Observations) -> tuple[Fold, ...]:
 
 def _stretch(rows: Index, every: Index, gap: int) -> Fold:
     near = (every >= rows[0] - gap) & (every <= rows[-1] + gap)
-    return Fold(rows, every[~near])
+    return Fold(rows, every[~near], stretch=True)
+
+
+def parts_of(folds: tuple[Fold, ...]) -> Index:
+    """(n,) which observations stand for one number: those of a stretch together, others alone."""
+    part = np.arange(sum(fold.rows.size for fold in folds))
+    for fold in folds:
+        if fold.stretch:
+            part[fold.rows] = fold.rows[0]
+    return part

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from imucalib.core.fit import Fit
+from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.record_errors import RecordError
 
@@ -99,6 +100,8 @@ class Loop(Generic[S]):
     records : that do not belong to the rest; scores, first_scores : of the last search, and of the
         last one before any step; missing : why effects could not be tested
     unexplained : structure that no effect carries, also where a curve corrects it
+    difference : of the errors on data that took no part in any choice, or None where no step was
+        taken or nothing was left out
     """
 
     base: S
@@ -110,6 +113,7 @@ class Loop(Generic[S]):
     scores: tuple[Score, ...] = ()
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
+    difference: Difference | None = None
 
     @property
     def named(self) -> tuple[Step, ...]:
@@ -123,7 +127,10 @@ class Loop(Generic[S]):
 
     @property
     def verdict(self) -> str:
+        """ "explained" needs held-out data that prove the gain; without, it is "suspected"."""
         open_end = bool(self.unexplained or self.curves)
+        if self.named and self.difference is not None and not self.difference.proved:
+            return "suspected"
         if self.named or self.records:
             return "explained in part" if open_end else "explained"
         return "unexplained" if open_end else "nothing missing"

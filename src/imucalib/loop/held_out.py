@@ -34,6 +34,11 @@ class Held:
     expected: Array
     error: Array
 
+    @property
+    def size(self) -> Array:
+        """(n,) m/s², length of each observation's error, root mean square over its triads."""
+        return np.asarray(np.sqrt(np.mean(np.sum(self.error**2, axis=-1), axis=-1)))
+
     def rms(self, rows: Index | slice = slice(None)) -> float:
         """Root mean square length of the error, m/s²."""
         return float(np.sqrt(np.mean(np.sum(self.error[rows] ** 2, axis=-1))))

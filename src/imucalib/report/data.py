@@ -67,6 +67,7 @@ def _covariance(run: Run) -> dict[str, Any]:
 def _found(found: Findings) -> dict[str, Any]:
     return {
         "verdict": found.verdict,
+        "gain": None if found.gain is None else vars(found.gain),
         "declared": [{"effect": name, "size": size} for name, size in found.declared],
         "only": list(found.only),
         "without": list(found.without),

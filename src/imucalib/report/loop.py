@@ -88,10 +88,16 @@ def _records(found: Findings) -> list[Table]:
 
 def _steps(found: Findings) -> list[Table]:
     """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
-    if not found.steps:
-        return []
-    checks = found.steps[0].checks
-    sized, nats = (any(getattr(s, name) for s in found.steps) for name in ("size", "held_out"))
+    kinds = dict.fromkeys(tuple(c.metric for c in s.checks) for s in found.steps)
+    return [
+        _table([s for s in found.steps if tuple(c.metric for c in s.checks) == kind])
+        for kind in kinds
+    ]
+
+
+def _table(steps: Sequence[FoundStep]) -> Table:
+    checks = steps[0].checks
+    sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
     rows = tuple(
         (
             s.effect,
@@ -101,7 +107,7 @@ def _steps(found: Findings) -> list[Table]:
             *_changes(s),
             ", ".join(s.aliases) or "-",
         )
-        for s in found.steps
+        for s in steps
     )
     errors = (
         ("before", "after") if len(checks) == 1 else tuple(f"{c.metric}, {c.unit}" for c in checks)
@@ -125,7 +131,7 @@ def _steps(found: Findings) -> list[Table]:
             "p is the chance in the whole search. Held out: what each half of the data gains by "
             "the effect as the other half has it. Residuals: median absolute deviation, held out."
         )
-    return [Table("Steps of the loop", header, rows, align, note)]
+    return Table("Steps of the loop", header, rows, align, note)
 
 
 def _changes(step: FoundStep) -> tuple[str, ...]:
@@ -149,12 +155,18 @@ def _verdict(found: Findings) -> Text:
     parts = [f"{u.name} (driven by {u.driver})" if u.driver else u.name for u in found.unexplained]
     parts += [f"{s.curve}, corrected by a curve" for s in found.steps if s.curve]
     unknown = ", ".join(parts)
+    gained = f" Held out: {found.gain.words}." if found.gain and found.steps else ""
     return {
         "not run": Text("Fitted with the declared effects; the search was not run."),
         "nothing missing": Text("Nothing is missing: no candidate passes the search.", "ok"),
-        "explained": Text(f"The residual is explained by {cause}.", "ok"),
+        "explained": Text(f"The residual is explained by {cause}.{gained}", "ok"),
         "explained in part": Text(
-            f"The residual is explained in part by {cause}; left: {unknown}.", "warning"
+            f"The residual is explained in part by {cause}; left: {unknown}.{gained}", "warning"
+        ),
+        "suspected": Text(
+            f"Suspected: {cause}. The correction is applied, but held-out data do not prove it yet"
+            f"{f'; left: {unknown}' if unknown else ''}.{gained}",
+            "warning",
         ),
         "unexplained": Text(
             f"Unexplained structure: {unknown}. No effect of the catalogue fits.", "bad"

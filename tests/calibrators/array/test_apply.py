@@ -37,9 +37,7 @@ def log() -> SimulatedLog:
 
 @pytest.fixture(scope="module")
 def run(log: SimulatedLog) -> ArrayRun:
-    asked = Asked(
-        declare=("gyro_scale", "gyro_misalignment", "accelerometer_quadratic"), only=("gyro_delay",)
-    )
+    asked = Asked(declare=("gyro_scale", "gyro_misalignment", "quadratic"), only=("gyro_delay",))
     request = ArrayRequest(BOARD, samples=150, loop=False, asked=asked)
     return calibrate_array(log.recording, request, lambda _: None)
 

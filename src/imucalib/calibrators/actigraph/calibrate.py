@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibration.outcome import ErrorSummary
-from imucalib.calibrators.actigraph.errors import error_summary, mean_error
+from imucalib.calibrators.actigraph.errors import error_summary
 from imucalib.calibrators.actigraph.observations import observations_of, weighted
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.weak import NINE, base_fit, is_weak
@@ -20,9 +20,10 @@ from imucalib.errors import NotConverged, UsageError
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.asked import Searched, searched
 from imucalib.loop.closed_loop import close_loop
-from imucalib.loop.cross_fit import cross_fitted
+from imucalib.loop.cross_fit import by_folds, cross_fitted, judged
+from imucalib.loop.design import folds_of
 from imucalib.loop.found import FitLoop
-from imucalib.loop.held_out import Held, fitted, held_out, theta_without
+from imucalib.loop.held_out import Held, fitted, theta_without
 from imucalib.rests.runs import PostureRuns, Scan
 
 Array = NDArray[np.float64]
@@ -82,17 +83,18 @@ def calibrate(
     loop, declined = None, ""
     if request.loop and not is_weak(base):
         loop, light = found_twice(base, light, runs, request, rng)
-    final = loop.as_recorded if loop and loop.steps else base
-    base_held, final_held = held_out(base), held_out(final)
-    if loop and loop.steps and mean_error(final_held) > mean_error(base_held):
-        names = ", ".join(s.effect for s in loop.steps)
-        declined = f"{names} not taken: the held-out error is larger with it than without"
-        final, final_held = base, base_held
-    elif loop and loop.steps:
-        tried = wanted(request)
-        base_held, final_held = cross_fitted(
-            loop, tried.effects, rng, request.rules, tried.families
+    folds = folds_of(data)
+    base_held = final_held = by_folds(base, folds)
+    if loop and loop.steps:
+        names, tried = ", ".join(s.effect for s in loop.steps), wanted(request)
+        base_held, after = cross_fitted(
+            loop, folds, tried.effects, rng, request.rules, tried.families
         )
+        loop = judged(loop, folds, base_held, after, "mean")
+        final_held = after if loop.steps else base_held
+        if not loop.steps:
+            declined = f"{names} not taken: the held-out error is larger with it than without"
+    final = loop.as_recorded if loop and loop.steps else base
     error = error_summary(base, final, base_held, final_held)
     widened = 1.0
     if loop and loop.unexplained:

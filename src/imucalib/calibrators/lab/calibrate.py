@@ -28,11 +28,12 @@ from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
-from imucalib.loop.asked import searched
+from imucalib.loop.asked import Searched, searched
 from imucalib.loop.closed_loop import close_loop
-from imucalib.loop.cross_fit import cross_fitted
+from imucalib.loop.cross_fit import by_folds, cross_fitted, judged
+from imucalib.loop.design import folds_of
 from imucalib.loop.found import FitLoop, LoopSettings
-from imucalib.loop.held_out import fitted
+from imucalib.loop.held_out import Held, fitted
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -74,7 +75,7 @@ class LabResult:
     """Everything that the reports of `lab` show.
 
     observations : all rows; used : the rows that were fitted
-    splits : leave-one-out, folds searched anew, and the test set of `train`, where there are any
+    splits : leave-one-out, the folds of the design, and the test set of `train`, where they exist
     angles : the final fit's errors in degrees and mg on the fitted rows (KnownVector only)
     """
 
@@ -110,30 +111,41 @@ def calibrate(
     demand_enough(model, data)
     start = full_matrix_start(model, data)
     rules = replace(settings.rules, declared=settings.sigma is not None)
+    loop, held = None, None
     if settings.objective in OBJECTIVES:
-        base = fit_corrected(model, data, settings.objective, start)
-        loop, final = None, base
+        final = base = fit_corrected(model, data, settings.objective, start)
     elif settings.loop:
-        loop = close_loop(model, data, wanted.effects, rng, rules, start, wanted.families)
+        loop, held = _closed(model, data, wanted, rng, rules, start)
         base, final = loop.plain, loop.as_recorded
     else:
-        loop, base = None, fit_model(model, data, start=start)
-        final = base
+        final = base = fit_model(model, data, start=start)
+        held = (by_folds(base, folds_of(data)),) * 2
     # A wrong record inflates the noise until everything looks open: judge without it.
-    judged = loop.base if loop else base
-    if judged.null_directions and not faulty and settings.objective not in OBJECTIVES:
-        raise undetermined(judged)
+    clean = loop.base if loop else base
+    if clean.null_directions and not faulty and settings.objective not in OBJECTIVES:
+        raise undetermined(clean)
     if not final.converged:
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
-    anew = None
-    if loop and loop.steps:
-        anew = cross_fitted(loop, wanted.effects, rng, rules, wanted.families)
-    splits = held_out_splits(base, final, observations, used, settings.objective, anew)
+    splits = held_out_splits(base, final, observations, used, settings.objective, held)
     gravity = gravity_of(data)
     known = isinstance(data.reference, KnownVector)
     angles = attitude_errors(fitted(final), gravity) if known else None
     error = error_summary(base, final, data, splits)
     return LabResult(observations, used, loop, base, final, error, splits, angles, settings)
+
+
+def _closed(
+    model: Model, data: Observations, wanted: Searched, rng: np.random.Generator,
+    rules: LoopSettings, start: Array,
+) -> tuple[FitLoop, tuple[Held, Held]]:  # fmt: skip
+    """The search, and held-out errors before and after by the one design of the data."""
+    loop = close_loop(model, data, wanted.effects, rng, rules, start, wanted.families)
+    folds = folds_of(data)
+    if not loop.steps:
+        return loop, (by_folds(loop.plain, folds),) * 2
+    before, after = cross_fitted(loop, folds, wanted.effects, rng, rules, wanted.families)
+    loop = judged(loop, folds, before, after, "rms")
+    return loop, (before, after if loop.steps else before)
 
 
 def base_model(settings: LabSettings, observations: Observations) -> Model:

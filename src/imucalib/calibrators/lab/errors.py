@@ -36,17 +36,17 @@ def held_out_splits(
     whole: Observations,
     used: Index,
     objective: str,
-    anew: tuple[Held, Held] | None = None,
+    folds: tuple[Held, Held] | None = None,
 ) -> tuple[Split, ...]:
-    """Each fitted row in turn; folds for which the search was repeated without them, where it had
-    found something; and the rows that were kept apart when there are any."""
+    """Each fitted row in turn; the folds of the design, for which everything was chosen without
+    them; and the rows that were kept apart when there are any."""
     found: list[Split] = []
     if objective in OBJECTIVES:
         left = refitted(final, objective)
         found += [Split("leave one out", used, left, left)] if left else []
     else:
         found = [Split("leave one out", used, held_out(base), held_out(final))]
-        found += [Split("searched anew", used, *anew)] if anew else []
+        found += [Split("held out", used, *folds)] if folds else []
     rest = np.setdiff1d(np.arange(whole.n), used)
     if rest.size:
         test = whole.take(rest)
