@@ -24,10 +24,12 @@ from imucalib.loop import cross_fit
 from imucalib.loop import noise_grid as evidence_grid
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.closed_loop import close_loop
-from imucalib.loop.cross_fit import cross_fitted
+from imucalib.loop.cross_fit import CrossFit, by_folds, cross_fitted, judged
+from imucalib.loop.design import Fold, folds_of
 from imucalib.loop.evidence import score
-from imucalib.loop.found import FitLoop, LoopSettings
-from imucalib.loop.held_out import errors
+from imucalib.loop.foretold import foretold
+from imucalib.loop.found import FitLoop, LoopSettings, Step
+from imucalib.loop.held_out import Held, errors
 from imucalib.loop.noise_checks import beyond_declared, heavy_tails, noise_doubts
 from imucalib.loop.records import extended
 from worlds.bench import base_model, bench, draw, ordinary_theta
@@ -104,8 +106,9 @@ def claimed_gain(seed: int) -> float:
         final = extended(final, named(name))
     loop = FitLoop(plain, final, plain=plain, as_recorded=final, bar=-1e9)
     effects = {name: named(name) for name in JUNK}
-    before, after = cross_fitted(loop, effects, np.random.default_rng(seed), RULES)
-    return after.rms() / before.rms()
+    folds = folds_of(data)
+    held = cross_fitted(loop, folds, effects, np.random.default_rng(seed), RULES)
+    return held.after.rms() / held.before.rms()
 
 
 def test_what_the_data_lack_gains_nothing_on_data_that_took_no_part() -> None:
@@ -125,12 +128,91 @@ def test_an_error_in_the_sample_passed_off_as_held_out_is_seen(
 def test_an_effect_gains_on_data_that_took_no_part() -> None:
     loop = searched(planted("cubic", 2.0), ("cubic", "cross_axis"))
     effects = {name: named(name) for name in ("cubic", "cross_axis")}
-    before, after = cross_fitted(loop, effects, np.random.default_rng(0), RULES)
+    folds = folds_of(loop.plain.observations)
+    held = cross_fitted(loop, folds, effects, np.random.default_rng(0), RULES)
+    before, after = held.before, held.after
     assert after.rms() < 0.7 * before.rms()
     assert before.error.shape == after.error.shape == (40, 1, 3)
     rows = np.array([3, 11])
     alone = errors(loop.final, loop.final.theta, loop.plain.observations.take(rows))
     assert not np.allclose(alone.error, after.error[rows])  # fitted with them, so not held out
+
+
+def crossed(folds: tuple[Fold, ...], before: Held, after: Held, nats: float = -2.0) -> CrossFit:
+    return CrossFit(folds, before, after, before, after, nats * np.resize([-3.0, 4.0], len(folds)))
+
+
+def judged_loop(data: Observations, names: tuple[str, ...]) -> FitLoop:
+    loop = searched(data, names)
+    effects = {name: named(name) for name in names}
+    folds = folds_of(data)
+    held = cross_fitted(loop, folds, effects, np.random.default_rng(0), RULES)
+    return judged(loop, held, "rms")
+
+
+def test_what_held_out_data_prove_is_explained() -> None:
+    loop = judged_loop(planted("cubic", 2.0), ("cubic", "cross_axis"))
+    assert loop.verdict == "explained"
+    assert loop.difference is not None
+    assert loop.difference.low > 0.0
+
+
+def test_what_held_out_data_refuse_is_not_taken() -> None:
+    """Junk that was forced in: the base model is what comes out, with the reason."""
+    data = clean(4)
+    plain = fit_model(base_model(), data)
+    step = Step("cubic", 0.001, 999, 3.0, (), ())
+    final = extended(plain, named("cubic"))
+    loop = FitLoop(plain, final, steps=(step,), plain=plain, as_recorded=final, bar=-1e9)
+    folds = folds_of(data)
+    base = by_folds(plain, folds)
+    worse = replace(base, error=1.2 * base.error)
+    found = judged(loop, crossed(folds, base, worse), "rms")
+    assert found.steps == ()
+    assert found.as_recorded is plain
+    assert found.verdict == "nothing missing"
+    assert found.rejected[-1][0] == "cubic"
+    assert "took no part" in found.rejected[-1][1]
+    strong = replace(loop, steps=(replace(step, evidence=50.0),))
+    again = judged(strong, crossed(folds, base, worse), "rms")
+    assert again.verdict == "unexplained"
+
+
+def test_a_gain_within_chance_is_suspected() -> None:
+    data = clean(5)
+    plain = fit_model(base_model(), data)
+    final = extended(plain, named("cubic"))
+    step = Step("cubic", 0.02, 999, 3.0, (), ())
+    loop = FitLoop(plain, final, steps=(step,), plain=plain, as_recorded=final, bar=-1e9)
+    folds = folds_of(data)
+    base = by_folds(plain, folds)
+    sign = np.where(np.arange(data.n) % 2, 1.15, 0.8)[:, None, None]  # better here, worse there
+    after = replace(base, error=base.error * sign)
+    found = judged(loop, crossed(folds, base, after, 1.0), "rms")
+    assert found.difference is not None
+    assert found.difference.gain > 0.0
+    assert found.verdict == "suspected"
+    assert found.steps == (step,)
+
+
+def test_the_density_of_a_fold_is_that_of_the_joint_distribution() -> None:
+    """log p(F | R) of a linear model with settings, θ flat, by dense conditioning."""
+    fit = fit_model(base_model(), clean(6))
+    data, at = fit.observations, fit.at
+    fold = folds_of(data)[0]
+    wide = 1e4  # a prior so wide that it is flat
+    typical = np.array([p.typical for p in fit.parameters])
+    columns = at.jacobian * typical
+    covariance = np.eye(at.residual.size) * fit.noise.factor**2
+    for matrix, sd in zip(at.settings, fit.noise.sd, strict=True):
+        covariance += sd**2 * matrix @ matrix.T
+    covariance += wide**2 * columns @ columns.T
+    inside, rest = np.isin(at.owner, fold.rows), np.isin(at.owner, fold.rest)
+    gain = np.linalg.solve(covariance[np.ix_(rest, rest)], covariance[np.ix_(rest, inside)]).T
+    left = at.residual[inside] - gain @ at.residual[rest]
+    own = covariance[np.ix_(inside, inside)] - gain @ covariance[np.ix_(rest, inside)]
+    expected = -0.5 * (np.linalg.slogdet(own)[1] + left @ np.linalg.solve(own, left))
+    assert foretold(fit, fit.theta, data, fold) == pytest.approx(expected, abs=0.05)
 
 
 def test_heavy_tails_are_said_and_normal_ones_are_not() -> None:

@@ -8,19 +8,21 @@ candidate must reach is that of the whole search, so no new data need to be simu
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.design import Fold, parts_of
-from imucalib.loop.difference import Metric, difference
+from imucalib.loop.difference import Metric, difference, with_density
+from imucalib.loop.foretold import foretold
 from imucalib.loop.found import FitLoop, LoopSettings, Unexplained
 from imucalib.loop.held_out import Held, errors, theta_without, without_records
-from imucalib.loop.records import extended, record_names, reduced, set_aside
+from imucalib.loop.records import extended
 from imucalib.loop.search import choose, curve_of, effect_named, objection, refined, search
 from imucalib.units import MG
 
@@ -31,6 +33,20 @@ Index = NDArray[np.intp]
 _STRONG = 10.0
 
 
+@dataclass(frozen=True)
+class CrossFit:
+    """Held-out predictions of the base model and of the searched one, by the same folds: with every
+    record as it stands, as the calibration is made, and with the wrong ones set aside, as the gain
+    of an effect is judged; nats : (K,) of log density that the search gains in each fold."""
+
+    folds: tuple[Fold, ...]
+    before: Held
+    after: Held
+    clean_before: Held
+    clean_after: Held
+    nats: Array
+
+
 def cross_fitted(
     loop: FitLoop,
     folds: tuple[Fold, ...],
@@ -38,16 +54,27 @@ def cross_fitted(
     rng: np.random.Generator,
     settings: LoopSettings,
     families: tuple[Family, ...] = (),
-) -> tuple[Held, Held]:
-    """Held-out predictions of the base model and of the searched one, by the same folds."""
+) -> CrossFit:
+    """Repeat the search without each fold."""
     rules = replace(settings, bar=loop.bar)
     wrong = tuple(r.row for r in loop.records)
     data = loop.plain.observations
-    after = []
+    after, clean, nats = [], [], []
+    every = np.arange(data.n)
     for fold in folds:
-        chosen = _searched(loop, fold.rest, wrong, effects, rng, rules, families)
-        after.append(errors(chosen, chosen.theta, data.take(fold.rows)))
-    return by_folds(loop.plain, folds), _joined(after, folds)
+        held, good = data.take(fold.rows), _without(fold, wrong)
+        chosen = _searched(loop, good.rest, effects, rng, rules, families)
+        clean.append(errors(chosen, chosen.theta, held))
+        plain = theta_without(loop.base, np.setdiff1d(every, fold.rest))
+        nats.append(
+            foretold(chosen, chosen.theta, data, good) - foretold(loop.base, plain, data, good)
+        )
+        after.append(clean[-1] if not wrong else _as_recorded(chosen, data, fold))
+    before, found = by_folds(loop.plain, folds), _joined(after, folds)
+    if not wrong:
+        return CrossFit(folds, before, found, before, found, np.array(nats))
+    base = by_folds(loop.base, folds)
+    return CrossFit(folds, before, found, base, _joined(clean, folds), np.array(nats))
 
 
 def by_folds(fit: Fit, folds: tuple[Fold, ...]) -> Held:
@@ -61,15 +88,15 @@ def by_folds(fit: Fit, folds: tuple[Fold, ...]) -> Held:
     return _joined(parts, folds)
 
 
-def judged(
-    loop: FitLoop, folds: tuple[Fold, ...], before: Held, after: Held, metric: Metric
-) -> FitLoop:
+def judged(loop: FitLoop, held: CrossFit, metric: Metric) -> FitLoop:
     """The loop with the word of data that took no part: the difference, and nothing taken where the
     error there has not fallen. Records that are wrong prove nothing for or against an effect."""
     good = np.setdiff1d(np.arange(loop.plain.observations.n), [r.row for r in loop.records])
-    part = parts_of(folds)[good]
-    found = difference(before.size[good], after.size[good], part, len(folds), metric)
-    if found.gain > 0.0:
+    sizes = held.clean_before.size[good], held.clean_after.size[good]
+    found = difference(*sizes, parts_of(held.folds)[good], len(held.folds), metric)
+    if loop.plain.at.settings:
+        found = with_density(found, held.nats)
+    if found.holds:
         return replace(loop, difference=found)
     why = f"on data that took no part the error is {found.before / MG:.3g} mg without it, "
     why += f"{found.after / MG:.3g} with it"
@@ -89,40 +116,47 @@ def judged(
     )
 
 
+def _without(fold: Fold, wrong: tuple[int, ...]) -> Fold:
+    return Fold(np.setdiff1d(fold.rows, wrong), np.setdiff1d(fold.rest, wrong), fold.stretch)
+
+
+def _as_recorded(chosen: Fit, data: Observations, fold: Fold) -> Held:
+    """The fold predicted by the chosen model, fitted to all of the rest as it stands."""
+    rest = data.take(fold.rest)
+    fit = fit_model(chosen.model, rest, start=chosen.theta, noise=chosen.noise)
+    return errors(fit, fit.theta, data.take(fold.rows))
+
+
 def _searched(
     loop: FitLoop,
     rest: Index,
-    wrong: tuple[int, ...],
     effects: Mapping[str, Effect],
     rng: np.random.Generator,
     rules: LoopSettings,
     families: tuple[Family, ...],
 ) -> Fit:
-    """The loop on a part of the data; records count as they stand in what is returned, as in the
-    calibration itself. The noise is that of the whole, before and after: a nuisance that costs
-    most of the time and tells nothing about the choice."""
+    """The loop on a part of the data that has no wrong record. The noise is that of the whole,
+    before and after: it costs most of the time and tells nothing about the choice."""
     plain, noise = loop.plain, loop.final.noise
-    data = plain.observations.take(rest)
-    fit = fit_model(plain.model, data, start=plain.theta, noise=loop.base.noise)
-    for row in np.flatnonzero(np.isin(rest, wrong)):
-        fit = set_aside(fit, int(row))
+    own = loop.base.model.slices(loop.base.observations.context)
+    start = np.concatenate([loop.base.theta[own[name]] for name in plain.model.names])
+    fit = fit_model(plain.model, plain.observations.take(rest), start=start, noise=loop.base.noise)
     rejected: dict[str, str] = {}
     for _ in range(3 * rules.most_effects):
-        if len(fit.model.names) >= len(plain.model.names) + rules.most_effects + len(wrong):
+        if len(fit.model.names) >= len(plain.model.names) + rules.most_effects:
             break
         scores = search(fit, effects, rng, rules, rejected, families).scores
         best = choose(scores, rules)
         if best is None:
             smooth = curve_of(fit, scores, rules) if rules.curves else None
-            fit = smooth[1] if smooth else fit
-            break
+            return smooth[1] if smooth else fit
         best = refined(fit, best, families, rng, rules)
         trial = extended(fit, effect_named(effects, best.name), noise=noise)
         if reason := objection(fit, trial):
             rejected[best.candidate.family or best.name] = reason
         else:
             fit = trial
-    return reduced(fit, record_names(fit)) if wrong else fit
+    return fit
 
 
 def _joined(parts: list[Held], folds: tuple[Fold, ...]) -> Held:

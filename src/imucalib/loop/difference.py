@@ -8,7 +8,7 @@ standard error: sqrt(1 + K / (K - 1)) for K folds, where K counts the folds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Metric = Literal["rms", "mean"]
 _LEVEL = 0.95
+_LOSS = -1.0  # nats of held-out density that a step may lose by chance
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Difference:
     gain : before - after; low, high : its 95 % interval, widened for the training data that the
     folds share; plain_low : the lower edge without that, which decides the word "explained"
     parts : numbers that the interval rests on
+    nats, nats_low : what the log density of the rows that were left out has gained, and the lower
+        edge of its plain interval over the folds; NaN where it was not computed
     """
 
     before: float
@@ -34,6 +37,8 @@ class Difference:
     high: float
     plain_low: float
     parts: int
+    nats: float = float("nan")
+    nats_low: float = float("nan")
 
     @property
     def gain(self) -> float:
@@ -41,8 +46,17 @@ class Difference:
 
     @property
     def proved(self) -> bool:
-        """Whether the plain interval lies above zero."""
-        return self.plain_low > 0.0
+        """Whether the plain interval of the error or of the density lies above zero, the other not
+        being worse."""
+        dense = self.nats_low > 0.0 and self.gain > 0.0
+        return dense or (self.plain_low > 0.0 and not self.nats < 0.0)
+
+    @property
+    def holds(self) -> bool:
+        """Whether data that took no part allow the steps. Where rows share setting errors, the
+        plain error is mostly theirs and the other rows of a setting tell what a fixture does: there
+        the density decides, and only a loss refutes."""
+        return self.gain > 0.0 if np.isnan(self.nats) else self.nats > _LOSS
 
 
 def difference(
@@ -73,3 +87,13 @@ def difference(
     unit = unit if unit > 0.0 else 1.0
     low, high = (mean - quantile * wide * error) / unit, (mean + quantile * wide * error) / unit
     return Difference(start, end, low, high, (mean - quantile * error) / unit, m)
+
+
+def with_density(found: Difference, nats: Array) -> Difference:
+    """With the gains (K,) in log density, fold by fold."""
+    from scipy.special import stdtrit
+
+    k = nats.size
+    error = float(np.std(nats, ddof=1) * np.sqrt(k)) if k > 1 else np.inf
+    low = float(nats.sum()) - float(stdtrit(max(k - 1, 1), 0.5 + _LEVEL / 2.0)) * error
+    return replace(found, nats=float(nats.sum()), nats_low=low)

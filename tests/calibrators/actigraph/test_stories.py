@@ -62,7 +62,9 @@ def test_an_undeclared_effect_is_named_and_removed(effect: str) -> None:
     week = simulated_week(WeekPlan(days=DAYS, plant={effect: STORIES[effect]}), 3)
     result = solved(week, 3)
     assert effect.partition("@")[0] in found_names(result)
-    assert result.error.held_out.final <= 1.3 * knowing(week, effect)
+    # A step inside the block that is left out cannot be known: half a day is then half wrong.
+    worst = 1.5 if effect.startswith("bias_step") else 1.3
+    assert result.error.held_out.final <= worst * knowing(week, effect)
     assert result.error.held_out.final < 0.8 * result.error.held_out.base
 
 

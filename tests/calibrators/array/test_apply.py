@@ -82,7 +82,7 @@ def test_what_needs_the_motion_is_told(log: SimulatedLog, run: ArrayRun) -> None
     left = {row["effect"]: row for row in run.calibration.facts["not_undone"]}
     assert "gyro_scale" not in left
     assert "gyro_misalignment" not in left
-    row = left["accelerometer_quadratic"]
+    row = left["quadratic"]
     assert row["unit"] == "m/s²"
     # The rests take the quadratic's mean into the biases: what stays is the square of the force.
     felt = np.array([c.values for c in log.recording.channels.values()
@@ -90,7 +90,7 @@ def test_what_needs_the_motion_is_told(log: SimulatedLog, run: ArrayRun) -> None
     size = QUADRATIC * float(np.sqrt(np.mean(felt**4)))
     assert 0.5 * size < row["rms"] < 1.5 * size
     notes = apply_to_recording(run.calibration, log.recording).notes
-    assert any("accelerometer_quadratic" in n and "not undone" in n for n in notes)
+    assert any("quadratic" in n and "not undone" in n for n in notes)
     assert any("board's axes" in n for n in notes)
 
 

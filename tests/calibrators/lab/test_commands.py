@@ -127,7 +127,7 @@ def test_yaml_validates_and_applies_to_its_own_table(tmp_path: Path) -> None:
 def test_a_recording_with_positions_in_order(tmp_path: Path) -> None:
     arguments = (SAMPLES / "positions.csv", "--recording", SAMPLES / "rests.mcap")
     result = run("lab", *arguments, "--json", "-q", *FAST)
-    assert result.return_value == 0
+    assert result.return_value in (0, 5)  # proved or suspected
     report = validated(result.stdout, "report")
     assert "quadratic" in {n for s in report["loop"]["steps"] for n in (s["effect"], *s["aliases"])}
 

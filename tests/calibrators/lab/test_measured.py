@@ -110,9 +110,10 @@ def test_cave_instruments_at_rest(tmp_path: Path, name: str) -> None:
     error = run.outcome.error.held_out
     assert run.result.loop is not None
     assert run.result.loop.steps
+    assert run.result.loop.verdict == {"ab": "suspected", "ai": "explained"}[name]
     chosen_with, anew = run.result.splits
     assert chosen_with.final.rms() < 0.75 * chosen_with.base.rms()
-    assert anew.name == "searched anew"
+    assert anew.name == "held out"
     assert anew.final.rms() > 1.1 * chosen_with.final.rms()
     assert error.final == pytest.approx(anew.final.rms() / MG)
     assert error.final < error.base < 0.1 * error.raw

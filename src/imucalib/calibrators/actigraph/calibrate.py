@@ -87,11 +87,9 @@ def calibrate(
     base_held = final_held = by_folds(base, folds)
     if loop and loop.steps:
         names, tried = ", ".join(s.effect for s in loop.steps), wanted(request)
-        base_held, after = cross_fitted(
-            loop, folds, tried.effects, rng, request.rules, tried.families
-        )
-        loop = judged(loop, folds, base_held, after, "mean")
-        final_held = after if loop.steps else base_held
+        held = cross_fitted(loop, folds, tried.effects, rng, request.rules, tried.families)
+        loop = judged(loop, held, "mean")
+        base_held, final_held = held.before, held.after if loop.steps else held.before
         if not loop.steps:
             declined = f"{names} not taken: the held-out error is larger with it than without"
     final = loop.as_recorded if loop and loop.steps else base

@@ -143,9 +143,9 @@ def _closed(
     folds = folds_of(data)
     if not loop.steps:
         return loop, (by_folds(loop.plain, folds),) * 2
-    before, after = cross_fitted(loop, folds, wanted.effects, rng, rules, wanted.families)
-    loop = judged(loop, folds, before, after, "rms")
-    return loop, (before, after if loop.steps else before)
+    held = cross_fitted(loop, folds, wanted.effects, rng, rules, wanted.families)
+    loop = judged(loop, held, "rms")
+    return loop, (held.before, held.after if loop.steps else held.before)
 
 
 def base_model(settings: LabSettings, observations: Observations) -> Model:
