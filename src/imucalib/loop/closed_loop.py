@@ -46,11 +46,9 @@ from imucalib.loop.search import (
     unexplained,
 )
 from imucalib.loop.subject import Refused, Searched, close
+from imucalib.loop.thresholds import KEEP, SUSPECTS
 
 Array = NDArray[np.float64]
-
-#: Suspect records that are set aside on trial when nothing stands out by itself.
-_SUSPECTS = 3
 
 
 def close_loop(
@@ -196,8 +194,8 @@ class _State:
         """
         if len(self.records) >= self.rules.most_records or self.steps:
             return None
-        strict = replace(self.rules, alpha=self.rules.alpha / _SUSPECTS)
-        for suspect in self.suspects[:_SUSPECTS]:
+        strict = replace(self.rules, alpha=self.rules.alpha / SUSPECTS)
+        for suspect in self.suspects[:SUSPECTS]:
             if suspect.evidence < 1.0:
                 break
             row = row_of(suspect.name)
@@ -219,7 +217,7 @@ class _State:
             without = reduced(state.fit, (step.effect,))
             one = [effect_named(self.effects, step.effect)]
             candidates, _ = effect_candidates(without, one)
-            if score(without, candidates, self.rng, draws=1)[0].evidence < 1.0:
+            if score(without, candidates, self.rng, draws=1)[0].evidence < KEEP:
                 steps = tuple(s for s in state.steps if s.effect != step.effect)
                 state = replace(state, fit=without, steps=steps)
         return state

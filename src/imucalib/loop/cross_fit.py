@@ -24,13 +24,11 @@ from imucalib.loop.found import FitLoop, LoopSettings, Unexplained
 from imucalib.loop.held_out import Held, errors, theta_without, without_records
 from imucalib.loop.records import extended
 from imucalib.loop.search import choose, curve_of, effect_named, objection, refined, search
+from imucalib.loop.thresholds import STRONG
 from imucalib.units import MG
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-
-#: Nats from which on an effect that held-out data refuse is structure without a name, no accident.
-_STRONG = 10.0
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ def judged(loop: FitLoop, held: CrossFit, metric: Metric) -> FitLoop:
     strong = tuple(
         Unexplained(f"what looks like {s.effect}", "", "probe", s.p, s.evidence, 0.0)
         for s in loop.named
-        if s.evidence > _STRONG
+        if s.evidence > STRONG
     )
     return replace(
         loop,

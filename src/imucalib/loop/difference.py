@@ -14,10 +14,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.loop.thresholds import LOSS
+
 Array = NDArray[np.float64]
 Metric = Literal["rms", "mean"]
 _LEVEL = 0.95
-_LOSS = -1.0  # nats of held-out density that a step may lose by chance
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Difference:
         """Whether data that took no part allow the steps. Where rows share setting errors, the
         plain error is mostly theirs and the other rows of a setting tell what a fixture does: there
         the density decides, and only a loss refutes."""
-        return self.gain > 0.0 if np.isnan(self.nats) else self.nats > _LOSS
+        return self.gain > 0.0 if np.isnan(self.nats) else self.nats > LOSS
 
 
 def difference(

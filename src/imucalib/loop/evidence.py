@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.noise_grid import TAU, EvidenceGrid
+from imucalib.loop.thresholds import ABSORBED
 
 Array = NDArray[np.float64]
 Kind = Literal["effect", "probe", "noise", "record"]
 
 #: Simulated data sets are drawn in parts; the second one's floor is below every alpha in use.
 _PARTS = (59, 299)
-#: A block that keeps less than this share of its columns is absorbed by the fitted parameters.
-_ABSORBED = 1e-5
 #: Independent observations from which on the candidates' Gram matrix stands in for the data.
 _MANY = 300
 
@@ -81,7 +80,7 @@ class Score:
 
     @property
     def absorbed(self) -> bool:
-        return self.left < _ABSORBED
+        return self.left < ABSORBED
 
 
 def score(
@@ -117,7 +116,7 @@ def _score_few(
     at, noise = fit.at, fit.noise
     fitted = noise.ratio
     alone = _each_alone(fit, candidates)
-    live = [k for k, (left, _, _) in enumerate(alone) if left >= _ABSORBED]
+    live = [k for k, (left, _, _) in enumerate(alone) if left >= ABSORBED]
     evidence, p, done = np.zeros(len(candidates)), np.ones(len(candidates)), 0
     null = np.zeros(0)
     if live:
@@ -166,7 +165,7 @@ def _score_many(
     dead = [k for k in range(len(candidates)) if k not in live]
     scores = [Score(bare[k], 0.0, 1.0, draws, 0.0, 0.0, 0.0) for k in dead]
     for i, k in enumerate(live):
-        absorbed = found.left[i] < _ABSORBED
+        absorbed = found.left[i] < ABSORBED
         value = 0.0 if absorbed else float(found.evidence[i])
         p = 1.0 if absorbed else (1 + int((found.best >= value).sum())) / (draws + 1)
         left, strength, share = (float(v[i]) for v in (found.left, found.strength, found.share))
@@ -189,7 +188,7 @@ def _each_alone(fit: Fit, candidates: tuple[Candidate, ...]) -> list[tuple[float
         rest = columns - basis @ (basis.T @ columns)
         whole, kept = float(np.sum(columns**2)), float(np.sum(rest**2))
         left = kept / whole if whole > 0.0 else 0.0
-        if left < _ABSORBED:
+        if left < ABSORBED:
             found.append((left, 0.0, 0.0))
             continue
         u = _span(rest)

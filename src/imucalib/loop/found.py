@@ -11,8 +11,7 @@ from imucalib.core.fit import Fit
 from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.record_errors import RecordError
-
-_CERTAIN = 0.01  # family-wise p from which on an effect without aliases is called certain
+from imucalib.loop.thresholds import ALPHA, CERTAIN, MARGIN, NOISE_ALPHA, RECORD_ALPHA
 
 
 @dataclass(frozen=True)
@@ -25,14 +24,14 @@ class LoopSettings:
     structure without a name is corrected by a smooth curve, where that holds out; gross : mg, the
     smallest error that makes a record wrong"""
 
-    alpha: float = 0.035
-    record_alpha: float = 0.01
-    noise_alpha: float = 0.005
+    alpha: float = ALPHA
+    record_alpha: float = RECORD_ALPHA
+    noise_alpha: float = NOISE_ALPHA
     declared: bool = False
     bar: float | None = None
     curves: bool = False
     gross: float = 0.0
-    margin: float = 3.0
+    margin: float = MARGIN
     draws: int = 1000
     most_effects: int = 4
     most_records: int = 4
@@ -75,7 +74,7 @@ class Step:
     @property
     def certain(self) -> bool:
         """Nothing else would do as well, and chance would not do it in a hundred searches."""
-        return not self.aliases and not self.curve and self.p <= _CERTAIN
+        return not self.aliases and not self.curve and self.p <= CERTAIN
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ from imucalib.loop.found import LoopSettings, Unexplained
 from imucalib.loop.held_out import log_predictive
 from imucalib.loop.records import extended, held_out_rms
 from imucalib.loop.subject import Searched
-
-#: An effect must gain at least this on held-out data, in log density.
-_HELD_OUT_NATS = 1.0
-#: λ sin(angle) below which two effects are not told apart.
-_APART = 2.0
-#: Terms of a correction without a name that are tried, and what it must gain on held-out data.
-_TERMS = (3, 6, 12)
-_CURVE_NATS, _CURVE_RMS = 5.0, 0.97
+from imucalib.loop.thresholds import (
+    APART,
+    CURVE_NATS,
+    CURVE_RMS,
+    CURVE_TERMS,
+    HELD_OUT_NATS,
+    HELD_OUT_RMS,
+)
 
 
 def search(
@@ -135,13 +135,13 @@ def curve_of(
     if not passing:
         return None
     found, best, most = passing[0], None, -np.inf
-    for terms in _TERMS:
+    for terms in CURVE_TERMS:
         effect = known(f"curve@{found.candidate.curve}:{terms}")
         assert effect is not None, found.candidate.curve
         if effect.name in current.model.names or effect.missing(current.observations.context):
             continue
         trial = extended(current, effect)
-        if objection(current, trial, _CURVE_NATS, _CURVE_RMS):
+        if objection(current, trial, CURVE_NATS, CURVE_RMS):
             continue
         if (density := log_predictive(trial)) > most:
             best, most = (effect.name, trial), density
@@ -166,7 +166,7 @@ def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexpla
 
 
 def objection(
-    before: Fit, after: Fit, least_nats: float = _HELD_OUT_NATS, most_rms: float = 1.0
+    before: Fit, after: Fit, least_nats: float = HELD_OUT_NATS, most_rms: float = HELD_OUT_RMS
 ) -> str:
     """Why an effect must not be taken in; empty when the refit realises the gain and what it
     predicts for data that it was not fitted to is better.
@@ -213,6 +213,6 @@ def aliases(
         if rival.evidence >= near:
             return True
         alike = rival.evidence >= chosen.evidence / 2.0
-        return alike and apart(thin, columns(chosen.name), columns(rival.name)) < _APART
+        return alike and apart(thin, columns(chosen.name), columns(rival.name)) < APART
 
     return tuple(s.name for s in scores if beside(s))

@@ -31,6 +31,7 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.asked import searched
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.found import FitLoop, LoopSettings
+from imucalib.loop.thresholds import GROSS
 from imucalib.rests.segments import Segments
 from imucalib.units import MG
 
@@ -38,7 +39,7 @@ Array = NDArray[np.float64]
 FEWEST_POSES = 9
 #: Curves do not speak against a name, and an error below 10 mg makes no rest a wrong one: what a
 #: chip's offset does from rest to rest is noise.
-REST_RULES = LoopSettings(draws=499, margin=np.inf, gross=10.0, most_effects=3)
+REST_RULES = LoopSettings(draws=499, margin=np.inf, gross=GROSS, most_effects=3)
 _VAGUE = 0.02  # standard deviation of a gain entry above which the attitudes are too alike
 _LOOSE = 0.2  # largest believable deviation of a triad's gain from a plain one
 

@@ -25,13 +25,7 @@ from imucalib.calibrators.array.moving import Moving
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings, Step, Unexplained
 from imucalib.loop.subject import Refused, Searched
-
-#: Nats on held-out halves below which they contradict an effect: half of the data may be too few to
-#: confirm what all of them show.
-_ONE_HALF, _BOTH_HALVES = -3.0, -1.0
-_CURVES = 3  # corrections without a name, at most
-_PATH = 3  # effects that together may take the place of a curve without a name
-_KEEP = 1.0  # nats that an earlier effect must still be worth at the end
+from imucalib.loop.thresholds import BOTH_HALVES, CURVES, KEEP, ONE_HALF, PATH
 
 
 @dataclass(frozen=True)
@@ -71,7 +65,7 @@ class MotionSubject:
     def choice(self, found: Searched, rejected: Mapping[str, str]) -> Score | None:
         """The best effect; where a curve leads by more than the margin, still the best effect."""
         curved = any(step.curve for step in self.steps)
-        if self.over or curved or len(self.steps) >= self.rules.most_effects or self.taken >= _PATH:
+        if self.over or curved or len(self.steps) >= self.rules.most_effects or self.taken >= PATH:
             return None
         left_out = self.left_out.union(rejected)
         passing = (
@@ -152,7 +146,7 @@ class MotionSubject:
         return replace(grown, debt=debt, taken=grown.taken + 1)
 
     def smoothed(self, found: Searched) -> MotionSubject | None:
-        if sum(step.curve for step in self.steps) >= _CURVES:
+        if sum(step.curve for step in self.steps) >= CURVES:
             return None
         seen = self.searched
         probes = (s for s in seen.scores if s.p <= self.rules.alpha and seen.correctable(s.name))
@@ -171,7 +165,7 @@ class MotionSubject:
         path = self
         for step in self.steps[:-1]:
             term = next(t for t in path.state.terms if t.name == step.effect)
-            if worth(path.state, term) >= _KEEP:
+            if worth(path.state, term) >= KEEP:
                 continue
             left = tuple(t for t in path.state.terms if t.name != step.effect)
             path = replace(
@@ -208,6 +202,6 @@ def _why_not(before: ArrayState, after: ArrayState, gains: tuple[float, float]) 
         return f"implausible size ({', '.join(implausible)})"
     if after.density <= before.density:
         return "the joint fit is not better with it"
-    if min(gains) < _ONE_HALF or sum(gains) < _BOTH_HALVES:
+    if min(gains) < ONE_HALF or sum(gains) < BOTH_HALVES:
         return f"it does not hold out: {gains[0]:+.1f} and {gains[1]:+.1f} nats on the other half"
     return ""

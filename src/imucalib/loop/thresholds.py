@@ -1,0 +1,47 @@
+"""The numbers that decide what a search says, in one place, each with where it comes from.
+
+Rows of measured rates are those of benchmarks/RESULTS.md, "The closed loop", which `make
+loop-benchmark` writes again.
+"""
+
+from __future__ import annotations
+
+#: Family-wise false alarms of the search for effects, of that for wrong records, and of each doubt
+#: about the noise. Chosen so that all alarms together stay near 5 % of clean data: 7.0, 3.0 and
+#: 4.0 % were measured for bench, wrist and array on 400 clean recordings each.
+ALPHA, RECORD_ALPHA, NOISE_ALPHA = 0.035, 0.01, 0.005
+#: Family-wise p up to which an effect without aliases is called certain: of clean recordings 0.8,
+#: 0.2 and 0.5 % held such a name.
+CERTAIN = 0.01
+#: Share of a candidate's columns that the fitted parameters must leave for it to be testable: what
+#: is left below is rounding (columns of 1e3 numbers at 1e-16 leave about 1e-13).
+ABSORBED = 1e-5
+#: λ sin(angle) below which two effects are not told apart: the difference of two maxima of χ² is
+#: then within two standard deviations of zero.
+APART = 2.0
+#: Nats by which a curve must beat the best effect to speak against it: odds of 20.
+MARGIN = 3.0
+#: Nats that an effect must gain in the left-out density (odds of 2.7), and share of the left-out
+#: error that may be left, here and for a curve, which has nothing but the data to speak for it.
+HELD_OUT_NATS, HELD_OUT_RMS = 1.0, 1.0
+CURVE_NATS, CURVE_RMS = 5.0, 0.97
+#: Terms of a curve that are tried.
+CURVE_TERMS = (3, 6, 12)
+#: Nats from which on an effect that data refuse which took no part is structure without a name, not
+#: one of the accidents of which ALPHA allows a few: odds of e^10 are no accident.
+STRONG = 10.0
+#: Nats of held-out density that steps may lose where rows share settings: the other rows of a
+#: setting tell there what a fixture does, so that true gains are under-reported.
+LOSS = -1.0
+#: Nats that an earlier step must still be worth beside later ones.
+KEEP = 1.0
+#: Suspect records that are set aside on trial when nothing stands out by itself.
+SUSPECTS = 3
+#: Of an array, whose halves of the motion are half of the data: nats of one half and of both below
+#: which they contradict an effect; steps that together may take a curve's place; corrections
+#: without a name, at most.
+ONE_HALF, BOTH_HALVES = -3.0, -1.0
+PATH, CURVES = 3, 3
+#: mg below which no rest of an array is a wrong one: chips' offsets move by 1-3 mg from rest to
+#: rest (four logs of a 32-IMU board), and a hand that touches the board moves it by tens.
+GROSS = 10.0
