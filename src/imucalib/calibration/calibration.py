@@ -40,6 +40,7 @@ class Calibration:
     parameters : all, fixture included; covariance : (p, p) in their units and order
     raw_unit, raw_to_si : of the readings that it applies to
     facts : the blocks that only people read (gravity, conventions, noise, ranges, provenance)
+    sha256 : of the file that it was read from, or empty
     """
 
     calibrator: str
@@ -52,6 +53,7 @@ class Calibration:
     reasons: tuple[str, ...] = ()
     valid: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
+    sha256: str = ""
 
     def model(self) -> tuple[Model, Array]:
         """The correcting part as effects of the catalogue, with its θ.

@@ -6,6 +6,7 @@ their order. `matrices` are derived from the effects for those who only need a =
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.errors import UnreadableInput
+from imucalib.readers.source import sha256_of
 from imucalib.recording.yaml_text import dump, load
 
 Array = NDArray[np.float64]
@@ -85,7 +87,7 @@ def read(path: Path) -> Calibration:
     """Read a calibration of any known version. Raises UnreadableInput with what is wrong where."""
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path))
-    return from_dict(load(path), str(path))
+    return replace(from_dict(load(path), str(path)), sha256=sha256_of(path))
 
 
 def from_dict(content: Any, where: str) -> Calibration:

@@ -63,6 +63,17 @@ def recording_options(command: Command) -> Command:
     return command
 
 
+force_option = click.option(
+    "--force", is_flag=True, help="Replace an output file that is there; never an input."
+)
+
+
+def inputs_of(options: dict[str, Any], *files: Path) -> list[Path]:
+    """Every file that a command reads: no output may be one of them."""
+    named = (options.get("mapping"), options.get("effects_file"))
+    return [*files, *(path for path in named if path is not None)]
+
+
 def mapping_of(options: dict[str, Any]) -> FieldMapping:
     """The mapping that the options state; the file first, single options over it."""
     from imucalib.recording.mapping import FieldMapping, from_dict, load_mapping

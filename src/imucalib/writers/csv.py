@@ -40,6 +40,7 @@ class CsvWriter:
                 channels = dict(recording.channels)
                 if not names:
                     names, head = tuple(channels), _head(0, recording.start_ns)
+                    head += "".join(f"# corrected: {c.to_text()}\n" for c in recording.corrections)
                     out.write(head + ",".join(_names(channels)) + "\n")
                 if tuple(channels) != names:
                     raise UsageError(

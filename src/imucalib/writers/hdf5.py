@@ -1,7 +1,7 @@
 """Recordings as HDF5: one group a channel, every dataset with its unit and a checksum.
 
 /<triad>/<quantity>/values (N, k) with attributes units, quantity, triad, sampling_rate, and
-/<triad>/<quantity>/time (N,) in s; the file has the attributes format, version, start_ns. The
+/<triad>/<quantity>/time (N,) in s; the file has the attributes format, version, start_ns and, if a calibration was applied, corrections. The
 `units` attribute is the rule of NeXus (manual, "Rules for Storing Data Items").
 """
 
@@ -38,6 +38,7 @@ class Hdf5Writer:
                     file.attrs["start_ns"] = recording.start_ns
                 file.attrs["source_path"] = recording.path
                 file.attrs["source_sha256"] = recording.sha256
+                file.attrs["corrections"] = "\n".join(c.to_text() for c in recording.corrections)
                 for name, channel in recording.channels.items():
                     if name not in file:
                         _define(file.create_group(name), channel)

@@ -92,7 +92,7 @@ def _blocks(
 def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator[Recording]:
     empty = Recording(
         {}, str(path), "csv", sha256_of(path), plan.clock.start_ns,
-        notes=plan.notes, mapping=plan.resolved.to_dict(),
+        notes=plan.notes, mapping=plan.resolved.to_dict(), corrections=plan.corrections,
     )  # fmt: skip
     position = _Position()
     before: Recording | None = None

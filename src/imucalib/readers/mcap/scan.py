@@ -24,10 +24,12 @@ from imucalib.readers.messages.records import (
     Schema,
     Topic,
 )
+from imucalib.recording.correction import Correction
 
 #: Yields messages, returns where the next record begins.
 _Steps = Generator[MessageBlock, None, int]
 _WINDOW = 1 << 22
+_LARGEST_MARK = 1 << 20  # a longer metadata record is not ours
 _KNOWN = range(0x01, 0x10)
 
 
@@ -43,6 +45,7 @@ class Scanner:
         self.damages: list[Damage] = []
         self.messages = 0
         self.extras: list[tuple[int, int, int]] = []  # attachments, metadata: opcode, byte, size
+        self.corrections: tuple[Correction, ...] = ()
         self._schemas: dict[int, Schema] = {}
         self._hidden: int | None = None  # the damage whose messages the next indexes can count
         self._chunks = 0
@@ -156,6 +159,8 @@ class Scanner:
             self.damages[self._hidden] = dataclasses.replace(lost, messages=count)
         elif opcode in (mr.ATTACHMENT, mr.METADATA):
             self.extras.append((opcode, at + 9, end - at - 9))
+            if opcode == mr.METADATA and end - at < _LARGEST_MARK:
+                self.corrections += mr.parse_corrections(self._read(at + 9, end - at - 9))
         elif opcode == mr.DATA_END:
             self._check_data_end(at, end)
         elif opcode == mr.STATISTICS:

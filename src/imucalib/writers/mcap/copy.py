@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 from imucalib.readers.mcap.scan import Scanner
 from imucalib.readers.messages.records import (
     ATTACHMENT,
+    CORRECTIONS,
+    METADATA,
     MalformedRecordError,
     MessageBlock,
     Topic,
+    text_at,
 )
 from imucalib.readers.messages.summary import read_summary
 from imucalib.recording.recording import Recording
@@ -43,7 +46,8 @@ def contents_of(source: Path) -> Contents:
 
 
 def copy_extras(source: Path, extras: tuple[tuple[int, int, int], ...], file: McapFile) -> None:
-    """Copy attachments and metadata records; one whose CRC or names do not fit is left out."""
+    """Copy attachments and metadata records but our own marks, which are written anew; one whose
+    CRC or names do not fit is left out."""
     with source.open("rb") as stream:
         for opcode, at, size in extras:
             stream.seek(at)
@@ -52,6 +56,8 @@ def copy_extras(source: Path, extras: tuple[tuple[int, int, int], ...], file: Mc
             if len(content) < size or (crc and crc != zlib.crc32(content[:-4])):
                 continue
             try:
+                if opcode == METADATA and text_at(content, 0)[0] == CORRECTIONS:
+                    continue
                 (file.attachment if opcode == ATTACHMENT else file.metadata)(content)
             except MalformedRecordError:
                 continue

@@ -60,6 +60,7 @@ def _write(recording: Recording, path: Path, source: Path | None) -> None:
     file = McapFile(path, "ros2", f"imucal {imucalib.__version__}")
     try:
         outputs, base = _outputs(anew, source, contents.topics, kept)
+        file.marks(recording.corrections)
         _define(file, outputs, kept, base)
         for chunk in chunks_of(outputs):
             file.chunk(*chunk)
