@@ -1,8 +1,8 @@
 """Recordings as HDF5: one group a channel, every dataset with its unit and a checksum.
 
 /<triad>/<quantity>/values (N, k) with attributes units, quantity, triad, sampling_rate, and
-/<triad>/<quantity>/time (N,) in s; the file has the attributes format, version, start_ns and, if a calibration was applied, corrections. The
-`units` attribute is the rule of NeXus (manual, "Rules for Storing Data Items").
+/<triad>/<quantity>/time (N,) in s; the file has the attributes format, version, start_ns and
+corrections. The `units` attribute is the rule of NeXus (manual, "Rules for Storing Data Items").
 """
 
 from __future__ import annotations
