@@ -80,7 +80,7 @@ def write_whole(path: Path, text: str) -> None:
     """Write a text file by a temporary neighbour and a rename."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced_atomically(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def read(path: Path) -> Calibration:
@@ -105,9 +105,15 @@ def from_dict(content: Any, where: str) -> Calibration:
             remedy="update imucal",
         )
     try:
-        return _calibration(content)
+        calibration = _calibration(content)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise UnreadableInput(f"the calibration is incomplete: {error!r}", where=where) from None
+    stated = {p.name: p.value for p in calibration.parameters}
+    stated |= {"gravity_m_per_s2": calibration.gravity, "to_m_per_s2": calibration.raw_to_si}
+    for name, value in stated.items():
+        if not np.isfinite(value):
+            raise UnreadableInput(f"{name} is {value}, no finite number", where=where)
+    return calibration
 
 
 def _calibration(content: dict[str, Any]) -> Calibration:

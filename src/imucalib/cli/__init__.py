@@ -103,13 +103,16 @@ def main() -> None:
     except click.Abort:
         click.echo("stopped", err=True)
         code = 130
-    except BrokenPipeError:
-        # Nobody reads on, as in `imucal inspect x | head`: nothing is left to say, at exit neither.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (BrokenPipeError, SystemExit) as error:
+        # Where nobody reads on, as in `imucal inspect x | head`, click ends with 1: here a limit.
+        left = "PacifyFlushWrapper" in type(sys.stdout).__name__
+        if not (left or isinstance(error, BrokenPipeError)):
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # nor is there anything left to say at exit
         code = 141  # as of a program that SIGPIPE ended
     except OSError as error:
         # A full disk or a missing permission while writing: outputs are whole or absent.
-        click.echo(f"error: {error.filename or ''}: {error.strerror}", err=True)
+        click.echo(f"error: {error.filename or 'output'}: {error.strerror}", err=True)
         code = 3
     except Exception as error:
         code = _crashed(error)

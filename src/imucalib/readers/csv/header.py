@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imucalib.readers.devices.catalogue import UNKNOWN, Device, Start, device_named_in
+from imucalib.readers.timebase import start_of
 from imucalib.recording.correction import Correction, corrections_of
 
 _NUMBER = r"(\d+(?:[.,]\d+)?)"
@@ -41,12 +42,13 @@ def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
     found = _RATE.search(text)
     rate = float(found.group(1).replace(",", ".")) if found else None
     own = _OWN_START.search(text)
-    start = int(own.group(1)) if own else None
+    notes: list[str] = []
+    start = start_of(int(own.group(1)), notes) if own else None
     stated = _OWN_ROWS.search(text)
     rows = int(stated.group(1)) if stated else None
     device = device_named_in(text)
     device.refuse(text, where)
     told = device.start(text) if device.start else Start(start)
     marks = corrections_of(_OWN_MARK.findall(text) if stated else ())
-    notes = (*told.notes, *map(str, marks))
-    return HeaderFacts(device, rate or None, told.start_ns, notes, rows, marks)
+    notes += [*told.notes, *map(str, marks)]
+    return HeaderFacts(device, rate or None, told.start_ns, tuple(notes), rows, marks)

@@ -14,7 +14,7 @@ from imucalib.readers.conversion import Conversion
 from imucalib.readers.hdf5.attributes import number_of
 from imucalib.readers.hdf5.clock import Found
 from imucalib.readers.hdf5.file import File
-from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, stepping
+from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, start_of, stepping
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 from imucalib.recording.recording import Array
 
@@ -79,8 +79,9 @@ def signals_of(
 ) -> tuple[list[Signal], int | None, list[str]]:
     signals: list[Signal] = []
     notes: list[str] = []
-    stated = number_of(file.handle, "start_ns")
-    start_ns = None if stated is None else int(np.asarray(file.handle.attrs["start_ns"]).flat[0])
+    start_ns = None
+    if number_of(file.handle, "start_ns") is not None:
+        start_ns = start_of(np.asarray(file.handle.attrs["start_ns"]).flat[0].item(), notes)
     origin: dict[float, float | int] = {}
     for one in found:
         clock, first, note = _clock(file, one)
