@@ -33,6 +33,7 @@ _QUANTITY = {
 }  # fmt: skip
 _GENERIC = {"sensors", "data", "raw", "calibrated", "imu", "readings", "table", "", "value",
             "values", "processed", "x"}  # fmt: skip
+_MOST = 4096  # datasets: each costs half a millisecond before it is read
 _LARGEST_RATIO = 2000  # logical over stored bytes; deflate cannot do more than about 1032
 
 
@@ -40,14 +41,20 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
     """Every numeric or compound dataset with rows, in the file's order."""
     found: list[Any] = []
 
-    def visit(_: str, node: Any) -> None:
+    def visit(_: str, node: Any) -> bool | None:
         if hasattr(node, "shape") and node.shape and node.size:
             found.append(node)
+        return True if len(found) > _MOST else None
 
-    file.visititems(visit)
+    if file.visititems(visit):
+        raise UnreadableInput(
+            f"the file holds more than {_MOST} datasets",
+            where=where,
+            remedy="write those of one recording to a file of their own",
+        )
     for node in found:
         logical, stored = node.size * node.dtype.itemsize, node.id.get_storage_size()
-        if logical > _LARGEST_RATIO * max(stored, 1 << 16):
+        if logical > _LARGEST_RATIO * max(stored, 1 << 16) and not node.is_virtual:
             raise UnreadableInput(
                 f"{node.name} claims {logical} bytes but stores {stored}",
                 where=where,

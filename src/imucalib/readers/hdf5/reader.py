@@ -45,14 +45,14 @@ class Hdf5Reader:
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Yield the fields in blocks of about `block_samples` rows."""
-        with opened(path, strict) as file:
+        with opened(path, strict, bool(mapping.allow_external)) as file:
             yield from _blocks(file, path, mapping, block_samples)
 
     def stored_blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """The same blocks with the numbers as the file has them; see `readers.stored_blocks`."""
-        with opened(path, strict) as file:
+        with opened(path, strict, bool(mapping.allow_external)) as file:
             yield from _blocks(file, path, mapping, block_samples, stored=True)
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:

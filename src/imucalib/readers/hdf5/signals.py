@@ -47,10 +47,15 @@ def times(file: File, signal: Signal, start: int, stop: int) -> Array:
         t = np.arange(start, stop, dtype=np.float64)
         t /= signal.rate
         return t
-    stamps = file.rows(signal.found.time, start, stop).reshape(-1)
+    found, held = file.stored(signal.found.time, start, stop)
+    stamps = found.reshape(-1)
     if stamps.dtype.kind in "iu":
-        return np.asarray((stamps.astype(np.int64) - int(signal.origin)) / round(1.0 / signal.size))
-    return np.asarray((stamps.astype(np.float64) - signal.origin) * signal.size)
+        t = np.asarray((stamps.astype(np.int64) - int(signal.origin)) / round(1.0 / signal.size))
+    else:
+        t = np.asarray((stamps.astype(np.float64) - signal.origin) * signal.size)
+    if held is not None:
+        t[~held] = np.nan
+    return t
 
 
 def raw_rows(file: File, found: Found, start: int, stop: int) -> Array:
