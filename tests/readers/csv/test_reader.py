@@ -480,3 +480,19 @@ def test_real_counts_are_never_taken_for_a_unit() -> None:
 def test_real_headerless_log_asks_for_its_columns() -> None:
     with pytest.raises(UnreadableInput, match="6 columns have no names"):
         readers.read(DATA / "mpu9150_tumble" / "imu0.log")
+
+
+@pytest.mark.parametrize("stamp", ["{:.2f}", "2024-03-01 12:00:{:05.2f}"])
+def test_explicit_columns_without_names_keep_the_time(stamp: str, tmp_path: Path) -> None:
+    rows = [f"{stamp.format(0.01 * k)},0.01,-0.02,{9.8 + 0.01 * (k % 3)}" for k in range(400)]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    found = readers.read(tmp_path / "a.csv", FieldMapping(acc=("2", "3", "4")))
+    assert found.channels["imu0/acceleration"].rate == pytest.approx(100.0)
+    assert any("column 1 taken as time" in note for note in found.notes)
+
+
+def test_explicit_columns_keep_the_temperature(tmp_path: Path) -> None:
+    rows = [f"{0.01 * k:.2f},0.01,-0.02,{9.8 + 0.01 * (k % 3)},21.5" for k in range(400)]
+    (tmp_path / "a.csv").write_text("time [s],p,q,r,temperature [degC]\n" + "\n".join(rows) + "\n")
+    found = readers.read(tmp_path / "a.csv", FieldMapping(acc=("p", "q", "r")))
+    assert set(found.channels) == {"imu0/acceleration", "imu0/temperature"}

@@ -68,6 +68,7 @@ def fields_of(file: Any, mapping: FieldMapping, where: str) -> list[Found]:
     nodes = {node.name: node for node in datasets(file, where)}
     if mapping.acc or mapping.gyro:
         found = list(_stated(nodes, mapping))
+        found += list(_temperatures_beside(nodes, found))
     else:
         found = [f for node in nodes.values() for f in _vectors(node)]
         found += list(_single_axes(nodes))
@@ -189,6 +190,24 @@ def _all_triads(node: Any, quantity: str) -> list[Found]:
         return []
     rows = shape[1] if places[0].transposed else shape[0]
     return [Found(quantity, "", (p,), rows, unit, scale) for p in places]
+
+
+def _temperatures_beside(nodes: dict[str, Any], stated: list[Found]) -> Iterator[Found]:
+    """Temperatures in the folder of a stated triad, or of a file with one triad."""
+    triads = tuple(dict.fromkeys(f.triad for f in stated))
+    for node in nodes.values():
+        for field in _vectors(node):
+            if field.quantity == "temperature":
+                near = [f.triad for f in stated if _holder(f) == _holder(field)]
+                for triad in dict.fromkeys(near) or triads[: len(triads) == 1]:
+                    yield replace(field, triad=triad)
+
+
+def _holder(field: Found) -> list[str]:
+    """The folder of the sensor that a field belongs to."""
+    parts = words_of(field.parts[0].path)
+    _, at = _quantity_of(field.parts[0].path)
+    return parts[: at if at >= 0 else -1]
 
 
 def _stated_temperatures(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
