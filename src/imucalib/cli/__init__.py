@@ -95,7 +95,9 @@ def main() -> None:
         code = cli.main(standalone_mode=False)
         sys.stdout.flush()
     except ImucalError as error:
-        click.echo(f"error: {error}", err=True)
+        from imucalib.cli.output import say
+
+        say(f"error: {error}", err=True)
         code = error.exit_code
     except click.ClickException as error:
         error.show()
@@ -141,5 +143,7 @@ def _crashed(error: Exception) -> int:
             file.write("".join(traceback.format_exception(error)))
     except OSError:
         path = "nowhere: no place for it"
-    click.echo(f"error: imucal failed ({what}); please report it with {path}", err=True)
+    from imucalib.cli.output import say
+
+    say(f"error: imucal failed ({what}); please report it with {path}", err=True)
     return CRASH_EXIT_CODE

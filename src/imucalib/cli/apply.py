@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, note, quiet_option
+from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
 from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
 
 
@@ -84,5 +84,5 @@ def command(
     if options["as_json"]:
         emit_json({"output": str(output), "notes": list(notes)})
     elif not options["quiet"]:
-        click.echo(f"wrote {output}")
+        say(f"wrote {output}")
     return 0

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, note, quiet_option
+from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
 from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
 
 
@@ -46,5 +46,5 @@ def command(source: Path, target: Path, strict: bool, force: bool, **options: An
             }
         )
     elif not options["quiet"]:
-        click.echo(f"wrote {target}: {', '.join(recording.channels)}")
+        say(f"wrote {target}: {', '.join(recording.channels)}")
     return 0
