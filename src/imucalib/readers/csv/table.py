@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.csv.dialect import cells_of, is_comment, is_number
+from imucalib.readers.csv.dialect import cells_of, decoded, is_comment, is_number
 from imucalib.readers.csv.source import whole_text
 from imucalib.recording.mapping import FieldMapping
 
+_BINARY = re.compile(rb"[\0\xfe\xff]")  # in no text of UTF-8, and in no table of Windows-1252
 _DELIMITERS = (",", ";", "\t", "|")
 
 
@@ -57,13 +59,13 @@ def _with_point(cell: str) -> str:
 def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
     """Lines that hold something, with their numbers from 1."""
     data = whole_text(path)
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as error:
+    binary = _BINARY.search(data)
+    if binary:
         raise UnreadableInput(
-            "not a text file", where=f"{path}, byte {error.start}",
-            remedy="give a CSV or HDF5 table; save a spreadsheet as CSV in UTF-8",
-        ) from None  # fmt: skip
+            "not a text file", where=f"{path}, byte {binary.start()}",
+            remedy="give a CSV or HDF5 table; save a spreadsheet as CSV",
+        )  # fmt: skip
+    text = decoded(data)
     for number, line in enumerate(text.split("\n"), start=1):
         if number > skip and line.strip() and not is_comment(line):
             yield number, line

@@ -31,8 +31,8 @@ _DAMAGED = (
     RuntimeError, struct.error,
 )  # fmt: skip
 _HEAD = struct.Struct("<BBIH")
-#: What no device writes: a longer info.txt, a log that packs better than this once it is large, more
-#: places that look like a record and are none.
+#: What no device writes: a longer info.txt, a large log that packs better than this, more places
+#: that look like a record and are none.
 _INFO_BYTES, _LARGE, _RATIO, _MOST_BAD = 1 << 20, 16 << 20, 100, 100_000
 
 
