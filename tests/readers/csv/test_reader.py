@@ -268,6 +268,13 @@ def test_bad_stamps_cost_their_rows(tmp_path: Path) -> None:
     assert any(note.startswith("3 rows left out; line 3") for note in found.notes)
 
 
+def test_a_damaged_heading_is_no_other_heading(tmp_path: Path) -> None:
+    lines = [f"0.5,{r},{5 * k}" for k, r in enumerate(rows(at_rest(40)))]
+    text = '\0\0\0\0\0\0x","x","y","z","stamp_ms"\n' + "\n".join(lines) + "\n"
+    with pytest.raises(UnreadableInput, match="heading is damaged"):
+        readers.read(put(tmp_path, text))
+
+
 def test_a_table_of_bad_rows_is_no_table(tmp_path: Path) -> None:
     lines = rows(at_rest(400)) + ["a,b,c"] * 500
     path = put(tmp_path, "\n".join(["x,y,z", *lines]) + "\n")

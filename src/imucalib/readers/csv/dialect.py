@@ -168,6 +168,12 @@ def _with_header(shape: _Shape, lines: list[str], mapping: FieldMapping, where: 
         while above and not mapping.header and _is_damaged_row(lines[above[-1]], shape):
             first = above.pop()
         names = () if mapping.header is False else _names(lines, above, shape)
+    if any(c < "\t" for name in names for c in name):
+        raise UnreadableInput(
+            "the heading is damaged: it holds control characters",
+            where=f"{where}: line {above[-1] + 1}",
+            remedy="copy the file again, or correct that line",
+        )
     preamble = tuple(lines[:first])
     return Dialect(
         shape.delimiter, shape.decimal, names, shape.width, first + 1, shape.numeric, preamble
