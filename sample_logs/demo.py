@@ -33,7 +33,7 @@ def main(command: str, folder: str) -> int:
         (
             "The recording corrected, as MCAP",
             0,
-            ["apply", calibration, rests, "-o", str(out / "corrected.mcap")],
+            ["apply", calibration, rests, "-o", str(out / "corrected.mcap"), "--force"],
         ),
     ]
     for title, expected, arguments in jobs:

@@ -3,30 +3,63 @@
 from __future__ import annotations
 
 import os
+import platform
+import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from imucalib.errors import UsageError
+
+_NAME = 120  # characters of the target's name kept in a temporary one: names end at 255 bytes
+
+
+def demand_output(
+    path: str | os.PathLike[str],
+    inputs: Iterable[str | os.PathLike[str]] = (),
+    *,
+    force: bool = False,
+) -> None:
+    """Raise UsageError unless an output may be written to `path`; called before the work.
+
+    inputs : files of the same run, which no output may be, `force` or not, whatever link or
+        spelling leads to them; force : replace another file that is there already
+    """
+    target = Path(path)
+    for source in map(Path, inputs):
+        if _same(target, source) or (source.is_dir() and _same(target.parent, source)):
+            raise UsageError(
+                f"the output is the input {source}",
+                where=str(path),
+                remedy="name another file: inputs are never written to",
+            )
+    if os.path.lexists(target) and not target.is_file():
+        raise UsageError("this is no regular file", where=str(path), remedy="name a new file")
+    if target.exists() and not force:
+        raise UsageError(
+            "the file is there already", where=str(path), remedy="name another, or give --force"
+        )
+    _temporary_beside(target).unlink(missing_ok=True)
+
+
+def _same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:
+        return False
 
 
 @contextmanager
 def replaced_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path in the same folder, renamed to `path` when the block ends without error.
 
-    A reader of `path` sees the old file or the whole new one, at every moment. Raises UsageError
-    when the folder is missing or not writable.
+    A reader of `path` sees the old file or the whole new one, at every moment. What a killed run
+    left beside `path` is removed. Raises UsageError when the folder is missing or not writable.
     """
     target = Path(path)
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".tmp", dir=target.parent)
-        os.close(handle)
-    except OSError as error:
-        raise UsageError(
-            f"the output cannot be written: {error.strerror}", where=str(path)
-        ) from error
-    temporary = Path(name)
+    _remove_stale(target)
+    temporary = _temporary_beside(target)
     try:
         yield temporary
         _fill_permissions(temporary)
@@ -35,6 +68,49 @@ def replaced_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise UsageError(f"the output cannot be written: {error}", where=str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _temporary_beside(target: Path) -> Path:
+    """A new empty file that names its target, this machine and this process."""
+    try:
+        handle, name = tempfile.mkstemp(
+            prefix=f".{target.name[:_NAME]}.{_machine()}-{os.getpid()}-",
+            suffix=".tmp",
+            dir=target.parent,
+        )
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"the output cannot be written: {getattr(error, 'strerror', None) or error}",
+            where=str(target),
+        ) from error
+    os.close(handle)
+    return Path(name)
+
+
+def _remove_stale(target: Path) -> None:
+    """Remove temporary files of this target whose process, on this machine, is gone."""
+    ours = re.compile(re.escape(f".{target.name[:_NAME]}.{_machine()}-") + r"(\d+)-[a-z0-9_]+\.tmp")
+    try:
+        for name in os.listdir(target.parent):
+            found = ours.fullmatch(name)
+            if found and not _alive(int(found.group(1))):
+                target.with_name(name).unlink(missing_ok=True)
+    except OSError:
+        return  # tidying is no reason to fail: whether the folder is writable shows next
+
+
+def _machine() -> str:
+    return re.sub(r"[^A-Za-z0-9]", "", platform.node())[:32]
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def _fill_permissions(path: Path) -> None:

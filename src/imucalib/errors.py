@@ -59,3 +59,6 @@ class NotConverged(ImucalError):
 
 #: Exit code of a calibration that is finished but whose residual stays unexplained.
 UNEXPLAINED_EXIT_CODE = 5
+
+#: Exit code of a fault of the program itself (EX_SOFTWARE of sysexits.h).
+CRASH_EXIT_CODE = 70

@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from imucalib import readers, writers
 from imucalib.cli import cli
-from imucalib.errors import ImucalError
+from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.inspection.inspection import inspect_recording
 from imucalib.recording.mapping import load_mapping
 from imucalib.recording.recording import Channel, Recording
@@ -220,9 +220,20 @@ def test_a_wrong_mapping_is_named_with_what_there_is(
     assert re.search(match, str(error), re.DOTALL), str(error)
 
 
-def test_a_wrong_unit_shows_in_the_verdict(tmp_path: Path) -> None:
-    result = inspect(hdf5(tmp_path), "--unit", "mg")
-    assert "not that of gravity" in result.stdout.replace("\n", " ")
+@pytest.mark.parametrize("make", [mcap, csv, hdf5])
+@pytest.mark.parametrize("command", ["inspect", "convert"])
+def test_a_unit_that_the_rests_contradict_is_refused(
+    make: Callable[[Path], Path], command: str, tmp_path: Path
+) -> None:
+    target = tmp_path / "out.h5"
+    arguments = [command, str(make(tmp_path)), *([str(target)] if command == "convert" else [])]
+    for unit in ("mg", "g"):
+        if unit == "g" and make is csv:
+            continue  # that one is in g
+        result = CliRunner().invoke(cli, [*arguments, "--unit", unit], standalone_mode=False)
+        assert isinstance(result.exception, UnreadableInput)
+        assert f"when the unit is {unit}, as --unit states" in str(result.exception)
+        assert not target.exists()
 
 
 def test_raw_counts_ask_for_their_scale(tmp_path: Path) -> None:

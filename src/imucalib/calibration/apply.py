@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.mark import mark_of, refuse_second
 from imucalib.calibration.series import CalibrationPart, part_at, parts_of
 from imucalib.calibration.triads import correct_triads
 from imucalib.core.context import Context
@@ -39,6 +40,7 @@ def apply_to_recording(
     triad: str | None = None,
     *,
     use: str | None = None,
+    again: bool = False,
     history: ThermalHistory | None = None,
     thermometer: Channel | None = None,
 ) -> Recording:
@@ -47,10 +49,11 @@ def apply_to_recording(
 
     triad : which sensor, when there are several
     use : "parts" or "whole", of a calibration in parts; by default what it says itself
+    again : correct what is marked as corrected already
     history : temperature of the whole recording when this is a block of it
     thermometer : then, its temperature channel with the readings beside this block
-    Raises UsageError when it is not clear which sensor, and UnreadableInput when a covariate is
-    missing or leaves the range that was calibrated.
+    Raises UsageError when it is not clear which sensor, and when that one is corrected already;
+    UnreadableInput when a covariate is missing or leaves the range that was calibrated.
     """
     if calibration.triads:
         return _array_corrected(calibration, recording, triad)
@@ -70,6 +73,8 @@ def apply_to_recording(
             where=recording.path,
             remedy="give --unit, or --unit counts with --lsb",
         )
+    if not again:
+        refuse_second(recording, channel.triad)
     parts = parts_of(calibration, use)
     if history is None and _lags(calibration, parts):
         history = thermal_history([recording], channel.triad)
@@ -80,7 +85,8 @@ def apply_to_recording(
     note = f"{chosen[0]} corrected with a calibration by {calibration.calibrator}"
     if parts:
         note += f", each sample with the one of {len(parts)} parts that is valid at its time"
-    return replace(recording, channels=channels, notes=(*recording.notes, note))
+    marks = (*recording.corrections, mark_of(calibration, channel.triad))
+    return replace(recording, channels=channels, notes=(*recording.notes, note), corrections=marks)
 
 
 def _array_corrected(calibration: Calibration, recording: Recording, only: str | None) -> Recording:
@@ -192,6 +198,7 @@ def correct_file(
     triad: str | None = None,
     strict: bool = False,
     use: str | None = None,
+    again: bool = False,
 ) -> tuple[str, ...]:
     """Correct a recording into a file of the target's suffix; returns the recording's notes.
 
@@ -203,7 +210,7 @@ def correct_file(
     kind = reader_for(source).name
     if kind in _OF_MESSAGES:
         whole = read(source, mapping, strict=strict)
-        corrected = apply_to_recording(calibration, whole, triad, use=use)
+        corrected = apply_to_recording(calibration, whole, triad, use=use, again=again)
         if kind == "mcap" and target.suffix.lower() == ".mcap":
             from imucalib.writers.mcap.writer import write_with_topics_of
 
@@ -223,7 +230,7 @@ def correct_file(
             _with_thermometer(found, triad) if around else ((b, None) for b in found)
         ):
             corrected = apply_to_recording(
-                calibration, block, triad, use=use, history=history, thermometer=warm
+                calibration, block, triad, use=use, again=again, history=history, thermometer=warm
             )
             notes.update(dict.fromkeys(corrected.notes))
             yield corrected

@@ -47,6 +47,7 @@ class Calibration:
     raw_unit, raw_to_si : of the readings that it applies to
     facts : the blocks that only people read (gravity, conventions, noise, ranges, provenance)
     triads : of an array, each IMU's linear correction; the parameters then are the positions
+    sha256 : of the file that it was read from, or empty
     """
 
     calibrator: str
@@ -60,6 +61,7 @@ class Calibration:
     valid: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     triads: tuple[Triad, ...] = ()
+    sha256: str = ""
 
     def model(self) -> tuple[Model, Array]:
         """The correcting part as effects of the catalogue, with its θ.

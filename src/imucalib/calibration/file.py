@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from imucalib.calibration.triads import triad_from
 from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.errors import UnreadableInput
+from imucalib.readers.source import sha256_of
 from imucalib.recording.yaml_text import dump, load
 
 Array = NDArray[np.float64]
@@ -86,14 +88,14 @@ def write_together(texts: Mapping[Path, str]) -> None:
         for path, text in reversed(list(texts.items())):  # they are renamed in the opposite order
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary = stack.enter_context(replaced_atomically(path))
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def read(path: Path) -> Calibration:
     """Read a calibration of any known version. Raises UnreadableInput with what is wrong where."""
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path))
-    return from_dict(load(path), str(path))
+    return replace(from_dict(load(path), str(path)), sha256=sha256_of(path))
 
 
 def from_dict(content: Any, where: str) -> Calibration:
@@ -111,9 +113,15 @@ def from_dict(content: Any, where: str) -> Calibration:
             remedy="update imucal",
         )
     try:
-        return _calibration(content)
+        calibration = _calibration(content)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise UnreadableInput(f"the calibration is incomplete: {error!r}", where=where) from None
+    stated = {p.name: p.value for p in calibration.parameters}
+    stated |= {"gravity_m_per_s2": calibration.gravity, "to_m_per_s2": calibration.raw_to_si}
+    for name, value in stated.items():
+        if not np.isfinite(value):
+            raise UnreadableInput(f"{name} is {value}, no finite number", where=where)
+    return calibration
 
 
 def _calibration(content: dict[str, Any]) -> Calibration:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Any
 
 import click
+
+from imucalib.errors import CRASH_EXIT_CODE, ImucalError
 
 #: Command -> one line for the overview; the module of the same name holds `command`.
 COMMANDS = {
@@ -87,7 +90,7 @@ def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="Exit codes: 0 calibrated, 1 a limit is broken, 2 usage, 3 unreadable input, "
-    "4 not determined by the data, 5 residual unexplained, 6 not converged.",
+    "4 not determined by the data, 5 residual unexplained, 6 not converged, 70 a fault of imucal.",
 )
 @click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_version,
               help="Show the version and exit.")  # fmt: skip
@@ -117,17 +120,19 @@ def told(error: Exception) -> dict[str, Any]:
 
 def main() -> None:
     """Entry point: runs a command and turns every failure into its message and exit code."""
-    from imucalib.errors import ImucalError
-
     # The matrices are small: a second BLAS thread costs more than it does, and changes last bits.
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="replace")
+    _prepare_streams()
+    # Temporary files are removed on the way out, as after Ctrl-C.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
         code = cli.main(standalone_mode=False)
+        sys.stdout.flush()
     except ImucalError as error:
-        click.echo(f"error: {error}", err=True)
+        from imucalib.cli.output import say
+
+        say(f"error: {error}", err=True)
         code = error.exit_code
     except click.ClickException as error:
         error.show()
@@ -135,8 +140,45 @@ def main() -> None:
     except click.Abort:
         click.echo("stopped", err=True)
         code = 130
+    except (BrokenPipeError, SystemExit) as error:
+        # Where nobody reads on, as in `imucal inspect x | head`, click ends with 1: here a limit.
+        left = "PacifyFlushWrapper" in type(sys.stdout).__name__
+        if not (left or isinstance(error, BrokenPipeError)):
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # nor is there anything left to say at exit
+        code = 141  # as of a program that SIGPIPE ended
     except OSError as error:
         # A full disk or a missing permission while writing: outputs are whole or absent.
-        click.echo(f"error: {error.filename or ''}: {error.strerror}", err=True)
+        click.echo(f"error: {error.filename or 'output'}: {error.strerror}", err=True)
         code = 3
+    except Exception as error:
+        code = _crashed(error)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _prepare_streams() -> None:
+    """Streams that take any text: closed ones lead nowhere, odd file names become "?"."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+def _crashed(error: Exception) -> int:
+    """Say in one line that this is a fault of the program, and where its traceback is."""
+    import tempfile
+    import traceback
+
+    what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+    try:
+        handle, path = tempfile.mkstemp(prefix="imucal-crash-", suffix=".txt")
+        with open(handle, "w", encoding="utf-8", errors="replace") as file:
+            file.write("".join(traceback.format_exception(error)))
+    except OSError:
+        path = "nowhere: no place for it"
+    from imucalib.cli.output import say
+
+    say(f"error: imucal failed ({what}); please report it with {path}", err=True)
+    return CRASH_EXIT_CODE

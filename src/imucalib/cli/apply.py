@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, note, quiet_option
-from imucalib.cli.recording_options import mapping_of, recording_options
+from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
+from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
 
 
 @click.command("apply", short_help="Correct a recording with a calibration.")
@@ -37,7 +37,9 @@ from imucalib.cli.recording_options import mapping_of, recording_options
     flag_value="parts",
     help="Each sample by the part valid at its time (--every).",
 )
+@click.option("--again", is_flag=True, help="Correct a recording that is corrected already.")
 @click.option("--whole", "use", flag_value="whole", help="One calibration for all, whatever parts.")
+@force_option
 @recording_options
 @json_option
 @quiet_option
@@ -48,6 +50,8 @@ def command(
     strict: bool,
     triad: str | None,
     use: str | None,
+    again: bool,
+    force: bool,
     **options: Any,
 ) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
@@ -55,10 +59,14 @@ def command(
     \b
     Example: imucal apply out/calibration.yaml run.mcap -o corrected.mcap
     """
+    from imucalib.atomic_file import demand_output
     from imucalib.calibration.apply import correct_file
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
+    from imucalib.writers import writer_for
 
+    writer_for(output)
+    demand_output(output, inputs_of(options, calibration, recording), force=force)
     if options["effects_file"] is not None:
         load_file(options["effects_file"])
     loaded = read(calibration)
@@ -69,12 +77,13 @@ def command(
             options["quiet"],
         )
     notes = correct_file(
-        loaded, recording, output, mapping_of(options), triad=triad, strict=strict, use=use
-    )
+        loaded, recording, output, mapping_of(options), triad=triad, strict=strict, use=use,
+        again=again,
+    )  # fmt: skip
     for text in notes:
         note(text, options["quiet"])
     if options["as_json"]:
         emit_json({"output": str(output), "notes": list(notes)})
     elif not options["quiet"]:
-        click.echo(f"wrote {output}")
+        say(f"wrote {output}")
     return 0

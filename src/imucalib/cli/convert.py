@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, note, quiet_option
-from imucalib.cli.recording_options import mapping_of, recording_options
+from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
+from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
 
 
 @click.command("convert", short_help="Rewrite a recording in another format.")
@@ -17,18 +17,22 @@ from imucalib.cli.recording_options import mapping_of, recording_options
 @click.option(
     "--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left."
 )
+@force_option
 @recording_options
 @json_option
 @quiet_option
-def command(source: Path, target: Path, strict: bool, **options: Any) -> int:
+def command(source: Path, target: Path, strict: bool, force: bool, **options: Any) -> int:
     """Rewrite a recording as MCAP, HDF5 or CSV, chosen by TARGET's suffix; units become SI.
 
     \b
     Example: imucal convert log.csv log.mcap --rate 100 --acc x,y,z
     """
+    from imucalib.atomic_file import demand_output
     from imucalib.readers import read
-    from imucalib.writers import write
+    from imucalib.writers import write, writer_for
 
+    writer_for(target)
+    demand_output(target, inputs_of(options, source), force=force)
     recording = read(source, mapping_of(options), strict=strict)
     write(recording, target)
     for text in recording.notes:
@@ -42,5 +46,5 @@ def command(source: Path, target: Path, strict: bool, **options: Any) -> int:
             }
         )
     elif not options["quiet"]:
-        click.echo(f"wrote {target}: {', '.join(recording.channels)}")
+        say(f"wrote {target}: {', '.join(recording.channels)}")
     return 0

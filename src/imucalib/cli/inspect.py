@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from imucalib.cli.output import color, emit_json, json_option, note, quiet_option, width
-from imucalib.cli.recording_options import mapping_of, recording_options
+from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
 
 
 @click.command("inspect", short_help="Say what a recording holds.")
@@ -21,15 +21,19 @@ from imucalib.cli.recording_options import mapping_of, recording_options
 @click.option(
     "--strict", is_flag=True, help="Refuse a damaged recording instead of reading what is left."
 )
+@force_option
 @recording_options
 @json_option
 @quiet_option
-def command(file: Path, save_mapping: Path | None, strict: bool, **options: Any) -> int:
+def command(
+    file: Path, save_mapping: Path | None, strict: bool, force: bool, **options: Any
+) -> int:
     """Say what a recording holds: channels, units, rates, gaps, norm at rest, what would be used.
 
     \b
     Example: imucal inspect log.mcap --save-mapping mapping.yaml
     """
+    from imucalib.atomic_file import demand_output
     from imucalib.inspection.inspection import inspect_recording
     from imucalib.readers import blocks
     from imucalib.recording.mapping import from_dict
@@ -37,6 +41,8 @@ def command(file: Path, save_mapping: Path | None, strict: bool, **options: Any)
     from imucalib.report.inspection import inspection_dict, inspection_document
     from imucalib.report.render.text import render_text
 
+    if save_mapping is not None:
+        demand_output(save_mapping, inputs_of(options, file), force=force)
     found = inspect_recording(blocks(file, mapping_of(options), strict=strict))
     if save_mapping is not None:
         save(from_dict(found.mapping), save_mapping)

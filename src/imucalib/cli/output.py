@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 import time
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 else:
     Kind = click.ParamType
 
+#: What JSON may hold as it is but a terminal obeys: DEL, C1, line separators, direction marks.
+_CONTROLS = re.compile("[\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -85,13 +88,21 @@ def color() -> bool:
 
 def emit_json(content: Any) -> None:
     """The result as one JSON document on stdout."""
-    click.echo(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False))
+    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
+    click.echo(_CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text))
 
 
 def note(text: str, quiet: bool) -> None:
     """A line about the work, to stderr."""
     if not quiet:
-        click.echo(text, err=True)
+        say(text, err=True)
+
+
+def say(text: str, *, err: bool = False) -> None:
+    """A line; names out of foreign files cannot steer the terminal."""
+    from imucalib.report.render.terminal import safe
+
+    click.echo(safe(text), err=err)
 
 
 @contextmanager

@@ -38,6 +38,10 @@ _OPTIONS = (
     click.option("--acc-offset", help="Recording: accelerometer counts at zero."),
     click.option("--skip", type=int, help="CSV: lines before the header or the first row."),
     click.option("--decimal", help="CSV: decimal mark, . or ,"),
+    click.option("--max-chunk", type=int, help="MCAP: bytes that one packed chunk may unpack to."),
+    click.option(
+        "--allow-external", is_flag=True, default=None, help="HDF5: read data from other files."
+    ),
     click.option("--delimiter", help="CSV: between the columns; tab and blank are understood."),
 )
 
@@ -48,6 +52,7 @@ _FIELDS = {
         for name in (
             "acc", "gyro", "temperature", "time", "gyro_unit", "time_unit", "rate",
             "axis_map", "preset", "acc_offset", "skip", "decimal", "delimiter",
+            "max_chunk", "allow_external",
         )
     },
     "unit": "acc_unit",
@@ -61,6 +66,17 @@ def recording_options(command: Command) -> Command:
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
+
+
+force_option = click.option(
+    "--force", is_flag=True, help="Replace an output file that is there; never an input."
+)
+
+
+def inputs_of(options: dict[str, Any], *files: Path) -> list[Path]:
+    """Every file that a command reads: no output may be one of them."""
+    named = (options.get("mapping"), options.get("effects_file"))
+    return [*files, *(path for path in named if path is not None)]
 
 
 def mapping_of(options: dict[str, Any]) -> FieldMapping:

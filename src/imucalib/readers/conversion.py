@@ -85,8 +85,8 @@ def acceleration(mapping: FieldMapping, stated: str, rest: Array, where: str) ->
     """Conversion of raw acceleration to m/s².
 
     stated : unit that the file (or its format) states, or ""; rest : raw norms at rest, from
-    `norms_at_rest`, used to find the unit and to refuse a wrong one (a unit of the user's own
-    is only remarked on). Raises UnreadableInput when no unit fits, UsageError for an unknown one.
+    `norms_at_rest`, used to find the unit and to refuse a wrong one, whoever states it. Raises
+    UnreadableInput when no unit fits, UsageError for an unknown one.
     """
     axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
@@ -107,20 +107,21 @@ def acceleration(mapping: FieldMapping, stated: str, rest: Array, where: str) ->
         unit, note = found.unit, f"acceleration: {found.sentence}"
     factor = _factor(unit, units.ACCELERATION_UNITS, mapping.acc_unit, "--unit", where)
     if not note:
-        note = _judge_stated(unit, factor, rest, bool(mapping.acc_unit), where)
+        _refuse_wrong(unit, factor, rest, bool(mapping.acc_unit), where)
     return Conversion("m/s2", unit, np.array([factor]), offset, axes, note)
 
 
-def _judge_stated(unit: str, factor: float, rest: Array, by_user: bool, where: str) -> str:
+def _refuse_wrong(unit: str, factor: float, rest: Array, by_user: bool, where: str) -> None:
     if rest.size == 0:
-        return ""
+        return
     norm = float(np.median(rest))
     ratio = norm * factor / units.STANDARD_GRAVITY
     if 1.0 / _IMPLAUSIBLE <= ratio <= _IMPLAUSIBLE:
-        return ""
+        return
     what = f"the norm at rest is {norm:.6g}, which is {ratio:.3g} g when the unit is {unit}"
     if by_user:
-        return f"acceleration: {what}"
+        remedy = "leave --unit away or name the true one; counts need --unit counts --lsb N"
+        raise UnreadableInput(f"{what}, as --unit states", where=where, remedy=remedy)
     raise UnreadableInput(
         f"{what}, as the file states", where=where, remedy="name the true unit with --unit"
     )

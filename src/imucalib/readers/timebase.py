@@ -61,6 +61,14 @@ def is_absolute(seconds: float) -> bool:
     return _YEAR_2000 <= seconds <= _YEAR_2100
 
 
+def start_of(ns: float, notes: list[str]) -> int | None:
+    """A stated start as int64 nanoseconds since 1970; None, with a note, where it is none."""
+    if abs(ns) < 2**63:
+        return int(ns)
+    notes.append(f"the stated start of {str(ns)[:24]} ns is no date: left out")
+    return None
+
+
 def guess_unit(first: float, step: float, where: str) -> tuple[str, str]:
     """The unit of numeric time stamps from their size and step, with the sentence that says why.
 

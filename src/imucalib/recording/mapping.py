@@ -44,6 +44,8 @@ class FieldMapping:
     header : whether a line of column names exists
     decimal, delimiter : of a CSV; delimiter " " stands for any run of blanks
     preset : the device (`readers/devices`) that filled what was not stated
+    max_chunk : of an MCAP file, bytes that one packed chunk may unpack to
+    allow_external : of an HDF5 file, whether its data may lie in other files
     """
 
     acc: tuple[str, ...] = ()
@@ -67,6 +69,8 @@ class FieldMapping:
     decimal: str = ""
     delimiter: str = ""
     preset: str = ""
+    max_chunk: int | None = None
+    allow_external: bool | None = None
 
     def __post_init__(self) -> None:
         parse_axis_map(self.axis_map)
@@ -126,9 +130,9 @@ def _as_field(key: str, value: object, where: str = "mapping") -> Any:
             return tuple(float(v) if key in _FLOATS else str(v).strip() for v in items)
         if key == "rate":
             return float(value)  # type: ignore[arg-type]
-        if key == "skip":
+        if key in ("skip", "max_chunk"):
             return int(value)  # type: ignore[call-overload]
-        if key == "header":
+        if key in ("header", "allow_external"):
             return _as_bool(value)
         return str(value)
     except (TypeError, ValueError) as error:

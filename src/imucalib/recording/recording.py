@@ -9,6 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.recording.correction import Correction
+
 Array = NDArray[np.float64]
 
 
@@ -66,6 +68,7 @@ class Recording:
     start_ns : UTC time of t = 0, int64 nanoseconds since 1970, or None when the file has no date
     notes : what was detected, repaired or lost, one sentence each, for the reports
     mapping : the resolved mapping (column or topic -> channel, unit, ...) that read the file
+    corrections : calibrations that were applied to it, as the file itself says
     """
 
     channels: Mapping[str, Channel]
@@ -76,3 +79,4 @@ class Recording:
     gaps: tuple[Gap, ...] = ()
     notes: tuple[str, ...] = ()
     mapping: Mapping[str, object] = field(default_factory=dict)
+    corrections: tuple[Correction, ...] = ()

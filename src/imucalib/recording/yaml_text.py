@@ -46,6 +46,7 @@ def dump(content: dict[str, Any]) -> str:
         return self.represent_scalar("tag:yaml.org,2002:float", _float(float(value)))
 
     def text(self: RoundTripRepresenter, value: str) -> Any:
+        value = value.encode("utf-8", "backslashreplace").decode()  # a file name may be any bytes
         style = '"' if value.lower() in _TRUE_OR_FALSE else None
         return self.represent_scalar("tag:yaml.org,2002:str", value, style=style)
 

@@ -17,6 +17,7 @@ from imucalib.errors import UsageError
 from imucalib.recording.recording import Array, Channel, Recording
 
 Index = NDArray[np.intp]
+_FORMULA = tuple("=+-@")  # what makes a cell a formula
 _ROWS = 1 << 16  # rows that are made into text at a time
 
 
@@ -40,6 +41,7 @@ class CsvWriter:
                 channels = dict(recording.channels)
                 if not names:
                     names, head = tuple(channels), _head(0, recording.start_ns)
+                    head += "".join(f"# corrected: {c.to_text()}\n" for c in recording.corrections)
                     out.write(head + ",".join(_names(channels)) + "\n")
                 if tuple(channels) != names:
                     raise UsageError(
@@ -80,8 +82,15 @@ def _names(channels: dict[str, Channel]) -> list[str]:
     for name, channel in channels.items():
         k = channel.values.shape[1]
         axes = [""] if k == 1 else [f"/{a}" for a in ("xyz" if k == 3 else range(k))]
-        names += [f"{name}{axis} [{channel.unit}]" for axis in axes]
+        names += [_heading(f"{name}{axis} [{channel.unit}]") for axis in axes]
     return names
+
+
+def _heading(text: str) -> str:
+    """A heading that a spreadsheet takes for text, whatever the file before called its sensors."""
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    text = f"'{text}" if text.lstrip()[:1] in _FORMULA else text
+    return '"' + text.replace('"', '""') + '"' if set(text) & set(',";') else text
 
 
 def _union_of_times(channels: dict[str, Channel], where: str) -> tuple[Array, dict[str, Index]]:

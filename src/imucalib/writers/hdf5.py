@@ -1,20 +1,21 @@
 """Recordings as HDF5: one group a channel, every dataset with its unit and a checksum.
 
 /<triad>/<quantity>/values (N, k) with attributes units, quantity, triad, sampling_rate, and
-/<triad>/<quantity>/time (N,) in s; the file has the attributes format, version, start_ns. The
-`units` attribute is the rule of NeXus (manual, "Rules for Storing Data Items").
+/<triad>/<quantity>/time (N,) in s; the file has the attributes format, version, start_ns and
+corrections. The `units` attribute is the rule of NeXus (manual, "Rules for Storing Data Items").
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from io import FileIO, RawIOBase
 from pathlib import Path
 from typing import Any
 
 from imucalib.recording.recording import Array, Channel, Recording
 
 FORMAT, VERSION = "imucal recording", 1
-_CHUNK_ROWS = 1 << 14
+_CHUNK_ROWS = 1 << 10  # what a flipped byte costs; fewer make reading slower
 
 
 class Hdf5Writer:
@@ -31,21 +32,35 @@ class Hdf5Writer:
         """Write block after block; memory holds one."""
         import h5py
 
-        with h5py.File(path, "w") as file:
-            file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-            for recording in blocks:
-                if recording.start_ns is not None:
-                    file.attrs["start_ns"] = recording.start_ns
-                file.attrs["source_path"] = recording.path
-                file.attrs["source_sha256"] = recording.sha256
-                for name, channel in recording.channels.items():
-                    if name not in file:
-                        _define(file.create_group(name), channel)
-                    _append(file[name]["values"], channel.values)
-                    _append(file[name]["time"], channel.t)
+        with path.open("w+b", buffering=0) as raw:
+            out = _Output(raw)
+            try:
+                with h5py.File(out, "w") as file:
+                    file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+                    for recording in blocks:
+                        _write_block(file, recording)
+                        if out.error is not None:
+                            break
+            finally:
+                if out.error is not None:
+                    raise out.error
 
 
 WRITER = Hdf5Writer()
+
+
+def _write_block(file: Any, recording: Recording) -> None:
+    if recording.start_ns is not None:
+        file.attrs["start_ns"] = recording.start_ns
+    # A name of any bytes is kept as text.
+    file.attrs["source_path"] = recording.path.encode("utf-8", "backslashreplace").decode()
+    file.attrs["source_sha256"] = recording.sha256
+    file.attrs["corrections"] = "\n".join(c.to_text() for c in recording.corrections)
+    for name, channel in recording.channels.items():
+        if name not in file:
+            _define(file.create_group(name), channel)
+        _append(file[name]["values"], channel.values)
+        _append(file[name]["time"], channel.t)
 
 
 def _define(group: Any, channel: Channel) -> None:
@@ -70,3 +85,43 @@ def _append(dataset: Any, rows: Array) -> None:
     first = dataset.shape[0]
     dataset.resize(first + rows.shape[0], axis=0)
     dataset[first:] = rows
+
+
+class _Output(RawIOBase):
+    """A file for h5py that keeps the first error of writing and drops what follows.
+
+    A library that cannot finish its file tries again when the process ends, and takes it down.
+    """
+
+    def __init__(self, file: FileIO) -> None:
+        self._file = file
+        self.error: OSError | None = None
+
+    def write(self, data: Any, /) -> int:
+        """Write all of it, or note why not."""
+        view = memoryview(data).cast("B")
+        try:
+            while view and self.error is None:
+                view = view[self._file.write(view) :]
+        except OSError as error:
+            self.error = error
+        return len(data)
+
+    def readinto(self, buffer: Any, /) -> int:
+        """Read as much as there is."""
+        return self._file.readinto(buffer)
+
+    def seek(self, at: int, whence: int = 0, /) -> int:
+        """Move."""
+        return self._file.seek(at, whence)
+
+    def truncate(self, size: int | None = None, /) -> int:
+        """Cut or extend."""
+        try:
+            return self._file.truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
+
+    def flush(self) -> None:
+        """Nothing is buffered."""

@@ -219,15 +219,66 @@ def test_missing_values_become_gaps_and_are_never_filled(tmp_path: Path) -> None
     assert all(g.reason == "values missing" for g in found.gaps)
 
 
-def test_a_bad_cell_is_named_by_line_and_column(tmp_path: Path) -> None:
-    lines = rows(at_rest(500))
-    lines[321] = "0.1,0.x2,0.3"
+STAMPED = [f"{0.01 * k:.2f}," for k in range(500)]
+DATED = [f"2024-03-01 12:00:{0.01 * k:06.3f}," for k in range(500)]
+
+
+@pytest.mark.parametrize("stamps", [[""] * 500, STAMPED, DATED], ids=["no time", "time", "dates"])
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        ("0.1,0.x2,0.3", "'0.x2' is not a number"),
+        ("0.1,0.2", "cells where the other rows have"),
+        ("0.1,0.2,0.3,0.4,", "cells where the other rows have"),
+        ("\xff\x01,0,0", "is not a number"),
+    ],
+)
+@pytest.mark.parametrize("at", [0, 321, 499])
+def test_a_bad_row_costs_that_row(
+    stamps: list[str], bad: str, words: str, at: int, tmp_path: Path
+) -> None:
+    values = at_rest(500)
+    lines = [a + b for a, b in zip(stamps, rows(values), strict=True)]
+    lines[at] = stamps[at] + bad
+    head = "time [s],x,y,z" if stamps is STAMPED else "time,x,y,z" if stamps is DATED else "x,y,z"
+    path = put(tmp_path, "\n".join([head, *lines]) + "\n")
+    mapping = FieldMapping() if stamps[0] else FieldMapping(rate=100)
+    found = readers.read(path, mapping)
+    keep = np.delete(np.arange(500), at)
+    np.testing.assert_allclose(acc_of(found), values[keep] * G, rtol=1e-14)
+    t = found.channels["imu0/acceleration"].t
+    np.testing.assert_allclose(t - t[0], (keep - keep[0]) / 100, atol=1e-9)
+    (told,) = [note for note in found.notes if "left out" in note]
+    assert told.startswith(f"1 rows left out; line {at + 2}")
+    assert words in told
+    with pytest.raises(UnreadableInput, match=f"line {at + 2}"):
+        readers.read(path, mapping, strict=True)
+    parts = list(readers.blocks(path, mapping, block_samples=50))
+    assert sum(p.channels["imu0/acceleration"].t.size for p in parts if p.channels) == 499
+
+
+def test_bad_stamps_cost_their_rows(tmp_path: Path) -> None:
+    values = at_rest(500)
+    lines = [a + b for a, b in zip(DATED, rows(values), strict=True)]
+    for k in (1, 200, 201):
+        lines[k] = "2024-03-0x" + lines[k][10:]
+    path = put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n")
+    found = readers.read(path)
+    np.testing.assert_allclose(acc_of(found), np.delete(values, [1, 200, 201], axis=0) * G)
+    assert any(note.startswith("3 rows left out; line 3") for note in found.notes)
+
+
+def test_a_damaged_heading_is_no_other_heading(tmp_path: Path) -> None:
+    lines = [f"0.5,{r},{5 * k}" for k, r in enumerate(rows(at_rest(40)))]
+    text = '\0\0\0\0\0\0x","x","y","z","stamp_ms"\n' + "\n".join(lines) + "\n"
+    with pytest.raises(UnreadableInput, match="heading is damaged"):
+        readers.read(put(tmp_path, text))
+
+
+def test_a_table_of_bad_rows_is_no_table(tmp_path: Path) -> None:
+    lines = rows(at_rest(400)) + ["a,b,c"] * 500
     path = put(tmp_path, "\n".join(["x,y,z", *lines]) + "\n")
-    with pytest.raises(UnreadableInput, match=r"line 323, column 2: '0\.x2' is not a number"):
-        readers.read(path, FieldMapping(rate=100))
-    lines[321] = "0.1,0.2"
-    path = put(tmp_path, "\n".join(["x,y,z", *lines]) + "\n")
-    with pytest.raises(UnreadableInput, match=r"line 323: 2 cells"):
+    with pytest.raises(UnreadableInput, match="no table of numbers"):
         readers.read(path, FieldMapping(rate=100))
 
 
@@ -235,8 +286,25 @@ def test_a_shifted_row_is_never_read_as_numbers(tmp_path: Path) -> None:
     lines = [f"{k * 10},{r},7" for k, r in enumerate(rows(at_rest(100)))]
     lines[40] = lines[40].replace(".", ",", 1)  # one cell becomes two
     path = put(tmp_path, "\n".join(["time_ms,x,y,z,temp", *lines]) + "\n")
-    with pytest.raises(UnreadableInput, match="line 42: 6 cells"):
-        readers.read(path)
+    found = readers.read(path)
+    assert acc_of(found).shape == (99, 3)
+    assert any("line 42: 6 cells" in note for note in found.notes)
+
+
+def test_what_a_spreadsheet_writes(tmp_path: Path) -> None:
+    """Windows-1252 with a degree sign, a title, a units row and error values."""
+    values = at_rest(300)
+    lines = [f"{0.01 * k:.2f},{r},21.5" for k, r in enumerate(rows(values))]
+    lines[7] = "0.07,#N/A,#VALUE!,#DIV/0!,#REF!"
+    text = ["Bench of March", "time,x,y,z,temperature", "s,g,g,g,°C", *lines]
+    path = tmp_path / "a.csv"
+    path.write_bytes(("\r\n".join(text) + "\r\n").encode("cp1252"))
+    found = readers.read(path)
+    np.testing.assert_allclose(acc_of(found), np.delete(values, 7, axis=0) * G, rtol=1e-14)
+    assert found.channels["imu0/temperature"].unit == "degC"
+    assert found.mapping["acc_unit"] == "g"
+    assert found.mapping["temperature_unit"] in ("degC", "°C")
+    assert not any("no unit" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("scale", [0.2, 55.0, 4000.0])
@@ -480,3 +548,19 @@ def test_real_counts_are_never_taken_for_a_unit() -> None:
 def test_real_headerless_log_asks_for_its_columns() -> None:
     with pytest.raises(UnreadableInput, match="6 columns have no names"):
         readers.read(DATA / "mpu9150_tumble" / "imu0.log")
+
+
+@pytest.mark.parametrize("stamp", ["{:.2f}", "2024-03-01 12:00:{:05.2f}"])
+def test_explicit_columns_without_names_keep_the_time(stamp: str, tmp_path: Path) -> None:
+    rows = [f"{stamp.format(0.01 * k)},0.01,-0.02,{9.8 + 0.01 * (k % 3)}" for k in range(400)]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    found = readers.read(tmp_path / "a.csv", FieldMapping(acc=("2", "3", "4")))
+    assert found.channels["imu0/acceleration"].rate == pytest.approx(100.0)
+    assert any("column 1 taken as time" in note for note in found.notes)
+
+
+def test_explicit_columns_keep_the_temperature(tmp_path: Path) -> None:
+    rows = [f"{0.01 * k:.2f},0.01,-0.02,{9.8 + 0.01 * (k % 3)},21.5" for k in range(400)]
+    (tmp_path / "a.csv").write_text("time [s],p,q,r,temperature [degC]\n" + "\n".join(rows) + "\n")
+    found = readers.read(tmp_path / "a.csv", FieldMapping(acc=("p", "q", "r")))
+    assert set(found.channels) == {"imu0/acceleration", "imu0/temperature"}

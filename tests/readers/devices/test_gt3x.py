@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+import time
 import zipfile
 from contextlib import suppress
 from functools import reduce
@@ -137,3 +138,22 @@ def test_the_makers_own_csv_of_the_same_recording() -> None:
     at = np.rint(channel.t * 100).astype(int) + first
     assert at.size == 33_000
     assert np.abs(rows[at] - channel.values / STANDARD_GRAVITY).max() <= 0.00051  # 3 decimals
+
+
+@pytest.mark.parametrize(
+    ("log", "info", "words"),
+    [
+        (b"\x1e" * (15 << 20), INFO, "no records"),
+        (b"\0" * (64 << 20), INFO, "claims 67108864 bytes"),
+        (b"", INFO + "x" * (8 << 20), "longer than"),
+    ],
+)
+def test_an_archive_made_to_cost_ends_soon(
+    log: bytes, info: str, words: str, tmp_path: Path
+) -> None:
+    path = archive(tmp_path / "a.gt3x", log, info)
+    assert path.stat().st_size < 100_000
+    start = time.process_time()
+    with pytest.raises(UnreadableInput, match=words):
+        read(path)
+    assert time.process_time() - start < 10.0

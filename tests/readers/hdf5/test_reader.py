@@ -221,3 +221,28 @@ def test_the_real_array_board(name: str) -> None:
     turned = np.degrees(np.arccos(np.clip(np.sum(unit[1:] * unit[:-1], axis=1), -1, 1))) > 5
     assert 1 + turned.sum() == 20
     assert rests.n <= 22
+
+
+def test_explicit_channels_keep_temperature_and_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as f:
+        for name in ("left", "right"):
+            f[f"{name}/acc"], f[f"{name}/temperature"] = TRUTH, np.full(N, 21.0)
+            f[f"{name}/time"] = 0.01 * np.arange(N)
+            f[f"{name}/acc"].attrs["units"], f[f"{name}/time"].attrs["units"] = "m/s2", "s"
+    found = readers.read(path, FieldMapping(acc=("/right/acc",)))
+    assert set(found.channels) == {"imu0/acceleration", "imu0/temperature"}
+    assert found.channels["imu0/acceleration"].rate == pytest.approx(100.0)
+
+
+def test_a_flipped_byte_of_ours_costs_ten_seconds(tmp_path: Path) -> None:
+    path, n = tmp_path / "a.h5", 20_000
+    values = np.array([0, 0, 9.8]) + np.random.default_rng(0).normal(scale=0.02, size=(n, 3))
+    sensor = Channel(np.arange(n) / 100.0, values, "m/s2", "acceleration", "imu0", 100.0)
+    writers.write(Recording({"imu0/acceleration": sensor}, "", "", ""), path)
+    data = bytearray(path.read_bytes())
+    data[data.find(values[9000].tobytes()) + 3] ^= 8
+    path.write_bytes(data)
+    found = readers.read(path).channels["imu0/acceleration"]
+    assert n - 1024 <= found.t.size < n
+    np.testing.assert_array_equal(found.values, values[np.rint(found.t * 100).astype(int)])

@@ -143,22 +143,25 @@ def _numbers(
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.generic]]:
     if text is None:
         return stamps
-    try:
-        return csv_time.text_to_ns(stamps.astype(np.bytes_), text)
-    except ValueError as error:
-        raise bad_stamp(stamps, error, 0, where) from error
+    texts, bad = stamps.astype(np.bytes_), 0
+    while True:
+        try:
+            return csv_time.text_to_ns(texts, text)
+        except ValueError as error:  # of a bad row, which is reported when it is read
+            bad += 1
+            if 2 * bad > texts.size or not isinstance(error.args[0], int):
+                raise bad_stamp(Rows(stamps, np.empty((0, 0))), error, 0, where) from error
+            texts[error.args[0]] = b""
 
 
-def bad_stamp(
-    stamps: np.ndarray[tuple[int, ...], np.dtype[np.generic]], error: ValueError, line: int,
-    where: str,
-) -> UnreadableInput:  # fmt: skip
+def bad_stamp(rows: Rows, error: ValueError, line: int, where: str) -> UnreadableInput:
     """The error for a text stamp that does not parse; `line` is the first row's line, or 0."""
     index = int(error.args[0]) if error.args and isinstance(error.args[0], int) else 0
-    stamp = bytes(stamps[index]).decode(errors="replace")
+    stamp = bytes(rows.stamps[index]).decode(errors="replace")
+    line = int(rows.lines[index]) if rows.lines is not None else line and line + index
     return UnreadableInput(
         f"the time stamp '{stamp[:40]}' is not understood",
-        where=f"{where}: line {line + index}" if line else where,
+        where=f"{where}: line {line}" if line else where,
         remedy="correct or delete that line, or give --time-format",
     )
 

@@ -12,7 +12,8 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.columns import understand
 from imucalib.recording.mapping import FieldMapping
 
-BLANK = {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "?", "inf", "-inf", "+inf"}
+BLANK = {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "?", "inf", "-inf", "+inf",
+         "#value!", "#ref!", "#div/0!", "#num!", "#name?", "#null!"}  # fmt: skip
 _NUMBER = {
     ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"),
     ",": re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?"),
@@ -71,6 +72,14 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     return line.split() if delimiter == " " else [c.strip() for c in line.split(delimiter)]
 
 
+def decoded(text: bytes) -> str:
+    """Text of UTF-8, or else of Windows-1252, in which spreadsheets write a degree sign."""
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError:
+        return text.decode("cp1252", errors="replace")
+
+
 def is_comment(line: str) -> bool:
     """Whether the line is a remark."""
     return _COMMENT.match(line) is not None
@@ -92,7 +101,7 @@ def sniff(looks: Sequence[bytes], mapping: FieldMapping, where: str) -> Dialect:
     The start alone misleads: it may be zeros, or a header. Raises UnreadableInput when no table
     of numbers is found.
     """
-    pieces = [piece.decode("utf-8", errors="replace").split("\n")[:-1] for piece in looks]
+    pieces = [decoded(piece).split("\n")[:-1] for piece in looks]
     body = _body(pieces, mapping.skip or 0)
     delimiters = (mapping.delimiter,) if mapping.delimiter else _DELIMITERS
     marks = (mapping.decimal,) if mapping.decimal else (".", ",")
@@ -155,28 +164,30 @@ def _with_header(shape: _Shape, lines: list[str], mapping: FieldMapping, where: 
         raise UnreadableInput("no data row was found near the start", where=where)
     above = [k for k in range(start, first) if lines[k].strip()]
     names = () if mapping.header is False else _names(lines, above, shape)
-    if above and not mapping.header and mapping.skip is None:
-        _refuse_damaged_row(lines[above[-1]], above[-1] + 1, shape, where)
+    if mapping.skip is None:
+        while above and not mapping.header and _is_damaged_row(lines[above[-1]], shape):
+            first = above.pop()
+        names = () if mapping.header is False else _names(lines, above, shape)
+    if any(c < "\t" for name in names for c in name):
+        raise UnreadableInput(
+            "the heading is damaged: it holds control characters",
+            where=f"{where}: line {above[-1] + 1}",
+            remedy="copy the file again, or correct that line",
+        )
     preamble = tuple(lines[:first])
     return Dialect(
         shape.delimiter, shape.decimal, names, shape.width, first + 1, shape.numeric, preamble
     )
 
 
-def _refuse_damaged_row(line: str, number: int, shape: _Shape, where: str) -> None:
-    """A line above the table that is mostly numbers is a damaged row, not a header."""
+def _is_damaged_row(line: str, shape: _Shape) -> bool:
+    """Whether a line above the table is mostly numbers: a damaged row, no header."""
     row = cells_of(line, shape.delimiter)
     if len(row) != shape.width:
-        return
-    numbers = [is_number(c, shape.decimal) for c in row]
-    good = sum(g for g, n in zip(numbers, shape.numeric, strict=True) if n)
-    if 2 * good > sum(shape.numeric):
-        bad = next(i for i, n in enumerate(shape.numeric) if n and not numbers[i])
-        raise UnreadableInput(
-            f"'{row[bad][:40]}' is not a number",
-            where=f"{where}: line {number}, column {bad + 1}",
-            remedy="correct or delete that line, or give --skip",
-        )
+        good = sum(is_number(c, shape.decimal) for c in row)
+        return len(row) >= max(2, shape.width - 1) and 2 * good > len(row)
+    good = sum(is_number(c, shape.decimal) for c, n in zip(row, shape.numeric, strict=True) if n)
+    return 2 * good > sum(shape.numeric)
 
 
 def _names(lines: list[str], above: list[int], shape: _Shape) -> tuple[str, ...]:

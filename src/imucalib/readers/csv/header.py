@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imucalib.readers.devices.catalogue import UNKNOWN, Device, Start, device_named_in
+from imucalib.readers.timebase import start_of
+from imucalib.recording.correction import Correction, corrections_of
 
 _NUMBER = r"(\d+(?:[.,]\d+)?)"
 _RATE = re.compile(
@@ -15,6 +17,7 @@ _RATE = re.compile(
     re.IGNORECASE,
 )
 _OWN_ROWS = re.compile(r"# imucal recording, rows: (\d+)")
+_OWN_MARK = re.compile(r"^# corrected: (.*)$", re.MULTILINE)
 _OWN_START = re.compile(r"start_ns\s*[:=]\s*(-?\d+)")
 
 
@@ -22,7 +25,7 @@ _OWN_START = re.compile(r"start_ns\s*[:=]\s*(-?\d+)")
 class HeaderFacts:
     """device : whose export it is; rate in Hz; start_ns as in Recording.
 
-    rows : how many rows the file says that it has, or None
+    rows : how many rows the file says that it has, or None; corrections as in Recording
     """
 
     device: Device = UNKNOWN
@@ -30,6 +33,7 @@ class HeaderFacts:
     start_ns: int | None = None
     notes: tuple[str, ...] = ()
     rows: int | None = None
+    corrections: tuple[Correction, ...] = ()
 
 
 def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
@@ -38,10 +42,13 @@ def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
     found = _RATE.search(text)
     rate = float(found.group(1).replace(",", ".")) if found else None
     own = _OWN_START.search(text)
-    start = int(own.group(1)) if own else None
+    notes: list[str] = []
+    start = start_of(int(own.group(1)), notes) if own else None
     stated = _OWN_ROWS.search(text)
     rows = int(stated.group(1)) if stated else None
     device = device_named_in(text)
     device.refuse(text, where)
     told = device.start(text) if device.start else Start(start)
-    return HeaderFacts(device, rate or None, told.start_ns, told.notes, rows)
+    marks = corrections_of(_OWN_MARK.findall(text) if stated else ())
+    notes += [*told.notes, *map(str, marks)]
+    return HeaderFacts(device, rate or None, told.start_ns, tuple(notes), rows, marks)

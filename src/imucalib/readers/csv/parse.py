@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,10 @@ from imucalib.readers.csv.time import MISSING
 from imucalib.recording.recording import Array
 
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
-_MISSING = re.compile(rb"(?i)(?<=[,;\t| \n])(?:na|n/a|#n/a|null|none|--?|\?)(?=[,;\t| \n])")
+_ERRORS = rb"#(?:value|ref|div/0|num|null)!|#name\?"  # of a spreadsheet
+_MISSING = re.compile(
+    rb"(?i)(?<=[,;\t| \n])(?:na|n/a|#n/a|null|none|--?|\?|" + _ERRORS + rb")(?=[,;\t| \n])"
+)
 _LARGEST_EXACT = 2.0**53
 
 
@@ -42,18 +45,37 @@ class Layout:
 
 @dataclass(frozen=True)
 class Rows:
-    """Parsed rows: stamps (n,) int64 (MISSING where blank), float64 or bytes; values (n, m)."""
+    """Parsed rows: stamps (n,) int64 (MISSING where blank), float64 or bytes; values (n, m).
+
+    bad : why rows were left out; lines : (n,) line of each row, None when they follow each other
+    """
 
     stamps: NDArray[np.generic]
     values: Array
+    bad: tuple[UnreadableInput, ...] = ()
+    lines: NDArray[np.intp] | None = None
 
 
 def parse(lines: Lines, layout: Layout, where: str) -> Rows:
     """Parse a block of whole lines; blank cells become NaN.
 
-    Blank lines are dropped in a file with time stamps and stand for a missing row otherwise.
-    Raises UnreadableInput that names the row and column of the first cell that is no number.
+    Blank lines are dropped in a file with time stamps and stand for a missing row otherwise; so are
+    bad ones, which `Rows.bad` names. Raises UnreadableInput when more than half of them are bad.
     """
+    rows = _whole(lines, layout)
+    if rows is not None:
+        return rows
+    good, numbers, bad = _good_lines(lines, layout, where)
+    rows = _whole(good, layout)
+    if rows is None or 2 * len(bad) > len(numbers) + len(bad):
+        raise bad[0] if bad else _unclear(lines, where)
+    at = np.array(numbers, dtype=np.intp)
+    fits = at.size == rows.values.shape[0]
+    return replace(rows, bad=tuple(bad), lines=at if fits else None)
+
+
+def _whole(lines: Lines, layout: Layout) -> Rows | None:
+    """The rows, if every line is one."""
     text, delimiter = lines.data, layout.delimiter
     if b'"' in text:
         text, delimiter = _unquoted(text, layout)
@@ -66,8 +88,6 @@ def parse(lines: Lines, layout: Layout, where: str) -> Rows:
         rows = _attempt(text, delimiter, layout, kind)
         if rows is not None and layout.time_kind == "int":
             rows = _with_integers(rows)
-    if rows is None:
-        raise _first_bad_cell(lines, layout, where)
     return rows
 
 
@@ -182,26 +202,44 @@ def _with_integers(rows: Rows) -> Rows | None:
     return Rows(stamps, rows.values)
 
 
-def _first_bad_cell(lines: Lines, layout: Layout, where: str) -> UnreadableInput:
-    remedy = "correct or delete that line"
-    for k, line in enumerate(lines.data.decode("utf-8", errors="replace").split("\n")[:-1]):
-        at = f"{where}: line {lines.first_line + k}"
-        row = cells_of(line, layout.delimiter)
-        if not line.strip():
+def _good_lines(
+    lines: Lines, layout: Layout, where: str
+) -> tuple[Lines, list[int], list[UnreadableInput]]:
+    """The lines without the bad ones, their numbers, and what is wrong with the others."""
+    kept, numbers, bad = list[bytes](), list[int](), list[UnreadableInput]()
+    mark = layout.delimiter.encode()
+    missing = b" ".join([b"nan"] * layout.width) if mark == b" " else mark * (layout.width - 1)
+    for number, line in enumerate(lines.data.split(b"\n")[:-1], start=lines.first_line):
+        if not line.strip() and layout.time >= 0:
             continue
-        if len(row) != layout.width:
-            what = f"{len(row)} cells where the other rows have {layout.width}"
-            return UnreadableInput(what, where=at, remedy=remedy)
-        wanted = layout.values
-        if layout.time_kind in ("int", "float"):
-            wanted = (layout.time, *wanted)
-        for column in wanted:
-            cell = row[column]
-            integer = column == layout.time and layout.time_kind == "int"
-            bad = not is_number(cell, layout.decimal) or (integer and not _is_integer(cell))
-            if bad and not is_blank(cell):
-                what = f"'{cell[:40]}' is not {'an integer' if integer else 'a number'}"
-                return UnreadableInput(what, where=f"{at}, column {column + 1}", remedy=remedy)
+        wrong = line.strip() and _wrong(line.decode("utf-8", errors="replace"), layout)
+        if wrong:
+            what, column = wrong
+            at = f"{where}: line {number}" + (f", column {column + 1}" if column >= 0 else "")
+            bad.append(UnreadableInput(what, where=at, remedy="correct or delete that line"))
+            if layout.time >= 0:
+                continue
+        kept.append((missing if wrong else line) + b"\n")
+        numbers.append(number)
+    return Lines(b"".join(kept), lines.first_line), numbers, bad
+
+
+def _wrong(line: str, layout: Layout) -> tuple[str, int] | None:
+    """What is wrong with a row, and in which column (-1: in all)."""
+    row = cells_of(line, layout.delimiter)
+    if len(row) != layout.width:
+        return f"{len(row)} cells where the other rows have {layout.width}", -1
+    timed = layout.time_kind in ("int", "float")
+    for column in (layout.time, *layout.values) if timed else layout.values:
+        cell = row[column]
+        integer = column == layout.time and layout.time_kind == "int"
+        bad = not is_number(cell, layout.decimal) or (integer and not _is_integer(cell))
+        if bad and not is_blank(cell):
+            return f"'{cell[:40]}' is not {'an integer' if integer else 'a number'}", column
+    return None
+
+
+def _unclear(lines: Lines, where: str) -> UnreadableInput:
     last = lines.first_line + lines.data.count(b"\n")
     span = f"{where}: lines {lines.first_line} to {last}"
     return UnreadableInput("a row cannot be read", where=span, remedy="look for odd characters")

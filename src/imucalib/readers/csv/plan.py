@@ -19,6 +19,7 @@ from imucalib.readers.csv.parse import Layout, Rows, parse
 from imucalib.readers.csv.select import Selection, Vector, select
 from imucalib.readers.csv.source import Lines, looks
 from imucalib.readers.timebase import stepping
+from imucalib.recording.correction import Correction
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Array
 
@@ -46,6 +47,7 @@ class Plan:
     """How to read one file.
 
     idle : rows of zeros mean "not recorded"; rows : as many as the file says that it has
+    corrections : as in Recording
     """
 
     dialect: Dialect
@@ -56,6 +58,7 @@ class Plan:
     notes: tuple[str, ...]
     resolved: FieldMapping
     rows: int | None = None
+    corrections: tuple[Correction, ...] = ()
 
 
 def make_plan(path: Path, mapping: FieldMapping) -> Plan:
@@ -92,7 +95,9 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     )
     idle = facts.device.sleeps
     unique = tuple(dict.fromkeys(notes))
-    return Plan(dialect, layout, clock, signals, idle, unique, resolved, facts.rows)
+    return Plan(
+        dialect, layout, clock, signals, idle, unique, resolved, facts.rows, facts.corrections
+    )
 
 
 def _layout(

@@ -7,41 +7,24 @@ The shape, the columns, the clock and the units are decided once, from looks all
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.csv.clock import bad_stamp
 from imucalib.readers.csv.dialect import cells_of, is_number
-from imucalib.readers.csv.parse import Rows, parse
+from imucalib.readers.csv.parse import parse
 from imucalib.readers.csv.plan import Plan, Signal, make_plan
+from imucalib.readers.csv.position import Position, count_bad, spread_stamps, times_of
 from imucalib.readers.csv.source import Lines, line_blocks, text_head
-from imucalib.readers.csv.time import spread
 from imucalib.readers.devices.idle_sleep import without_repeats
 from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Array, Channel, Gap, Recording
-
-_DAY = 86_400.0
-
-
-@dataclass
-class _Position:
-    """What one block hands to the next."""
-
-    row: int = 0
-    last: dict[str, float] = field(default_factory=dict)
-    days: float = 0.0
-    last_of_day: float = -np.inf
-    held: tuple[Array, Array] | None = None
-    first_group: bool = True
-    idle_rows: int = 0
-    missing_rows: int = 0
 
 
 class CsvReader:
@@ -92,9 +75,9 @@ def _blocks(
 def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator[Recording]:
     empty = Recording(
         {}, str(path), "csv", sha256_of(path), plan.clock.start_ns,
-        notes=plan.notes, mapping=plan.resolved.to_dict(),
+        notes=plan.notes, mapping=plan.resolved.to_dict(), corrections=plan.corrections,
     )  # fmt: skip
-    position = _Position()
+    position = Position()
     before: Recording | None = None
     lost: list[str] = []
     for lines in line_blocks(path, block_samples * _bytes_per_row(plan), strict=strict):
@@ -114,28 +97,31 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
         before = replace(empty, channels=rest[0], gaps=rest[1])
     if before is None:
         raise UnreadableInput("no row of the table could be read", where=str(path))
+    if position.bad_rows:
+        lost.append(f"{position.bad_rows} rows left out; {position.first_bad}")
     lost += _short_of(plan, position)
     if strict and lost:
         raise UnreadableInput(lost[0], where=str(path), remedy="copy the file again")
-    yield replace(before, notes=(*before.notes, *lost, *_left_out(position)))
+    yield replace(before, notes=(*before.notes, *lost, *_left_out(plan, position)))
 
 
 def _bytes_per_row(plan: Plan) -> int:
     return max(16, 10 * plan.layout.width)
 
 
-def _short_of(plan: Plan, position: _Position) -> list[str]:
+def _short_of(plan: Plan, position: Position) -> list[str]:
     if plan.rows is None or position.row == plan.rows:
         return []
     return [f"the header states {plan.rows} rows, {position.row} were found"]
 
 
-def _left_out(position: _Position) -> list[str]:
+def _left_out(plan: Plan, position: Position) -> list[str]:
     notes = []
     if position.idle_rows:
         notes.append(f"{position.idle_rows} rows of zeros (idle sleep) left out")
-    if position.missing_rows:
-        notes.append(f"{position.missing_rows} rows without a value left out")
+    missing = position.missing_rows - (0 if plan.clock.kind else position.bad_rows)
+    if missing > 0:
+        notes.append(f"{missing} rows without a value left out")
     return notes
 
 
@@ -152,16 +138,18 @@ _Block = tuple[dict[str, Channel], tuple[Gap, ...]]
 
 
 def _block(
-    lines: Lines | None, plan: Plan, position: _Position, where: str, *, flush: bool
+    lines: Lines | None, plan: Plan, position: Position, where: str, *, flush: bool
 ) -> _Block | None:
     """Channels and gaps of one block of lines, or of what is still held back."""
     if lines is not None and lines.data:
         rows = parse(lines, plan.layout, where)
-        t, values = _times(rows, plan, position, lines.first_line, where), rows.values
+        t, rows = times_of(rows, plan, position, lines.first_line, where)
+        values = rows.values
+        count_bad(rows, position, where)
     else:
         t, values = np.empty(0), np.empty((0, len(plan.layout.values)))
     if plan.clock.resolution:
-        t, values = _spread(t, values, plan, position, flush=flush)
+        t, values = spread_stamps(t, values, plan, position, flush=flush)
     if t.size == 0:
         return None
     numbers = position.row + np.arange(t.size, dtype=np.float64)
@@ -174,50 +162,9 @@ def _block(
     return _channels(t, values, numbers, keep, plan=plan, position=position)
 
 
-def _times(rows: Rows, plan: Plan, position: _Position, line: int, where: str) -> Array:
-    clock = plan.clock
-    if not clock.kind:
-        count = rows.values.shape[0]
-        return (position.row + np.arange(count, dtype=np.float64)) / clock.rate
-    try:
-        t = clock.seconds(rows.stamps)
-    except ValueError as error:
-        raise bad_stamp(rows.stamps, error, line, where) from error
-    if clock.text is None or clock.text.dated or t.size == 0:
-        return t
-    back = np.diff(t, prepend=position.last_of_day) < -_DAY / 2
-    position.last_of_day = float(t[-1])
-    days = position.days + _DAY * np.cumsum(back)
-    position.days = float(days[-1])
-    return np.asarray(t + days)
-
-
-def _spread(
-    t: Array, values: Array, plan: Plan, position: _Position, *, flush: bool
-) -> tuple[Array, Array]:
-    """Coarse stamps spread; the last group waits for the next block, where it may go on."""
-    if position.held is not None:
-        t = np.concatenate([position.held[0], t])
-        values = np.concatenate([position.held[1], values])
-        position.held = None
-    if t.size == 0:
-        return t, values
-    if not flush:
-        changes = np.flatnonzero(np.diff(t) != 0)
-        cut = int(changes[-1]) + 1 if changes.size else 0
-        position.held = (t[cut:], values[cut:])
-        t, values = t[:cut], values[:cut]
-    if t.size:
-        clock = plan.clock
-        moved = spread(t, clock.resolution, clock.typical, position.first_group)
-        position.first_group = False
-        t = t + moved
-    return t, values
-
-
 def _channels(
     t: Array, values: Array, numbers: Array, keep: NDArray[np.bool_], *, plan: Plan,
-    position: _Position,
+    position: Position,
 ) -> _Block | None:  # fmt: skip
     channels: dict[str, Channel] = {}
     gaps: dict[tuple[float, float], Gap] = {}
@@ -240,7 +187,7 @@ def _channels(
     return (channels, tuple(gaps.values())) if channels else None
 
 
-def _gaps_of(signal: Signal, t: Array, numbers: Array, position: _Position) -> list[Gap]:
+def _gaps_of(signal: Signal, t: Array, numbers: Array, position: Position) -> list[Gap]:
     gaps = find_gaps(t, numbers, signal.threshold, position.last.get(signal.name))
     if t.size:
         position.last[signal.name] = float(t[-1])

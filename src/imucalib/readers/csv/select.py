@@ -53,6 +53,8 @@ def select(dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, where: s
         *_vectors("angular_rate", mapping.gyro, table, notes),
     ]
     time, time_unit = _time(mapping, columns, dialect)
+    if vectors and time < 0 and not mapping.rate and not columns:
+        time = _time_beside(vectors, dialect, facts.device, notes)
     if not vectors:
         vectors, guessed = _by_position(dialect, facts, notes)
         time = guessed if time < 0 and not mapping.rate and not columns else time
@@ -150,6 +152,20 @@ def _time(mapping: FieldMapping, columns: list[Column], dialect: Dialect) -> tup
         return -1, ""
     best = min(found, key=lambda c: "stamp" not in c.name.lower())
     return best.index, best.unit
+
+
+def _time_beside(
+    vectors: Sequence[Vector], dialect: Dialect, device: Device, notes: list[str]
+) -> int:
+    """The time column of a table without names whose other columns the user has named, or -1."""
+    taken = {c for v in vectors for c in v.columns}
+    known = next(iter(_numbered((device.fields.time,), dialect)), -1)
+    if known >= 0 and known not in taken:
+        return known
+    if 0 not in taken and (dialect.width == 1 + len(taken) or not dialect.numeric[0]):
+        notes.append("no column names: column 1 taken as time")
+        return 0
+    return -1
 
 
 def _temperatures(

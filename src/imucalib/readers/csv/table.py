@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.csv.dialect import cells_of, is_comment, is_number
+from imucalib.readers.csv.dialect import cells_of, decoded, is_comment, is_number
 from imucalib.readers.csv.source import whole_text
 from imucalib.recording.mapping import FieldMapping
+from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical
 
+_BINARY = re.compile(rb"[\0\xfe\xff]")  # in no text of UTF-8, and in no table of Windows-1252
+_FEWEST = 3  # cells of a heading
+_UNITS = {*ACCELERATION_UNITS, *RATE_UNITS, *ANGLE_UNITS}
+_OTHER_UNITS = {"°", "degc", "°c", "c", "k", "s", "ms", "counts", "count", "lsb", "-"}
 _DELIMITERS = (",", ";", "\t", "|")
 
 
@@ -17,16 +23,21 @@ def table_cells(path: Path, mapping: FieldMapping) -> dict[str, list[str]]:
     """Every column by its heading, in the file's order; numbers with a point as decimal mark.
 
     mapping : `skip`, `delimiter` and `decimal` are used. A decimal comma is understood wherever
-        the comma does not separate the cells. Comments and blank lines are passed over.
+        the comma does not separate the cells. Comments and blank lines are passed over, title lines
+        above the heading too; a row of units below it goes into the headings.
     Raises UnreadableInput with the row, counted from 1 below the heading.
     """
     where = str(path)
     lines = list(_lines(path, mapping.skip or 0))
     if not lines:
         raise UnreadableInput("no rows in it", where=where)
+    lines = _without_titles(lines, mapping.delimiter)
     at, first = lines[0]
     delimiter = mapping.delimiter or max(_DELIMITERS, key=first.count)
     heading, *rows = [cells_of(line, delimiter) for _, line in lines]
+    if rows and len(rows[0]) == len(heading) and _are_units(rows[0]):
+        units = rows.pop(0)
+        heading = [_with_unit(n, u) for n, u in zip(heading, units, strict=True)]
     commas = mapping.decimal == "," or (not mapping.decimal and delimiter != ",")
     if all(is_number(cell) or (commas and is_number(cell, ",")) for cell in heading if cell):
         raise UnreadableInput(
@@ -50,6 +61,29 @@ def table_cells(path: Path, mapping: FieldMapping) -> dict[str, list[str]]:
     }
 
 
+def _without_titles(lines: list[tuple[int, str]], delimiter: str) -> list[tuple[int, str]]:
+    """The lines from the first that has three cells with something in them."""
+    for k, (_, line) in enumerate(lines):
+        mark = delimiter or max(_DELIMITERS, key=line.count)
+        if sum(cell != "" for cell in cells_of(line, mark)) >= _FEWEST:
+            return lines[k:]
+    return lines
+
+
+def _are_units(row: list[str]) -> bool:
+    """Whether every cell is a unit, or nothing."""
+    texts = [cell.strip("[]() ") for cell in row if cell]
+    return bool(texts) and all(
+        canonical(text) in _UNITS or text.lower() in _OTHER_UNITS for text in texts
+    )
+
+
+def _with_unit(name: str, cell: str) -> str:
+    """The heading with the unit below it, unless it states one."""
+    unit = cell.strip("[]() ").replace("°", "deg")
+    return name if not unit or name.endswith((")", "]")) else f"{name} [{unit}]"
+
+
 def _with_point(cell: str) -> str:
     return cell.replace(",", ".") if is_number(cell, ",") else cell
 
@@ -57,13 +91,13 @@ def _with_point(cell: str) -> str:
 def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
     """Lines that hold something, with their numbers from 1."""
     data = whole_text(path)
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as error:
+    binary = _BINARY.search(data)
+    if binary:
         raise UnreadableInput(
-            "not a text file", where=f"{path}, byte {error.start}",
-            remedy="give a CSV or HDF5 table; save a spreadsheet as CSV in UTF-8",
-        ) from None  # fmt: skip
+            "not a text file", where=f"{path}, byte {binary.start()}",
+            remedy="give a CSV or HDF5 table; save a spreadsheet as CSV",
+        )  # fmt: skip
+    text = decoded(data)
     for number, line in enumerate(text.split("\n"), start=1):
         if number > skip and line.strip() and not is_comment(line):
             yield number, line

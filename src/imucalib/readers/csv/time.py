@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,12 +71,16 @@ def text_to_ns(stamps: NDArray[np.bytes_], layout: TextTime) -> Int:
     if filled.size == 0:
         return out
     texts = stamps[filled]
+    if layout.order == "YMDhmsf":
+        with suppress(ValueError):
+            out[filled] = _iso(texts)
+            return out
     try:
-        out[filled] = _iso(texts) if layout.order == "YMDhmsf" else _by_groups(texts, layout)
+        out[filled] = _by_groups(texts, layout)
     except ValueError as error:
         if error.args and isinstance(error.args[0], int | np.integer):
             raise ValueError(int(filled[error.args[0]])) from error
-        out[filled] = _by_groups(texts, layout)
+        raise
     return out
 
 

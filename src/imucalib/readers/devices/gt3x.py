@@ -31,6 +31,9 @@ _DAMAGED = (
     RuntimeError, struct.error,
 )  # fmt: skip
 _HEAD = struct.Struct("<BBIH")
+#: What no device writes: a longer info.txt, a large log that packs better than this, more places
+#: that look like a record and are none.
+_INFO_BYTES, _LARGE, _RATIO, _MOST_BAD = 1 << 20, 16 << 20, 100, 100_000
 
 
 @dataclass(frozen=True)
@@ -106,13 +109,22 @@ READER = Gt3xReader()
 def _info(path: Path) -> dict[str, str]:
     try:
         with zipfile.ZipFile(path) as archive:
-            text = archive.read("info.txt").decode("utf-8-sig", errors="replace")
-            archive.getinfo("log.bin")
+            with archive.open("info.txt") as stream:
+                raw = stream.read(_INFO_BYTES + 1)
+            log = archive.getinfo("log.bin")
     except _DAMAGED as error:
         remedy = "copy it from the device again"
         raise UnreadableInput(
             f"the archive cannot be opened: {error}", where=str(path), remedy=remedy
         ) from None
+    if len(raw) > _INFO_BYTES:
+        raise UnreadableInput(f"info.txt is longer than {_INFO_BYTES} bytes", where=str(path))
+    if log.file_size > max(_LARGE, _RATIO * log.compress_size):
+        what = (
+            f"log.bin claims {log.file_size} bytes in {log.compress_size}: no recording is so even"
+        )
+        raise UnreadableInput(what, where=str(path))
+    text = raw.decode("utf-8-sig", errors="replace")
     pairs = (line.split(": ", 1) for line in text.splitlines() if ": " in line)
     return {name.strip(): value.strip() for name, value in pairs}
 
@@ -137,7 +149,7 @@ def _facts(info: dict[str, str], where: str) -> tuple[float, float, int | None]:
 
 def _seconds(path: Path, strict: bool, lost: list[str]) -> Iterator[_Second]:
     """Walk the records; a damaged one costs itself, and the walk goes on at the next mark."""
-    bad, stamp, passed, buffer = 0, -1, 0, b""
+    bad, probes, stamp, passed, buffer = 0, 0, -1, 0, b""
     pieces = _pieces(path)
     more = True
     while more or len(buffer) >= 9:
@@ -158,6 +170,9 @@ def _seconds(path: Path, strict: bool, lost: list[str]) -> Iterator[_Second]:
             if strict:
                 where = f"{path}, byte {passed + at} of log.bin"
                 raise UnreadableInput("a record is damaged", where=where)
+            probes += 1
+            if probes > _MOST_BAD:
+                raise UnreadableInput("log.bin holds no records", where=str(path))
             following = buffer.find(b"\x1e", at + 1)
             following = following if following >= 0 else len(buffer)
             bad, at = bad + following - at, following

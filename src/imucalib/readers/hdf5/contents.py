@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,22 +10,26 @@ import numpy as np
 from imucalib.readers.contents import Content, norm_of
 from imucalib.readers.hdf5.attributes import unit_of
 from imucalib.readers.hdf5.fields import datasets
+from imucalib.readers.hdf5.held import outside
 
 _ROWS = 500
 
 
 def contents_of(file: Any, where: str) -> tuple[Content, ...]:
     """Every dataset with its shape, type and unit, and the norm or median of its first rows."""
-    return tuple(_content(node) for node in datasets(file, where))
+    return tuple(_content(node, Path(where)) for node in datasets(file, where))
 
 
-def _content(node: Any) -> Content:
+def _content(node: Any, path: Path) -> Content:
     shape = " x ".join(map(str, node.shape[1:]))
     fields = f" of {', '.join(node.dtype.names)}" if node.dtype.names else ""
     unit = unit_of(node)
     kind = f"{shape + ' ' if shape else ''}{node.dtype if not fields else 'records'}{fields}"
     kind += f" in {unit}" if unit else ""
     norm = median = float("nan")
+    other = outside(node, path)
+    if other:
+        return Content(node.name, kind, node.shape[0], why=f"it lies in another file, {other}")
     numeric = not fields and node.dtype.kind in "iuf"
     step = max(1, node.shape[0] // _ROWS)
     try:

@@ -33,6 +33,7 @@ _QUANTITY = {
 }  # fmt: skip
 _GENERIC = {"sensors", "data", "raw", "calibrated", "imu", "readings", "table", "", "value",
             "values", "processed", "x"}  # fmt: skip
+_MOST = 4096  # datasets: each costs half a millisecond before it is read
 _LARGEST_RATIO = 2000  # logical over stored bytes; deflate cannot do more than about 1032
 
 
@@ -40,14 +41,20 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
     """Every numeric or compound dataset with rows, in the file's order."""
     found: list[Any] = []
 
-    def visit(_: str, node: Any) -> None:
+    def visit(_: str, node: Any) -> bool | None:
         if hasattr(node, "shape") and node.shape and node.size:
             found.append(node)
+        return True if len(found) > _MOST else None
 
-    file.visititems(visit)
+    if file.visititems(visit):
+        raise UnreadableInput(
+            f"the file holds more than {_MOST} datasets",
+            where=where,
+            remedy="write those of one recording to a file of their own",
+        )
     for node in found:
         logical, stored = node.size * node.dtype.itemsize, node.id.get_storage_size()
-        if logical > _LARGEST_RATIO * max(stored, 1 << 16):
+        if logical > _LARGEST_RATIO * max(stored, 1 << 16) and not node.is_virtual:
             raise UnreadableInput(
                 f"{node.name} claims {logical} bytes but stores {stored}",
                 where=where,
@@ -61,6 +68,7 @@ def fields_of(file: Any, mapping: FieldMapping, where: str) -> list[Found]:
     nodes = {node.name: node for node in datasets(file, where)}
     if mapping.acc or mapping.gyro:
         found = list(_stated(nodes, mapping))
+        found += list(_temperatures_beside(nodes, found))
     else:
         found = [f for node in nodes.values() for f in _vectors(node)]
         found += list(_single_axes(nodes))
@@ -182,6 +190,24 @@ def _all_triads(node: Any, quantity: str) -> list[Found]:
         return []
     rows = shape[1] if places[0].transposed else shape[0]
     return [Found(quantity, "", (p,), rows, unit, scale) for p in places]
+
+
+def _temperatures_beside(nodes: dict[str, Any], stated: list[Found]) -> Iterator[Found]:
+    """Temperatures in the folder of a stated triad, or of a file with one triad."""
+    triads = tuple(dict.fromkeys(f.triad for f in stated))
+    for node in nodes.values():
+        for field in _vectors(node):
+            if field.quantity == "temperature":
+                near = [f.triad for f in stated if _holder(f) == _holder(field)]
+                for triad in dict.fromkeys(near) or triads[: len(triads) == 1]:
+                    yield replace(field, triad=triad)
+
+
+def _holder(field: Found) -> list[str]:
+    """The folder of the sensor that a field belongs to."""
+    parts = words_of(field.parts[0].path)
+    _, at = _quantity_of(field.parts[0].path)
+    return parts[: at if at >= 0 else -1]
 
 
 def _stated_temperatures(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:

@@ -13,47 +13,107 @@ from numpy.typing import NDArray
 
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers.hdf5.clock import Place
+from imucalib.readers.hdf5.held import held_rows, outside
+
+Rows = NDArray[np.bool_]
+_RANGES = 3  # of absent rows that are named
 
 
 @dataclass
 class File:
-    """An open file, and what of it could not be read."""
+    """An open file, and what of it could not be read.
+
+    external : whether its data may lie in other files
+    """
 
     handle: Any
     where: str
     strict: bool
     lost: list[str] = field(default_factory=list)
+    external: bool = False
     nodes: dict[str, Any] = field(default_factory=dict)  # datasets in use: looking one up is slow
+    held: dict[tuple[str, int], Rows | None] = field(default_factory=dict)  # None: all of them
 
     def rows(self, place: Place, start: int, stop: int) -> NDArray[np.generic]:
-        """Rows of one place; rows of a damaged chunk become NaN (or 0 in integers, see `lost`)."""
+        """Rows of one place; those that are damaged or not in the file become NaN."""
+        values, held = self.stored(place, start, stop)
+        if held is None:
+            return values
+        values = values.astype(np.float64)
+        values[~held] = np.nan
+        return values
+
+    def stored(
+        self, place: Place, start: int, stop: int
+    ) -> tuple[NDArray[np.generic], Rows | None]:
+        """Rows as the file has them, and which of them it has; None when all. Raises
+        UnreadableInput for data in another file and, when strict, for what is missing."""
         node = self.nodes.get(place.path)
         if node is None:
             node = self.nodes[place.path] = self.handle[place.path]
+        known = self._known(node, 1 if place.transposed else 0)
+        held = None if known is None or known[start:stop].all() else known[start:stop]
         try:
-            return _slice(node, place, start, stop)
+            return _slice(node, place, start, stop), held
         except (OSError, RuntimeError) as error:
             if self.strict:
                 raise UnreadableInput(
                     f"{place.path}, rows {start} to {stop}: {error}", where=self.where
                 ) from error
-        return self._by_chunks(node, place, start, stop)
+        values, whole = self._by_chunks(node, place, start, stop)
+        return values, whole if held is None else whole & held
 
-    def _by_chunks(self, node: Any, place: Place, start: int, stop: int) -> NDArray[np.generic]:
+    def _known(self, node: Any, axis: int) -> Rows | None:
+        key = (node.name, axis)
+        if key not in self.held:
+            path = Path(self.where)
+            other = "" if self.external else outside(node, path)
+            if other:
+                raise UnreadableInput(
+                    f"{node.name} lies in another file, {other}",
+                    where=self.where,
+                    remedy="read it with --allow-external if you trust this file",
+                )
+            found = held_rows(node, path, axis)
+            self.held[key] = None if found.all() else found
+            if not found.all():
+                self._report(node.name, found)
+        return self.held[key]
+
+    def demand_whole(self, node: Any) -> None:
+        """Raise UnreadableInput, in a strict file, unless it holds all of a dataset."""
+        self._known(node, 0)
+
+    def _report(self, name: str, held: Rows) -> None:
+        edges = np.flatnonzero(np.diff(held, prepend=True, append=True)).reshape(-1, 2)
+        spans = ", ".join(f"{a} to {b - 1}" for a, b in edges[:_RANGES].tolist())
+        more = f" and {len(edges) - _RANGES} more ranges" if len(edges) > _RANGES else ""
+        what = f"{name}: rows {spans}{more} are not in the file"
+        if self.strict:
+            raise UnreadableInput(what, where=self.where, remedy="copy it again from its source")
+        self.lost.append(what)
+
+    def _by_chunks(
+        self, node: Any, place: Place, start: int, stop: int
+    ) -> tuple[NDArray[np.generic], Rows]:
+        """What can be read of rows some of which cannot, the others as zeros, and which."""
         step = node.chunks[1 if place.transposed else 0] if node.chunks else stop - start
         parts: list[NDArray[np.generic]] = []
+        held = np.ones(stop - start, dtype=np.bool_)
         a = start
         while a < stop:
             b = min(stop, (a // step + 1) * step)
             try:
-                parts.append(_slice(node, place, a, b).astype(np.float64))
+                parts.append(_slice(node, place, a, b))
             except (OSError, RuntimeError) as error:
                 note = f"{place.path}: rows {a} to {b - 1} cannot be read ({_reason(error)})"
                 self.lost.append(note)
+                kind = node.dtype[place.column] if place.column else node.dtype
                 width = () if place.column or len(node.shape) == 1 else (3,)
-                parts.append(np.full((b - a, *width), np.nan))
+                parts.append(np.zeros((b - a, *width), dtype=kind))
+                held[a - start : b - start] = False
             a = b
-        return np.concatenate(parts)
+        return np.concatenate(parts), held
 
 
 def _reason(error: Exception) -> str:
@@ -72,7 +132,7 @@ def _slice(node: Any, place: Place, start: int, stop: int) -> NDArray[np.generic
 
 
 @contextmanager
-def opened(path: Path, strict: bool) -> Iterator[File]:
+def opened(path: Path, strict: bool, external: bool = False) -> Iterator[File]:
     import h5py
 
     try:
@@ -91,7 +151,7 @@ def opened(path: Path, strict: bool) -> Iterator[File]:
             handle.close()
             raise UnreadableInput(notes[0], where=str(path)) from first
     try:
-        yield File(handle, str(path), strict, notes)
+        yield File(handle, str(path), strict, notes, external)
     except ImucalError:
         raise
     except Exception as error:  # damaged metadata makes the C library raise almost anything

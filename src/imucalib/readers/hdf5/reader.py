@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers.contents import listing, suggestion
+from imucalib.readers.hdf5.attributes import text_of
 from imucalib.readers.hdf5.contents import contents_of
 from imucalib.readers.hdf5.fields import fields_of
 from imucalib.readers.hdf5.file import File, opened
@@ -23,6 +24,7 @@ from imucalib.readers.hdf5.signals import Signal, resolved_mapping, signals_of, 
 from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
+from imucalib.recording.correction import corrections_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Array, Channel, Gap, Recording
 
@@ -43,14 +45,14 @@ class Hdf5Reader:
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Yield the fields in blocks of about `block_samples` rows."""
-        with opened(path, strict) as file:
+        with opened(path, strict, bool(mapping.allow_external)) as file:
             yield from _blocks(file, path, mapping, block_samples)
 
     def stored_blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """The same blocks with the numbers as the file has them; see `readers.stored_blocks`."""
-        with opened(path, strict) as file:
+        with opened(path, strict, bool(mapping.allow_external)) as file:
             yield from _blocks(file, path, mapping, block_samples, stored=True)
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
@@ -75,7 +77,11 @@ def _blocks(
         )
     signals, start_ns, notes = signals_of(file, found, mapping)
     resolved = resolved_mapping(mapping, signals)
-    empty = Recording({}, str(path), "hdf5", sha256_of(path), start_ns, mapping=resolved.to_dict())
+    marks = corrections_of(text_of(file.handle.attrs.get("corrections", "")).split("\n"))
+    empty = Recording(
+        {}, str(path), "hdf5", sha256_of(path), start_ns, mapping=resolved.to_dict(),
+        corrections=marks,
+    )  # fmt: skip
     last: dict[str, float] = {}
     at = {s.name: 0 for s in signals}
     main = max(signals, key=lambda s: s.found.rows)
@@ -92,7 +98,7 @@ def _blocks(
             if channel is not None:
                 channels[signal.name] = channel
             gaps.update({(g.start, g.stop): g for g in new})
-        own = [*notes, *file.lost] if first else file.lost
+        own = [*notes, *map(str, marks), *file.lost] if first else file.lost
         yield replace(empty, channels=channels, gaps=tuple(gaps.values()), notes=tuple(own))
         file.lost, first = [], False
 

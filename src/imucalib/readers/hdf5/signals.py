@@ -14,7 +14,7 @@ from imucalib.readers.conversion import Conversion
 from imucalib.readers.hdf5.attributes import number_of
 from imucalib.readers.hdf5.clock import Found
 from imucalib.readers.hdf5.file import File
-from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, stepping
+from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, start_of, stepping
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 from imucalib.recording.recording import Array
 
@@ -47,10 +47,15 @@ def times(file: File, signal: Signal, start: int, stop: int) -> Array:
         t = np.arange(start, stop, dtype=np.float64)
         t /= signal.rate
         return t
-    stamps = file.rows(signal.found.time, start, stop).reshape(-1)
+    found, held = file.stored(signal.found.time, start, stop)
+    stamps = found.reshape(-1)
     if stamps.dtype.kind in "iu":
-        return np.asarray((stamps.astype(np.int64) - int(signal.origin)) / round(1.0 / signal.size))
-    return np.asarray((stamps.astype(np.float64) - signal.origin) * signal.size)
+        t = np.asarray((stamps.astype(np.int64) - int(signal.origin)) / round(1.0 / signal.size))
+    else:
+        t = np.asarray((stamps.astype(np.float64) - signal.origin) * signal.size)
+    if held is not None:
+        t[~held] = np.nan
+    return t
 
 
 def raw_rows(file: File, found: Found, start: int, stop: int) -> Array:
@@ -79,8 +84,9 @@ def signals_of(
 ) -> tuple[list[Signal], int | None, list[str]]:
     signals: list[Signal] = []
     notes: list[str] = []
-    stated = number_of(file.handle, "start_ns")
-    start_ns = None if stated is None else int(np.asarray(file.handle.attrs["start_ns"]).flat[0])
+    start_ns = None
+    if number_of(file.handle, "start_ns") is not None:
+        start_ns = start_of(np.asarray(file.handle.attrs["start_ns"]).flat[0].item(), notes)
     origin: dict[float, float | int] = {}
     for one in found:
         clock, first, note = _clock(file, one)

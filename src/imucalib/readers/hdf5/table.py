@@ -21,7 +21,10 @@ def table_columns(path: Path) -> dict[str, Array | list[str]]:
     Raises UnreadableInput for a damaged file and for columns of different length.
     """
     with opened(path, strict=True) as file:
-        found = dict(part for node in datasets(file.handle, str(path)) for part in _columns(node))
+        nodes = list(datasets(file.handle, str(path)))
+        for node in nodes:
+            file.demand_whole(node)
+        found = dict(part for node in nodes for part in _columns(node))
     if len({len(v) for v in found.values()}) > 1:
         sizes = ", ".join(f"{name} {len(v)}" for name, v in found.items())
         raise UnreadableInput(f"datasets of different length ({sizes})", where=str(path))

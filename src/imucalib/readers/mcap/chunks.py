@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 
 from imucalib.readers.messages.records import COMPRESSIONS, ChunkHead, MalformedRecordError
 
+#: Bytes of a packed chunk's records unless --max-chunk says otherwise; writers use 1 to 4 MiB. A
+#: header may lie, and 4 bytes of zstd may stand for 128 KiB.
+MAX_CHUNK = 64 << 20
 _LZ4_MOST = 256  # an LZ4 block cannot expand further than 255 times
 _PIECE = 1 << 16
 
 
-def unpack_chunk(head: ChunkHead, body: bytes) -> bytes:
-    """The records of a whole chunk, size and CRC checked; raises MalformedRecordError."""
-    if head.compression not in COMPRESSIONS:
-        raise MalformedRecordError(f"unknown chunk compression {head.compression!r}")
+def unpack_chunk(head: ChunkHead, body: bytes, most: int = MAX_CHUNK) -> bytes:
+    """The records of a whole chunk, size and CRC checked; raises MalformedRecordError.
+
+    most : bytes; a packed chunk that claims more is refused
+    """
+    _judge(head, body, most)
     try:
-        data = _decompress(head, body)
-    except MalformedRecordError:
-        raise
-    except (RuntimeError, ValueError, MemoryError, OSError, EOFError) as error:
+        # One byte more than is due shows that there is more.
+        data = b"".join(_unpacked(head.compression, body, head.uncompressed_size + 1))
+    except Exception as error:  # the two libraries raise unrelated types for damaged data
         raise MalformedRecordError(f"the {head.compression} data is damaged") from error
     if len(data) != head.uncompressed_size:
         raise MalformedRecordError("the chunk's size differs from its header")
@@ -27,71 +32,56 @@ def unpack_chunk(head: ChunkHead, body: bytes) -> bytes:
     return data
 
 
-def _decompress(head: ChunkHead, body: bytes) -> bytes:
-    if head.compression == "":
-        return body
-    if head.compression == "lz4":
-        import lz4.frame
-
-        if head.uncompressed_size > _LZ4_MOST * len(body):
-            raise MalformedRecordError("the chunk's size differs from its header")
-        return bytes(lz4.frame.decompress(body))
-    import zstandard
-
+def unpack_cut_chunk(head: ChunkHead, body: bytes, most: int = MAX_CHUNK) -> bytes:
+    """What can be decompressed of a chunk whose end is missing; nothing checks it."""
     try:
-        declared = zstandard.frame_content_size(body)
-        if declared == head.uncompressed_size:
-            return bytes(zstandard.ZstdDecompressor().decompress(body))
-        if declared >= 0 and declared > head.uncompressed_size:
-            raise MalformedRecordError("the chunk's size differs from its header")
-        return _zstd_stream(body, head.uncompressed_size)
-    except zstandard.ZstdError as error:
-        raise MalformedRecordError("the zstd data is damaged") from error
-
-
-def _zstd_stream(body: bytes, most: int) -> bytes:
-    """Frames without a declared size, or several of them, never beyond `most` bytes."""
-    import zstandard
-
-    pieces, total, rest = [], 0, body
-    while rest:
-        frame = zstandard.ZstdDecompressor().decompressobj()
-        for at in range(0, len(rest), _PIECE):
-            piece = frame.decompress(rest[at : at + _PIECE])
+        _judge(head, body, most)
+    except MalformedRecordError:
+        return b""
+    pieces: list[bytes] = []
+    left = head.uncompressed_size
+    try:
+        for piece in _unpacked(head.compression, body, left + 1, _PIECE):
             pieces.append(piece)
-            total += len(piece)
-            if total > most:
-                raise MalformedRecordError("the chunk's size differs from its header")
-            if frame.eof:
-                rest = frame.unused_data + rest[at + _PIECE :]
-                break
-        else:
-            raise MalformedRecordError("the zstd data ends too early")
+            left -= len(piece)
+            if left < 0:
+                return b""
+    except Exception:  # what came before the damage is kept
+        pass
     return b"".join(pieces)
 
 
-def unpack_cut_chunk(head: ChunkHead, body: bytes) -> bytes:
-    """What can be decompressed of a chunk whose end is missing; nothing checks it."""
-    if head.compression == "":
-        return body
+def _judge(head: ChunkHead, body: bytes, most: int) -> None:
+    size = head.uncompressed_size
     if head.compression not in COMPRESSIONS:
-        return b""
-    if head.compression == "lz4":
+        raise MalformedRecordError(f"unknown chunk compression {head.compression!r}")
+    if head.compression and size > most:
+        raise MalformedRecordError(f"the chunk claims {size} bytes, more than --max-chunk {most}")
+    if head.compression == "lz4" and size > _LZ4_MOST * len(body):
+        raise MalformedRecordError("the chunk's size differs from its header")
+
+
+def _unpacked(compression: str, body: bytes, most: int, piece: int = 0) -> Iterator[bytes]:
+    """At most `most` bytes of content, in pieces."""
+    if compression == "":
+        yield body
+        return
+    piece = piece or most
+    if compression == "lz4":
         import lz4.frame
 
         unpacker = lz4.frame.LZ4FrameDecompressor()
-    else:
-        import zstandard
+        feed = body
+        while most > 0 and not unpacker.eof:
+            part = unpacker.decompress(feed, max_length=min(most, piece))
+            feed, most = b"", most - len(part)
+            yield part
+            if not part and unpacker.needs_input:
+                return
+        return
+    import zstandard
 
-        unpacker = zstandard.ZstdDecompressor().decompressobj()
-    pieces: list[bytes] = []
-    total = 0
-    for at in range(0, len(body), _PIECE):
-        try:
-            pieces.append(unpacker.decompress(body[at : at + _PIECE]))
-        except Exception:  # the two libraries raise unrelated types for data past the cut
-            break
-        total += len(pieces[-1])
-        if total > head.uncompressed_size:
-            return b""
-    return b"".join(pieces)
+    stream = zstandard.ZstdDecompressor().stream_reader(body, read_across_frames=True)
+    while most > 0 and (part := stream.read(min(most, piece))):
+        most -= len(part)
+        yield part

@@ -24,11 +24,12 @@ class McapLog:
     """An MCAP file as a log of messages."""
 
     path: Path
+    max_chunk: int | None = None
     format: str = "mcap"
 
     def scan(self, *, strict: bool) -> Scanner:
         """A linear scan that needs no index."""
-        return Scanner(self.path, strict=strict)
+        return Scanner(self.path, strict=strict, max_chunk=self.max_chunk)
 
     def summary(self) -> Summary:
         """What the file's own summary says; empty when it is absent or damaged."""
@@ -51,13 +52,14 @@ class McapReader:
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
         """Read all samples in one pass."""
-        return read_log(McapLog(path), mapping, strict=strict)
+        return read_log(McapLog(path, mapping.max_chunk), mapping, strict=strict)
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Read the file twice, in bounded memory."""
-        yield from log_blocks(McapLog(path), mapping, block_samples=block_samples, strict=strict)
+        log = McapLog(path, mapping.max_chunk)
+        yield from log_blocks(log, mapping, block_samples=block_samples, strict=strict)
 
 
 READER = McapReader()

@@ -12,7 +12,7 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.mcap.chunks import unpack_chunk, unpack_cut_chunk
+from imucalib.readers.mcap.chunks import MAX_CHUNK, unpack_chunk, unpack_cut_chunk
 from imucalib.readers.mcap.recovery import PEEK, FileBytes
 from imucalib.readers.mcap.walk import Walk
 from imucalib.readers.mcap.walk import walk as walk_records
@@ -24,25 +24,28 @@ from imucalib.readers.messages.records import (
     Schema,
     Topic,
 )
+from imucalib.recording.correction import Correction
 
 #: Yields messages, returns where the next record begins.
 _Steps = Generator[MessageBlock, None, int]
 _WINDOW = 1 << 22
+_LARGEST_MARK = 1 << 20  # a longer metadata record is not ours
 _KNOWN = range(0x01, 0x10)
 
 
 class Scanner:
     """One pass over a file: `blocks` yields the messages, `topics` and `damages` fill meanwhile.
 
-    With `strict` the first damage raises UnreadableInput.
+    With `strict` the first damage raises UnreadableInput; max_chunk : bytes, see `chunks`.
     """
 
-    def __init__(self, path: Path, *, strict: bool = False) -> None:
-        self.path, self.strict = path, strict
+    def __init__(self, path: Path, *, strict: bool = False, max_chunk: int | None = None) -> None:
+        self.path, self.strict, self._most = path, strict, max_chunk or MAX_CHUNK
         self.topics: dict[int, Topic] = {}
         self.damages: list[Damage] = []
         self.messages = 0
         self.extras: list[tuple[int, int, int]] = []  # attachments, metadata: opcode, byte, size
+        self.corrections: tuple[Correction, ...] = ()
         self._schemas: dict[int, Schema] = {}
         self._hidden: int | None = None  # the damage whose messages the next indexes can count
         self._chunks = 0
@@ -112,7 +115,7 @@ class Scanner:
         self._chunks += 1
         self._hidden = None
         try:
-            data = unpack_chunk(head, self._read(at + 9 + head.body, head.size))
+            data = unpack_chunk(head, self._read(at + 9 + head.body, head.size), self._most)
         except MalformedRecordError as error:
             self._hidden = len(self.damages)
             self._report(at, end - at, str(error), head)
@@ -156,6 +159,8 @@ class Scanner:
             self.damages[self._hidden] = dataclasses.replace(lost, messages=count)
         elif opcode in (mr.ATTACHMENT, mr.METADATA):
             self.extras.append((opcode, at + 9, end - at - 9))
+            if opcode == mr.METADATA and end - at < _LARGEST_MARK:
+                self.corrections += mr.parse_corrections(self._read(at + 9, end - at - 9))
         elif opcode == mr.DATA_END:
             self._check_data_end(at, end)
         elif opcode == mr.STATISTICS:
@@ -233,7 +238,7 @@ class Scanner:
         data = b""
         if peek[:1] == bytes([mr.CHUNK]) and head is not None:
             begin = at + 9 + head.body
-            data = unpack_cut_chunk(head, self._read(begin, self._bytes.size - begin))
+            data = unpack_cut_chunk(head, self._read(begin, self._bytes.size - begin), self._most)
         walk = walk_records(data)
         self._define(data, walk, at)
         self.messages += walk.starts.size

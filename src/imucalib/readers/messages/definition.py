@@ -17,6 +17,7 @@ _FIELD = re.compile(r"^(\S+)\s+(\w+)\s*(=?)")
 _TYPE = re.compile(r"^([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?$")
 _VECTOR = "float64 x\nfloat64 y\nfloat64 z"
 #: sensor_msgs/Imu, for a file that names the type without defining it in ROS's own syntax.
+_NEXT = "=" * 80  # between types; readers of others look for exactly this
 _IMU = f"""std_msgs/Header header
 geometry_msgs/Quaternion orientation
 float64[9] orientation_covariance
@@ -24,20 +25,20 @@ geometry_msgs/Vector3 angular_velocity
 float64[9] angular_velocity_covariance
 geometry_msgs/Vector3 linear_acceleration
 float64[9] linear_acceleration_covariance
-===
+{_NEXT}
 MSG: geometry_msgs/Quaternion
 {_VECTOR}
 float64 w
-===
+{_NEXT}
 MSG: geometry_msgs/Vector3
 {_VECTOR}
-===
+{_NEXT}
 MSG: std_msgs/Header
 """
 IMU_ROS2 = _IMU + "builtin_interfaces/Time stamp\nstring frame_id\n"
 TEMPERATURE_ROS2 = (
     "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n"
-    + IMU_ROS2[IMU_ROS2.rindex("===") :]
+    + IMU_ROS2[IMU_ROS2.rindex(_NEXT) :]
 )
 IMU_ROS1 = _IMU + "uint32 seq\ntime stamp\nstring frame_id\n"
 

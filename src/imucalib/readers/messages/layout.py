@@ -16,7 +16,9 @@ import numpy as np
 
 from imucalib.readers.messages.definition import PRIMITIVES, Definition, LayoutError, Member
 
-_MAX_ELEMENTS = 4096  # of a sequence of structures: beyond it a message is no sensor reading
+#: Structures in a message, and how deep: beyond it a message is no sensor reading. Also what ends
+#: a type that contains itself.
+_MAX_ELEMENTS, _DEEPEST = 4096, 32
 #: Field paths, grouped into the columns that are read together (the axes of a vector).
 Groups = tuple[tuple[str, ...], ...]
 
@@ -90,6 +92,8 @@ class _Walk:
     order: str
     fields: dict[str, tuple[int, str, int]] = field(default_factory=dict)
     guards: list[tuple[int, int]] = field(default_factory=list)
+    visited: int = 0
+    depth: int = 0
 
     def align(self, size: int) -> None:
         step = min(size, self.widest)
@@ -111,10 +115,14 @@ class _Walk:
         if name not in self.definition.types:
             raise LayoutError(f"the type {name} is not defined in the file")
         members = self.definition.types[name]
+        if self.depth >= _DEEPEST:
+            raise LayoutError(f"its types are nested deeper than {_DEEPEST}, or in a circle")
         if not members and not self.definition.ros1:
             self.at += 1  # IDL forbids empty structures, so ROS 2 stores one byte
+        self.depth += 1
         for member in members:
             self.member(member, prefix + member.name)
+        self.depth -= 1
 
     def member(self, member: Member, path: str) -> None:
         count = self.length() if member.count == 0 else member.count
@@ -136,6 +144,9 @@ class _Walk:
             raise LayoutError("the message is shorter than its definition")
 
     def element(self, kind: str, path: str) -> None:
+        self.visited += 1
+        if self.visited > _MAX_ELEMENTS:
+            raise LayoutError(f"it has more than {_MAX_ELEMENTS} elements")
         if kind == "string":
             size = self.length()
             self.at += size

@@ -8,13 +8,16 @@ from typing import Protocol
 
 from imucalib.readers.messages.records import Damage, MessageBlock, Topic
 from imucalib.readers.messages.summary import Summary
+from imucalib.recording.correction import Correction
 
 
 class Scan(Protocol):
-    """One pass over a log: `topics` (by channel number) and `damages` fill meanwhile."""
+    """One pass over a log: `topics` (by channel number), `damages` and `corrections` fill
+    meanwhile."""
 
     topics: dict[int, Topic]
     damages: list[Damage]
+    corrections: tuple[Correction, ...]
 
     def blocks(self) -> Iterator[MessageBlock]:
         """The messages in file order, some thousand at a time."""

@@ -80,12 +80,14 @@ def decide(log: MessageLog, mapping: FieldMapping, stream: TopicStream, store: S
     clocks = _clocks({name: fields[name] for name in used}, mapping, store)
     parts, notes = _parts(path, mapping, triads, store, _Topics(fields, clocks))
     notes = [*_described(triads, fields, clocks, alive), *notes, *stream.losses()]
+    marks = tuple(dict.fromkeys(stream.scanner.corrections))
+    notes += map(str, marks)
     start, dated = _origin([fields[name] for name in used], list(clocks.values()))
     states = {part.quantity: part.conversion.source_unit for part in reversed(parts)}
     found = resolved(mapping, triads, fields, [states.get("acc", ""), states.get("gyro", "")])
     head = Recording(
         {}, str(path), log.format, log.sha256(), start if dated else None, (), tuple(notes),
-        found.to_dict(),
+        found.to_dict(), marks,
     )  # fmt: skip
     return Plan(head, tuple(parts), clocks, start)
 

@@ -136,7 +136,7 @@ def _recording(
     head, ordered = plan.head, sorted(gaps, key=lambda gap: (gap.start, gap.stop, gap.reason))
     return Recording(
         channels, head.path, head.format, head.sha256, head.start_ns, tuple(ordered), notes,
-        head.mapping,
+        head.mapping, head.corrections,
     )  # fmt: skip
 
 

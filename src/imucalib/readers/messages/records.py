@@ -12,10 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.recording.correction import Correction, corrections_of
+
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 MESSAGE_INDEX, STATISTICS, DATA_END = 0x07, 0x0B, 0x0F
 ATTACHMENT, METADATA = 0x09, 0x0C
+#: Name of the Metadata record that marks a corrected recording.
+CORRECTIONS = "imucal corrections"
 COMPRESSIONS = ("", "zstd", "lz4")
 RECORD_HEADER = struct.Struct("<BQ")
 INDEX_HEAD = struct.Struct("<QHI")  # record length, channel, bytes of entries
@@ -185,14 +189,25 @@ def parse_channel(content: bytes, schemas: dict[int, Schema]) -> Topic:
         raise MalformedRecordError("a channel record is too short")
     name, at = text_at(content, 4)
     encoding, at = text_at(content, at)
+    pairs = _pairs(content, at)
+    number, schema = struct.unpack_from("<HH", content)
+    return Topic(number, name, encoding, schemas.get(schema), pairs)
+
+
+def _pairs(content: bytes, at: int) -> tuple[tuple[str, str], ...]:
     packed, _ = _blob(content, at)
     pairs, at = [], 0
     while at < len(packed):
         key, at = text_at(packed, at)
         value, at = text_at(packed, at)
         pairs.append((key, value))
-    number, schema = struct.unpack_from("<HH", content)
-    return Topic(number, name, encoding, schemas.get(schema), tuple(pairs))
+    return tuple(pairs)
+
+
+def parse_corrections(content: bytes) -> tuple[Correction, ...]:
+    """What a Metadata record of ours says of corrections; raises MalformedRecordError."""
+    name, at = text_at(content, 0)
+    return corrections_of(v for _, v in _pairs(content, at)) if name == CORRECTIONS else ()
 
 
 def index_count(content: bytes) -> int:

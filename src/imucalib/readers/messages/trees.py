@@ -19,6 +19,7 @@ from imucalib.readers.messages.layout import Groups
 from imucalib.readers.messages.records import MessageBlock, Schema
 
 _UNREADABLE = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)
+_DEEPEST, _MOST_FIELDS = 12, 1000
 Parse = Callable[[Sequence[bytes]], list[Any]]
 
 
@@ -153,7 +154,7 @@ def _flatten_json(tree: Any) -> dict[str, int]:
 
 
 def _descend(tree: Any, path: str, found: dict[str, int], depth: int = 0) -> None:
-    if depth > 12 or len(found) > 1000:
+    if depth > _DEEPEST or len(found) > _MOST_FIELDS:
         return
     prefix = f"{path}." if path else ""
     if isinstance(tree, dict):
@@ -236,11 +237,15 @@ def _flatten_protobuf(tree: Any) -> dict[str, int]:
 
 def _descend_protobuf(tree: Any, path: str, found: dict[str, int], depth: int = 0) -> None:
     prefix = f"{path}." if path else ""
+    if len(found) > _MOST_FIELDS:
+        raise LayoutError(f"it has more than {_MOST_FIELDS} fields")
     for part in tree.DESCRIPTOR.fields:
         value = getattr(tree, part.name)
         here = prefix + part.name
         if hasattr(value, "DESCRIPTOR"):
-            if depth < 12:
+            # What a type holds of itself is left out unless the message has it.
+            own = part.message_type is tree.DESCRIPTOR or depth > 4
+            if depth < _DEEPEST and (not own or tree.HasField(part.name)):
                 _descend_protobuf(value, here, found, depth + 1)
         elif isinstance(value, int | float) and not isinstance(value, bool):
             found[here] = 1

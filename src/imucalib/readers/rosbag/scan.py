@@ -22,6 +22,7 @@ from imucalib.readers.messages.records import (
     message_block,
 )
 from imucalib.readers.messages.summary import Summary
+from imucalib.recording.correction import Correction
 
 SQLITE = b"SQLite format 3\0"
 _BATCH = 4096  # messages of a block
@@ -41,6 +42,7 @@ class BagScan:
         self.path, self.strict = path, strict
         self.topics: dict[int, Topic] = {}
         self.damages: list[Damage] = []
+        self.corrections: tuple[Correction, ...] = ()  # bags are not written here
 
     def blocks(self) -> Iterator[MessageBlock]:
         """The messages, some thousand at a time."""

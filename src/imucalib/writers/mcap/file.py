@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from imucalib.readers.messages import records as mr
 from imucalib.readers.messages.records import MAGIC, RECORD_HEADER
+from imucalib.recording.correction import Correction
 
 _HEADER, _CHUNK_INDEX, _SUMMARY_OFFSET = 0x01, 0x08, 0x0E
 _ATTACHMENT_INDEX, _METADATA_INDEX = 0x0A, 0x0D
@@ -105,6 +106,12 @@ class McapFile:
         self._record(mr.METADATA, content)
         head = struct.pack("<QQ", at, self._at - at)
         self._extras[_METADATA_INDEX].append(head + _text(mr.text_at(content, 0)[0]))
+
+    def marks(self, corrections: tuple[Correction, ...]) -> None:
+        """Write which calibrations were applied, as a metadata record; nothing when none was."""
+        if corrections:
+            texts = [_text(str(k)) + _text(c.to_text()) for k, c in enumerate(corrections)]
+            self.metadata(_text(mr.CORRECTIONS) + _sized(b"".join(texts)))
 
     def close(self) -> None:
         """Write the summary and the footer, and make sure that they are on the disk."""

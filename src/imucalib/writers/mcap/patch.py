@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.readers.mcap.reader import McapLog
-from imucalib.readers.mcap.scan import Scanner
 from imucalib.readers.messages.decode import RosDecoder, decoder_for
 from imucalib.readers.messages.plan import CHANNEL_NAMES, Part, Plan
 from imucalib.readers.messages.recording import planned
@@ -97,11 +95,10 @@ def _overwrite(
             data[(starts[mask] + offsets)[:, None] + np.arange(8 * _VECTORS)] = raw
 
 
-def patch_of(recording: Recording, source: Path) -> Patch:
+def patch_of(recording: Recording, source: McapLog) -> Patch:
     """What of a recording can be patched into the messages of the file that it was read from."""
-    log = McapLog(source)
     mapping = from_dict(recording.mapping, "mapping of the recording")
-    stream, store, plan = planned(log, mapping, strict=False)
+    stream, store, plan = planned(source, mapping, strict=False)
     topics = {}
     for name in plan.clocks:
         parts = [part for part in plan.parts if part.topic == name]
@@ -153,10 +150,10 @@ def _rank(name: str, plan: Plan, store: Store) -> NDArray[np.int64]:
     return rank
 
 
-def _miscounted(source: Path, topics: dict[int, PatchedTopic]) -> Iterator[int]:
+def _miscounted(source: McapLog, topics: dict[int, PatchedTopic]) -> Iterator[int]:
     """Topics some of whose messages were read but cannot be patched (compressed one by one)."""
     counts = dict.fromkeys(topics, 0)
-    for block in Scanner(source).blocks():
+    for block in source.scan(strict=False).blocks():
         channels = block.header("channel").astype(np.int64)
         for number, topic in topics.items():
             part = block.take(channels == number)

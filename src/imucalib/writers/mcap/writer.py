@@ -12,7 +12,9 @@ from pathlib import Path
 import imucalib
 from imucalib.atomic_file import replaced_atomically
 from imucalib.errors import UsageError
+from imucalib.readers.mcap.reader import McapLog
 from imucalib.readers.messages.records import Topic
+from imucalib.recording.mapping import from_dict
 from imucalib.recording.recording import Recording
 from imucalib.writers.mcap.copy import (
     Contents,
@@ -46,10 +48,11 @@ def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None
     source are left out. Written atomically.
     """
     with replaced_atomically(path) as temporary:
-        _write(recording, temporary, source)
+        most = from_dict(recording.mapping).max_chunk
+        _write(recording, temporary, McapLog(source, most))
 
 
-def _write(recording: Recording, path: Path, source: Path | None) -> None:
+def _write(recording: Recording, path: Path, source: McapLog | None) -> None:
     contents = contents_of(source) if source else Contents({}, ())
     patch = patch_of(recording, source) if source else Patch({}, frozenset())
     held = {topic.name for topic in patch.topics.values()}
@@ -60,6 +63,7 @@ def _write(recording: Recording, path: Path, source: Path | None) -> None:
     file = McapFile(path, "ros2", f"imucal {imucalib.__version__}")
     try:
         outputs, base = _outputs(anew, source, contents.topics, kept)
+        file.marks(recording.corrections)
         _define(file, outputs, kept, base)
         for chunk in chunks_of(outputs):
             file.chunk(*chunk)
@@ -73,7 +77,7 @@ def _write(recording: Recording, path: Path, source: Path | None) -> None:
 
 
 def _outputs(
-    recording: Recording, source: Path | None, topics: dict[int, Topic], kept: dict[int, Topic]
+    recording: Recording, source: McapLog | None, topics: dict[int, Topic], kept: dict[int, Topic]
 ) -> tuple[list[Output], int]:
     """The topics that are written anew, and the highest schema number of the source."""
     taken = _topic_names(recording, source is not None)
@@ -84,7 +88,10 @@ def _outputs(
     outputs = outputs_of(recording, taken, first, log_origin(recording, source))
     base = max([0, *(t.schema.id for t in topics.values() if t.schema)])
     if first + len(outputs) > 65535 or base + len(SCHEMAS) > 65535:
-        raise UsageError("the source has no free channel numbers left", where=str(source))
+        raise UsageError(
+            "the source has no free channel numbers left",
+            where=str(source.path) if source else recording.path,
+        )
     return outputs, base
 
 

@@ -1,0 +1,150 @@
+"""The program as a process: faults, streams that end, names of any bytes, full disks; its codes."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from imucalib import cli, writers
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.file import read, write_whole
+from imucalib.calibration.file import write as write_calibration
+from imucalib.errors import CRASH_EXIT_CODE, UnreadableInput
+from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.yaml_text import dump, load
+
+N = 20_000
+NAMES = ("b_x", "b_y", "b_z")
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    values = np.array([0, 0, 9.8]) + rng.normal(0, 0.02, (N, 3))
+    channel = Channel(np.arange(N) / 100.0, values, "m/s2", "acceleration", "imu0", 100.0)
+    writers.write(Recording({"imu0/acceleration": channel}, "", "", ""), tmp_path / "log.h5")
+    return tmp_path / "log.h5"
+
+
+def run(*arguments: object, **options: object) -> subprocess.CompletedProcess[bytes]:
+    command = [sys.executable, "-m", "imucalib", *map(os.fspath, map(_plain, arguments))]
+    return subprocess.run(command, check=False, stderr=subprocess.PIPE, timeout=120, **options)
+
+
+def _plain(argument: object) -> str | bytes:
+    return argument if isinstance(argument, str | bytes) else os.fspath(argument)  # type: ignore[call-overload, no-any-return]
+
+
+def test_a_fault_of_the_program_is_no_broken_limit(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def fault(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("one\ntwo")
+
+    monkeypatch.setattr(cli.cli, "main", fault)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert caught.value.code == CRASH_EXIT_CODE == 70
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "ZeroDivisionError: one two" in told
+    (kept,) = tmp_path.glob("imucal-crash-*.txt")
+    assert str(kept) in told
+    assert "in fault" in kept.read_text()
+
+
+def test_a_closed_stdout_is_no_fault(log: Path) -> None:
+    found = run("inspect", log, preexec_fn=lambda: os.close(1))
+    assert (found.returncode, found.stderr) == (0, b"")
+
+
+def test_a_full_stdout_is_told(log: Path) -> None:
+    with open("/dev/full", "wb") as full:
+        found = run("inspect", log, stdout=full)
+    assert found.returncode == 3
+    assert b"space" in found.stderr
+
+
+def test_a_reader_that_leaves_is_no_broken_limit() -> None:
+    ours, theirs = os.pipe()
+    os.close(ours)
+    found = run("effects", stdout=theirs)
+    os.close(theirs)
+    assert (found.returncode, found.stderr) == (141, b"")
+
+
+@pytest.mark.parametrize("suffix", [b".h5", b".csv", b".mcap"])
+def test_names_of_any_bytes(log: Path, suffix: bytes) -> None:
+    odd = os.fsencode(log.parent) + b"/\xff\xfe"
+    os.rename(log, odd + b".h5")
+    found = run("convert", odd + b".h5", odd + b"2" + suffix, stdout=subprocess.PIPE)
+    assert (found.returncode, found.stderr) == (0, b"")
+    plain = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    found = run("inspect", odd + b"2" + suffix, stdout=subprocess.PIPE, env=plain)
+    assert (found.returncode, found.stderr) == (0, b"")
+
+
+def test_text_with_names_of_any_bytes_is_written(tmp_path: Path) -> None:
+    write_whole(tmp_path / "a.yaml", "path: \udcff\n")
+    assert (tmp_path / "a.yaml").read_bytes() == b"path: \\udcff\n"
+
+
+@pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
+def test_a_file_that_may_not_grow_ends_cleanly(log: Path, suffix: str) -> None:
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    target = log.parent / f"out.{suffix}"
+    found = run("convert", log, target, stdout=subprocess.PIPE, preexec_fn=limited)
+    assert found.returncode == 2
+    assert found.stderr.count(b"\n") == 1
+    assert b"too large" in found.stderr
+    assert [p.name for p in log.parent.iterdir()] == ["log.h5"]
+
+
+@pytest.mark.parametrize("start", [1e300, -1e300, float(2**63), np.uint64(2**64 - 1)])
+def test_a_start_that_is_no_date_is_left_out(log: Path, start: float) -> None:
+    with h5py.File(log, "a") as file:
+        file.attrs["start_ns"] = start
+    result = CliRunner().invoke(cli.cli, ["inspect", str(log)], standalone_mode=False)
+    assert result.exception is None
+    assert "is no date" in result.output
+
+
+def test_a_start_in_text_that_is_no_date_is_left_out(log: Path) -> None:
+    path = log.with_suffix(".csv")
+    runner = CliRunner()
+    assert runner.invoke(cli.cli, ["convert", str(log), str(path)]).exit_code == 0
+    path.write_text(path.read_text().replace("start_ns: none", "start_ns: " + "9" * 30))
+    result = runner.invoke(cli.cli, ["inspect", str(path)], standalone_mode=False)
+    assert result.exception is None
+    assert "is no date" in result.output
+
+
+@pytest.mark.parametrize("name", ["b_x", "gravity_m_per_s2", "to_m_per_s2"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_calibration_that_is_no_number_is_refused(
+    name: str, value: float, tmp_path: Path
+) -> None:
+    stored = tuple(StoredParameter(n, "bias", "sensor", 1.0, 1.0, "mg") for n in NAMES)
+    path = tmp_path / "c.yaml"
+    write_calibration(Calibration("lab", stored, np.eye(3), "m/s2", 1.0, 9.8, "ok"), path)
+    content = load(path)
+    if name == "b_x":
+        content["parameters"][0]["value"] = value
+    elif name == "to_m_per_s2":
+        content["raw"][name] = value
+    else:
+        content[name] = value
+    path.write_text(dump(content))
+    with pytest.raises(UnreadableInput, match=name):
+        read(path)

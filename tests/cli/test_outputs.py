@@ -1,0 +1,217 @@
+"""What commands write: inputs survive, other files too, corrected recordings say that they are."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from imucalib import atomic_file, readers, writers
+from imucalib.atomic_file import replaced_atomically
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.file import write as write_calibration
+from imucalib.cli import cli
+from imucalib.errors import UsageError
+from imucalib.readers import sha256_of
+from imucalib.recording.recording import Channel, Recording
+
+FORMATS = pytest.mark.parametrize("suffix", [".csv", ".h5", ".mcap"])
+
+
+def recording(n: int = 400) -> Recording:
+    rng = np.random.default_rng(0)
+    t = np.arange(n) / 100.0
+    channels = {
+        f"{name}/acceleration": Channel(
+            t,
+            np.array([0, 0, 9.8]) + rng.normal(0, 0.02, (n, 3)),
+            "m/s2",
+            "acceleration",
+            name,
+            100,
+        )
+        for name in ("left", "right")
+    }
+    return Recording(channels, "made", "made", "", start_ns=1_700_000_000_000_000_000)
+
+
+@pytest.fixture
+def calibration(tmp_path: Path) -> Path:
+    names = ("b_x", "b_y", "b_z")
+    stored = tuple(StoredParameter(n, "bias", "sensor", 10.0, 1.0, "mg") for n in names)
+    made = Calibration("lab", stored, np.eye(3), "m/s2", 1.0, 9.80665, "ok")
+    write_calibration(made, tmp_path / "calibration.yaml")
+    return tmp_path / "calibration.yaml"
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, [str(a) for a in arguments], standalone_mode=False)
+
+
+def refused(*arguments: object) -> str:
+    result = call(*arguments)
+    assert isinstance(result.exception, UsageError), (result.exception, result.output)
+    return str(result.exception)
+
+
+def spellings(path: Path) -> list[Path]:
+    hard, soft = path.with_name("hard" + path.suffix), path.with_name("soft" + path.suffix)
+    os.link(path, hard)
+    soft.symlink_to(path)
+    (path.parent / "d").mkdir()
+    return [path, path.parent / "d" / ".." / path.name, soft, hard]
+
+
+@FORMATS
+def test_no_output_is_an_input(suffix: str, tmp_path: Path, calibration: Path) -> None:
+    path = tmp_path / f"raw{suffix}"
+    writers.write(recording(), path)
+    before, was = path.read_bytes(), calibration.read_bytes()
+    for output in spellings(path):
+        for force in ((), ("--force",)):
+            for arguments in (
+                ("apply", calibration, path, "-o", output, "--triad", "left"),
+                ("convert", path, output),
+                ("inspect", path, "--save-mapping", output),
+            ):
+                assert "the output is the input" in refused(*arguments, *force)
+            assert path.read_bytes() == before
+    assert "is the input" in refused(
+        "inspect", path, "--mapping", calibration, "--save-mapping", calibration, "--force"
+    )
+    assert calibration.read_bytes() == was
+
+
+def test_other_files_are_replaced_only_by_force(tmp_path: Path, calibration: Path) -> None:
+    path, other = tmp_path / "raw.csv", tmp_path / "other.csv"
+    writers.write(recording(), path)
+    other.write_text("a year of work\n")
+    for arguments in (
+        ("apply", calibration, path, "-o", other, "--triad", "left"),
+        ("convert", path, other),
+        ("inspect", path, "--save-mapping", other),
+    ):
+        assert "--force" in refused(*arguments)
+        assert other.read_text() == "a year of work\n"
+    assert call("convert", path, other, "--force").exception is None
+    assert len(readers.read(other).channels) == 2
+
+
+def test_the_output_is_judged_before_the_work(tmp_path: Path, calibration: Path) -> None:
+    missing = tmp_path / "no such recording.csv"
+    for output in (tmp_path / "absent" / "o.csv", tmp_path / "o.docx", tmp_path):
+        for arguments in (
+            ("apply", calibration, missing, "-o", output),
+            ("convert", missing, output),
+        ):
+            assert "no such recording" not in refused(*arguments)
+    assert "absent" in refused("inspect", missing, "--save-mapping", tmp_path / "absent" / "m.yaml")
+
+
+@FORMATS
+def test_a_corrected_recording_is_marked(suffix: str, tmp_path: Path, calibration: Path) -> None:
+    raw, once = tmp_path / f"raw{suffix}", tmp_path / f"once{suffix}"
+    writers.write(recording(), raw)
+    assert readers.read(raw).corrections == ()
+    assert call("apply", calibration, raw, "-o", once, "--triad", "left").exception is None
+    found = readers.read(once)
+    assert [(c.triad, c.calibrator, c.sha256) for c in found.corrections] == [
+        ("left", "lab", sha256_of(calibration))
+    ]
+    assert any("left is corrected" in note for note in found.notes)
+    assert list(readers.blocks(once, block_samples=100))[-1].corrections == found.corrections
+
+    arguments = ("apply", calibration, once, "-o", tmp_path / f"twice{suffix}", "--triad")
+    assert "--again" in refused(*arguments, "left")
+    assert not (tmp_path / f"twice{suffix}").exists()
+    assert call(*arguments, "right").exception is None
+    assert len(readers.read(tmp_path / f"twice{suffix}").corrections) == 2
+    insisted = tmp_path / f"again{suffix}"
+    arguments = ("apply", calibration, once, "-o", insisted, "--triad", "left", "--again")
+    assert call(*arguments).exception is None
+    values = [readers.read(p).channels["left/acceleration"].values for p in (raw, once, insisted)]
+    np.testing.assert_allclose(values[2] - values[1], values[1] - values[0], atol=1e-9)
+    assert abs(values[1] - values[0]).max() > 0.09
+
+
+@FORMATS
+def test_a_mark_survives_conversion_and_new_names(
+    suffix: str, tmp_path: Path, calibration: Path
+) -> None:
+    one = replace(
+        recording(), channels={k: c for k, c in recording().channels.items() if c.triad == "left"}
+    )
+    writers.write(one, tmp_path / "raw.h5")
+    assert (
+        call("apply", calibration, tmp_path / "raw.h5", "-o", tmp_path / "c.h5").exception is None
+    )
+    path = tmp_path / f"converted{suffix}"
+    assert call("convert", tmp_path / "c.h5", path).exception is None
+    mapping = tmp_path / "names.yaml"
+    assert call("inspect", path, "--save-mapping", mapping, "-q").exception is None
+    mapping.write_text(mapping.read_text().replace("triads: [left]", "triads: [other]"))
+    assert "other" in mapping.read_text()
+    output = tmp_path / f"second{suffix}"
+    assert "--again" in refused("apply", calibration, path, "-o", output, "--mapping", mapping)
+
+
+def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
+    script = (
+        "import sys, time, pathlib\n"
+        "from imucalib.atomic_file import replaced_atomically\n"
+        "with replaced_atomically(sys.argv[1]) as temporary:\n"
+        "    temporary.write_bytes(b'x' * 100)\n"
+        "    print('there', flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    target = tmp_path / "out.csv"
+    with subprocess.Popen(
+        [sys.executable, "-c", script, target], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        with replaced_atomically(target) as temporary:  # another run does not touch a living one's
+            temporary.write_bytes(b"1")
+        assert len(list(tmp_path.glob(".*"))) == 1
+        process.kill()
+    assert len(list(tmp_path.glob(".*"))) == 1
+    with replaced_atomically(target) as temporary:
+        temporary.write_bytes(b"2")
+    assert [p.name for p in tmp_path.iterdir()] == ["out.csv"]
+
+
+def test_another_machines_temporary_file_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = tmp_path / ".out.csv.elsewhere-999999999-abc.tmp"
+    other.write_bytes(b"")
+    with replaced_atomically(tmp_path / "out.csv") as temporary:
+        temporary.write_bytes(b"2")
+    assert other.exists()
+    monkeypatch.setattr(atomic_file, "_machine", lambda: "elsewhere")
+    with replaced_atomically(tmp_path / "out.csv") as temporary:
+        temporary.write_bytes(b"2")
+    assert not other.exists()
+
+
+def test_termination_takes_its_temporary_files_along(tmp_path: Path) -> None:
+    source, target = tmp_path / "raw.csv", tmp_path / "out.csv"
+    writers.write(recording(300_000), source)
+    command = [sys.executable, "-m", "imucalib", "convert", str(source), str(target)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
+        end = time.monotonic() + 60
+        while not list(tmp_path.glob(".out.csv.*.tmp")):
+            assert process.poll() is None
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 128 + signal.SIGTERM
+    assert [p.name for p in tmp_path.iterdir()] == ["raw.csv"]
