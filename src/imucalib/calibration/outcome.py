@@ -95,7 +95,8 @@ class Outcome:
 
     @property
     def unexplained(self) -> bool:
-        open_end = self.loop is not None and (self.loop.unexplained or self.loop.curves)
+        loop = self.loop
+        open_end = loop is not None and (loop.unexplained or loop.curves or loop.suspected)
         return bool(self.undecided) or bool(open_end)
 
     @property

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from imucalib.core.fit import Fit
+from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.record_errors import RecordError
 
+_WALK_NATS = 5.0  # from which on a walk is more than independent noise
 _CERTAIN = 0.01  # family-wise p from which on an effect without aliases is called certain
 
 
@@ -89,6 +91,29 @@ class Unexplained:
     share: float
 
 
+@dataclass(frozen=True)
+class Wander:
+    """The walk of the bias that the noise holds beside the final model.
+
+    size : mg, standard deviation of |a| that it causes; hours : after which it forgets
+    scatter : mg, of a run without it; evidence : nats that it gains over independent noise
+    """
+
+    size: float
+    hours: float
+    scatter: float
+    evidence: float
+
+    @property
+    def counts(self) -> bool:
+        """Whether it carries more than the scatter of a run, beyond doubt."""
+        return self.evidence > _WALK_NATS and self.size > self.scatter
+
+    @property
+    def words(self) -> str:
+        return f"the bias wanders by {self.size:.2g} mg in {self.hours:.2g} h"
+
+
 S = TypeVar("S")
 
 
@@ -99,6 +124,8 @@ class Loop(Generic[S]):
     records : that do not belong to the rest; scores, first_scores : of the last search, and of the
         last one before any step; missing : why effects could not be tested
     unexplained : structure that no effect carries, also where a curve corrects it
+    difference : of the errors on data that took no part in the whole search, before and after;
+        density : the same of the log density, in nats an observation; wander : of the noise
     """
 
     base: S
@@ -110,6 +137,9 @@ class Loop(Generic[S]):
     scores: tuple[Score, ...] = ()
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
+    difference: Difference | None = None
+    density: Difference | None = None
+    wander: Wander | None = None
 
     @property
     def named(self) -> tuple[Step, ...]:
@@ -122,8 +152,15 @@ class Loop(Generic[S]):
         return tuple(step for step in self.steps if step.curve)
 
     @property
+    def suspected(self) -> bool:
+        """Whether a cause is named that held-out data have not proved."""
+        return bool(self.named) and self.difference is not None and not self.difference.proved
+
+    @property
     def verdict(self) -> str:
         open_end = bool(self.unexplained or self.curves)
+        if self.suspected:
+            return "suspected"
         if self.named or self.records:
             return "explained in part" if open_end else "explained"
         return "unexplained" if open_end else "nothing missing"

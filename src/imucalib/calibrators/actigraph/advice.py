@@ -37,11 +37,6 @@ def reasons(result: ActigraphResult) -> tuple[str, ...]:
     raw = result.error.held_out.raw
     if held > raw:
         found.append(f"on held-out time it is worse than no calibration ({raw:.2f} mg)")
-    if result.widened > 1.5:
-        found.append(
-            f"what stays unexplained makes the parameters {result.widened:.1f} times less certain "
-            "than noise alone would; the standard deviations include it"
-        )
     if result.light > 0.02 * result.runs.n:
         found.append(
             f"{result.light} of {result.runs.n} posture runs are unlike the rest and count less"
@@ -73,7 +68,7 @@ def advice(result: ActigraphResult) -> tuple[str, ...]:
         found.append(
             f"Rest the sensor for ten seconds with {', '.join(missing)}, or record more nights."
         )
-    elif weakest(result)[1] > _WELL_KNOWN and result.widened < 1.5:
+    elif weakest(result)[1] > _WELL_KNOWN:
         found.append("More postures at rest, in new directions, make the parameters better known.")
     loop = result.loop
     in_time = loop and any(u.driver == "order" for u in loop.unexplained)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,13 +41,15 @@ def kind_of(effect: Effect) -> str:
 @dataclass(frozen=True)
 class Taken:
     """One accepted effect: its score, its prior size, the gain in nats of every block, and the
-    mean held-out errors without and with it in the search's own design (units of the columns)."""
+    mean held-out errors without and with it in the search's own design (units of the columns);
+    rivals : all scores of that search"""
 
     found: Scored
     size: float
     gains: Array
     before: float
     after: float
+    rivals: tuple[Scored, ...]
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,9 @@ def search(
 
 
 def _same(one: Entry, other: Entry) -> bool:
+    """Whether only one of them may be taken: one value of a scan, but curves of several axes."""
+    if one.kind == other.kind == "curve":
+        return bool(np.isin(one.columns, other.columns).any())
     return one.name == other.name or bool(one.family and one.family == other.family)
 
 
@@ -121,7 +126,7 @@ def _choice(
     now = judged(bank, terms, level.walk, design)
     held = []
     for candidate in tried:
-        trial = _judged_with(bank, terms, candidate, now, design)
+        trial = replace(_judged_with(bank, terms, candidate, now, design), rivals=tuple(scores))
         if reason := _objection(trial, candidate.entry.kind):
             refused.append((candidate.entry.family or candidate.entry.name, reason))
         else:
@@ -149,7 +154,7 @@ def _judged_with(
     near = [k for k, t in enumerate(trials) if _lead(best.nats - t.nats) < 1.0]
     k = min(near, key=lambda k: trials[k].mean_error)
     gains = trials[k].nats - now.nats
-    return Taken(candidate, sizes[k], gains, now.mean_error, trials[k].mean_error)
+    return Taken(candidate, sizes[k], gains, now.mean_error, trials[k].mean_error, ())
 
 
 def _lead(gains: Array) -> float:

@@ -12,7 +12,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
-from imucalib.loop.wander.noise import Noise
+from imucalib.loop.wander.noise import Noise, walk_columns
 from imucalib.loop.wander.walk import whitened
 from imucalib.units import MG
 
@@ -28,8 +28,7 @@ def fitted(
 
     start : (p,) θ; precision : (p,) of the priors, in typical sizes
     """
-    sigma = noise.scatter * np.sqrt(noise.course.variance) * MG
-    own = np.broadcast_to(sigma[:, None, None], data.sigma.shape).copy()
+    own = np.broadcast_to(MG * noise.sigma[:, None, None], data.sigma.shape).copy()
     data = replace(data, sigma=own)
     typical = np.array([p.typical for p in model.parameters(data.context)])
     theta, settled = start, False
@@ -56,7 +55,6 @@ def _white(
     at = balancing.balance(model, theta, eta, data)
     unit = data.sigma[:, 0, 0] / MG / noise.scatter
     columns = np.column_stack([at.residual, at.jacobian]) * unit[:, None]
-    block = np.broadcast_to(MG * np.eye(3), (data.n, 1, 3, 3))
-    course = replace(noise.course, seen=at.columns(block) * unit[:, None] * noise.scatter)
+    course = replace(noise.course, seen=walk_columns(at, data.reading))
     white, _ = whitened(course, (noise.walk,), columns)
     return white[0, :, 0], white[0, :, 1:], eta

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.core.balance import Balanced
 from imucalib.core.fit import Fit
 from imucalib.loop.wander.bank import bank_of, walks_of
 from imucalib.loop.wander.held_blocks import solved
@@ -36,18 +37,34 @@ class Noise:
 
     @property
     def wander(self) -> float:
-        """mg, by which the bias of one axis wanders."""
-        return self.scatter * float(np.sqrt(self.walk.rho))
+        """mg, standard deviation of |a| that the walk causes."""
+        seen = float(np.mean(np.sum(self.course.seen**2, axis=1)))
+        return self.scatter * float(np.sqrt(self.walk.rho * seen))
+
+    @property
+    def sigma(self) -> Array:
+        """(n,) mg, the standard deviation of each run without the walk."""
+        return np.asarray(self.scatter * np.sqrt(self.course.variance))
 
 
 def natural(fit: Fit) -> tuple[Array, Array, Array]:
     """Of every row the misfit (n,) and the model's columns (n, p) at typical size, in mg, and what
-    it sees of a bias of each axis, (n, 3)."""
-    n = fit.observations.n
+    it sees of the walks, (n, 4)."""
     unit = fit.at.sigma[:, 0] / MG
     typical = np.array([p.typical for p in fit.parameters])
-    seen = fit.at.columns(np.broadcast_to(MG * np.eye(3), (n, 1, 3, 3))) * unit[:, None]
-    return fit.at.residual * unit, fit.at.jacobian * unit[:, None] * typical, seen
+    return fit.at.residual * unit, fit.at.jacobian * unit[:, None] * typical, (
+        walk_columns(fit.at, fit.observations.reading)
+    )
+
+
+def walk_columns(at: Balanced, reading: Array) -> Array:
+    """(n, 4) columns of the bias of each axis (1 mg) and of a common scale (1 mg/g), in mg."""
+    n = len(reading)
+    block = np.broadcast_to(MG * np.eye(3), (n, 1, 3, 3))
+    bias = at.columns(block) * at.sigma[:, :1] / MG
+    # The normal's sign is that of the linearisation; a larger scale makes every norm larger.
+    outward = np.sign(np.einsum("ni,ni->n", bias, reading[:, 0]))
+    return np.column_stack([bias, outward])
 
 
 def noise_of(fit: Fit, known: Array, part: Index, precision: Array | None = None) -> Noise:

@@ -1,0 +1,151 @@
+"""The closed loop of a worn sensor: noise, search, final fit, and the same within each fold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.effect import Effect, Family
+from imucalib.core.fit import Fit
+from imucalib.loop.design import Fold, folds_of
+from imucalib.loop.found import FitLoop, LoopSettings, Wander
+from imucalib.loop.held_out import Held
+from imucalib.loop.wander.bank import parts_of
+from imucalib.loop.wander.choice import Rules, Search, search
+from imucalib.loop.wander.final import fitted
+from imucalib.loop.wander.likelihood import Level, best_level
+from imucalib.loop.wander.noise import Noise, noise_of
+from imucalib.loop.wander.problem import Problem, problem_of
+from imucalib.loop.wander.report import held_differences, predicted
+from imucalib.loop.wander.scores import null_of, scored, usable_walks
+from imucalib.loop.wander.words import scores_of, steps_of, unexplained
+
+Array = NDArray[np.float64]
+
+#: Simulated data sets and rows that a search uses at most: more change no decision.
+_DRAWS, _ROWS = 200, 3000
+
+
+@dataclass(frozen=True)
+class Asked:
+    """effects, families : what is tried; known : (n,) mg², the part of each run's variance that
+    its windows and the resolution explain"""
+
+    effects: Mapping[str, Effect]
+    families: tuple[Family, ...]
+    known: Array
+    rules: LoopSettings
+
+
+@dataclass(frozen=True)
+class Closed:
+    """base, final : under the noise with its walk; base_held, final_held : every row predicted by
+    a search and a fit without its block; light : runs that count less"""
+
+    loop: FitLoop
+    base_held: Held
+    final_held: Held
+    light: int
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """One search of the whole data. chance : (draws,) evidence of the best on data that lack
+    nothing; bar : that decides"""
+
+    problem: Problem
+    level: Level
+    chance: Array
+    bar: float
+    search: Search
+
+
+def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
+    """Search beside a fitted base model, and measure on blocks of time what that was worth.
+
+    What was missing made runs look strange and the noise large: when something is found, the
+    search runs once more with the noise that is left beside it.
+    """
+    data = base.observations
+    folds = folds_of(data)
+    part = parts_of(folds, data.n)
+    noise = noise_of(base, asked.known, part)
+    found = _searched(base, noise, folds, asked, rng)
+    if found.search.taken:
+        final, precision = _final(found)
+        noise = noise_of(final, asked.known, part, precision)
+        found = _searched(base, noise, folds, asked, rng)
+    final, precision = _final(found)
+    last = noise_of(final, asked.known, part, precision)
+    final = fitted(final.model, data, last, final.theta, precision)
+    return _told(found, final, last, folds, asked)
+
+
+def _searched(
+    base: Fit, noise: Noise, folds: tuple[Fold, ...], asked: Asked, rng: np.random.Generator
+) -> _Pass:
+    rules = asked.rules
+    plain = fitted(base.model, base.observations, noise, base.theta, np.ones(base.theta.size))
+    rows = min(rules.most_scored, _ROWS)
+    problem = problem_of(plain, noise, asked.effects, asked.families, folds, rows)
+    bank, terms = problem.bank, problem.terms
+    keep = np.ones(bank.course.parts, dtype=bool)
+    level = best_level(bank, terms, keep)
+    null = null_of(bank, level.walk, rng, min(rules.draws, _DRAWS))
+    walks = usable_walks(bank, level, same_tau=False)
+    _, chance = scored(bank, terms, keep, problem.entries, walks, null)
+    bar = float(np.quantile(chance, 1.0 - rules.alpha)) if rules.bar is None else rules.bar
+    found = search(
+        bank, terms, problem.entries, problem.splits, keep, Rules(bar, rules.most_effects)
+    )
+    # The base under its own walk, which is larger than what is left beside the final model.
+    own = replace(
+        noise, walk=bank.walks[level.walk], scatter=noise.scatter * float(np.sqrt(level.variance))
+    )
+    plain = fitted(base.model, base.observations, own, plain.theta, np.ones(plain.theta.size))
+    return _Pass(replace(problem, fit=plain), level, chance, bar, found)
+
+
+def _final(found: _Pass) -> tuple[Fit, Array]:
+    """The model with all that was taken, and its priors' precisions; scans at their best value."""
+    problem, taken = found.problem, found.search.taken
+    precision = problem.precision(taken)
+    model = problem.model(taken)
+    start = model.start(problem.fit.observations.context)
+    slices = model.slices(problem.fit.observations.context)
+    for name, part in problem.fit.model.slices(problem.fit.observations.context).items():
+        start[slices[name]] = problem.fit.theta[part]
+    level = found.search.level
+    noise = replace(problem.noise, walk=problem.bank.walks[level.walk])
+    return fitted(model, problem.fit.observations, noise, start, precision), precision
+
+
+def _told(
+    found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked
+) -> Closed:
+    problem = found.problem
+    bar = Rules(found.bar, asked.rules.most_effects, same_tau=True)
+    each = predicted(problem, folds, bar)
+    wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence)
+    mg, nats = held_differences(each, folds)
+    scores = scores_of(problem, found.search.last, found.chance, found.bar)
+    loop = FitLoop(
+        base=problem.fit,
+        final=final,
+        plain=problem.fit,
+        as_recorded=final,
+        steps=steps_of(problem, found.search, found.chance),
+        rejected=found.search.refused,
+        unexplained=() if found.search.taken else unexplained(wander),
+        scores=scores,
+        first_scores=scores_of(problem, found.search.first, found.chance, found.bar),
+        missing=problem.missing,
+        bar=found.bar,
+        difference=mg,
+        density=nats,
+        wander=wander,
+    )
+    return Closed(loop, each.before, each.after, last.light)
