@@ -98,6 +98,10 @@ def _verdict(loop: FitLoop) -> Text:
     return {
         "nothing missing": Text("Nothing is missing: no candidate passes the search.", "ok"),
         "explained": Text(f"The residual is explained by {cause}.", "ok"),
+        "suspected": Text(
+            f"Suspected: {cause}. Data left out do not prove it: the error's difference may be "
+            "zero.", "warning",
+        ),
         "explained in part": Text(
             f"The residual is explained in part by {cause}; left: {unknown}.", "warning"
         ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,12 +59,13 @@ def splits_of(folds: Sequence[Fold], part: Index) -> tuple[Split, ...]:
 
 @dataclass(frozen=True)
 class Bank:
-    """columns : (n, m) base, candidates and, last, the data y, in units of the scatter of a run;
-    white : (walks, n, m); log_det : (walks, parts)"""
+    """columns : (n, m) base, candidates and the data y, in units of the scatter of a run; data :
+    which of them is y; white : (walks, n, m); log_det : (walks, parts)"""
 
     course: Course
     walks: tuple[Walk, ...]
     columns: Array
+    data: int
     white: Array
     log_det: Array
     _sums: dict[tuple[int, bytes], Array] = field(default_factory=dict, repr=False)
@@ -96,6 +97,15 @@ class Bank:
         return self._sums[key]
 
 
+    def plus(self, columns: Array) -> Bank:
+        """With more columns (n, c) behind all others."""
+        white, _ = whitened(self.course, self.walks, columns)
+        both = np.concatenate([self.white, white], axis=2)
+        every = np.column_stack([self.columns, columns])
+        return replace(self, columns=every, white=both, _whole={})
+
+
 def bank_of(course: Course, walks: tuple[Walk, ...], columns: Array) -> Bank:
+    """The last of the columns is the data."""
     white, log_det = whitened(course, walks, columns)
-    return Bank(course, walks, columns, white, log_det)
+    return Bank(course, walks, columns, columns.shape[1] - 1, white, log_det)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from imucalib.core.effect import Effect
 from imucalib.loop.wander.bank import Bank, Mask, Split
 from imucalib.loop.wander.held_blocks import Judged, inside, judged
 from imucalib.loop.wander.likelihood import Level, Terms, best_level
-from imucalib.loop.wander.scores import Entry, Scored, scored, usable_walks
+from imucalib.loop.wander.scores import Entry, Scored, finest, scored, usable_walks
 
 Array = NDArray[np.float64]
 
@@ -24,6 +24,7 @@ _GAIN, _GAIN_IN_TIME = 1.5, 2.0
 _SHRUNK = (1.0, 0.4, 0.2, 0.1)
 #: Candidates of one kind that are judged on the blocks.
 _OF_A_KIND = 2
+Finer = Callable[[Entry], Sequence[tuple[str, Array]]]
 _TIME = ("order", "time", "time_of_day")
 
 
@@ -54,9 +55,10 @@ class Taken:
 
 @dataclass(frozen=True)
 class Search:
-    """terms, level : the model and its noise at the end; first, last : scores; refused : names
+    """bank : with the finer values of scans; terms, level : the model and its noise at the end; first, last : scores; refused : names
     above the bar that did not hold out, with the reason."""
 
+    bank: Bank
     terms: Terms
     level: Level
     taken: tuple[Taken, ...]
@@ -67,10 +69,12 @@ class Search:
 
 @dataclass(frozen=True)
 class Rules:
-    """bar : nats that a candidate must reach; most : effects; same_tau : as in `usable_walks`."""
+    """bar : nats that a candidate must reach; most : effects; same_tau : as in `usable_walks`;
+    finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing"""
 
     bar: float
     most: int
+    finer: Finer
     same_tau: bool = False
 
 
@@ -95,9 +99,9 @@ def search(
         refused = list[tuple[str, str]]()
         best = None
         if len(taken) < rules.most:
-            best = _choice(bank, terms, level, scores, design, rules.bar, refused)
+            bank, best = _choice(bank, terms, level, scores, design, keep, rules, refused)
         if best is None:
-            return Search(terms, level, tuple(taken), first, scores, tuple(refused))
+            return Search(bank, terms, level, tuple(taken), first, scores, tuple(refused))
         taken.append(best)
         terms = terms.plus(best.found.entry.columns, best.size)
 
@@ -115,23 +119,26 @@ def _choice(
     level: Level,
     scores: Sequence[Scored],
     design: Sequence[Split],
-    bar: float,
+    keep: Mask,
+    rules: Rules,
     refused: list[tuple[str, str]],
-) -> Taken | None:
-    passing = [s for s in scores if s.evidence >= bar]
+) -> tuple[Bank, Taken | None]:
+    passing = [s for s in scores if s.evidence >= rules.bar]
     kinds = dict.fromkeys(s.entry.kind for s in passing)
     tried = [s for kind in kinds for s in _first_of(passing, kind)]
     if not tried or len(design) < 3:
-        return None
+        return bank, None
     now = judged(bank, terms, level.walk, design)
     held = []
     for candidate in tried:
+        if near := rules.finer(candidate.entry):
+            bank, candidate = finest(bank, terms, keep, candidate, near)  # noqa: PLW2901
         trial = replace(_judged_with(bank, terms, candidate, now, design), rivals=tuple(scores))
         if reason := _objection(trial, candidate.entry.kind):
             refused.append((candidate.entry.family or candidate.entry.name, reason))
         else:
             held.append(trial)
-    return _best_of(held) if held else None
+    return bank, _best_of(held) if held else None
 
 
 def _first_of(passing: Sequence[Scored], kind: str) -> list[Scored]:

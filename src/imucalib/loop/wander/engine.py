@@ -98,9 +98,8 @@ def _searched(
     walks = usable_walks(bank, level, same_tau=False)
     _, chance = scored(bank, terms, keep, problem.entries, walks, null)
     bar = float(np.quantile(chance, 1.0 - rules.alpha)) if rules.bar is None else rules.bar
-    found = search(
-        bank, terms, problem.entries, problem.splits, keep, Rules(bar, rules.most_effects)
-    )
+    decide = Rules(bar, rules.most_effects, problem.finer)
+    found = search(bank, terms, problem.entries, problem.splits, keep, decide)
     # The base under its own walk, which is larger than what is left beside the final model.
     own = replace(
         noise, walk=bank.walks[level.walk], scatter=noise.scatter * float(np.sqrt(level.variance))
@@ -127,8 +126,8 @@ def _told(
     found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked
 ) -> Closed:
     problem = found.problem
-    bar = Rules(found.bar, asked.rules.most_effects, same_tau=True)
-    each = predicted(problem, folds, bar)
+    rules = Rules(found.bar, asked.rules.most_effects, problem.finer, same_tau=True)
+    each = predicted(problem, folds, rules)
     wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence)
     mg, nats = held_differences(each, folds)
     scores = scores_of(problem, found.search.last, found.chance, found.bar)

@@ -43,15 +43,14 @@ def inside(splits: Sequence[Split], keep: Mask) -> tuple[Split, ...]:
 
 def solved(bank: Bank, terms: Terms, walk: int, keep: Mask) -> Array:
     """(p,) the parameters from the parts that are kept, in units of the columns."""
-    gram = bank.by_part(walk, np.append(terms.columns, bank.columns.shape[1] - 1))[keep].sum(axis=0)
+    gram = bank.by_part(walk, np.append(terms.columns, bank.data))[keep].sum(axis=0)
     precise = gram[:-1, :-1] + np.diag(terms.precision)
     return np.asarray(np.linalg.solve(precise, gram[:-1, -1]))
 
 
 def judged(bank: Bank, terms: Terms, walk: int, splits: Sequence[Split]) -> Judged:
     """Every block of the design predicted by the model fitted without it."""
-    data = bank.columns.shape[1] - 1
-    parts = bank.by_part(walk, np.append(terms.columns, data))
+    parts = bank.by_part(walk, np.append(terms.columns, bank.data))
     nats, error, count = [], [], []
     for split in splits:
         fitted, both = parts[split.train].sum(axis=0), parts[split.train | split.test].sum(axis=0)
@@ -62,7 +61,7 @@ def judged(bank: Bank, terms: Terms, walk: int, splits: Sequence[Split]) -> Judg
         log_v = float(bank.log_det[walk, split.test].sum())
         nats.append(-0.5 * (log_v + p_all - p_train + (q_all - q_train) / s2 + n * np.log(s2)))
         rows = split.test[bank.course.part]
-        left = bank.columns[rows, data] - bank.columns[np.ix_(rows, terms.columns)] @ theta
+        left = bank.columns[rows, bank.data] - bank.columns[np.ix_(rows, terms.columns)] @ theta
         error.append(np.mean(np.abs(left)))
         count.append(n)
     return Judged(np.array(nats), np.array(error), np.array(count, dtype=float))

@@ -50,7 +50,7 @@ class Level:
 
 def levels(bank: Bank, terms: Terms, keep: Mask) -> tuple[Level, ...]:
     """The likelihood under every walk, over the parts that are kept."""
-    columns = np.append(terms.columns, bank.columns.shape[1] - 1)
+    columns = np.append(terms.columns, bank.data)
     freedom = int(bank.count[keep].sum()) - terms.base
     found = []
     for walk in range(len(bank.walks)):

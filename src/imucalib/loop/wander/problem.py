@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
+from imucalib.effects import known
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.design import Fold
 from imucalib.loop.evidence import Candidate
@@ -32,7 +33,8 @@ _OF_A_SCAN = 24
 @dataclass(frozen=True)
 class Problem:
     """bank : columns in units of the scatter at typical size: base, candidates, data; terms : the
-    base model; effects : by name, all that entries name; missing : why others cannot be tested"""
+    base model; effects : by name, all that entries name; missing : why others cannot be tested
+    small : the fit at the rows of the bank; families : scans by name"""
 
     fit: Fit
     noise: Noise
@@ -42,9 +44,27 @@ class Problem:
     splits: tuple[Split, ...]
     effects: Mapping[str, Effect]
     missing: Mapping[str, str]
+    small: Fit
+    families: Mapping[str, Family]
+
+    def finer(self, entry: Entry) -> list[tuple[str, Array]]:
+        """Values of a scan near one of its values, with their columns."""
+        family = self.families.get(entry.family)
+        if family is None:
+            return []
+        context = self.small.observations.context
+        near = family.nearby(context, entry.name.partition("@")[2])
+        found, _ = effect_candidates(self.small, [family.member(value) for value in near])
+        unit = self.small.at.sigma[:, :1] / MG / self.noise.scatter
+        return [(c.name, c.columns * unit) for c in found]
+
+    def effect(self, name: str) -> Effect:
+        found = self.effects.get(name) or known(name)
+        assert found is not None, name
+        return found
 
     def model(self, taken: Sequence[Taken]) -> Model:
-        return Model((*self.fit.model.effects, *(self.effects[t.found.entry.name] for t in taken)))
+        return Model((*self.fit.model.effects, *(self.effect(t.found.entry.name) for t in taken)))
 
     def theta(self, values: Array, taken: Sequence[Taken]) -> Array:
         """θ of the model from parameters in typical sizes, base first and in order of taking."""
@@ -103,7 +123,9 @@ def problem_of(
     )  # fmt: skip
     bank = bank_of(course, walks_of(context["time"]), columns)
     terms = Terms(np.arange(p), np.ones(p), p)
-    return Problem(fit, noise, bank, terms, entries, splits_of(cut, part), tried, missing)
+    of = {family.name: family for family in families}
+    splits = splits_of(cut, part)
+    return Problem(fit, noise, bank, terms, entries, splits, tried, missing, small, of)
 
 
 def _entries(

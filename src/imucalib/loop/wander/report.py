@@ -43,7 +43,7 @@ def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicte
         held = data.take(fold.rows)
 
         def errors_of(terms: Terms, walk: int, taken: tuple[Taken, ...]) -> Held:
-            values = solved(bank, terms, walk, split.train)  # noqa: B023
+            values = solved(found.bank, terms, walk, split.train)  # noqa: B023
             fit = replace(problem.fit, model=problem.model(taken))
             return errors(fit, problem.theta(values, taken), held)  # noqa: B023
 
@@ -53,7 +53,7 @@ def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicte
         if found.taken:
             after = errors_of(found.terms, found.level.walk, found.taken)
             one = judged(bank, problem.terms, plain.walk, [split])
-            two = judged(bank, found.terms, found.level.walk, [split])
+            two = judged(found.bank, found.terms, found.level.walk, [split])
             gain = float(two.nats[0] - one.nats[0])
         parts.append((before, after))
         gains.append(gain)

@@ -9,7 +9,7 @@ fitted noise, its walk included, through the same two maxima.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -149,7 +149,8 @@ def _projected(bank: Bank, terms: Terms, keep: Mask, walk: int, null: Null | Non
     precise = inside[:, terms.columns] + np.diag(terms.precision)
     solved = np.linalg.solve(precise, inside)
     gram = full - inside.T @ solved
-    along, power = gram[:, -1:], gram[-1, -1:]
+    y = bank.data
+    along, power = gram[:, [y]], gram[y, [y]]
     if null is not None:
         data = null.along[walk]
         own = np.linalg.solve(precise, data[terms.columns])
@@ -163,6 +164,34 @@ def _own(view: _View, entries: Sequence[Entry]) -> tuple[Array, Array]:
     size, turns = directions(view.gram, [e.columns for e in entries])
     pairs = zip(entries, turns, strict=True)
     return size, np.concatenate([turn.T @ view.along[e.columns] for e, turn in pairs]) ** 2
+
+
+def finest(
+    bank: Bank, terms: Terms, keep: Mask, found: Scored, finer: Sequence[tuple[str, Array]]
+) -> tuple[Bank, Scored]:
+    """The best of the values near the one that a scan found, under its walk and at its size; its
+    columns join the bank."""
+    rows = keep[bank.course.part]
+    blocks = np.concatenate([columns for _, columns in finer], axis=1)
+    white, _ = whitened(bank.course, (bank.walks[found.walk],), blocks)
+    base = bank.white[found.walk][rows]
+    x, y, z = base[:, terms.columns], base[:, bank.data], white[0][rows]
+    precise = x.T @ x + np.diag(terms.precision)
+    solved = np.linalg.solve(precise, x.T @ np.column_stack([z, y]))
+    gram = z.T @ z - (x.T @ z).T @ solved[:, :-1]
+    along = z.T @ y - (x.T @ z).T @ solved[:, -1]
+    power = float(y @ y - (x.T @ y) @ solved[:, -1])
+    ends = np.cumsum([0] + [columns.shape[1] for _, columns in finer])
+    entries = [np.arange(a, b) for a, b in pairwise(ends)]
+    size, turns = directions(gram, entries)
+    own = np.concatenate([t.T @ along[e] for e, t in zip(entries, turns, strict=True)]) ** 2
+    freedom = int(rows.sum()) - terms.base
+    gain = best_evidence(
+        own[:, None], np.array([power]), size, ends[:-1], freedom, np.array([found.size])
+    )
+    name, columns = finer[int(np.argmax(gain[:, 0]))]
+    at = np.arange(bank.columns.shape[1], bank.columns.shape[1] + columns.shape[1])
+    return bank.plus(columns), replace(found, entry=replace(found.entry, name=name, columns=at))
 
 
 def _facts(

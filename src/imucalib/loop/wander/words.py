@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
+from imucalib.loop.wander.bank import Bank
 from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.problem import Problem
@@ -58,7 +59,7 @@ def steps_of(problem: Problem, found: Search, chance: Array) -> tuple[Step, ...]
                 chance.size,
                 taken.found.evidence,
                 (checked,),
-                aliases(problem, terms, taken),
+                aliases(found.bank, terms, taken),
                 gains=tuple(float(g) for g in taken.gains),
             )
         )
@@ -66,12 +67,12 @@ def steps_of(problem: Problem, found: Search, chance: Array) -> tuple[Step, ...]
     return tuple(steps)
 
 
-def aliases(problem: Problem, terms: Terms, taken: Taken) -> tuple[str, ...]:
+def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
     """Names that would do as well: nearly the same evidence, or too small an angle between.
 
     A curve is no rival of a name: it contains every shape of its axis.
     """
-    own, bank = taken.found, problem.bank
+    own = taken.found
     white = bank.white[own.walk]
     near = max(own.evidence - _ALIKE, own.evidence / 2.0)
     out = list[str]()
@@ -81,7 +82,7 @@ def aliases(problem: Problem, terms: Terms, taken: Taken) -> tuple[str, ...]:
         other = entry.kind == "curve" and own.entry.kind != "curve"
         if same or other or rival.evidence < own.evidence / 2.0:
             continue
-        if rival.evidence >= near or _apart(white, terms, own, rival) < _APART:
+        if rival.evidence >= near or _apart(white, bank.data, terms, own, rival) < _APART:
             out.append(entry.name)
     return tuple(_best_of_each_scan(out))
 
@@ -93,9 +94,9 @@ def _best_of_each_scan(names: Sequence[str]) -> list[str]:
     return list(first.values())
 
 
-def _apart(white: Array, terms: Terms, own: Scored, rival: Scored) -> float:
+def _apart(white: Array, y: int, terms: Terms, own: Scored, rival: Scored) -> float:
     """Length of the fitted effect, in noise units, that its rival cannot take over."""
-    base, data = white[:, terms.columns], white[:, -1]
+    base, data = white[:, terms.columns], white[:, y]
     q = np.linalg.qr(base)[0]
     columns = white[:, own.entry.columns]
     rest = columns - q @ (q.T @ columns)
