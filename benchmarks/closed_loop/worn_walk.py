@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
-from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.observations import covariates_of
+from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.rests.runs import PostureRuns, Scan
@@ -71,7 +71,9 @@ def walk(time: Array, tau: float, rng: np.random.Generator) -> Array:
     return out
 
 
-def strength(effect: Array, direction: Array, gain: Array, time: Array, tau: float, windows: Array) -> float:
+def strength(
+    effect: Array, direction: Array, gain: Array, time: Array, tau: float, windows: Array
+) -> float:
     """λ of an effect (n, 3) mg."""
     normal = np.linalg.solve(gain.T, direction.T).T
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -97,7 +99,9 @@ def recording(time: Array, reading: Array, warm: Array, windows: Array) -> tuple
     column = np.interp(grid, time, warm)[:, None]
     thermometer = Windows(1, np.arange(grid.size), np.zeros(grid.size, np.intp), grid, grid,
                           column, 0 * column, column, column, np.zeros(1))  # fmt: skip
-    scan = Scan(empty, thermometer, "imu0", 100.0, int(SPAN * 100), SPAN, 0, "made", "made", "", 0, ())
+    scan = Scan(
+        empty, thermometer, "imu0", 100.0, int(SPAN * 100), SPAN, 0, "made", "made", "", 0, ()
+    )
     total = int(windows.sum())
     runs = PostureRuns(reading, windows.astype(np.intp), time, warm, WINDOW * MG, total, 2 * total,
                        np.full(3, 4.0 * MG))  # fmt: skip
@@ -118,8 +122,14 @@ class Case:
             self.size = rng.standard_normal(3)
             one = EFFECTS[effect](direction, warm - 25.0, u, self.size)
             self.size *= aim / strength(one, direction, self.gain, time, tau, windows)
-        scatter = rng.standard_t(3, (RUNS, 3)) / 3**0.5 if noise == "t3" else rng.standard_normal((RUNS, 3))
-        off = SCATTER * scatter + WINDOW * rng.standard_normal((RUNS, 3)) / np.sqrt(windows)[:, None]
+        scatter = (
+            rng.standard_t(3, (RUNS, 3)) / 3**0.5
+            if noise == "t3"
+            else rng.standard_normal((RUNS, 3))
+        )
+        off = (
+            SCATTER * scatter + WINDOW * rng.standard_normal((RUNS, 3)) / np.sqrt(windows)[:, None]
+        )
         if tau:
             off += walk(time, tau, rng)
         self.time, self.warm = time, warm
@@ -178,8 +188,11 @@ def planted(count: int, aims: tuple[float, ...] = (10.0, 15.0)) -> None:
                 for seed in range(count):
                     case = Case(noise, effect, aim, 2000 + seed)
                     result = case.solved(ActigraphRequest())
-                    told = case.solved(ActigraphRequest(declare=(case.oracle_name(),), only=("scale_drift",)))
-                    assert result.loop is not None and told.loop is not None
+                    told = case.solved(
+                        ActigraphRequest(declare=(case.oracle_name(),), only=("scale_drift",))
+                    )
+                    assert result.loop is not None
+                    assert told.loop is not None
                     step = result.loop.steps[:1]
                     names = [n.partition("@")[0] for s in step for n in (s.effect, *s.aliases)]
                     hit = effect in names
@@ -193,7 +206,8 @@ def planted(count: int, aims: tuple[float, ...] = (10.0, 15.0)) -> None:
             ratios += list(ratio)
             first, total = first + named, total + len(line)
             print(f"{effect:18s} λ {aim:4.0f}: {named} of {len(line)} {other}; "
-                  f"{table[:, 0].mean():.2f} -> {table[:, 1].mean():.2f} (oracle {table[:, 2].mean():.2f}), "
+                  f"{table[:, 0].mean():.2f} -> {table[:, 1].mean():.2f} (oracle "
+                  f"{table[:, 2].mean():.2f}), "
                   f"ratio {np.median(ratio):.2f}, 90 % {np.quantile(ratio, 0.9):.2f}, "
                   f"two {int((table[:, 3] > 1).sum())}", flush=True)  # fmt: skip
     print(f"first {first} of {total}; after / oracle {np.median(ratios):.2f}, 90 % "

@@ -90,7 +90,9 @@ def block_evidence(
         data = root @ white[:, part]
         null = [turn.T @ data[b] for b, turn in zip(blocks, turns, strict=True)]
         square = np.square(np.concatenate(null))
-        best[part] = best_evidence(square, null_power[part], size, starts[:-1], freedom, tau).max(axis=0)
+        best[part] = best_evidence(square, null_power[part], size, starts[:-1], freedom, tau).max(
+            axis=0
+        )
     kept = np.add.reduceat(size, starts[:-1])
     left = kept / np.maximum(whole, 1e-300)
     rank = np.add.reduceat((size > 0.0).astype(float), starts[:-1])

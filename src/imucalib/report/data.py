@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from imucalib.calibration.outcome import ErrorSummary, Outcome
+from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import FitLoop
 
@@ -88,6 +89,12 @@ def _found(loop: FitLoop) -> dict[str, Any]:
     slices = final.model.slices(final.observations.context)
     return {
         "verdict": loop.verdict,
+        "difference": _difference(loop.difference, "mg"),
+        "density": _difference(loop.density, "nats an observation"),
+        "wander": loop.wander and {
+            "size_mg": loop.wander.size, "hours": loop.wander.hours,
+            "scatter_mg": loop.wander.scatter, "evidence_nats": loop.wander.evidence,
+        },
         "record_errors": [
             {"where": r.where, "channel": r.channel, "size": r.size, "sd": r.sd, "unit": r.unit,
              "likely": r.likely, "p_value": r.p}
@@ -97,6 +104,7 @@ def _found(loop: FitLoop) -> dict[str, Any]:
             {"effect": s.effect, "p_value": s.p, "draws": s.draws, "evidence_nats": s.evidence,
              "checked_before": s.checked[0].before, "checked_after": s.checked[0].after,
              "held_out_unit": s.checked[0].unit, "aliases": list(s.aliases),
+             "gains_nats": list(s.gains),
              "parameters": [
                  {"name": final.parameters[k].name, "value": float(final.theta[k]),
                   "sd": float(final.sd[k]), "unit": final.parameters[k].unit}
@@ -110,6 +118,14 @@ def _found(loop: FitLoop) -> dict[str, Any]:
             for u in loop.unexplained
         ],
     }  # fmt: skip
+
+
+def _difference(found: Difference | None, unit: str) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {"before": found.before, "after": found.after, "gain": found.gain, "low": found.low,
+            "high": found.high, "plain_low": found.plain_low, "parts": found.parts,
+            "unit": unit}  # fmt: skip
 
 
 def _candidates(loop: FitLoop) -> dict[str, Any]:

@@ -100,7 +100,8 @@ def _verdict(loop: FitLoop) -> Text:
         "explained": Text(f"The residual is explained by {cause}.", "ok"),
         "suspected": Text(
             f"Suspected: {cause}. Data left out do not prove it: the error's difference may be "
-            "zero.", "warning",
+            "zero.",
+            "warning",
         ),
         "explained in part": Text(
             f"The residual is explained in part by {cause}; left: {unknown}.", "warning"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,10 +93,8 @@ class Bank:
         if key not in self._sums:
             picked = self.white[walk][:, columns]
             edges = np.searchsorted(self.course.part, np.arange(self.course.parts + 1))
-            ends = zip(edges[:-1], edges[1:], strict=True)
-            self._sums[key] = np.stack([picked[a:b].T @ picked[a:b] for a, b in ends])
+            self._sums[key] = np.stack([picked[a:b].T @ picked[a:b] for a, b in pairwise(edges)])
         return self._sums[key]
-
 
     def plus(self, columns: Array) -> Bank:
         """With more columns (n, c) behind all others."""

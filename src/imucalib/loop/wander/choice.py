@@ -55,8 +55,8 @@ class Taken:
 
 @dataclass(frozen=True)
 class Search:
-    """bank : with the finer values of scans; terms, level : the model and its noise at the end; first, last : scores; refused : names
-    above the bar that did not hold out, with the reason."""
+    """bank : with the finer values of scans; terms, level : the model and its noise at the end;
+    first, last : scores; refused : names above the bar that did not hold out, with the reason."""
 
     bank: Bank
     terms: Terms
@@ -174,8 +174,8 @@ def _objection(trial: Taken, kind: str) -> str:
     need, lead = _GAIN_IN_TIME if kind == "time" else _GAIN, _lead(trial.gains)
     if lead <= need:
         return (
-            f"it does not hold out: {trial.gains.sum():+.1f} nats over {trial.gains.size} blocks of "
-            f"time, {lead:.1f} of {need:.1f} standard errors"
+            f"it does not hold out: {trial.gains.sum():+.1f} nats over {trial.gains.size} blocks "
+            f"of time, {lead:.1f} of {need:.1f} standard errors"
         )
     if trial.after >= trial.before:
         more = trial.after / trial.before - 1.0

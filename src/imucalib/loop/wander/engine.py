@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.loop.design import Fold, folds_of
+from imucalib.loop.difference import Difference
 from imucalib.loop.found import FitLoop, LoopSettings, Wander
 from imucalib.loop.held_out import Held
 from imucalib.loop.wander.bank import parts_of
 from imucalib.loop.wander.choice import Rules, Search, search
 from imucalib.loop.wander.final import fitted
-from imucalib.loop.wander.likelihood import Level, best_level
+from imucalib.loop.wander.likelihood import Level, levels
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.problem import Problem, problem_of
 from imucalib.loop.wander.report import held_differences, predicted
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 
 #: Simulated data sets and rows that a search uses at most: more change no decision.
 _DRAWS, _ROWS = 200, 3000
+#: Chance that the best of all candidates reaches the bar where nothing is missing, at most.
+_ALPHA = 0.02
 
 
 @dataclass(frozen=True)
@@ -54,13 +57,14 @@ class Closed:
 @dataclass(frozen=True)
 class _Pass:
     """One search of the whole data. chance : (draws,) evidence of the best on data that lack
-    nothing; bar : that decides"""
+    nothing; bar : that decides; own : the noise beside the base model"""
 
     problem: Problem
     level: Level
     chance: Array
     bar: float
     search: Search
+    own: Noise
 
 
 def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
@@ -93,19 +97,24 @@ def _searched(
     problem = problem_of(plain, noise, asked.effects, asked.families, folds, rows)
     bank, terms = problem.bank, problem.terms
     keep = np.ones(bank.course.parts, dtype=bool)
-    level = best_level(bank, terms, keep)
-    null = null_of(bank, level.walk, rng, min(rules.draws, _DRAWS))
+    every = levels(bank, terms, keep)
+    level = max(every, key=lambda one: one.nats)
+    null = null_of(bank, every, rng, min(rules.draws, _DRAWS))
     walks = usable_walks(bank, level, same_tau=False)
     _, chance = scored(bank, terms, keep, problem.entries, walks, null)
-    bar = float(np.quantile(chance, 1.0 - rules.alpha)) if rules.bar is None else rules.bar
+    bar = (
+        float(np.quantile(chance, 1.0 - min(rules.alpha, _ALPHA)))
+        if rules.bar is None
+        else rules.bar
+    )
     decide = Rules(bar, rules.most_effects, problem.finer)
     found = search(bank, terms, problem.entries, problem.splits, keep, decide)
     # The base under its own walk, which is larger than what is left beside the final model.
-    own = replace(
-        noise, walk=bank.walks[level.walk], scatter=noise.scatter * float(np.sqrt(level.variance))
-    )
+    scatter = noise.scatter * float(np.sqrt(level.variance))
+    gained = level.nats - every[0].nats
+    own = replace(noise, walk=bank.walks[level.walk], scatter=scatter, evidence=gained)
     plain = fitted(base.model, base.observations, own, plain.theta, np.ones(plain.theta.size))
-    return _Pass(replace(problem, fit=plain), level, chance, bar, found)
+    return _Pass(replace(problem, fit=plain), level, chance, bar, found, own)
 
 
 def _final(found: _Pass) -> tuple[Fit, Array]:
@@ -122,14 +131,15 @@ def _final(found: _Pass) -> tuple[Fit, Array]:
     return fitted(model, problem.fit.observations, noise, start, precision), precision
 
 
-def _told(
-    found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked
-) -> Closed:
+def _told(found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked) -> Closed:
     problem = found.problem
     rules = Rules(found.bar, asked.rules.most_effects, problem.finer, same_tau=True)
     each = predicted(problem, folds, rules)
     wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence)
     mg, nats = held_differences(each, folds)
+    if found.search.taken and not (mg.proved or nats.proved):
+        found = _unconfirmed(found, nats)
+        final, last = problem.fit, found.own
     scores = scores_of(problem, found.search.last, found.chance, found.bar)
     loop = FitLoop(
         base=problem.fit,
@@ -147,4 +157,17 @@ def _told(
         density=nats,
         wander=wander,
     )
-    return Closed(loop, each.before, each.after, last.light)
+    return Closed(loop, each.before, each.after if loop.steps else each.before, last.light)
+
+
+def _unconfirmed(found: _Pass, nats: Difference) -> _Pass:
+    """Nothing is taken that the search, repeated without each block, does not find again."""
+    why = (
+        f"the search without each block of time gains {nats.gain:+.3f} nats an observation there, "
+        f"from {nats.low:+.3f} to {nats.high:+.3f}"
+    )
+    names = tuple((t.found.entry.name, why) for t in found.search.taken)
+    base, first = found.problem.terms, found.search.first
+    none = replace(found.search, terms=base, level=found.level, taken=(), last=first,
+                   refused=(*found.search.refused, *names))  # fmt: skip
+    return replace(found, search=none)

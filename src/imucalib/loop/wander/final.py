@@ -21,9 +21,7 @@ Array = NDArray[np.float64]
 _STEPS, _SETTLED = 12, 1e-6
 
 
-def fitted(
-    model: Model, data: Observations, noise: Noise, start: Array, precision: Array
-) -> Fit:
+def fitted(model: Model, data: Observations, noise: Noise, start: Array, precision: Array) -> Fit:
     """Generalised least squares, Gauss-Newton, with normal priors about zero.
 
     start : (p,) θ; precision : (p,) of the priors, in typical sizes
@@ -36,7 +34,7 @@ def fitted(
         residual, jacobian, eta = _white(model, data, noise, theta)
         information = jacobian.T @ jacobian + np.diag(precision / typical**2)
         pull = jacobian.T @ residual - precision / typical**2 * theta
-        covariance = np.linalg.inv(information)
+        covariance = np.asarray(np.linalg.inv(information), np.float64)
         step = covariance @ pull
         theta = theta + step
         settled = bool(np.all(np.abs(step) <= _SETTLED * typical))

@@ -69,5 +69,5 @@ def judged(bank: Bank, terms: Terms, walk: int, splits: Sequence[Split]) -> Judg
 
 def _balance(gram: Array, precision: Array) -> tuple[float, float, Array]:
     precise = gram[:-1, :-1] + np.diag(precision)
-    theta = np.linalg.solve(precise, gram[:-1, -1])
+    theta = np.asarray(np.linalg.solve(precise, gram[:-1, -1]), np.float64)
     return float(np.linalg.slogdet(precise)[1]), float(gram[-1, -1] - gram[-1, :-1] @ theta), theta

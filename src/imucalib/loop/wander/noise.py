@@ -52,8 +52,10 @@ def natural(fit: Fit) -> tuple[Array, Array, Array]:
     it sees of the walks, (n, 4)."""
     unit = fit.at.sigma[:, 0] / MG
     typical = np.array([p.typical for p in fit.parameters])
-    return fit.at.residual * unit, fit.at.jacobian * unit[:, None] * typical, (
-        walk_columns(fit.at, fit.observations.reading)
+    return (
+        fit.at.residual * unit,
+        fit.at.jacobian * unit[:, None] * typical,
+        (walk_columns(fit.at, fit.observations.reading)),
     )
 
 

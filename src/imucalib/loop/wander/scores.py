@@ -65,9 +65,19 @@ class Null:
     power: Array
 
 
-def null_of(bank: Bank, walk: int, rng: np.random.Generator, draws: int) -> Null:
-    """Drawn from a walk's noise."""
-    data = drawn(bank.course, bank.walks[walk], rng, draws)
+def null_of(bank: Bank, every: Sequence[Level], rng: np.random.Generator, draws: int) -> Null:
+    """Drawn from every walk as often as its likelihood says: the noise is not known exactly."""
+    nats = np.array([level.nats for level in every])
+    weight = np.exp(nats - nats.max())
+    often = [int(count) for count in rng.multinomial(draws, weight / weight.sum())]
+    data = np.concatenate(
+        [
+            np.sqrt(level.variance) * drawn(bank.course, bank.walks[level.walk], rng, count)
+            for level, count in zip(every, often, strict=True)
+            if count
+        ],
+        axis=1,
+    )
     white, _ = whitened(bank.course, bank.walks, data)
     along = bank.white.transpose(0, 2, 1) @ white
     return Null(along, np.einsum("gnd,gnd->gd", white, white))
@@ -114,9 +124,10 @@ def scored(
         size, own = _own(view, entries)
         said = _facts(view, entries, size, own[:, 0], starts)
         for k, factor in enumerate(SIZES):
-            gain = best_evidence(
-                own, view.power, size, starts[:-1], freedom, np.array([factor])
-            ) + plain
+            gain = (
+                best_evidence(own, view.power, size, starts[:-1], freedom, np.array([factor]))
+                + plain
+            )
             if factor > _CURVE_SIZE:
                 gain[curve] = -np.inf
             better = gain[:, 0] > best[:, 0]
@@ -194,9 +205,7 @@ def finest(
     return bank.plus(columns), replace(found, entry=replace(found.entry, name=name, columns=at))
 
 
-def _facts(
-    view: _View, entries: Sequence[Entry], size: Array, own: Array, starts: Index
-) -> Array:
+def _facts(view: _View, entries: Sequence[Entry], size: Array, own: Array, starts: Index) -> Array:
     """(k, 3) share left, λ at typical size, share of the power explained."""
     out = np.zeros((len(entries), 3))
     for i, (entry, (a, b)) in enumerate(zip(entries, pairwise(starts), strict=True)):

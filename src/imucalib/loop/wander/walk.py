@@ -99,7 +99,8 @@ def beside(course: Course, walk: Walk, residual: Array) -> Array:
 
 
 def drawn(course: Course, walk: Walk, rng: np.random.Generator, draws: int) -> Array:
-    """(n, draws) noise of this covariance."""
+    """(n, draws) noise whose walk goes on through all parts, as it does in a sensor: what
+    neighbouring parts share, which the model leaves out, must not pass for an effect."""
     n, q = course.seen.shape
     out = np.sqrt(course.variance)[:, None] * rng.standard_normal((n, draws))
     if walk.rho == 0.0:
@@ -108,7 +109,7 @@ def drawn(course: Course, walk: Walk, rng: np.random.Generator, draws: int) -> A
     state = np.zeros((q, draws))
     for row in range(n):
         fresh = root * rng.standard_normal((q, draws))
-        if row and course.part[row] == course.part[row - 1]:
+        if row:
             keep = np.exp(-(course.time[row] - course.time[row - 1]) / walk.tau)
             state = keep * state + np.sqrt(1.0 - keep**2) * fresh
         else:
