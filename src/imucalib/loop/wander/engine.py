@@ -15,12 +15,12 @@ from imucalib.loop.difference import Difference
 from imucalib.loop.found import FitLoop, LoopSettings, Wander
 from imucalib.loop.held_out import Held
 from imucalib.loop.wander.bank import parts_of
-from imucalib.loop.wander.choice import Rules, Search, search
+from imucalib.loop.wander.choice import Rules, Search, Taken, search
 from imucalib.loop.wander.final import fitted
-from imucalib.loop.wander.likelihood import Level, levels
+from imucalib.loop.wander.likelihood import Level, best_level, levels
 from imucalib.loop.wander.noise import Noise, noise_of
-from imucalib.loop.wander.problem import Problem, problem_of
-from imucalib.loop.wander.report import held_differences, predicted
+from imucalib.loop.wander.problem import Problem, base_precision, problem_of
+from imucalib.loop.wander.report import Predicted, held_differences, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
 from imucalib.loop.wander.words import scores_of, steps_of, unexplained
 
@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 _DRAWS, _ROWS = 200, 3000
 #: Chance that the best of all candidates reaches the bar where nothing is missing, at most.
 _ALPHA = 0.02
+#: Share of the searches without a block that must find an effect again.
+_AGAIN = 0.7
 
 
 @dataclass(frozen=True)
@@ -76,23 +78,20 @@ def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
     data = base.observations
     folds = folds_of(data)
     part = parts_of(folds, data.n)
-    noise = noise_of(base, asked.known, part)
+    noise = noise_of(base, asked.known, part, base_precision(base))
     found = _searched(base, noise, folds, asked, rng)
     if found.search.taken:
         final, precision = _final(found)
         noise = noise_of(final, asked.known, part, precision)
         found = _searched(base, noise, folds, asked, rng)
-    final, precision = _final(found)
-    last = noise_of(final, asked.known, part, precision)
-    final = fitted(final.model, data, last, final.theta, precision)
-    return _told(found, final, last, folds, asked)
+    return _told(found, folds, part, asked)
 
 
 def _searched(
     base: Fit, noise: Noise, folds: tuple[Fold, ...], asked: Asked, rng: np.random.Generator
 ) -> _Pass:
     rules = asked.rules
-    plain = fitted(base.model, base.observations, noise, base.theta, np.ones(base.theta.size))
+    plain = fitted(base.model, base.observations, noise, base.theta, base_precision(base))
     rows = min(rules.most_scored, _ROWS)
     problem = problem_of(plain, noise, asked.effects, asked.families, folds, rows)
     bank, terms = problem.bank, problem.terms
@@ -113,7 +112,7 @@ def _searched(
     scatter = noise.scatter * float(np.sqrt(level.variance))
     gained = level.nats - every[0].nats
     own = replace(noise, walk=bank.walks[level.walk], scatter=scatter, evidence=gained)
-    plain = fitted(base.model, base.observations, own, plain.theta, np.ones(plain.theta.size))
+    plain = fitted(base.model, base.observations, own, plain.theta, base_precision(base))
     return _Pass(replace(problem, fit=plain), level, chance, bar, found, own)
 
 
@@ -131,16 +130,20 @@ def _final(found: _Pass) -> tuple[Fit, Array]:
     return fitted(model, problem.fit.observations, noise, start, precision), precision
 
 
-def _told(found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked) -> Closed:
+def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: Asked) -> Closed:
     problem = found.problem
     rules = Rules(found.bar, asked.rules.most_effects, problem.finer, same_tau=True)
     each = predicted(problem, folds, rules)
-    wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence)
     mg, nats = held_differences(each, folds)
-    if found.search.taken and not (mg.proved or nats.proved):
-        found = _unconfirmed(found, nats)
-        final, last = problem.fit, found.own
-    scores = scores_of(problem, found.search.last, found.chance, found.bar)
+    first = found.search.first
+    if found.search.taken:
+        found = _confirmed(found, each, mg, nats)
+    final, last = problem.fit, found.own
+    if found.search.taken:
+        final, precision = _final(found)
+        last = noise_of(final, asked.known, part, precision)
+        final = fitted(final.model, final.observations, last, final.theta, precision)
+    wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence)
     loop = FitLoop(
         base=problem.fit,
         final=final,
@@ -149,8 +152,8 @@ def _told(found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked:
         steps=steps_of(problem, found.search, found.chance),
         rejected=found.search.refused,
         unexplained=() if found.search.taken else unexplained(wander),
-        scores=scores,
-        first_scores=scores_of(problem, found.search.first, found.chance, found.bar),
+        scores=scores_of(problem, found.search.last, found.chance, found.bar),
+        first_scores=scores_of(problem, first, found.chance, found.bar),
         missing=problem.missing,
         bar=found.bar,
         difference=mg,
@@ -160,14 +163,35 @@ def _told(found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked:
     return Closed(loop, each.before, each.after if loop.steps else each.before, last.light)
 
 
-def _unconfirmed(found: _Pass, nats: Difference) -> _Pass:
-    """Nothing is taken that the search, repeated without each block, does not find again."""
-    why = (
-        f"the search without each block of time gains {nats.gain:+.3f} nats an observation there, "
-        f"from {nats.low:+.3f} to {nats.high:+.3f}"
-    )
-    names = tuple((t.found.entry.name, why) for t in found.search.taken)
-    base, first = found.problem.terms, found.search.first
-    none = replace(found.search, terms=base, level=found.level, taken=(), last=first,
-                   refused=(*found.search.refused, *names))  # fmt: skip
-    return replace(found, search=none)
+def _confirmed(found: _Pass, each: Predicted, mg: Difference, nats: Difference) -> _Pass:
+    """Without what the search, repeated without each block, does not find again.
+
+    All goes when neither difference is proved, else what most of the blocks did not find.
+    """
+    kept, names = list[Taken](), list[tuple[str, str]]()
+    for taken, step in zip(
+        found.search.taken, steps_of(found.problem, found.search, found.chance), strict=True
+    ):
+        own = {name.partition("@")[0] for name in (step.effect, *step.aliases)}
+        again = sum(bool(own & one) for one in each.found)
+        if not (mg.proved or nats.proved):
+            why = (
+                f"the search without each block of time gains {nats.gain:+.3f} nats an "
+                f"observation there, from {nats.low:+.3f} to {nats.high:+.3f}"
+            )
+            names.append((step.effect, why))
+        elif again < _AGAIN * len(each.found):
+            why = f"found again in {again} of {len(each.found)} searches without a block of time"
+            names.append((step.effect, why))
+        else:
+            kept.append(taken)
+    if len(kept) == len(found.search.taken):
+        return found
+    search, terms = found.search, found.problem.terms
+    for taken in kept:
+        terms = terms.plus(taken.found.entry.columns, taken.size)
+    keep = np.ones(search.bank.course.parts, dtype=bool)
+    level = best_level(search.bank, terms, keep)
+    refused = (*search.refused, *names)
+    less = replace(search, terms=terms, level=level, taken=tuple(kept), refused=refused)
+    return replace(found, search=less)

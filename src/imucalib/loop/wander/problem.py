@@ -28,6 +28,8 @@ Index = NDArray[np.intp]
 
 #: Values of a scan that are tried at first; the neighbours of the best one are tried after.
 _OF_A_SCAN = 24
+#: Prior sd of the base model's parameters, in typical sizes.
+_WIDE = 10.0
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,17 @@ class Problem:
         context = self.fit.observations.context
         model = self.model(taken)
         slices, out = model.slices(context), np.ones(len(model.parameters(context)))
+        own = self.fit.model.slices(context)
+        for name, values in own.items():
+            out[slices[name]] = self.terms.precision[values]
         for t in taken:
             out[slices[t.found.entry.name]] = t.size**-2.0
         return out
+
+
+def base_precision(fit: Fit) -> Array:
+    """(p,) of the base model's priors in typical sizes: wide, the recording decides."""
+    return np.full(fit.theta.size, _WIDE**-2.0)
 
 
 def problem_of(
@@ -122,7 +132,7 @@ def problem_of(
         variance=noise.course.variance[rows], part=part,
     )  # fmt: skip
     bank = bank_of(course, walks_of(context["time"]), columns)
-    terms = Terms(np.arange(p), np.ones(p), p)
+    terms = Terms(np.arange(p), base_precision(fit), p)
     of = {family.name: family for family in families}
     splits = splits_of(cut, part)
     return Problem(fit, noise, bank, terms, entries, splits, tried, missing, small, of)

@@ -23,19 +23,21 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Predicted:
     """Every row predicted without its block, before and after; gains : (k,) nats that each block's
-    density gains, rows : (k,) of the block that are scored"""
+    density gains, rows : (k,) of the block that are scored; found : names or scans that the search
+    without each block took"""
 
     before: Held
     after: Held
     gains: Array
     rows: Array
+    found: tuple[frozenset[str], ...]
 
 
 def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicted:
     """Steps of the whole search, without one block and its gap at a time."""
     bank, data = problem.bank, problem.fit.observations
     parts: list[tuple[Held, Held]] = []
-    gains, rows = [], []
+    gains, rows, names = list[float](), list[float](), list[frozenset[str]]()
     for k, (fold, split) in enumerate(zip(folds, problem.splits, strict=True)):
         others = [s for j, s in enumerate(problem.splits) if j != k]
         found = search(bank, problem.terms, problem.entries, others, split.train, rules)
@@ -57,6 +59,7 @@ def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicte
             gain = float(two.nats[0] - one.nats[0])
         parts.append((before, after))
         gains.append(gain)
+        names.append(frozenset(t.found.entry.name.partition("@")[0] for t in found.taken))
         rows.append(float(bank.count[split.test].sum()))
     order = np.argsort(np.concatenate([fold.rows for fold in folds]))
     return Predicted(
@@ -64,6 +67,7 @@ def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicte
         _joined([b for _, b in parts], order),
         np.array(gains),
         np.array(rows),
+        tuple(names),
     )
 
 

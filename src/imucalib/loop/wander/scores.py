@@ -103,10 +103,12 @@ def scored(
     null: Null | None = None,
 ) -> tuple[tuple[Scored, ...], Array]:
     """Every candidate, best first, and the best of all on every draw of the null (draws,)."""
+    draws = 0 if null is None else null.power.shape[1]
+    if not entries:
+        return (), np.zeros(draws)
     base = levels(bank, terms, keep)
     freedom = base[0].freedom
     starts = np.cumsum([0] + [e.columns.size for e in entries])
-    draws = 0 if null is None else null.power.shape[1]
     best = np.full((len(entries), 1 + draws), -np.inf)
     without = np.full((1 + draws), -np.inf)
     where = np.zeros((len(entries), 2), dtype=int)
@@ -139,8 +141,7 @@ def scored(
         Scored(entry, float(evidence[i, 0]), int(where[i, 0]), SIZES[where[i, 1]], *facts[i])
         for i, entry in enumerate(entries)
     ]
-    chance = evidence[:, 1:].max(axis=0) if len(entries) else np.zeros(draws)
-    return tuple(sorted(found, key=lambda s: -s.evidence)), chance
+    return tuple(sorted(found, key=lambda s: -s.evidence)), evidence[:, 1:].max(axis=0)
 
 
 @dataclass(frozen=True)
