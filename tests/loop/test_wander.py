@@ -191,7 +191,8 @@ def test_noise_takes_no_effects_place_and_no_effect_the_noises() -> None:
             null = null_of(bank, levels(bank, terms, keep), rng, 100)
             walk = best_level(bank, terms, keep)
             _, chance = scored(bank, terms, keep, entries, range(len(bank.walks)), null)
-            rules = Rules(float(np.quantile(chance, 0.95)), 3, lambda entry: ())
+            nats = float(np.quantile(chance, 0.95))
+            rules = Rules(lambda *_, nats=nats: nats, 3, lambda entry: ())
             found = search(bank, terms, entries, splits_of(folds, at.part), keep, rules)
             assert walk.walk > 0
             if planted:

@@ -38,12 +38,7 @@ _LIMITS = ("max-error", "max-worst-error")
 @click.option("--effects", "effects_file", type=click.Path(path_type=Path),
               help="Python file with effects of your own.")  # fmt: skip
 @click.option("--no-loop", is_flag=True, help="Fit the nine parameters only.")
-@click.option(
-    "--curves",
-    is_flag=True,
-    help="Correct structure without a name by a smooth curve, where that holds out.",
-)
-@click.option("--draws", default=1000, show_default=True,
+@click.option("--draws", default=200, show_default=True,
               help="Simulated data sets behind each p-value.")  # fmt: skip
 @click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")
 @click.option("--export", multiple=True, type=click.Choice(["ggir-csv", "c-header"]),
@@ -151,7 +146,7 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         only=options["only"],
         without=options["without"],
         loop=not options["no_loop"],
-        rules=LoopSettings(draws=options["draws"], curves=options["curves"]),
+        rules=LoopSettings(draws=options["draws"]),
         extra_effects=load_file(options["effects_file"]) if options["effects_file"] else {},
         limits=limits_of(options, _LIMITS),
         seed=options["seed"],

@@ -111,6 +111,8 @@ class Wander:
 
     @property
     def words(self) -> str:
+        if self.size == 0.0:
+            return "the bias does not wander"
         return f"the bias wanders by {self.size:.2g} mg in {self.hours:.2g} h"
 
 

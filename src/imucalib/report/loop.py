@@ -62,6 +62,7 @@ def loop_section(outcome: Outcome) -> Section:
             Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones)
         )
     blocks.append(_verdict(loop))
+    blocks += _measured(loop)
     if loop.steps:
         unit = 1.0 if outcome.error.unit != "mg" else 9.80665e-3
         rows = tuple(
@@ -110,6 +111,30 @@ def _verdict(loop: FitLoop) -> Text:
             f"Unexplained structure: {unknown}. No effect of the catalogue fits.", "bad"
         ),
     }[loop.verdict]
+
+
+def _measured(loop: FitLoop) -> list[Block]:
+    """What the search gains where it has not looked, and the walk that the noise holds."""
+    blocks: list[Block] = []
+    mg, nats = loop.difference, loop.density
+    if mg is not None and nats is not None:
+        blocks.append(
+            Text(
+                f"The whole search without each block of time in turn: error {mg.before:.2f} -> "
+                f"{mg.after:.2f} mg, a gain of {mg.gain:+.3f} mg (95 %: {mg.low:+.3f} to "
+                f"{mg.high:+.3f}), in log density {nats.gain:+.3f} nats a posture run "
+                f"({nats.low:+.3f} to {nats.high:+.3f}); {mg.parts} blocks."
+            )
+        )
+    if loop.wander is not None and loop.wander.counts and not loop.unexplained:
+        words = loop.wander.words
+        blocks.append(
+            Text(
+                f"{words[0].upper()}{words[1:]}: noise, which no effect explains; all standard "
+                "deviations include it."
+            )
+        )
+    return blocks
 
 
 def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:

@@ -24,6 +24,7 @@ _GAIN, _GAIN_IN_TIME = 1.5, 2.0
 _SHRUNK = (1.0, 0.4, 0.2, 0.1)
 #: Candidates of one kind that are judged on the blocks.
 _OF_A_KIND = 2
+Bar = Callable[[Bank, Terms, int], float]
 Finer = Callable[[Entry], Sequence[tuple[str, Array]]]
 _TIME = ("order", "time", "time_of_day")
 
@@ -69,10 +70,10 @@ class Search:
 
 @dataclass(frozen=True)
 class Rules:
-    """bar : nats that a candidate must reach; most : effects; same_tau : as in `usable_walks`;
-    finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing"""
+    """bar : (bank, terms, round) -> nats that a candidate must reach; most : effects; same_tau : as
+    in `usable_walks`; finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing"""
 
-    bar: float
+    bar: Bar
     most: int
     finer: Finer
     same_tau: bool = False
@@ -99,7 +100,8 @@ def search(
         refused = list[tuple[str, str]]()
         best = None
         if len(taken) < rules.most:
-            bank, best = _choice(bank, terms, level, scores, design, keep, rules, refused)
+            bar = rules.bar(bank, terms, len(taken))
+            bank, best = _choice(bank, terms, level, scores, design, keep, rules, bar, refused)
         if best is None:
             return Search(bank, terms, level, tuple(taken), first, scores, tuple(refused))
         taken.append(best)
@@ -121,9 +123,10 @@ def _choice(
     design: Sequence[Split],
     keep: Mask,
     rules: Rules,
+    bar: float,
     refused: list[tuple[str, str]],
 ) -> tuple[Bank, Taken | None]:
-    passing = [s for s in scores if s.evidence >= rules.bar]
+    passing = [s for s in scores if s.evidence >= bar]
     kinds = dict.fromkeys(s.entry.kind for s in passing)
     tried = [s for kind in kinds for s in _first_of(passing, kind)]
     if not tried or len(design) < 3:

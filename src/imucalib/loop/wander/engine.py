@@ -11,27 +11,25 @@ from numpy.typing import NDArray
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.loop.design import Fold, folds_of
-from imucalib.loop.difference import Difference
 from imucalib.loop.found import FitLoop, LoopSettings, Wander
 from imucalib.loop.held_out import Held
-from imucalib.loop.wander.bank import parts_of
-from imucalib.loop.wander.choice import Rules, Search, Taken, search
+from imucalib.loop.wander.bank import Bank, parts_of
+from imucalib.loop.wander.choice import Rules, Search, search
+from imucalib.loop.wander.confirm import confirmed
 from imucalib.loop.wander.final import fitted
-from imucalib.loop.wander.likelihood import Level, best_level, levels
+from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
-from imucalib.loop.wander.report import Predicted, held_differences, predicted
+from imucalib.loop.wander.report import held_differences, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
 from imucalib.loop.wander.words import scores_of, steps_of, unexplained
 
 Array = NDArray[np.float64]
 
-#: Simulated data sets and rows that a search uses at most: more change no decision.
-_DRAWS, _ROWS = 200, 3000
+#: Rows that a search uses at most: more change no decision.
+_ROWS = 3000
 #: Chance that the best of all candidates reaches the bar where nothing is missing, at most.
 _ALPHA = 0.02
-#: Share of the searches without a block that must find an effect again.
-_AGAIN = 0.7
 
 
 @dataclass(frozen=True)
@@ -58,13 +56,13 @@ class Closed:
 
 @dataclass(frozen=True)
 class _Pass:
-    """One search of the whole data. chance : (draws,) evidence of the best on data that lack
-    nothing; bar : that decides; own : the noise beside the base model"""
+    """One search of the whole data. chances : of every round, (draws,) evidence of the best on data
+    that lack nothing; bars : of every round; own : the noise beside the base model"""
 
     problem: Problem
     level: Level
-    chance: Array
-    bar: float
+    chances: tuple[Array, ...]
+    bars: tuple[float, ...]
     search: Search
     own: Noise
 
@@ -96,24 +94,27 @@ def _searched(
     problem = problem_of(plain, noise, asked.effects, asked.families, folds, rows)
     bank, terms = problem.bank, problem.terms
     keep = np.ones(bank.course.parts, dtype=bool)
-    every = levels(bank, terms, keep)
-    level = max(every, key=lambda one: one.nats)
-    null = null_of(bank, every, rng, min(rules.draws, _DRAWS))
-    walks = usable_walks(bank, level, same_tau=False)
-    _, chance = scored(bank, terms, keep, problem.entries, walks, null)
-    bar = (
-        float(np.quantile(chance, 1.0 - min(rules.alpha, _ALPHA)))
-        if rules.bar is None
-        else rules.bar
-    )
+    chances, bars = list[Array](), list[float]()
+
+    def bar(bank: Bank, terms: Terms, _: int) -> float:
+        every = levels(bank, terms, keep)
+        null = null_of(bank, every, rng, rules.draws)
+        walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
+        chances.append(scored(bank, terms, keep, problem.entries, walks, null)[1])
+        nats = float(np.quantile(chances[-1], 1.0 - min(rules.alpha, _ALPHA)))
+        bars.append(nats if rules.bar is None else rules.bar)
+        return bars[-1]
+
     decide = Rules(bar, rules.most_effects, problem.finer)
     found = search(bank, terms, problem.entries, problem.splits, keep, decide)
+    every = levels(bank, terms, keep)
+    level = max(every, key=lambda one: one.nats)
     # The base under its own walk, which is larger than what is left beside the final model.
     scatter = noise.scatter * float(np.sqrt(level.variance))
     gained = level.nats - every[0].nats
     own = replace(noise, walk=bank.walks[level.walk], scatter=scatter, evidence=gained)
     plain = fitted(base.model, base.observations, own, plain.theta, base_precision(base))
-    return _Pass(replace(problem, fit=plain), level, chance, bar, found, own)
+    return _Pass(replace(problem, fit=plain), level, tuple(chances), tuple(bars), found, own)
 
 
 def _final(found: _Pass) -> tuple[Fit, Array]:
@@ -132,12 +133,20 @@ def _final(found: _Pass) -> tuple[Fit, Array]:
 
 def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: Asked) -> Closed:
     problem = found.problem
-    rules = Rules(found.bar, asked.rules.most_effects, problem.finer, same_tau=True)
+    bars = found.bars
+    rules = Rules(
+        lambda bank, terms, turn: bars[min(turn, len(bars) - 1)],
+        asked.rules.most_effects,
+        problem.finer,
+        same_tau=True,
+    )
     each = predicted(problem, folds, rules)
     mg, nats = held_differences(each, folds)
     first = found.search.first
     if found.search.taken:
-        found = _confirmed(found, each, mg, nats)
+        steps = steps_of(problem, found.search, found.chances)
+        left = confirmed(found.search, steps, bars, problem.terms, each, (mg, nats))
+        found = replace(found, search=left)
     final, last = problem.fit, found.own
     if found.search.taken:
         final, precision = _final(found)
@@ -149,49 +158,15 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
         final=final,
         plain=problem.fit,
         as_recorded=final,
-        steps=steps_of(problem, found.search, found.chance),
+        steps=steps_of(problem, found.search, found.chances),
         rejected=found.search.refused,
         unexplained=() if found.search.taken else unexplained(wander),
-        scores=scores_of(problem, found.search.last, found.chance, found.bar),
-        first_scores=scores_of(problem, first, found.chance, found.bar),
+        scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
+        first_scores=scores_of(problem, first, found.chances[0], bars[0]),
         missing=problem.missing,
-        bar=found.bar,
+        bar=bars[0],
         difference=mg,
         density=nats,
         wander=wander,
     )
     return Closed(loop, each.before, each.after if loop.steps else each.before, last.light)
-
-
-def _confirmed(found: _Pass, each: Predicted, mg: Difference, nats: Difference) -> _Pass:
-    """Without what the search, repeated without each block, does not find again.
-
-    All goes when neither difference is proved, else what most of the blocks did not find.
-    """
-    kept, names = list[Taken](), list[tuple[str, str]]()
-    for taken, step in zip(
-        found.search.taken, steps_of(found.problem, found.search, found.chance), strict=True
-    ):
-        own = {name.partition("@")[0] for name in (step.effect, *step.aliases)}
-        again = sum(bool(own & one) for one in each.found)
-        if not (mg.proved or nats.proved):
-            why = (
-                f"the search without each block of time gains {nats.gain:+.3f} nats an "
-                f"observation there, from {nats.low:+.3f} to {nats.high:+.3f}"
-            )
-            names.append((step.effect, why))
-        elif again < _AGAIN * len(each.found):
-            why = f"found again in {again} of {len(each.found)} searches without a block of time"
-            names.append((step.effect, why))
-        else:
-            kept.append(taken)
-    if len(kept) == len(found.search.taken):
-        return found
-    search, terms = found.search, found.problem.terms
-    for taken in kept:
-        terms = terms.plus(taken.found.entry.columns, taken.size)
-    keep = np.ones(search.bank.course.parts, dtype=bool)
-    level = best_level(search.bank, terms, keep)
-    refused = (*search.refused, *names)
-    less = replace(search, terms=terms, level=level, taken=tuple(kept), refused=refused)
-    return replace(found, search=less)

@@ -111,8 +111,7 @@ def scored(
     starts = np.cumsum([0] + [e.columns.size for e in entries])
     best = np.full((len(entries), 1 + draws), -np.inf)
     without = np.full((1 + draws), -np.inf)
-    where = np.zeros((len(entries), 2), dtype=int)
-    facts = np.zeros((len(entries), 3))
+    where, facts = np.zeros((len(entries), 2), dtype=int), np.zeros((len(entries), 3))
     curve = np.array([e.columns.size >= _CURVE_TERMS for e in entries])
     for walk in range(len(bank.walks)):
         if walk not in walks and null is None:
@@ -126,15 +125,11 @@ def scored(
         size, own = _own(view, entries)
         said = _facts(view, entries, size, own[:, 0], starts)
         for k, factor in enumerate(SIZES):
-            gain = (
-                best_evidence(own, view.power, size, starts[:-1], freedom, np.array([factor]))
-                + plain
-            )
-            if factor > _CURVE_SIZE:
-                gain[curve] = -np.inf
+            tau = np.array([factor])
+            gain = plain + best_evidence(own, view.power, size, starts[:-1], freedom, tau)
+            gain[curve & (factor > _CURVE_SIZE)] = -np.inf
             better = gain[:, 0] > best[:, 0]
-            where[better] = (walk, k)
-            facts[better] = said[better]
+            where[better], facts[better] = (walk, k), said[better]
             best = np.maximum(best, gain)
     evidence = np.maximum(best - without, 0.0)
     found = [

@@ -47,10 +47,10 @@ def scores_of(
     return tuple(out)
 
 
-def steps_of(problem: Problem, found: Search, chance: Array) -> tuple[Step, ...]:
+def steps_of(problem: Problem, found: Search, chances: Sequence[Array]) -> tuple[Step, ...]:
     steps, terms = list[Step](), problem.terms
     unit = problem.noise.scatter * MG
-    for taken in found.taken:
+    for taken, chance in zip(found.taken, chances, strict=False):
         checked = Checked("error", "m/s2", taken.before * unit, taken.after * unit)
         steps.append(
             Step(
