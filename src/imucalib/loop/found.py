@@ -95,7 +95,7 @@ class Unexplained:
 class Wander:
     """The walk of the bias that the noise holds beside the final model.
 
-    size : mg, standard deviation of |a| that it causes; hours : after which it forgets
+    size : mg, rms of what it does to |a|; hours : after which it forgets
     scatter : mg, of a run without it; evidence : nats that it gains over independent noise
     """
 

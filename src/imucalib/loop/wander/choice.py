@@ -71,7 +71,8 @@ class Search:
 @dataclass(frozen=True)
 class Rules:
     """bar : (bank, terms, round) -> nats that a candidate must reach; most : effects; same_tau : as
-    in `usable_walks`; finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing"""
+    in `usable_walks`; finer : (entry) -> values of its scan near it, with their columns (n, c), or
+    nothing"""
 
     bar: Bar
     most: int

@@ -57,14 +57,13 @@ class Closed:
 @dataclass(frozen=True)
 class _Pass:
     """One search of the whole data. chances : of every round, (draws,) evidence of the best on data
-    that lack nothing; bars : of every round; own : the noise beside the base model"""
+    that lack nothing; bars : of every round"""
 
     problem: Problem
     level: Level
     chances: tuple[Array, ...]
     bars: tuple[float, ...]
     search: Search
-    own: Noise
 
 
 def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
@@ -111,10 +110,9 @@ def _searched(
     level = max(every, key=lambda one: one.nats)
     # The base under its own walk, which is larger than what is left beside the final model.
     scatter = noise.scatter * float(np.sqrt(level.variance))
-    gained = level.nats - every[0].nats
-    own = replace(noise, walk=bank.walks[level.walk], scatter=scatter, evidence=gained)
+    own = replace(noise, walk=bank.walks[level.walk], scatter=scatter)
     plain = fitted(base.model, base.observations, own, plain.theta, base_precision(base))
-    return _Pass(replace(problem, fit=plain), level, tuple(chances), tuple(bars), found, own)
+    return _Pass(replace(problem, fit=plain), level, tuple(chances), tuple(bars), found)
 
 
 def _final(found: _Pass) -> tuple[Fit, Array]:
@@ -147,11 +145,13 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
         steps = steps_of(problem, found.search, found.chances)
         left = confirmed(found.search, steps, bars, problem.terms, each, (mg, nats))
         found = replace(found, search=left)
-    final, last = problem.fit, found.own
     if found.search.taken:
         final, precision = _final(found)
         last = noise_of(final, asked.known, part, precision)
         final = fitted(final.model, final.observations, last, final.theta, precision)
+    else:
+        final = problem.fit
+        last = noise_of(final, asked.known, part, base_precision(final))
     wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence)
     loop = FitLoop(
         base=problem.fit,

@@ -27,19 +27,14 @@ _ROUNDS = 4
 class Noise:
     """scatter : mg, of a run beside its windows' noise; course : times, postures and variances in
     units of scatter²; walk : the fitted one; evidence : nats of that walk over none
-    light : how many runs count less"""
+    wander : mg, rms of what the smoothed walk does to |a|; light : how many runs count less"""
 
     scatter: float
     course: Course
     walk: Walk
     evidence: float
+    wander: float
     light: int
-
-    @property
-    def wander(self) -> float:
-        """mg, standard deviation of |a| that the walk causes."""
-        seen = float(np.mean(np.sum(self.course.seen**2, axis=1)))
-        return self.scatter * float(np.sqrt(self.walk.rho * seen))
 
     @property
     def sigma(self) -> Array:
@@ -91,10 +86,12 @@ def noise_of(fit: Fit, known: Array, part: Index, precision: Array | None = None
         every = levels(bank, terms, keep)
         best = max(every, key=lambda level: level.nats)
         left = (whole - columns @ solved(bank, terms, best.walk, keep)) / scatter
+        white = beside(course, walks[best.walk], left)
+        wander = scatter * float(np.sqrt(np.mean((left - white) ** 2)))
         scatter = scatter * float(np.sqrt(best.variance))
-        alone = beside(course, walks[best.walk], left) / np.sqrt(variance) * far
+        alone = white / np.sqrt(variance) * far
         size = _MAD * float(np.median(np.abs(alone)))
         far = np.sqrt(np.maximum(1.0, np.abs(alone) / max(size, 1e-12) / _FAR))
     course = replace(course, variance=far**2 * (1.0 + known / scatter**2))
     gained = best.nats - every[0].nats
-    return Noise(scatter, course, walks[best.walk], gained, int((far > 1.0).sum()))
+    return Noise(scatter, course, walks[best.walk], gained, wander, int((far > 1.0).sum()))
