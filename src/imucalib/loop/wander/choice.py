@@ -24,7 +24,7 @@ _GAIN, _GAIN_IN_TIME = 1.5, 2.0
 _SHRUNK = (1.0, 0.4, 0.2, 0.1)
 #: Candidates of one kind that are judged on the blocks.
 _OF_A_KIND = 2
-Bar = Callable[[Bank, Terms, int], float]
+Bar = Callable[[Bank, Terms, int], Array]
 Finer = Callable[[Entry], Sequence[tuple[str, Array]]]
 _TIME = ("order", "time", "time_of_day")
 
@@ -70,7 +70,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Rules:
-    """bar : (bank, terms, round) -> nats that a candidate must reach; most : effects; same_tau : as
+    """bar : (bank, terms, round) -> nats that a candidate must reach, (2,) by `timed`; most : effects; same_tau : as
     in `usable_walks`; finer : (entry) -> values of its scan near it, with their columns (n, c), or
     nothing"""
 
@@ -124,10 +124,10 @@ def _choice(
     design: Sequence[Split],
     keep: Mask,
     rules: Rules,
-    bar: float,
+    bar: Array,
     refused: list[tuple[str, str]],
 ) -> tuple[Bank, Taken | None]:
-    passing = [s for s in scores if s.evidence >= bar]
+    passing = [s for s in scores if s.evidence >= bar[int(s.entry.timed)]]
     kinds = dict.fromkeys(s.entry.kind for s in passing)
     tried = [s for kind in kinds for s in _first_of(passing, kind)]
     if not tried or len(design) < 3:

@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.loop.difference import Difference
 from imucalib.loop.found import Step
 from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Terms, best_level
 from imucalib.loop.wander.report import Predicted
+
+Array = NDArray[np.float64]
 
 #: Share of the searches without a block that must find an effect again.
 _AGAIN = 0.5
@@ -23,18 +26,18 @@ _CLEAR = 1.5
 def confirmed(
     search: Search,
     steps: Sequence[Step],
-    bars: Sequence[float],
+    bars: Sequence[Array],
     base: Terms,
     each: Predicted,
     gains: tuple[Difference, Difference],
 ) -> Search:
     """The search without the effects that there is a reason to doubt.
 
-    steps : of the search, with their aliases; bars : of its rounds; gains : in mg and in density
+    steps : of the search, with their aliases; bars : of its rounds, (2,) each; gains : in mg and in density
     """
     kept, names = list[Taken](), list[tuple[str, str]]()
     for taken, step, bar in zip(search.taken, steps, bars, strict=False):
-        if why := _doubt(taken, step, bar, each, gains):
+        if why := _doubt(taken, step, float(bar[0]), each, gains):
             names.append((step.effect, why))
         else:
             kept.append(taken)
@@ -57,7 +60,7 @@ def _doubt(
     if again < _AGAIN * len(each.found):
         return f"found again in {again} of {len(each.found)} searches without a block of time"
     mg, nats = gains
-    clear = taken.found.entry.kind != "time" and taken.found.evidence >= _CLEAR * bar
+    clear = not taken.found.entry.timed and taken.found.evidence >= _CLEAR * bar
     if mg.proved or nats.proved or clear:
         return ""
     return (

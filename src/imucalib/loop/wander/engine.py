@@ -56,13 +56,13 @@ class Closed:
 
 @dataclass(frozen=True)
 class _Pass:
-    """One search of the whole data. chances : of every round, (draws,) evidence of the best on data
-    that lack nothing; bars : of every round"""
+    """One search of the whole data. chances : of every round, (2, draws) evidence of the best on
+    data that lack nothing; bars : (2,) of every round"""
 
     problem: Problem
     level: Level
     chances: tuple[Array, ...]
-    bars: tuple[float, ...]
+    bars: tuple[Array, ...]
     search: Search
 
 
@@ -93,15 +93,14 @@ def _searched(
     problem = problem_of(plain, noise, asked.effects, asked.families, folds, rows)
     bank, terms = problem.bank, problem.terms
     keep = np.ones(bank.course.parts, dtype=bool)
-    chances, bars = list[Array](), list[float]()
+    chances, bars = list[Array](), list[Array]()
 
-    def bar(bank: Bank, terms: Terms, _: int) -> float:
+    def bar(bank: Bank, terms: Terms, _: int) -> Array:
         every = levels(bank, terms, keep)
         null = null_of(bank, every, rng, rules.draws)
         walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
         chances.append(scored(bank, terms, keep, problem.entries, walks, null)[1])
-        nats = float(np.quantile(chances[-1], 1.0 - min(rules.alpha, _ALPHA)))
-        bars.append(nats if rules.bar is None else rules.bar)
+        bars.append(np.quantile(chances[-1], 1.0 - min(rules.alpha, _ALPHA) / 2.0, axis=1))
         return bars[-1]
 
     decide = Rules(bar, rules.most_effects, problem.finer)
@@ -164,7 +163,7 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
         first_scores=scores_of(problem, first, found.chances[0], bars[0]),
         missing=problem.missing,
-        bar=bars[0],
+        bar=float(bars[0][0]),
         difference=mg,
         density=nats,
         wander=wander,

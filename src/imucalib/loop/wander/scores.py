@@ -41,6 +41,11 @@ class Entry:
     kind: str
     columns: Index
 
+    @property
+    def timed(self) -> bool:
+        """Whether time drives it."""
+        return self.kind == "time"
+
 
 @dataclass(frozen=True)
 class Scored:
@@ -102,10 +107,14 @@ def scored(
     walks: Sequence[int],
     null: Null | None = None,
 ) -> tuple[tuple[Scored, ...], Array]:
-    """Every candidate, best first, and the best of all on every draw of the null (draws,)."""
+    """Every candidate, best first, and on every draw of the null the best (2, draws) of those that
+    nothing in time drives and of those that time does.
+
+    A long walk looks like a drift now and then, never like a temperature: each has its own chance.
+    """
     draws = 0 if null is None else null.power.shape[1]
     if not entries:
-        return (), np.zeros(draws)
+        return (), np.zeros((2, draws))
     base = levels(bank, terms, keep)
     freedom = base[0].freedom
     starts = np.cumsum([0] + [e.columns.size for e in entries])
@@ -136,7 +145,9 @@ def scored(
         Scored(entry, float(evidence[i, 0]), int(where[i, 0]), SIZES[where[i, 1]], *facts[i])
         for i, entry in enumerate(entries)
     ]
-    return tuple(sorted(found, key=lambda s: -s.evidence)), evidence[:, 1:].max(axis=0)
+    timed = np.array([e.timed for e in entries])
+    chance = [evidence[timed == one, 1:].max(axis=0, initial=0.0) for one in (False, True)]
+    return tuple(sorted(found, key=lambda s: -s.evidence)), np.array(chance)
 
 
 @dataclass(frozen=True)
