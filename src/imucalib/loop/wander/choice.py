@@ -70,9 +70,9 @@ class Search:
 
 @dataclass(frozen=True)
 class Rules:
-    """bar : (bank, terms, round) -> nats that a candidate must reach, (2,) by `timed`; most : effects; same_tau : as
-    in `usable_walks`; finer : (entry) -> values of its scan near it, with their columns (n, c), or
-    nothing"""
+    """bar : (bank, terms, round) -> nats that a candidate must reach, (2,) by `timed`
+    most : effects; same_tau : as in `usable_walks`
+    finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing"""
 
     bar: Bar
     most: int

@@ -33,7 +33,8 @@ def confirmed(
 ) -> Search:
     """The search without the effects that there is a reason to doubt.
 
-    steps : of the search, with their aliases; bars : of its rounds, (2,) each; gains : in mg and in density
+    steps : of the search, with their aliases; bars : of its rounds, (2,) each
+    gains : in mg and in density
     """
     kept, names = list[Taken](), list[tuple[str, str]]()
     for taken, step, bar in zip(search.taken, steps, bars, strict=False):
