@@ -22,6 +22,8 @@ _GAIN, _GAIN_IN_TIME = 1.5, 2.0
 #: A curve's prior is as flat in the density as it matters to the error: the smallest error among
 #: these shares of its likeliest size whose density is within one standard deviation.
 _SHRUNK = (1.0, 0.4, 0.2, 0.1)
+#: Nats that no bar was ever below: less needs no simulated data.
+_LEAST = 2.5
 #: Candidates of one kind that are judged on the blocks.
 _OF_A_KIND = 2
 Bar = Callable[[Bank, Terms, int], Array]
@@ -100,7 +102,7 @@ def search(
         first = first or scores
         refused = list[tuple[str, str]]()
         best = None
-        if len(taken) < rules.most:
+        if len(taken) < rules.most and any(s.evidence > _LEAST for s in scores):
             bar = rules.bar(bank, terms, len(taken))
             bank, best = _choice(bank, terms, level, scores, design, keep, rules, bar, refused)
         if best is None:

@@ -16,8 +16,8 @@ from imucalib.loop.wander.report import Predicted
 
 Array = NDArray[np.float64]
 
-#: Share of the searches without a block that must find an effect again.
-_AGAIN = 0.5
+#: Share of the searches without a block that must find an effect again, and one that time drives.
+_AGAIN, _AGAIN_IN_TIME = 0.5, 0.8
 #: Evidence over the bar that stands without a proved gain on the blocks, but for what is driven by
 #: time: under a walk of half a day steps of 17 nats over a bar of 9 were seen where nothing was.
 _CLEAR = 1.5
@@ -58,7 +58,8 @@ def _doubt(
 ) -> str:
     own = {name.partition("@")[0] for name in (step.effect, *step.aliases)}
     again = sum(bool(own & one) for one in each.found)
-    if again < _AGAIN * len(each.found):
+    need = _AGAIN_IN_TIME if taken.found.entry.timed else _AGAIN
+    if again < need * len(each.found):
         return f"found again in {again} of {len(each.found)} searches without a block of time"
     mg, nats = gains
     clear = not taken.found.entry.timed and taken.found.evidence >= _CLEAR * bar

@@ -105,6 +105,8 @@ def _searched(
 
     decide = Rules(bar, rules.most_effects, problem.finer)
     found = search(bank, terms, problem.entries, problem.splits, keep, decide)
+    if not bars:  # nothing came near a bar, which only the report asks for
+        bar(bank, terms, 0)
     every = levels(bank, terms, keep)
     level = max(every, key=lambda one: one.nats)
     # The base under its own walk, which is larger than what is left beside the final model.
