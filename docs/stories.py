@@ -140,24 +140,18 @@ def instruments(data: Path) -> Iterator[str]:
 def actigraphs(data: Path) -> Iterator[str]:
     """Every worn recording that there is."""
     for path in sorted((data / "actigraph").iterdir()):
-        for curves in ((), ("--curves",)):
-            report = run("actigraph", str(path), *curves)
-            if "error" in report:
-                yield story(f"Worn sensor, `{path.name}`", [("refused", report["error"])])
-                break
-            e = report["error_mg"]
-            rest = report["coverage"]["posture_runs"]
-            if curves and not any("curve@" in s["effect"] for s in report["loop"]["steps"]):
-                break
-            words = (
-                f"raw {e['raw']:.2f}, {e['base_held_out']:.2f} -> {e['final_held_out']:.2f} mg "
-                f"mean error of the norm over {rest} posture runs"
-            )
-            title = f"Worn sensor, `{path.name}`" + (" with `--curves`" if curves else "")
-            why = [("because", "; ".join(report["reasons"]))] if report["reasons"] else []
-            yield story(title, [*told(report, words), *why])
-            if not report["loop"] or report["loop"]["verdict"] != "unexplained":
-                break
+        report = run("actigraph", str(path))
+        if "error" in report:
+            yield story(f"Worn sensor, `{path.name}`", [("refused", report["error"])])
+            continue
+        e = report["error_mg"]
+        rest = report["coverage"]["posture_runs"]
+        words = (
+            f"raw {e['raw']:.2f}, {e['base_held_out']:.2f} -> {e['final_held_out']:.2f} mg "
+            f"mean error of the norm over {rest} posture runs"
+        )
+        why = [("because", "; ".join(report["reasons"]))] if report["reasons"] else []
+        yield story(f"Worn sensor, `{path.name}`", [*told(report, words), *why])
 
 
 def arrays(data: Path) -> Iterator[str]:

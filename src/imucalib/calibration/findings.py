@@ -135,10 +135,22 @@ def findings_of(
         scores=loop.scores,
         missing=loop.missing,
         gain=gain_of(loop.difference),
+        facts=_facts(loop),
         declared=tuple((name, _size(loop.final, name)) for name in declared),
         only=only,
         without=without,
     )
+
+
+def _facts(loop: FitLoop) -> tuple[tuple[str, str], ...]:
+    """What held-out data say beside the error, and the walk that the noise holds."""
+    found = []
+    if (nats := loop.density) is not None:
+        words = f"{nats.gain:+.3f} nats a posture run, 95 % {nats.low:+.3f} to {nats.high:+.3f}"
+        found.append(("gain in held-out density", words))
+    if loop.wander is not None and loop.wander.counts:
+        found.append(("noise", f"{loop.wander.words}; all standard deviations include it"))
+    return tuple(found)
 
 
 def _step(step: Step, final: Fit) -> FoundStep:

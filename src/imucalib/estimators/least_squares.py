@@ -82,9 +82,13 @@ def evaluate(
     theta: Array,
     covariance: Array,
     noise: Noise | None = None,
+    eta: Array | None = None,
 ) -> Fit:
-    """A Fit at a θ that another estimator found, with that estimator's covariance."""
-    state = State(theta, observations.reference.start(observations.reading))
+    """A Fit at a θ that another estimator found, with that estimator's covariance; eta : the free
+    directions there, those of the readings by default."""
+    if eta is None:
+        eta = observations.reference.start(observations.reading)
+    state = State(theta, eta)
     at = balance(model, theta, state.eta, observations)
     estimate = estimate_noise(at, noise or Noise(1.0, at.component, ()), fixed=False)
     found = _finish(model, observations, state, at, estimate, True, 0)

@@ -80,9 +80,9 @@ def block_evidence(
     residual's power and freedom, the blocks as indices of columns (a column may stand in several),
     and the squared size (k,) of each block before anything was taken out of it."""
     starts = np.cumsum([0] + [len(b) for b in blocks])
-    size, turns = _directions(gram, blocks)
+    size, turns = directions(gram, blocks)
     own = np.concatenate([turn.T @ along[b] for b, turn in zip(blocks, turns, strict=True)]) ** 2
-    found = _best(own[:, None], np.array([power]), size, starts[:-1], freedom, tau)[:, 0]
+    found = best_evidence(own[:, None], np.array([power]), size, starts[:-1], freedom, tau)[:, 0]
     white, root, null_power = _null(gram, freedom, rng, draws)
     best = np.zeros(draws)
     for a in range(0, draws, _DRAWS):
@@ -90,7 +90,9 @@ def block_evidence(
         data = root @ white[:, part]
         null = [turn.T @ data[b] for b, turn in zip(blocks, turns, strict=True)]
         square = np.square(np.concatenate(null))
-        best[part] = _best(square, null_power[part], size, starts[:-1], freedom, tau).max(axis=0)
+        best[part] = best_evidence(square, null_power[part], size, starts[:-1], freedom, tau).max(
+            axis=0
+        )
     kept = np.add.reduceat(size, starts[:-1])
     left = kept / np.maximum(whole, 1e-300)
     rank = np.add.reduceat((size > 0.0).astype(float), starts[:-1])
@@ -99,7 +101,7 @@ def block_evidence(
     return GramEvidence(found, left, np.sqrt(kept), np.maximum(share, 0.0), best)
 
 
-def _directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array]]:
+def directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array]]:
     """Squared sizes (M,) of each block's singular directions, and the matrices (m, m) that turn
     its columns into those directions at unit length."""
     sizes, turns = [], []
@@ -135,7 +137,7 @@ def _root(correlation: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _best(
+def best_evidence(
     explained: Array, power: Array, size: Array, starts: NDArray[np.intp], freedom: int, tau: Array
 ) -> Array:
     """(k, draws) evidence, the maximum over τ."""

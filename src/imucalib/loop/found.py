@@ -13,6 +13,8 @@ from imucalib.loop.evidence import Score
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.thresholds import ALPHA, CERTAIN, MARGIN, NOISE_ALPHA, RECORD_ALPHA
 
+_WALK_NATS = 5.0  # from which on a walk is more than independent noise
+
 
 @dataclass(frozen=True)
 class LoopSettings:
@@ -89,6 +91,31 @@ class Unexplained:
     share: float
 
 
+@dataclass(frozen=True)
+class Wander:
+    """The walk of the bias that the noise holds beside the final model.
+
+    size : mg, rms of what it does to |a|; hours : after which it forgets
+    scatter : mg, of a run without it; evidence : nats that it gains over independent noise
+    """
+
+    size: float
+    hours: float
+    scatter: float
+    evidence: float
+
+    @property
+    def counts(self) -> bool:
+        """Whether it carries more than the scatter of a run, beyond doubt."""
+        return self.evidence > _WALK_NATS and self.size > self.scatter
+
+    @property
+    def words(self) -> str:
+        if self.size == 0.0:
+            return "the bias does not wander"
+        return f"the bias wanders by {self.size:.2g} mg in {self.hours:.2g} h"
+
+
 S = TypeVar("S")
 
 
@@ -99,8 +126,8 @@ class Loop(Generic[S]):
     records : that do not belong to the rest; scores, first_scores : of the last search, and of the
         last one before any step; missing : why effects could not be tested
     unexplained : structure that no effect carries, also where a curve corrects it
-    difference : of the errors on data that took no part in any choice, or None where no step was
-        taken or nothing was left out
+    difference : of the errors on data that took no part in the whole search, before and after;
+        density : the same of the log density, in nats an observation; wander : of the noise
     """
 
     base: S
@@ -113,6 +140,8 @@ class Loop(Generic[S]):
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
     difference: Difference | None = None
+    density: Difference | None = None
+    wander: Wander | None = None
 
     @property
     def named(self) -> tuple[Step, ...]:
@@ -125,10 +154,15 @@ class Loop(Generic[S]):
         return tuple(step for step in self.steps if step.curve)
 
     @property
+    def suspected(self) -> bool:
+        """Whether a cause is named that held-out data have not proved."""
+        return bool(self.named) and self.difference is not None and not self.difference.proved
+
+    @property
     def verdict(self) -> str:
         """ "explained" needs held-out data that prove the gain; without, it is "suspected"."""
         open_end = bool(self.unexplained or self.curves)
-        if self.named and self.difference is not None and not self.difference.proved:
+        if self.suspected:
             return "suspected"
         if self.named or self.records:
             return "explained in part" if open_end else "explained"

@@ -235,8 +235,7 @@ def wrist(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     if not FOLDER.is_dir():
         pytest.skip("real recordings are not here")
     out = tmp_path_factory.mktemp("wrist")
-    arguments = ["actigraph", str(WRIST), "-o", str(out), "-q", "--export", "ggir-csv",
-                 "--export", "c-header"]  # fmt: skip
+    arguments = ["actigraph", str(WRIST), "-o", str(out), "-q"]
     result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
     assert result.exception is None
     return out, result.return_value
@@ -249,17 +248,26 @@ def test_the_wrist_recording_reaches_its_marks(wrist: tuple[Path, int]) -> None:
     error = report["error_mg"]
     assert error["base_fitted"] <= 0.91
     assert error["base_held_out"] <= 1.40
-    assert error["final_held_out"] <= error["base_held_out"] + 1e-6
-    # Its error moves with time and no thermometer says why: named as what it is.
+    # A converter's curve gains in density on all blocks together; in mg the interval holds zero.
+    assert error["final_held_out"] <= 0.85
     assert code == 5
-    assert report["loop"]["unexplained"][0]["driver"] == "order"
+    loop = report["loop"]
+    assert loop["verdict"] == "suspected"
+    assert loop["steps"][0]["effect"].startswith("converter@")
+    assert loop["difference"]["low"] < 0.0 < loop["difference"]["gain"]
+    assert loop["density"]["plain_low"] > 0.0
+    assert 0.5 < loop["wander"]["size_mg"] < 2.0
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Error over the sphere" in page
 
 
 @needs_data
-def test_the_wrist_calibration_and_its_exports_agree(wrist: tuple[Path, int]) -> None:
-    out, _ = wrist
+def test_the_wrist_calibration_and_its_exports_agree(tmp_path: Path) -> None:
+    out = tmp_path
+    arguments = ["actigraph", str(WRIST), "-o", str(out), "-q", "--no-loop", "--export",
+                 "ggir-csv", "--export", "c-header"]  # fmt: skip
+    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    assert result.exception is None
     calibration = read_calibration(out / "calibration.yaml")
     raw = G * even_directions(50)
     corrected = calibration.apply(raw)

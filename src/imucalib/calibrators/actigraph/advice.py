@@ -30,11 +30,6 @@ def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
     raw = result.error.held_out.raw
     if held > raw:
         found.append(f"on held-out time it is worse than no calibration ({raw:.2f} mg)")
-    if result.widened > 1.5:
-        found.append(
-            f"what stays unexplained makes the parameters {result.widened:.1f} times less certain "
-            "than noise alone would; the standard deviations include it"
-        )
     if result.light > 0.02 * result.runs.n:
         found.append(
             f"{result.light} of {result.runs.n} posture runs are unlike the rest and count less"
@@ -66,7 +61,7 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
         found.append(
             f"Rest the sensor for ten seconds with {', '.join(missing)}, or record more nights."
         )
-    elif coverage.worst_sd > _WELL_KNOWN and result.widened < 1.5:
+    elif coverage.worst_sd > _WELL_KNOWN:
         found.append("More postures at rest, in new directions, make the parameters better known.")
     loop = result.loop
     in_time = loop and any(u.driver == "order" for u in loop.unexplained)

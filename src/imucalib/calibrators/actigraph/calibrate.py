@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.calibration.outcome import ErrorSummary
 from imucalib.calibrators.actigraph.errors import error_summary
-from imucalib.calibrators.actigraph.observations import observations_of, weighted
+from imucalib.calibrators.actigraph.observations import observations_of, quantisation
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.weak import NINE, base_fit, is_weak
 from imucalib.core.fit import Fit
@@ -17,14 +17,12 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects import named
 from imucalib.errors import NotConverged, UsageError
-from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.asked import Searched, searched
-from imucalib.loop.closed_loop import close_loop
-from imucalib.loop.cross_fit import by_folds, cross_fitted, judged
-from imucalib.loop.design import folds_of
 from imucalib.loop.found import FitLoop
-from imucalib.loop.held_out import Held, fitted, theta_without
+from imucalib.loop.held_out import Held, fitted, held_out
+from imucalib.loop.wander.engine import Asked, Closed, close
 from imucalib.rests.runs import PostureRuns, Scan
+from imucalib.units import MG
 
 Array = NDArray[np.float64]
 
@@ -34,11 +32,10 @@ class ActigraphResult:
     """What the reports of `actigraph` show.
 
     base, final : the nine parameters, and with what the loop added
-    base_held, final_held : predictions of each run by fits without its block of time; where the
-        search found something, by searches and fits without a quarter of the blocks
+    base_held, final_held : predictions of each run by fits, and by searches, without its block of
+        time
     light : runs that count less, because nothing else is like them
     declined : why the loop's model was not taken, or empty
-    widened : factor by which unexplained structure has widened all standard deviations
     """
 
     runs: PostureRuns
@@ -50,7 +47,6 @@ class ActigraphResult:
     error: ErrorSummary
     light: int
     declined: str = ""
-    widened: float = 1.0
 
     @property
     def added(self) -> bool:
@@ -80,40 +76,26 @@ def calibrate(
     base, light = base_fit(model, data, runs)
     if not base.converged:
         raise NotConverged("the fit did not settle", where=scanned.path)
-    loop, declined = None, ""
-    if request.loop and not is_weak(base):
-        loop, light = found_twice(base, light, runs, request, rng)
-    folds = folds_of(data)
-    base_held = final_held = by_folds(base, folds)
-    if loop and loop.steps:
-        names, tried = ", ".join(s.effect for s in loop.steps), wanted(request)
-        held = cross_fitted(loop, folds, tried.effects, rng, request.rules, tried.families)
-        loop = judged(loop, held, "mean")
-        base_held, final_held = held.before, held.after if loop.steps else held.before
-        if not loop.steps:
-            declined = f"{names} not taken: the held-out error is larger with it than without"
-    final = loop.as_recorded if loop and loop.steps else base
+    if not request.loop or is_weak(base):
+        held = held_out(base)
+        error = error_summary(base, base, held, held)
+        return ActigraphResult(runs, None, base, base, held, held, error, light)
+    return _of_loop(runs, search(base, runs, request, rng))
+
+
+def _of_loop(runs: PostureRuns, closed: Closed) -> ActigraphResult:
+    """A correction is applied where it gains on time that took no part in its choice."""
+    loop, declined = closed.loop, ""
+    base, final = loop.base, loop.final
+    base_held, final_held = closed.base_held, closed.final_held
+    if loop.steps and loop.difference is not None and loop.difference.gain <= 0.0:
+        names = ", ".join(s.effect for s in loop.steps)
+        declined = f"{names} not taken: the held-out error is larger with it than without"
+        final, final_held = base, base_held
     error = error_summary(base, final, base_held, final_held)
-    widened = 1.0
-    if loop and loop.unexplained:
-        widened = between_blocks(final)
-        final = replace(final, covariance=widened**2 * final.covariance)
     return ActigraphResult(
-        runs, loop, base, final, base_held, final_held, error, light, declined, widened
+        runs, loop, base, final, base_held, final_held, error, closed.light, declined
     )
-
-
-def between_blocks(fit: Fit) -> float:
-    """How much more the parameters move from block to block of time than noise explains, as a
-    factor on their standard deviations, at least 1 (the delete-one-block jackknife)."""
-    group = fit.observations.group
-    keys = np.unique(group)
-    without = np.array([theta_without(fit, np.flatnonzero(group == key)) for key in keys])
-    away = without - without.mean(axis=0)
-    scale = (len(keys) - 1) / len(keys)
-    # Nine directions that the noise makes equally long, so that no unit and no size dominates.
-    spread = scale * np.einsum("gi,ij,gj->", away, np.linalg.pinv(fit.covariance), away)
-    return float(np.sqrt(max(1.0, spread / fit.theta.size)))
 
 
 def base_model(request: ActigraphRequest, data: Observations) -> Model:
@@ -128,25 +110,13 @@ def base_model(request: ActigraphRequest, data: Observations) -> Model:
     return Model((*(named(n) for n in NINE), *declared))
 
 
-def found_twice(
-    base: Fit, light: int, runs: PostureRuns, request: ActigraphRequest, rng: np.random.Generator
-) -> tuple[FitLoop, int]:
-    """The search, once more with new weights where the first found something: what was missing
-    made runs look strange and the scatter large, which hides smaller effects."""
-    loop = search(base, request, rng)
-    if not loop.steps:
-        return loop, light
-    data, now = weighted(loop.as_recorded, runs)
-    again = fit_model(base.model, data, start=base.theta)
-    return search(again, request, rng), now
-
-
-def search(base: Fit, request: ActigraphRequest, rng: np.random.Generator) -> FitLoop:
-    """The closed loop over the catalogue and its scans."""
+def search(
+    base: Fit, runs: PostureRuns, request: ActigraphRequest, rng: np.random.Generator
+) -> Closed:
+    """The closed loop over the catalogue and its scans, under a noise that wanders."""
     tried = wanted(request)
-    return close_loop(
-        base.model, base.observations, tried.effects, rng, request.rules, base.theta, tried.families
-    )
+    known = (quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows) / MG**2
+    return close(base, Asked(tried.effects, tried.families, known, request.rules), rng)
 
 
 def wanted(request: ActigraphRequest) -> Searched:

@@ -33,7 +33,7 @@ class ActigraphRequest:
     only: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     loop: bool = True
-    rules: LoopSettings = field(default_factory=LoopSettings)
+    rules: LoopSettings = field(default_factory=lambda: LoopSettings(draws=200))
     extra_effects: Mapping[str, Effect] = field(default_factory=dict)
     blocks: int = 12
     every: float | None = None

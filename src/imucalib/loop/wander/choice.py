@@ -1,0 +1,197 @@
+"""Which effects are taken: above the bar, and better on blocks of time that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.effect import Effect
+from imucalib.loop.wander.bank import Bank, Mask, Split
+from imucalib.loop.wander.held_blocks import Judged, inside, judged
+from imucalib.loop.wander.likelihood import Level, Terms, best_level
+from imucalib.loop.wander.scores import Entry, Scored, finest, scored, usable_walks
+
+Array = NDArray[np.float64]
+
+#: Standard errors by which the density must gain over the blocks; what is driven by time lies in
+#: the same blocks as what it claims to explain, and has to gain more.
+_GAIN, _GAIN_IN_TIME = 1.5, 2.0
+#: A curve's prior is as flat in the density as it matters to the error: the smallest error among
+#: these shares of its likeliest size whose density is within one standard deviation.
+_SHRUNK = (1.0, 0.4, 0.2, 0.1)
+#: Nats that no bar was ever below: less needs no simulated data.
+_LEAST = 2.5
+#: Candidates of one kind that are judged on the blocks.
+_OF_A_KIND = 2
+Bar = Callable[[Bank, Terms, int], Array]
+Finer = Callable[[Entry], Sequence[tuple[str, Array]]]
+_TIME = ("order", "time", "time_of_day")
+
+
+def kind_of(effect: Effect) -> str:
+    """What drives an effect: "time", "temperature", "history", "curve" or "shape"."""
+    if any(n in _TIME for n in effect.needs):
+        return "time"
+    if any(n.startswith("temperature") for n in effect.needs):
+        return "temperature"
+    if any(n.startswith("previous") for n in effect.needs):
+        return "history"
+    return "curve" if effect.name.startswith("converter@") else "shape"
+
+
+@dataclass(frozen=True)
+class Taken:
+    """One accepted effect: its score, its prior size, the gain in nats of every block, and the
+    mean held-out errors without and with it in the search's own design (units of the columns);
+    rivals : all scores of that search"""
+
+    found: Scored
+    size: float
+    gains: Array
+    before: float
+    after: float
+    rivals: tuple[Scored, ...]
+
+
+@dataclass(frozen=True)
+class Search:
+    """bank : with the finer values of scans; terms, level : the model and its noise at the end;
+    first, last : scores; refused : names above the bar that did not hold out, with the reason."""
+
+    bank: Bank
+    terms: Terms
+    level: Level
+    taken: tuple[Taken, ...]
+    first: tuple[Scored, ...]
+    last: tuple[Scored, ...]
+    refused: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """bar : (bank, terms, round) -> nats that a candidate must reach, (2,) by `timed`
+    most : effects; same_tau : as in `usable_walks`
+    finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing"""
+
+    bar: Bar
+    most: int
+    finer: Finer
+    same_tau: bool = False
+
+
+def search(
+    bank: Bank,
+    base: Terms,
+    entries: Sequence[Entry],
+    splits: Sequence[Split],
+    keep: Mask,
+    rules: Rules,
+) -> Search:
+    """Take the best effect that holds out, estimate the noise again, until none does."""
+    design = inside(splits, keep)
+    terms, taken = base, list[Taken]()
+    first: tuple[Scored, ...] = ()
+    while True:
+        level = best_level(bank, terms, keep)
+        open_entries = [e for e in entries if not any(_same(e, t.found.entry) for t in taken)]
+        walks = usable_walks(bank, level, same_tau=rules.same_tau)
+        scores, _ = scored(bank, terms, keep, open_entries, walks)
+        first = first or scores
+        refused = list[tuple[str, str]]()
+        best = None
+        if len(taken) < rules.most and any(s.evidence > _LEAST for s in scores):
+            bar = rules.bar(bank, terms, len(taken))
+            bank, best = _choice(bank, terms, level, scores, design, keep, rules, bar, refused)
+        if best is None:
+            return Search(bank, terms, level, tuple(taken), first, scores, tuple(refused))
+        taken.append(best)
+        terms = terms.plus(best.found.entry.columns, best.size)
+
+
+def _same(one: Entry, other: Entry) -> bool:
+    """Whether only one of them may be taken: one value of a scan, but curves of several axes."""
+    if one.kind == other.kind == "curve":
+        return bool(np.isin(one.columns, other.columns).any())
+    return one.name == other.name or bool(one.family and one.family == other.family)
+
+
+def _choice(
+    bank: Bank,
+    terms: Terms,
+    level: Level,
+    scores: Sequence[Scored],
+    design: Sequence[Split],
+    keep: Mask,
+    rules: Rules,
+    bar: Array,
+    refused: list[tuple[str, str]],
+) -> tuple[Bank, Taken | None]:
+    passing = [s for s in scores if s.evidence >= bar[int(s.entry.timed)]]
+    kinds = dict.fromkeys(s.entry.kind for s in passing)
+    tried = [s for kind in kinds for s in _first_of(passing, kind)]
+    if not tried or len(design) < 3:
+        return bank, None
+    now = judged(bank, terms, level.walk, design)
+    held = []
+    for candidate in tried:
+        if near := rules.finer(candidate.entry):
+            bank, candidate = finest(bank, terms, keep, candidate, near)  # noqa: PLW2901
+        trial = replace(_judged_with(bank, terms, candidate, now, design), rivals=tuple(scores))
+        if reason := _objection(trial, candidate.entry.kind):
+            refused.append((candidate.entry.family or candidate.entry.name, reason))
+        else:
+            held.append(trial)
+    return bank, _best_of(held) if held else None
+
+
+def _first_of(passing: Sequence[Scored], kind: str) -> list[Scored]:
+    """The best of a kind; of a scan only its best value."""
+    found = list[Scored]()
+    for score in passing:
+        if score.entry.kind == kind and not any(_same(score.entry, f.entry) for f in found):
+            found.append(score)
+    return found[:_OF_A_KIND]
+
+
+def _judged_with(
+    bank: Bank, terms: Terms, candidate: Scored, now: Judged, design: Sequence[Split]
+) -> Taken:
+    shares = _SHRUNK if candidate.entry.kind == "curve" else (1.0,)
+    sizes = [candidate.size * share for share in shares]
+    columns = candidate.entry.columns
+    trials = [judged(bank, terms.plus(columns, s), candidate.walk, design) for s in sizes]
+    best = max(trials, key=lambda t: float(t.nats.sum()))
+    near = [k for k, t in enumerate(trials) if _lead(best.nats - t.nats) < 1.0]
+    k = min(near, key=lambda k: trials[k].mean_error)
+    gains = trials[k].nats - now.nats
+    return Taken(candidate, sizes[k], gains, now.mean_error, trials[k].mean_error, ())
+
+
+def _lead(gains: Array) -> float:
+    """A sum of gains in its own standard errors: sum / (√K sd)."""
+    total, spread = float(gains.sum()), float(np.std(gains, ddof=1)) * gains.size**0.5
+    return total / spread if spread > 0.0 else np.copysign(np.inf, total) if total else 0.0
+
+
+def _objection(trial: Taken, kind: str) -> str:
+    need, lead = _GAIN_IN_TIME if kind == "time" else _GAIN, _lead(trial.gains)
+    if lead <= need:
+        return (
+            f"it does not hold out: {trial.gains.sum():+.1f} nats over {trial.gains.size} blocks "
+            f"of time, {lead:.1f} of {need:.1f} standard errors"
+        )
+    if trial.after >= trial.before:
+        more = trial.after / trial.before - 1.0
+        return f"it does not hold out: the error on blocks left out grows by {100.0 * more:.1f} %"
+    return ""
+
+
+def _best_of(held: Sequence[Taken]) -> Taken:
+    """The largest gain; among those that do as well, a name before a curve, then the evidence."""
+    best = max(held, key=lambda t: float(t.gains.sum()))
+    alike = [t for t in held if _lead(best.gains - t.gains) < 1.0]
+    named = [t for t in alike if t.found.entry.kind != "curve"] or alike
+    return max(named, key=lambda t: t.found.evidence)

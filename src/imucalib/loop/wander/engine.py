@@ -1,0 +1,173 @@
+"""The closed loop of a worn sensor: noise, search, final fit, and the same within each fold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.effect import Effect, Family
+from imucalib.core.fit import Fit
+from imucalib.loop.design import Fold, folds_of
+from imucalib.loop.found import FitLoop, LoopSettings, Wander
+from imucalib.loop.held_out import Held
+from imucalib.loop.wander.bank import Bank, parts_of
+from imucalib.loop.wander.choice import Rules, Search, search
+from imucalib.loop.wander.confirm import confirmed
+from imucalib.loop.wander.final import fitted
+from imucalib.loop.wander.likelihood import Level, Terms, levels
+from imucalib.loop.wander.noise import Noise, noise_of
+from imucalib.loop.wander.problem import Problem, base_precision, problem_of
+from imucalib.loop.wander.report import held_differences, predicted
+from imucalib.loop.wander.scores import null_of, scored, usable_walks
+from imucalib.loop.wander.words import scores_of, steps_of, unexplained
+
+Array = NDArray[np.float64]
+
+#: Rows that a search uses at most: more change no decision.
+_ROWS = 3000
+#: Chance that the best of all candidates reaches the bar where nothing is missing, at most.
+_ALPHA = 0.02
+
+
+@dataclass(frozen=True)
+class Asked:
+    """effects, families : what is tried; known : (n,) mg², the part of each run's variance that
+    its windows and the resolution explain"""
+
+    effects: Mapping[str, Effect]
+    families: tuple[Family, ...]
+    known: Array
+    rules: LoopSettings
+
+
+@dataclass(frozen=True)
+class Closed:
+    """base, final : under the noise with its walk; base_held, final_held : every row predicted by
+    a search and a fit without its block; light : runs that count less"""
+
+    loop: FitLoop
+    base_held: Held
+    final_held: Held
+    light: int
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """One search of the whole data. chances : of every round, (2, draws) evidence of the best on
+    data that lack nothing; bars : (2,) of every round"""
+
+    problem: Problem
+    level: Level
+    chances: tuple[Array, ...]
+    bars: tuple[Array, ...]
+    search: Search
+
+
+def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
+    """Search beside a fitted base model, and measure on blocks of time what that was worth.
+
+    What was missing made runs look strange and the noise large: when something is found, the
+    search runs once more with the noise that is left beside it.
+    """
+    data = base.observations
+    folds = folds_of(data)
+    part = parts_of(folds, data.n)
+    noise = noise_of(base, asked.known, part, base_precision(base))
+    found = _searched(base, noise, folds, asked, rng)
+    if found.search.taken:
+        final, precision = _final(found)
+        noise = noise_of(final, asked.known, part, precision)
+        found = _searched(base, noise, folds, asked, rng)
+    return _told(found, folds, part, asked)
+
+
+def _searched(
+    base: Fit, noise: Noise, folds: tuple[Fold, ...], asked: Asked, rng: np.random.Generator
+) -> _Pass:
+    rules = asked.rules
+    plain = fitted(base.model, base.observations, noise, base.theta, base_precision(base))
+    rows = min(rules.most_scored, _ROWS)
+    problem = problem_of(plain, noise, asked.effects, asked.families, folds, rows)
+    bank, terms = problem.bank, problem.terms
+    keep = np.ones(bank.course.parts, dtype=bool)
+    chances, bars = list[Array](), list[Array]()
+
+    def bar(bank: Bank, terms: Terms, _: int) -> Array:
+        every = levels(bank, terms, keep)
+        null = null_of(bank, every, rng, rules.draws)
+        walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
+        chances.append(scored(bank, terms, keep, problem.entries, walks, null)[1])
+        bars.append(np.quantile(chances[-1], 1.0 - min(rules.alpha, _ALPHA) / 2.0, axis=1))
+        return bars[-1]
+
+    decide = Rules(bar, rules.most_effects, problem.finer)
+    found = search(bank, terms, problem.entries, problem.splits, keep, decide)
+    if not bars:  # nothing came near a bar, which only the report asks for
+        bar(bank, terms, 0)
+    every = levels(bank, terms, keep)
+    level = max(every, key=lambda one: one.nats)
+    # The base under its own walk, which is larger than what is left beside the final model.
+    scatter = noise.scatter * float(np.sqrt(level.variance))
+    own = replace(noise, walk=bank.walks[level.walk], scatter=scatter)
+    plain = fitted(base.model, base.observations, own, plain.theta, base_precision(base))
+    return _Pass(replace(problem, fit=plain), level, tuple(chances), tuple(bars), found)
+
+
+def _final(found: _Pass) -> tuple[Fit, Array]:
+    """The model with all that was taken, and its priors' precisions; scans at their best value."""
+    problem, taken = found.problem, found.search.taken
+    precision = problem.precision(taken)
+    model = problem.model(taken)
+    start = model.start(problem.fit.observations.context)
+    slices = model.slices(problem.fit.observations.context)
+    for name, part in problem.fit.model.slices(problem.fit.observations.context).items():
+        start[slices[name]] = problem.fit.theta[part]
+    level = found.search.level
+    noise = replace(problem.noise, walk=problem.bank.walks[level.walk])
+    return fitted(model, problem.fit.observations, noise, start, precision), precision
+
+
+def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: Asked) -> Closed:
+    problem = found.problem
+    bars = found.bars
+    rules = Rules(
+        lambda bank, terms, turn: bars[min(turn, len(bars) - 1)],
+        asked.rules.most_effects,
+        problem.finer,
+        same_tau=True,
+    )
+    each = predicted(problem, folds, rules)
+    mg, nats = held_differences(each, folds)
+    first = found.search.first
+    if found.search.taken:
+        steps = steps_of(problem, found.search, found.chances)
+        left = confirmed(found.search, steps, bars, problem.terms, each, (mg, nats))
+        found = replace(found, search=left)
+    if found.search.taken:
+        final, precision = _final(found)
+        last = noise_of(final, asked.known, part, precision)
+        final = fitted(final.model, final.observations, last, final.theta, precision)
+    else:
+        final = problem.fit
+        last = noise_of(final, asked.known, part, base_precision(final))
+    wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence)
+    loop = FitLoop(
+        base=problem.fit,
+        final=final,
+        plain=problem.fit,
+        as_recorded=final,
+        steps=steps_of(problem, found.search, found.chances),
+        rejected=found.search.refused,
+        unexplained=() if found.search.taken else unexplained(wander),
+        scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
+        first_scores=scores_of(problem, first, found.chances[0], bars[0]),
+        missing=problem.missing,
+        bar=float(bars[0][0]),
+        difference=mg,
+        density=nats,
+        wander=wander,
+    )
+    return Closed(loop, each.before, each.after if loop.steps else each.before, last.light)

@@ -1,0 +1,69 @@
+"""The restricted likelihood of a model under each noise, s² in closed form.
+
+    L = -1/2 [log|V| + log|P| - log|Λ| + ν log(Q / ν)],  P = X'V⁻¹X + Λ,  Q = y'V⁻¹y - b'P⁻¹b,
+
+b = X'V⁻¹y; Λ the precision of the normal priors of the parameters, ν = n - p of the base
+(Patterson and Thompson 1971; Rasmussen and Williams 2006, 2.7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.loop.wander.bank import Bank, Mask
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What is in a model: columns (p,) of the bank, and their prior precisions (p,); base : how
+    many of them are the base model's."""
+
+    columns: Index
+    precision: Array
+    base: int
+
+    def plus(self, columns: Index, size: float) -> Terms:
+        """With one more block whose parameters have this size in units of the typical one."""
+        extra = np.full(columns.size, size**-2.0)
+        return Terms(
+            np.concatenate([self.columns, columns]),
+            np.concatenate([self.precision, extra]),
+            self.base,
+        )
+
+
+@dataclass(frozen=True)
+class Level:
+    """One walk's index in the bank, the likelihood there, and s² with its freedom."""
+
+    walk: int
+    nats: float
+    variance: float
+    freedom: int
+
+
+def levels(bank: Bank, terms: Terms, keep: Mask) -> tuple[Level, ...]:
+    """The likelihood under every walk, over the parts that are kept."""
+    columns = np.append(terms.columns, bank.data)
+    freedom = int(bank.count[keep].sum()) - terms.base
+    found = []
+    for walk in range(len(bank.walks)):
+        gram = bank.by_part(walk, columns)[keep].sum(axis=0)
+        precise = gram[:-1, :-1] + np.diag(terms.precision)
+        rest = gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(precise, gram[:-1, -1])
+        rest = max(float(rest), 1e-300)
+        sizes = np.linalg.slogdet(precise)[1] - np.log(terms.precision).sum()
+        log_v = float(bank.log_det[walk, keep].sum())
+        nats = -0.5 * (log_v + sizes + freedom * np.log(rest / freedom))
+        found.append(Level(walk, float(nats), rest / freedom, freedom))
+    return tuple(found)
+
+
+def best_level(bank: Bank, terms: Terms, keep: Mask) -> Level:
+    return max(levels(bank, terms, keep), key=lambda level: level.nats)

@@ -1,0 +1,97 @@
+"""The noise of a fitted model: scatter of a run, walk of the bias, and how strange each run is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.core.balance import Balanced
+from imucalib.core.fit import Fit
+from imucalib.loop.wander.bank import bank_of, walks_of
+from imucalib.loop.wander.held_blocks import solved
+from imucalib.loop.wander.likelihood import Terms, levels
+from imucalib.loop.wander.walk import Course, Walk, beside
+from imucalib.units import MG
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: Residual over its scatter from which a run counts less (Huber 1964), and 1 / the MAD of a normal.
+_FAR, _MAD = 2.5, 1.4826
+_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Noise:
+    """scatter : mg, of a run beside its windows' noise; course : times, postures and variances in
+    units of scatter²; walk : the fitted one; evidence : nats of that walk over none
+    wander : mg, rms of what the smoothed walk does to |a|; light : how many runs count less"""
+
+    scatter: float
+    course: Course
+    walk: Walk
+    evidence: float
+    wander: float
+    light: int
+
+    @property
+    def sigma(self) -> Array:
+        """(n,) mg, the standard deviation of each run without the walk."""
+        return np.asarray(self.scatter * np.sqrt(self.course.variance))
+
+
+def natural(fit: Fit) -> tuple[Array, Array, Array]:
+    """Of every row the misfit (n,) and the model's columns (n, p) at typical size, in mg, and what
+    it sees of the walks, (n, 4)."""
+    unit = fit.at.sigma[:, 0] / MG
+    typical = np.array([p.typical for p in fit.parameters])
+    return (
+        fit.at.residual * unit,
+        fit.at.jacobian * unit[:, None] * typical,
+        (walk_columns(fit.at, fit.observations.reading)),
+    )
+
+
+def walk_columns(at: Balanced, reading: Array) -> Array:
+    """(n, 4) columns of the bias of each axis (1 mg) and of a common scale (1 mg/g), in mg."""
+    n = len(reading)
+    block = np.broadcast_to(MG * np.eye(3), (n, 1, 3, 3))
+    bias = at.columns(block) * at.sigma[:, :1] / MG
+    # The normal's sign is that of the linearisation; a larger scale makes every norm larger.
+    outward = np.sign(np.einsum("ni,ni->n", bias, reading[:, 0]))
+    return np.column_stack([bias, outward])
+
+
+def noise_of(fit: Fit, known: Array, part: Index, precision: Array | None = None) -> Noise:
+    """Estimate the noise beside a fitted model.
+
+    known : (n,) mg², the part of each run's variance that its windows and the resolution explain
+    precision : (p,) of the parameters' priors in typical sizes, 1 each by default
+    """
+    misfit, columns, seen = natural(fit)
+    theta = fit.theta / np.array([p.typical for p in fit.parameters])
+    whole = misfit + columns @ theta
+    n, p = columns.shape
+    precise = np.ones(p) if precision is None else precision
+    terms = Terms(np.arange(p), precise, p)
+    keep = np.ones(int(part[-1]) + 1, dtype=bool)
+    walks = walks_of(fit.observations.context["time"])
+    scatter, far = max(_MAD * float(np.median(np.abs(misfit))), 1e-3), np.ones(n)
+    for _ in range(_ROUNDS):
+        variance = far**2 * (1.0 + known / scatter**2)
+        course = Course(fit.observations.context["time"], seen, variance, part)
+        bank = bank_of(course, walks, np.column_stack([columns, whole]) / scatter)
+        every = levels(bank, terms, keep)
+        best = max(every, key=lambda level: level.nats)
+        left = (whole - columns @ solved(bank, terms, best.walk, keep)) / scatter
+        white = beside(course, walks[best.walk], left)
+        wander = scatter * float(np.sqrt(np.mean((left - white) ** 2)))
+        scatter = scatter * float(np.sqrt(best.variance))
+        alone = white / np.sqrt(variance) * far
+        size = _MAD * float(np.median(np.abs(alone)))
+        far = np.sqrt(np.maximum(1.0, np.abs(alone) / max(size, 1e-12) / _FAR))
+    course = replace(course, variance=far**2 * (1.0 + known / scatter**2))
+    gained = best.nats - every[0].nats
+    return Noise(scatter, course, walks[best.walk], gained, wander, int((far > 1.0).sum()))

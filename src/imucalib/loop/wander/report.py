@@ -1,0 +1,93 @@
+"""Before and after on blocks of time that took no part: noise, choice and fit without each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.loop.design import Fold
+from imucalib.loop.difference import Difference, difference
+from imucalib.loop.held_out import Held, errors
+from imucalib.loop.wander.choice import Rules, Taken, search
+from imucalib.loop.wander.held_blocks import judged, solved
+from imucalib.loop.wander.likelihood import Terms, best_level
+from imucalib.loop.wander.problem import Problem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Every row predicted without its block, before and after; gains : (k,) nats that each block's
+    density gains, rows : (k,) of the block that are scored; found : names or scans that the search
+    without each block took"""
+
+    before: Held
+    after: Held
+    gains: Array
+    rows: Array
+    found: tuple[frozenset[str], ...]
+
+
+def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicted:
+    """Steps of the whole search, without one block and its gap at a time."""
+    bank, data = problem.bank, problem.fit.observations
+    parts: list[tuple[Held, Held]] = []
+    gains, rows, names = list[float](), list[float](), list[frozenset[str]]()
+    for k, (fold, split) in enumerate(zip(folds, problem.splits, strict=True)):
+        others = [s for j, s in enumerate(problem.splits) if j != k]
+        found = search(bank, problem.terms, problem.entries, others, split.train, rules)
+        plain = best_level(bank, problem.terms, split.train)
+        held = data.take(fold.rows)
+
+        def errors_of(terms: Terms, walk: int, taken: tuple[Taken, ...]) -> Held:
+            values = solved(found.bank, terms, walk, split.train)  # noqa: B023
+            fit = replace(problem.fit, model=problem.model(taken))
+            return errors(fit, problem.theta(values, taken), held)  # noqa: B023
+
+        before = errors_of(problem.terms, plain.walk, ())
+        after = before
+        gain = 0.0
+        if found.taken:
+            after = errors_of(found.terms, found.level.walk, found.taken)
+            one = judged(bank, problem.terms, plain.walk, [split])
+            two = judged(found.bank, found.terms, found.level.walk, [split])
+            gain = float(two.nats[0] - one.nats[0])
+        parts.append((before, after))
+        gains.append(gain)
+        names.append(frozenset(t.found.entry.name.partition("@")[0] for t in found.taken))
+        rows.append(float(bank.count[split.test].sum()))
+    order = np.argsort(np.concatenate([fold.rows for fold in folds]))
+    return Predicted(
+        _joined([a for a, _ in parts], order),
+        _joined([b for _, b in parts], order),
+        np.array(gains),
+        np.array(rows),
+        tuple(names),
+    )
+
+
+def held_differences(each: Predicted, folds: Sequence[Fold]) -> tuple[Difference, Difference]:
+    """The difference of the mean errors in mg, and of the log density in nats a row; its
+    "before" is zero, so that its gain is what the search adds."""
+    part = np.empty(sum(fold.rows.size for fold in folds), dtype=np.intp)
+    for k, fold in enumerate(folds):
+        part[fold.rows] = k
+    sizes = [np.abs(held.error[:, 0, 0]) for held in (each.before, each.after)]
+    count = each.rows.astype(int)
+    blocks = np.repeat(np.arange(count.size), count)
+    gain = np.repeat(each.gains / np.maximum(each.rows, 1.0), count)
+    return (
+        difference(sizes[0], sizes[1], part, len(folds), "mean"),
+        difference(np.zeros(gain.size), -gain, blocks, len(folds), "mean"),
+    )
+
+
+def _joined(parts: list[Held], order: NDArray[np.intp]) -> Held:
+    def each(name: str) -> Array:
+        return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])
+
+    return Held(each("corrected"), each("expected"), each("error"))

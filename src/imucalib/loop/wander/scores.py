@@ -1,0 +1,223 @@
+"""Evidence of every candidate beside a model, and what the best of them reaches by chance.
+
+    evidence = max over (walk, size) of L(with the candidate) - max over walks of L(without it)
+
+so that a candidate may bring a smaller noise of its own. Chance is measured on data drawn from the
+fitted noise, its walk included, through the same two maxima.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.loop.evidence_gram import best_evidence, directions
+from imucalib.loop.wander.bank import Bank, Mask
+from imucalib.loop.wander.likelihood import Level, Terms, levels
+from imucalib.loop.wander.walk import drawn, whitened
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: Prior sizes that are tried, in typical ones. A curve is held to three: its many terms would
+#: otherwise grow to any size where the postures do not determine them.
+SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
+_CURVE_SIZE, _CURVE_TERMS = 3.0, 7
+#: How much larger a candidate's own walk may be than the fitted one (variance).
+_ROOM = 3.5
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A candidate: columns : where they are in the bank; family : the scan that it is a value of;
+    kind : what drives it."""
+
+    name: str
+    family: str
+    kind: str
+    columns: Index
+
+    @property
+    def timed(self) -> bool:
+        """Whether time drives it."""
+        return self.kind == "time"
+
+
+@dataclass(frozen=True)
+class Scored:
+    """evidence (nats), with the walk and the prior size that give it; left : share of the columns
+    that the model does not absorb; strength : λ at typical size; share : of the power."""
+
+    entry: Entry
+    evidence: float
+    walk: int
+    size: float
+    left: float
+    strength: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Null:
+    """Data that lack nothing: products (walks, m, draws) with all columns, and power (walks,
+    draws)."""
+
+    along: Array
+    power: Array
+
+
+def null_of(bank: Bank, every: Sequence[Level], rng: np.random.Generator, draws: int) -> Null:
+    """Drawn from every walk as often as its likelihood says: the noise is not known exactly."""
+    nats = np.array([level.nats for level in every])
+    weight = np.exp(nats - nats.max())
+    often = [int(count) for count in rng.multinomial(draws, weight / weight.sum())]
+    data = np.concatenate(
+        [
+            np.sqrt(level.variance) * drawn(bank.course, bank.walks[level.walk], rng, count)
+            for level, count in zip(every, often, strict=True)
+            if count
+        ],
+        axis=1,
+    )
+    white, _ = whitened(bank.course, bank.walks, data)
+    along = bank.white.transpose(0, 2, 1) @ white
+    return Null(along, np.einsum("gnd,gnd->gd", white, white))
+
+
+def usable_walks(bank: Bank, fitted: Level, *, same_tau: bool) -> tuple[int, ...]:
+    """Walks that a candidate may bring: up to a little more than the fitted one; `same_tau`: of
+    that one's memory only (inside folds, where everything is done many times)."""
+    now = bank.walks[fitted.walk]
+    return tuple(
+        k
+        for k, walk in enumerate(bank.walks)
+        if walk.rho <= _ROOM * now.rho and (not same_tau or walk.rho == 0 or walk.tau == now.tau)
+    )
+
+
+def scored(
+    bank: Bank,
+    terms: Terms,
+    keep: Mask,
+    entries: Sequence[Entry],
+    walks: Sequence[int],
+    null: Null | None = None,
+) -> tuple[tuple[Scored, ...], Array]:
+    """Every candidate, best first, and on every draw of the null the best (2, draws) of those that
+    nothing in time drives and of those that time does.
+
+    A long walk looks like a drift now and then, never like a temperature: each has its own chance.
+    """
+    draws = 0 if null is None else null.power.shape[1]
+    if not entries:
+        return (), np.zeros((2, draws))
+    base = levels(bank, terms, keep)
+    freedom = base[0].freedom
+    starts = np.cumsum([0] + [e.columns.size for e in entries])
+    best = np.full((len(entries), 1 + draws), -np.inf)
+    without = np.full((1 + draws), -np.inf)
+    where, facts = np.zeros((len(entries), 2), dtype=int), np.zeros((len(entries), 3))
+    curve = np.array([e.columns.size >= _CURVE_TERMS for e in entries])
+    for walk in range(len(bank.walks)):
+        if walk not in walks and null is None:
+            without[0] = max(without[0], base[walk].nats)
+            continue
+        view = _projected(bank, terms, keep, walk, null)
+        plain = base[walk].nats - 0.5 * freedom * np.log(view.power / view.power[0])
+        without = np.maximum(without, plain)
+        if walk not in walks:
+            continue
+        size, own = _own(view, entries)
+        said = _facts(view, entries, size, own[:, 0], starts)
+        for k, factor in enumerate(SIZES):
+            tau = np.array([factor])
+            gain = plain + best_evidence(own, view.power, size, starts[:-1], freedom, tau)
+            gain[curve & (factor > _CURVE_SIZE)] = -np.inf
+            better = gain[:, 0] > best[:, 0]
+            where[better], facts[better] = (walk, k), said[better]
+            best = np.maximum(best, gain)
+    evidence = np.maximum(best - without, 0.0)
+    found = [
+        Scored(entry, float(evidence[i, 0]), int(where[i, 0]), SIZES[where[i, 1]], *facts[i])
+        for i, entry in enumerate(entries)
+    ]
+    timed = np.array([e.timed for e in entries])
+    chance = [evidence[timed == one, 1:].max(axis=0, initial=0.0) for one in (False, True)]
+    return tuple(sorted(found, key=lambda s: -s.evidence)), np.array(chance)
+
+
+@dataclass(frozen=True)
+class _View:
+    """Columns and data under one walk with the model taken out: gram (m, m), along (m, 1 + draws),
+    power (1 + draws,), whole (m,) squared sizes before that."""
+
+    gram: Array
+    along: Array
+    power: Array
+    whole: Array
+
+
+def _projected(bank: Bank, terms: Terms, keep: Mask, walk: int, null: Null | None) -> _View:
+    full = bank.train(walk, keep)
+    inside = full[terms.columns]
+    precise = inside[:, terms.columns] + np.diag(terms.precision)
+    solved = np.linalg.solve(precise, inside)
+    gram = full - inside.T @ solved
+    y = bank.data
+    along, power = gram[:, [y]], gram[y, [y]]
+    if null is not None:
+        data = null.along[walk]
+        own = np.linalg.solve(precise, data[terms.columns])
+        along = np.column_stack([along, data - inside.T @ own])
+        used = np.einsum("pd,pd->d", data[terms.columns], own)
+        power = np.concatenate([power, null.power[walk] - used])
+    return _View(gram, along, np.maximum(power, 1e-300), np.diag(full))
+
+
+def _own(view: _View, entries: Sequence[Entry]) -> tuple[Array, Array]:
+    size, turns = directions(view.gram, [e.columns for e in entries])
+    pairs = zip(entries, turns, strict=True)
+    return size, np.concatenate([turn.T @ view.along[e.columns] for e, turn in pairs]) ** 2
+
+
+def finest(
+    bank: Bank, terms: Terms, keep: Mask, found: Scored, finer: Sequence[tuple[str, Array]]
+) -> tuple[Bank, Scored]:
+    """The best of the values near the one that a scan found, under its walk and at its size; its
+    columns join the bank."""
+    rows = keep[bank.course.part]
+    blocks = np.concatenate([columns for _, columns in finer], axis=1)
+    white, _ = whitened(bank.course, (bank.walks[found.walk],), blocks)
+    base = bank.white[found.walk][rows]
+    x, y, z = base[:, terms.columns], base[:, bank.data], white[0][rows]
+    precise = x.T @ x + np.diag(terms.precision)
+    solved = np.linalg.solve(precise, x.T @ np.column_stack([z, y]))
+    gram = z.T @ z - (x.T @ z).T @ solved[:, :-1]
+    along = z.T @ y - (x.T @ z).T @ solved[:, -1]
+    power = float(y @ y - (x.T @ y) @ solved[:, -1])
+    ends = np.cumsum([0] + [columns.shape[1] for _, columns in finer])
+    entries = [np.arange(a, b) for a, b in pairwise(ends)]
+    size, turns = directions(gram, entries)
+    own = np.concatenate([t.T @ along[e] for e, t in zip(entries, turns, strict=True)]) ** 2
+    freedom = int(rows.sum()) - terms.base
+    gain = best_evidence(
+        own[:, None], np.array([power]), size, ends[:-1], freedom, np.array([found.size])
+    )
+    name, columns = finer[int(np.argmax(gain[:, 0]))]
+    at = np.arange(bank.columns.shape[1], bank.columns.shape[1] + columns.shape[1])
+    return bank.plus(columns), replace(found, entry=replace(found.entry, name=name, columns=at))
+
+
+def _facts(view: _View, entries: Sequence[Entry], size: Array, own: Array, starts: Index) -> Array:
+    """(k, 3) share left, λ at typical size, share of the power explained."""
+    out = np.zeros((len(entries), 3))
+    for i, (entry, (a, b)) in enumerate(zip(entries, pairwise(starts), strict=True)):
+        kept = float(size[a:b].sum())
+        out[i, 0] = kept / max(float(view.whole[entry.columns].sum()), 1e-300)
+        out[i, 1] = np.sqrt(kept)
+        out[i, 2] = own[a:b].sum() / view.power[0]
+    return out

@@ -1,0 +1,118 @@
+"""Noise of a worn sensor: independent scatter and a slow walk of the bias, seen by the posture.
+
+    cov n = s² [diag(d) + ρ H K_τ H'],  K_τ(t, t') = exp(-|t - t'| / τ)
+
+Each column of H (n, q) is the share of one independent Ornstein-Uhlenbeck walk in a reading. The
+walk begins anew in every part of the data, so that parts which are left out together take nothing
+of it with them and all sums over parts are exact. An Ornstein-Uhlenbeck walk is Markov: Kalman's
+filter gives L⁻¹ of the Cholesky factor at a cost linear in n (Kalman 1960; Harvey 1989, 3.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Walk:
+    """rho : variance of the walk over s²; tau : s, after which it forgets; rho 0 is no walk."""
+
+    rho: float
+    tau: float
+
+
+@dataclass(frozen=True)
+class Course:
+    """Rows in order of time.
+
+    time : (n,) s; seen : (n, q) H; variance : (n,) d; part : (n,) 0, 1, ... never decreasing, the
+        parts in each of which the walk begins anew
+    """
+
+    time: Array
+    seen: Array
+    variance: Array
+    part: Index
+
+    @property
+    def parts(self) -> int:
+        return int(self.part[-1]) + 1
+
+
+def whitened(course: Course, walks: Sequence[Walk], columns: Array) -> tuple[Array, Array]:
+    """L⁻¹ columns, (walks, n, m) for columns (n, m), and log|V| of every part, (walks, parts)."""
+    rho, tau = (np.array([getattr(w, name) for w in walks]) for name in ("rho", "tau"))
+    start = np.searchsorted(course.part, np.arange(course.parts))
+    length = np.diff([*start, course.part.size])
+    longest = np.argsort(-length, kind="stable")
+    (n, m), q = columns.shape, course.seen.shape[1]
+    out = np.empty((rho.size, n, m))
+    log_det = np.zeros((rho.size, course.parts))
+    fresh = rho[:, None, None, None] * np.eye(q)
+    state = np.zeros((rho.size, course.parts, q, m))
+    spread = np.broadcast_to(fresh, (rho.size, course.parts, q, q))
+    for step in range(int(length.max())):
+        alive = longest[: int((length > step).sum())]
+        rows = start[alive] + step
+        state, spread = state[:, : alive.size], spread[:, : alive.size]
+        if step:
+            keep = np.exp(-(course.time[rows] - course.time[rows - 1]) / tau[:, None])
+            state = state * keep[..., None, None]
+            kept = keep[..., None, None] ** 2
+            spread = spread * kept + (1.0 - kept) * fresh
+        h = course.seen[rows]
+        across = (spread @ h[..., None])[..., 0]
+        size = np.sum(across * h, axis=-1) + course.variance[rows]
+        new = columns[rows] - (h[:, None] @ state)[:, :, 0]
+        gain = across / size[..., None]
+        state = state + gain[..., None] * new[:, :, None]
+        spread = spread - gain[..., None] * across[:, :, None]
+        out[:, rows] = new / np.sqrt(size)[..., None]
+        log_det[:, alive] += np.log(size)
+    return out, log_det
+
+
+def covariance(course: Course, walk: Walk, rows: Index) -> Array:
+    """V of some rows of one part, dense: what the filter never makes."""
+    time, seen = course.time[rows], course.seen[rows]
+    together = np.exp(-np.abs(time[:, None] - time) / walk.tau)
+    return np.diag(course.variance[rows]) + walk.rho * (seen @ seen.T) * together
+
+
+def beside(course: Course, walk: Walk, residual: Array) -> Array:
+    """(n,) what is left of a residual when the smoothed walk is taken out: D V⁻¹ r."""
+    if walk.rho == 0.0:
+        return residual
+    left = np.empty_like(residual)
+    for part in range(course.parts):
+        rows = np.flatnonzero(course.part == part)
+        solved = np.linalg.solve(covariance(course, walk, rows), residual[rows])
+        left[rows] = course.variance[rows] * solved
+    return left
+
+
+def drawn(course: Course, walk: Walk, rng: np.random.Generator, draws: int) -> Array:
+    """(n, draws) noise whose walk goes on through all parts, as it does in a sensor: what
+    neighbouring parts share, which the model leaves out, must not pass for an effect."""
+    n, q = course.seen.shape
+    out = np.sqrt(course.variance)[:, None] * rng.standard_normal((n, draws))
+    if walk.rho == 0.0:
+        return np.asarray(out)
+    root = np.sqrt(walk.rho)
+    state = np.zeros((q, draws))
+    for row in range(n):
+        fresh = root * rng.standard_normal((q, draws))
+        if row:
+            keep = np.exp(-(course.time[row] - course.time[row - 1]) / walk.tau)
+            state = keep * state + np.sqrt(1.0 - keep**2) * fresh
+        else:
+            state = fresh
+        out[row] += course.seen[row] @ state
+    return np.asarray(out)

@@ -1,0 +1,118 @@
+"""A search of this room in the words of the one loop: scores, steps, what stays unexplained."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.loop.evidence import Candidate, Score
+from imucalib.loop.found import Checked, Step, Unexplained, Wander
+from imucalib.loop.wander.bank import Bank
+from imucalib.loop.wander.choice import Search, Taken
+from imucalib.loop.wander.likelihood import Terms
+from imucalib.loop.wander.problem import Problem
+from imucalib.loop.wander.scores import Scored
+from imucalib.units import MG
+
+Array = NDArray[np.float64]
+
+#: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
+_APART, _ALIKE = 2.0, 3.0
+
+
+def chance_of(found: Scored, chance: Array) -> float:
+    """Family-wise p: how often the best of its half of the candidates does as well on data that
+    lack nothing, times two for the halves."""
+    own = chance[int(found.entry.timed)]
+    return float(min(1.0, 2.0 * (1.0 + np.sum(own >= found.evidence)) / (own.size + 1.0)))
+
+
+def scores_of(
+    problem: Problem, found: Sequence[Scored], chance: Array, bar: Array
+) -> tuple[Score, ...]:
+    """Best first; of a scan over a value only the best."""
+    out, seen = list[Score](), set[str]()
+    bank = problem.bank
+    for s in found:
+        if s.entry.family and s.entry.kind != "curve":
+            if s.entry.family in seen:
+                continue
+            seen.add(s.entry.family)
+        column = np.linalg.norm(bank.columns[:, s.entry.columns]) / len(bank.columns) ** 0.5
+        size = float(column) * problem.noise.scatter * MG
+        candidate = Candidate(s.entry.name, "effect", np.zeros((0, 0)), family=s.entry.family)
+        p, nats = chance_of(s, chance), float(bar[int(s.entry.timed)])
+        out.append(Score(candidate, s.evidence, p, chance.shape[1], s.left, s.strength, s.share,
+                         size, nats))  # fmt: skip
+    return tuple(out)
+
+
+def steps_of(problem: Problem, found: Search, chances: Sequence[Array]) -> tuple[Step, ...]:
+    steps, terms = list[Step](), problem.terms
+    unit = problem.noise.scatter * MG
+    for taken, chance in zip(found.taken, chances, strict=False):
+        checked = Checked("error", "m/s2", taken.before * unit, taken.after * unit)
+        steps.append(
+            Step(
+                taken.found.entry.name,
+                chance_of(taken.found, chance),
+                chance.shape[1],
+                taken.found.evidence,
+                (checked,),
+                aliases(found.bank, terms, taken),
+                gains=tuple(float(g) for g in taken.gains),
+            )
+        )
+        terms = terms.plus(taken.found.entry.columns, taken.size)
+    return tuple(steps)
+
+
+def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
+    """Names that would do as well: nearly the same evidence, or too small an angle between.
+
+    A curve is no rival of a name: it contains every shape of its axis.
+    """
+    own = taken.found
+    white = bank.white[own.walk]
+    near = max(own.evidence - _ALIKE, own.evidence / 2.0)
+    out = list[str]()
+    for rival in taken.rivals:
+        entry = rival.entry
+        same = entry.name == own.entry.name or (entry.family and entry.family == own.entry.family)
+        other = entry.kind == "curve" and own.entry.kind != "curve"
+        if same or other or rival.evidence < own.evidence / 2.0:
+            continue
+        if rival.evidence >= near or _apart(white, bank.data, terms, own, rival) < _APART:
+            out.append(entry.name)
+    return tuple(_best_of_each_scan(out))
+
+
+def _best_of_each_scan(names: Sequence[str]) -> list[str]:
+    first: dict[str, str] = {}
+    for name in names:
+        first.setdefault(name.partition("@")[0], name)
+    return list(first.values())
+
+
+def _apart(white: Array, y: int, terms: Terms, own: Scored, rival: Scored) -> float:
+    """Length of the fitted effect, in noise units, that its rival cannot take over."""
+    base, data = white[:, terms.columns], white[:, y]
+    q = np.linalg.qr(base)[0]
+    columns = white[:, own.entry.columns]
+    rest = columns - q @ (q.T @ columns)
+    precise = rest.T @ rest + np.eye(rest.shape[1]) / own.size**2
+    effect = rest @ np.linalg.solve(precise, rest.T @ data)
+    both = np.linalg.qr(np.column_stack([base, white[:, rival.entry.columns]]))[0]
+    return float(np.linalg.norm(effect - both @ (both.T @ effect)))
+
+
+def unexplained(wander: Wander) -> tuple[Unexplained, ...]:
+    """The walk, where nothing was found and it carries more than the scatter of a run."""
+    if not wander.counts:
+        return ()
+    # Twice the gain of two parameters, one on its border: chi-square of two overstates p.
+    p = float(np.exp(-wander.evidence))
+    share = wander.size**2 / (wander.size**2 + wander.scatter**2)
+    return (Unexplained(wander.words, "order", "noise", p, wander.evidence, share),)

@@ -1,0 +1,79 @@
+"""Worn sensors whose bias wanders: what is planted is named, and noise is named as noise.
+
+The recordings come from plain numpy, the equations written anew (`benchmarks/closed_loop`).
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from worlds.places import ROOT
+
+WANTED = ActigraphRequest()
+
+
+@pytest.fixture(scope="module")
+def worn() -> Iterator[ModuleType]:
+    folder = str(ROOT / "benchmarks" / "closed_loop")
+    sys.path.insert(0, folder)
+    yield importlib.import_module("worn_walk")
+    sys.path.remove(folder)
+
+
+@pytest.mark.parametrize(
+    ("effect", "noise"),
+    [
+        ("temperature_bias", "walk 2 h"),
+        ("temperature_scale", "walk 12 h"),
+        ("bias_drift", "walk 2 h"),
+        ("bias_step", "walk 10 min"),
+        ("cubic", "walk 12 h"),
+    ],
+)
+def test_an_effect_under_a_walk_is_named(worn: ModuleType, effect: str, noise: str) -> None:
+    case = worn.Case(noise, effect, 14.0, 31)
+    result = case.solved(WANTED)
+    loop = result.loop
+    names = {n.partition("@")[0] for s in loop.steps[:1] for n in (s.effect, *s.aliases)}
+    assert effect in names
+    assert len(loop.steps) == 1
+    told = case.solved(ActigraphRequest(declare=(case.oracle_name(),), only=("warm_up",)))
+    assert case.error(result.final) <= 1.3 * case.error(told.loop.base)
+    assert case.error(result.final) < 0.8 * case.error(result.base)
+    assert loop.difference.gain > 0.0
+    assert loop.density.proved
+
+
+@pytest.mark.parametrize("noise", ["white", "walk 10 min", "walk 2 h", "walk 12 h", "t3"])
+def test_noise_is_no_effect(worn: ModuleType, noise: str) -> None:
+    taken = 0
+    for seed in range(4):
+        result = worn.Case(noise, "", 0.0, 500 + seed).solved(WANTED)
+        taken += bool(result.loop.steps)
+        assert not (result.loop.steps and result.loop.verdict == "explained")
+        if noise != "walk 10 min":  # half of what wanders between runs 20 min apart is scatter
+            wanders = noise.startswith("walk") and not result.loop.steps
+            assert bool(result.loop.unexplained) == wanders
+    assert taken <= 1
+
+
+def test_a_walk_is_measured_and_stated(worn: ModuleType) -> None:
+    """1 mg an axis, 2 h: seen in |a| as 1 mg beside 0.8 mg of scatter; the parameters cover it."""
+    z, sizes, hours = [], [], []
+    for seed in range(12):
+        case = worn.Case("walk 2 h", "", 0.0, 700 + seed)
+        result = case.solved(WANTED)
+        truth = np.concatenate([case.bias, np.diag(case.gain) - 1.0])
+        z.append((result.final.theta[:6] - truth) / result.final.sd[:6])
+        sizes.append(result.loop.wander.size)
+        hours.append(result.loop.wander.hours)
+    assert 0.6 < np.median(sizes) < 1.4
+    assert 0.5 < np.median(hours) < 8.0
+    assert 0.8 < np.std(z) < 1.25
