@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from imucalib.errors import UnreadableInput, UsageError
@@ -39,6 +39,7 @@ MAPPINGS = st.builds(
 
 
 @given(mapping=MAPPINGS)
+@example(mapping=FieldMapping(gyro=("?0",)))
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_saved_and_loaded(mapping: FieldMapping, tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"

@@ -47,7 +47,8 @@ def dump(content: dict[str, Any]) -> str:
 
     def text(self: RoundTripRepresenter, value: str) -> Any:
         value = value.encode("utf-8", "backslashreplace").decode()  # a file name may be any bytes
-        style = '"' if value.lower() in _TRUE_OR_FALSE else None
+        # "?" begins a key in a list on one line.
+        style = '"' if value.lower() in _TRUE_OR_FALSE or value.startswith("?") else None
         return self.represent_scalar("tag:yaml.org,2002:str", value, style=style)
 
     def sequence(self: RoundTripRepresenter, value: list[Any]) -> Any:
