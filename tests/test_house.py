@@ -22,7 +22,7 @@ FLOORS: dict[str, int] = {
     "units": 0,
     "significant_digits": 0,
     "atomic_file": 0,
-    "discovery": 0,
+    "arrays": 0,
     "recording": 1,
     "core": 2,
     "readers": 2,
@@ -185,6 +185,29 @@ def test_functions_are_short() -> None:
     for name, tree in TREES.items():
         for function, lines in _functions(tree):
             assert lines <= FUNCTION_LINES, f"{name}{function} has {lines} lines"
+
+
+#: From so many on, arguments are given by their names, so that two numbers cannot change places.
+NAMED = 7
+
+
+def test_many_arguments_are_given_by_name() -> None:
+    for name, tree in TREES.items():
+        if name.startswith("effects"):  # an effect is data: its words stand in their order
+            continue
+        long = [
+            f"{node.lineno}: {ast.unparse(node.func)}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Call) and len(node.args) >= NAMED
+        ]
+        assert not long, f"{name}: {long}"
+
+
+def test_one_alias_a_kind_of_array() -> None:
+    for name, tree in TREES.items():
+        made = [n for n in tree.body if isinstance(n, ast.Assign)]
+        own = [ast.unparse(n) for n in made if ast.unparse(n.value) == "NDArray[np.float64]"]
+        assert name == "arrays" or not own, f"{name}: {own}"
 
 
 def test_modules_have_names_with_a_meaning() -> None:

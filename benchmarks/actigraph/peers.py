@@ -81,7 +81,15 @@ def imucal(path: Path, rate: float) -> dict[str, Any]:
     before = spent()
     t = np.arange(len(values)) / rate
     unit = Conversion("m/s2", "g", np.array([G]), np.zeros(1))
-    channel = Channel(t, values, "m/s2", "acceleration", "imu0", rate, unit)
+    channel = Channel(
+        t=t,
+        values=values,
+        unit="m/s2",
+        quantity="acceleration",
+        triad="imu0",
+        rate=rate,
+        pending=unit,
+    )
     scanned = scan([Recording({"imu0/acceleration": channel}, "week", "array", "")], 10.0)
     runs = posture_runs(scanned)
     run = run_of(runs, scanned.without_windows(), ActigraphRequest(), lambda _: None)

@@ -65,7 +65,15 @@ def compare(samples: int, options: argparse.Namespace) -> None:
     spent = time.process_time() - start
     # The reference for all, ours included: a long run of its own.
     long = sample_positions(data, prior, rng, stop=Stop(ess=6000, most=20_000, block=250))
-    row(samples, "imucal", "its own", spent, 0.0, ours.unknowns, long.unknowns)
+    row(
+        samples=samples,
+        name="imucal",
+        frame="its own",
+        cpu=spent,
+        compiling=0.0,
+        draws=ours.unknowns,
+        long=long.unknowns,
+    )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "problem.npz"
         frame = ours.frame
@@ -86,8 +94,15 @@ def compare(samples: int, options: argparse.Namespace) -> None:
                     continue
                 with np.load(path.with_suffix(f".{name}.npz")) as found:
                     u = found["draws"]
-                row(samples, f"{name} {answer['version']}", coordinates, answer["cpu"],
-                    answer["compiling"], u, long.unknowns)  # fmt: skip
+                row(
+                    samples=samples,
+                    name=f"{name} {answer['version']}",
+                    frame=coordinates,
+                    cpu=answer["cpu"],
+                    compiling=answer["compiling"],
+                    draws=u,
+                    long=long.unknowns,
+                )
 
 
 def peer(name: str, frame: str, path: Path, options: argparse.Namespace) -> dict[str, Any] | str:

@@ -93,18 +93,57 @@ def strength(
 
 def recording(time: Array, reading: Array, warm: Array, windows: Array) -> tuple[PostureRuns, Scan]:
     none = np.zeros((0, 3))
-    empty = Windows(1000, np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), np.zeros(0),
-                    none, none, none, none, np.zeros(3))  # fmt: skip
+    empty = Windows(
+        samples=1000,
+        first=np.zeros(0, np.intp),
+        run=np.zeros(0, np.intp),
+        start=np.zeros(0),
+        stop=np.zeros(0),
+        mean=none,
+        variance=none,
+        low=none,
+        high=none,
+        finest=np.zeros(3),
+    )
     grid = np.arange(0.0, SPAN, 600.0)
     column = np.interp(grid, time, warm)[:, None]
-    thermometer = Windows(1, np.arange(grid.size), np.zeros(grid.size, np.intp), grid, grid,
-                          column, 0 * column, column, column, np.zeros(1))  # fmt: skip
+    thermometer = Windows(
+        samples=1,
+        first=np.arange(grid.size),
+        run=np.zeros(grid.size, np.intp),
+        start=grid,
+        stop=grid,
+        mean=column,
+        variance=0 * column,
+        low=column,
+        high=column,
+        finest=np.zeros(1),
+    )
     scan = Scan(
-        empty, thermometer, "imu0", 100.0, int(SPAN * 100), SPAN, 0, "made", "made", "", 0, ()
+        windows=empty,
+        temperature=thermometer,
+        triad="imu0",
+        rate=100.0,
+        samples=int(SPAN * 100),
+        stop=SPAN,
+        gaps=0,
+        path="made",
+        format="made",
+        sha256="",
+        start_ns=0,
+        notes=(),
     )
     total = int(windows.sum())
-    runs = PostureRuns(reading, windows.astype(np.intp), time, warm, WINDOW * MG, total, 2 * total,
-                       np.full(3, 4.0 * MG))  # fmt: skip
+    runs = PostureRuns(
+        mean=reading,
+        windows=windows.astype(np.intp),
+        time=time,
+        temperature=warm,
+        window_noise=WINDOW * MG,
+        still=total,
+        total=2 * total,
+        noise=np.full(3, 4.0 * MG),
+    )
     return runs, scan
 
 

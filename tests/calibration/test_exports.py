@@ -35,9 +35,16 @@ def calibration(*effects: str) -> Calibration:
     covariance = 0.01 * np.eye(len(parameters))
     error = {"unit": "mg", "raw": 40.0, "held_out": {"final": 1.5}}
     return Calibration(
-        "actigraph", parameters, covariance, "m/s2", 1.0, STANDARD_GRAVITY, "ok",
-        valid={"temperature": SPAN}, facts={"errors": [error]},
-    )  # fmt: skip
+        calibrator="actigraph",
+        parameters=parameters,
+        covariance=covariance,
+        raw_unit="m/s2",
+        raw_to_si=1.0,
+        gravity=STANDARD_GRAVITY,
+        status="ok",
+        valid={"temperature": SPAN},
+        facts={"errors": [error]},
+    )
 
 
 def world(effects: tuple[str, ...]) -> tuple[Array, Array]:

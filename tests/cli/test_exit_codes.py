@@ -137,7 +137,18 @@ def test_a_calibration_that_is_no_number_is_refused(
 ) -> None:
     stored = tuple(StoredParameter(n, "bias", "sensor", 1.0, 1.0, "mg") for n in NAMES)
     path = tmp_path / "c.yaml"
-    write_calibration(Calibration("lab", stored, np.eye(3), "m/s2", 1.0, 9.8, "ok"), path)
+    write_calibration(
+        Calibration(
+            calibrator="lab",
+            parameters=stored,
+            covariance=np.eye(3),
+            raw_unit="m/s2",
+            raw_to_si=1.0,
+            gravity=9.8,
+            status="ok",
+        ),
+        path,
+    )
     content = load(path)
     if name == "b_x":
         content["parameters"][0]["value"] = value

@@ -60,8 +60,15 @@ def toy_run(path: Path, asked: Shared) -> Run:
     base, final = loop.plain, loop.as_recorded
     raw = _raw(data, asked)
     out = [_mg(held_out(f)) for f in (base, final)]
-    error = ErrorSummary("error of |a|, rms", "mg", raw, _mg(fitted(base)),
-                         _mg(fitted(final)), 1.0, HeldOutError(raw, *out))  # fmt: skip
+    error = ErrorSummary(
+        metric="error of |a|, rms",
+        unit="mg",
+        raw=raw,
+        base=_mg(fitted(base)),
+        final=_mg(fitted(final)),
+        floor=1.0,
+        held_out=HeldOutError(raw, *out),
+    )
     outcome = Outcome(
         calibrator="toy",
         errors=(error,),

@@ -47,7 +47,15 @@ def recording(n: int = 400) -> Recording:
 def calibration(tmp_path: Path) -> Path:
     names = ("b_x", "b_y", "b_z")
     stored = tuple(StoredParameter(n, "bias", "sensor", 10.0, 1.0, "mg") for n in names)
-    made = Calibration("lab", stored, np.eye(3), "m/s2", 1.0, 9.80665, "ok")
+    made = Calibration(
+        calibrator="lab",
+        parameters=stored,
+        covariance=np.eye(3),
+        raw_unit="m/s2",
+        raw_to_si=1.0,
+        gravity=9.80665,
+        status="ok",
+    )
     write_calibration(made, tmp_path / "calibration.yaml")
     return tmp_path / "calibration.yaml"
 

@@ -29,7 +29,16 @@ def recording(unit: str = "m/s2") -> Recording:
         "imu0/angular_rate": Channel(t, gyro, "rad/s", "angular_rate", "imu0", RATE),
     }
     gap = Gap(float(t[1199]), float(t[1200]), "no samples")
-    return Recording(channels, "f", "made", "ab", 5, (gap,), ("a note",), {"acc": ["x"]})
+    return Recording(
+        channels=channels,
+        path="f",
+        format="made",
+        sha256="ab",
+        start_ns=5,
+        gaps=(gap,),
+        notes=("a note",),
+        mapping={"acc": ["x"]},
+    )
 
 
 def test_facts() -> None:

@@ -63,7 +63,8 @@ def test_a_strong_effect_is_named_and_removed(calibrator: str, chosen: tuple[str
 def test_structure_outside_the_catalogue_gets_no_name(calibrator: str, name: str) -> None:
     world, job = module("scenarios").world(calibrator), module("trial").Job
     trial = world.trial(job(calibrator, "outside, strong", 50, outside=(name, 3.0)))
-    assert trial.verdict in ("unexplained", "explained in part")
+    # A walk over the whole recording looks like a step of it: suspected at most, and left open.
+    assert trial.verdict in ("unexplained", "explained in part", "suspected")
     assert not trial.named
     assert trial.after <= 1.05 * trial.before
     drivers = {driver for _, driver in trial.unexplained}

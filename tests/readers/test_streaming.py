@@ -18,16 +18,16 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write, write_blocks
 
 CALIBRATION = Calibration(
-    "lab",
-    tuple(
+    calibrator="lab",
+    parameters=tuple(
         StoredParameter(f"bias_{a}", "bias", "sensor", v, 0.1, "mg")
         for a, v in zip("xyz", (20.0, -35.0, 5.0), strict=True)
     ),
-    np.eye(3) * 0.01,
-    "m/s2",
-    1.0,
-    9.80665,
-    "ok",
+    covariance=np.eye(3) * 0.01,
+    raw_unit="m/s2",
+    raw_to_si=1.0,
+    gravity=9.80665,
+    status="ok",
 )
 
 

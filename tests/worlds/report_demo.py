@@ -84,8 +84,24 @@ def _errors() -> Section:
     names = ("inclination", "tool face", "total field")
     before, after = np.array([0.81, 1.32, 0.55]), np.array([0.062, 0.11, 0.024])
     bars = (
-        Series("before", places, before, "bars", 0.88 * before, 1.13 * before, names),
-        Series("after", places, after, "bars", 0.8 * after, 1.25 * after, names),
+        Series(
+            label="before",
+            x=places,
+            y=before,
+            mark="bars",
+            low=0.88 * before,
+            high=1.13 * before,
+            names=names,
+        ),
+        Series(
+            label="after",
+            x=places,
+            y=after,
+            mark="bars",
+            low=0.8 * after,
+            high=1.25 * after,
+            names=names,
+        ),
     )
     return Section(
         "Errors before and after",

@@ -26,13 +26,13 @@ def series(draw: st.DrawFn) -> Series:
     x, y, low, high = columns
     edges = draw(st.booleans())
     return Series(
-        draw(WORDS),
-        np.sort(x) if draw(st.booleans()) else x,
-        y,
-        draw(st.sampled_from(["line", "points", "bars", "band", "step"])),
-        low if edges else None,
-        high if edges else None,
-        tuple(draw(st.lists(WORDS, min_size=n, max_size=n))) if draw(st.booleans()) else (),
+        label=draw(WORDS),
+        x=np.sort(x) if draw(st.booleans()) else x,
+        y=y,
+        mark=draw(st.sampled_from(["line", "points", "bars", "band", "step"])),
+        low=low if edges else None,
+        high=high if edges else None,
+        names=tuple(draw(st.lists(WORDS, min_size=n, max_size=n))) if draw(st.booleans()) else (),
     )
 
 

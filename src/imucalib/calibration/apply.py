@@ -8,8 +8,8 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.mark import mark_of, refuse_second
 from imucalib.calibration.series import CalibrationPart, part_at, parts_of
@@ -26,10 +26,8 @@ from imucalib.rests.thermal_history import (
     thermal_history,
     thermometer_of,
     with_thermometer,
-)
+)  # fmt: skip
 from imucalib.writers import write, write_blocks
-
-Array = NDArray[np.float64]
 
 _OF_MESSAGES = ("mcap", "rosbag")
 
@@ -178,8 +176,7 @@ def _clock(calibration: Calibration, recording: Recording, channel: Channel) -> 
     clock = calibration.facts.get("clock")
     if not clock:
         return {}
-    start = recording.start_ns
-    shift = 0.0
+    start, shift = recording.start_ns, 0.0
     if start is not None and clock["start_ns"] is not None:
         shift = (start - int(clock["start_ns"])) / 1e9
     time = channel.t + shift

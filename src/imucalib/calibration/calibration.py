@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.matrices import Matrices, matrices
 from imucalib.calibration.triads import Triad
 from imucalib.calibration.uncertainty import correcting
@@ -19,8 +19,6 @@ from imucalib.core.model import Model
 from imucalib.effects import known
 from imucalib.effects.record_error import is_record_error
 from imucalib.errors import UnreadableInput
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -146,14 +144,14 @@ def from_fit(
         for name in sorted(needed | ({"temperature"} & set(context.covariates)))
     }
     return Calibration(
-        calibrator,
-        stored,
-        fit.covariance[np.ix_(keep, keep)],
-        raw_unit,
-        raw_to_si,
-        gravity,
-        status,
-        reasons,
-        valid,
-        facts,
+        calibrator=calibrator,
+        parameters=stored,
+        covariance=fit.covariance[np.ix_(keep, keep)],
+        raw_unit=raw_unit,
+        raw_to_si=raw_to_si,
+        gravity=gravity,
+        status=status,
+        reasons=reasons,
+        valid=valid,
+        facts=facts,
     )

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.plain import plain
@@ -25,8 +25,6 @@ from imucalib.core.model import Model
 from imucalib.errors import UnreadableInput
 from imucalib.readers.source import sha256_of
 from imucalib.recording.yaml_text import dump, load
-
-Array = NDArray[np.float64]
 
 SCHEMA = "imucal/calibration"
 VERSION = 1
@@ -129,17 +127,17 @@ def _calibration(content: dict[str, Any]) -> Calibration:
     size = len(parameters)
     covariance = np.array(content["covariance"], dtype=float).reshape(size, size)
     return Calibration(
-        str(content["calibrator"]),
-        parameters,
-        covariance,
-        str(content["raw"]["unit"]),
-        float(content["raw"]["to_m_per_s2"]),
-        float(content["gravity_m_per_s2"]),
-        str(content["status"]),
-        tuple(content["reasons"]),
-        {name: (float(a), float(b)) for name, (a, b) in content["valid"].items()},
-        {name: block for name, block in content.items() if name not in _KEYS},
-        tuple(triad_from(block) for block in content.get("triads", ())),
+        calibrator=str(content["calibrator"]),
+        parameters=parameters,
+        covariance=covariance,
+        raw_unit=str(content["raw"]["unit"]),
+        raw_to_si=float(content["raw"]["to_m_per_s2"]),
+        gravity=float(content["gravity_m_per_s2"]),
+        status=str(content["status"]),
+        reasons=tuple(content["reasons"]),
+        valid={name: (float(a), float(b)) for name, (a, b) in content["valid"].items()},
+        facts={name: block for name, block in content.items() if name not in _KEYS},
+        triads=tuple(triad_from(block) for block in content.get("triads", ())),
     )
 
 

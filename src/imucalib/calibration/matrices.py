@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.units import DEG, MG
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -97,10 +95,19 @@ def matrices(model: Model, theta: Array, covariance: Array) -> Matrices:
     part = covariance[np.ix_(pick, pick)]
     sd = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", slope, part, slope), 0.0))
     return Matrices(
-        value[:9].reshape(3, 3), value[9:12], value[12:21].reshape(3, 3), value[21:24],
-        sd[:9].reshape(3, 3), sd[9:12], value[24:27], sd[24:27], value[27:30], sd[27:30],
-        value[30:33], sd[30:33],
-    )  # fmt: skip
+        M=value[:9].reshape(3, 3),
+        b=value[9:12],
+        S=value[12:21].reshape(3, 3),
+        c=value[21:24],
+        M_sd=sd[:9].reshape(3, 3),
+        b_sd=sd[9:12],
+        scale=value[24:27],
+        scale_sd=sd[24:27],
+        angle=value[27:30],
+        angle_sd=sd[27:30],
+        bias_mg=value[30:33],
+        bias_mg_sd=sd[30:33],
+    )
 
 
 _LINEAR = ("mounting", "bias", "scale", "non_orthogonality")

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
 from imucalib.core.fit import Fit
 from imucalib.errors import UnreadableInput, UsageError
 
-Array = NDArray[np.float64]
 #: The block of calibration.yaml that holds the parts.
 BLOCK = "series"
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

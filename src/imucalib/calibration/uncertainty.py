@@ -13,16 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.references import unit_vector
 from imucalib.effects.record_error import is_record_error
 from imucalib.units import DEG
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -69,14 +67,14 @@ def angle_uncertainty(
         return np.asarray(reading_sigma * moved, np.float64)
 
     return AngleUncertainty(
-        inclination / DEG,
-        tool_face / DEG,
-        sd(rows_i),
-        sd(rows_t),
-        np.array([fit.half_width(row) for row in rows_i]),
-        np.array([fit.half_width(row) for row in rows_t]),
-        reading(along_i),
-        reading(along_t),
+        inclination=inclination / DEG,
+        tool_face=tool_face / DEG,
+        inclination_sd=sd(rows_i),
+        tool_face_sd=sd(rows_t),
+        inclination_95=np.array([fit.half_width(row) for row in rows_i]),
+        tool_face_95=np.array([fit.half_width(row) for row in rows_t]),
+        inclination_reading=reading(along_i),
+        tool_face_reading=reading(along_t),
     )
 
 

@@ -45,6 +45,8 @@ def command(recording: Path, **options: Any) -> int:
     def say(text: str) -> None:
         note(text, options["quiet"])
 
+    if options["curves"]:
+        say("--curves: the search of a worn sensor weighs converter curves beside effects")
     if request.as_published:
         from imucalib.calibrators.actigraph.published import calibrate_as_published
         from imucalib.report.actigraph.published import published_document
@@ -61,6 +63,7 @@ def command(recording: Path, **options: Any) -> int:
 def request_of(options: dict[str, Any]) -> ActigraphRequest:
     """The request that the options state; raises click's usage errors."""
     from imucalib.calibrators.actigraph.request import ActigraphRequest
+    from imucalib.loop.found import LoopSettings
 
     shared = shared_of(options)
     return ActigraphRequest(
@@ -74,7 +77,8 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         only=shared.only,
         without=shared.without,
         loop=shared.loop,
-        rules=shared.rules,
+        # The null of a wandering bias is simulated once a round: 200 place the bar well enough.
+        rules=LoopSettings(draws=shared.draws or 200),
         extra_effects=shared.extra_effects,
         limits=shared.limits,
         seed=shared.seed,

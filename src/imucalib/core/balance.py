@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.model import Model, Prediction
 from imucalib.core.observations import Observations
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -107,13 +106,13 @@ def balanced(prediction: Prediction, eta: Array, observations: Observations) -> 
         settings.append(dense[:, used])
         residual = residual + (project.transpose(0, 2, 1) @ (matrix @ eta)[..., None])[..., 0]
     return Balanced(
-        (project @ residual[..., None]).ravel(),
-        (project @ jacobian).reshape(n * rows, -1),
-        tuple(settings),
-        names,
-        keep,
-        np.repeat(np.arange(n), rows),
-        sigma,
+        residual=(project @ residual[..., None]).ravel(),
+        jacobian=(project @ jacobian).reshape(n * rows, -1),
+        settings=tuple(settings),
+        component=names,
+        keep=keep,
+        owner=np.repeat(np.arange(n), rows),
+        sigma=sigma,
     )
 
 

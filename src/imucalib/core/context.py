@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from imucalib.arrays import Array
+
 #: Parts of the truth that are there only where the sensors move.
 MOTION = ("rate", "spin", "jerk")
 

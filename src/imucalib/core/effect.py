@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.units import DEG
 
-Array = NDArray[np.float64]
 #: fixture: the reference is off (never applied to new readings); mounting: the triad's attitude in
 #: the tool; sensor: what the sensor does. The last two are undone by `apply`.
 Stage = Literal["fixture", "mounting", "sensor"]

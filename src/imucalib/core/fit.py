@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, Whitener, whitener
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.parameter import Parameter
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

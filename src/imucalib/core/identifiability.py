@@ -7,11 +7,9 @@ values of the whitened Jacobian, scaled by each parameter's typical size.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.parameter import Parameter
-
-Array = NDArray[np.float64]
 
 #: A combination counts as open when its standard deviation exceeds this many typical sizes.
 OPEN_AT = 3.0

@@ -9,12 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.core.references import Directions, tangents
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: Up to this tilt (rad) the direction is turned; beyond it moves on straight. No fixture is so far
 #: off, and a record of a wrong face or sign must not be explained by a tilt half round the sphere.

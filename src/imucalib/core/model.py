@@ -8,15 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.effect import Effect
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.errors import NotConverged
 
-Array = NDArray[np.float64]
 _ORDER = {"fixture": 0, "mounting": 1, "sensor": 2}
 
 

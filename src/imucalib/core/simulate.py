@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Noise
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-
-Array = NDArray[np.float64]
 
 
 def simulate(

@@ -1,9 +1,8 @@
 """Directions on the sphere."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from imucalib.arrays import Array
 
 
 def even_directions(n: int = 400) -> Array:

@@ -11,8 +11,8 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
+from imucalib.core.discovery import modules_of
 from imucalib.core.effect import Effect, Family
-from imucalib.discovery import modules_of
 from imucalib.effects.contract import checked_effects
 from imucalib.errors import UsageError
 

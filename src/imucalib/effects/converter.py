@@ -6,8 +6,9 @@ which are bias and scale. Beyond that range the curve keeps its value at the edg
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Array, Effect, Family, Response
+from imucalib.core.effect import Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.units import MG, STANDARD_GRAVITY

@@ -6,8 +6,9 @@ hold out, over the range that was recorded; beyond that range it keeps its value
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Array, Effect, Family, Response, Rotation, Turn
+from imucalib.core.effect import Effect, Family, Response, Rotation, Turn
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.effects.inclination import inclination_axis

@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Array, Rotation
+from imucalib.core.effect import Rotation
 from imucalib.core.parameter import Parameter
 
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Array, Rotation, Turn
+from imucalib.core.effect import Rotation, Turn
 from imucalib.core.parameter import Parameter
 
 

@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Array, Basis, Response
+from imucalib.core.effect import Basis, Response
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.units import MG, STANDARD_GRAVITY

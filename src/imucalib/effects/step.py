@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Array, Effect, Family, Response
+from imucalib.core.effect import Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.effects.covariate import bias_with
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Array, Rotation
+from imucalib.core.effect import Rotation
 from imucalib.core.parameter import Parameter
 from imucalib.core.references import unit_vector
 

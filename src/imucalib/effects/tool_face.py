@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Array, Rotation
+from imucalib.core.effect import Rotation
 from imucalib.core.parameter import Parameter
 
 #: Tool-face runs from +y towards +x: a positive turn is about -z.

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Noise
 from imucalib.core.fit import Fit
 from imucalib.core.identifiability import null_directions
@@ -23,7 +23,6 @@ from imucalib.errors import NotConverged, UsageError
 from imucalib.estimators.least_squares import evaluate
 from imucalib.estimators.levenberg_marquardt import minimise
 
-Array = NDArray[np.float64]
 #: (corrected (n, 3), reference) -> residual (r,) and its derivative by the corrected (r, n, 3)
 Objective = Callable[[Array, KnownVector], tuple[Array, Array]]
 

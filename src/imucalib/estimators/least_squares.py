@@ -10,8 +10,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, balance, setting_errors, whitener
 from imucalib.core.fit import Fit
 from imucalib.core.identifiability import null_directions
@@ -19,8 +19,6 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.estimators.levenberg_marquardt import Solution, minimise
 from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate_with_prior
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,15 @@ def fit(
             converged = solution.converged
             break
     assert estimate is not None
-    found = _finish(model, observations, state, at, estimate, converged, steps)
+    found = _finish(
+        model=model,
+        observations=observations,
+        state=state,
+        at=at,
+        estimate=estimate,
+        converged=converged,
+        steps=steps,
+    )
     return replace(found, prior=prior)
 
 
@@ -91,7 +97,15 @@ def evaluate(
     state = State(theta, eta)
     at = balance(model, theta, state.eta, observations)
     estimate = estimate_noise(at, noise or Noise(1.0, at.component, ()), fixed=False)
-    found = _finish(model, observations, state, at, estimate, True, 0)
+    found = _finish(
+        model=model,
+        observations=observations,
+        state=state,
+        at=at,
+        estimate=estimate,
+        converged=True,
+        steps=0,
+    )
     spread = np.zeros_like(estimate.noise_covariance)
     return replace(found, covariance=covariance, noise_covariance=spread, null_directions=())
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from imucalib.arrays import Array
+
 State = TypeVar("State")
 
 #: Singular values below this share of the largest are directions that the data leave open.
@@ -114,7 +114,16 @@ def _linearised(
     use = singular > _OPEN * singular.max(initial=0.0)
     along = (u.T @ (q.T @ residual))[use]
     back = rows[use].T / scale[:, None]
-    return _Point(state, residual, jacobian, cost, norms, singular[use], along, back)
+    return _Point(
+        state=state,
+        residual=residual,
+        jacobian=jacobian,
+        cost=cost,
+        norms=norms,
+        singular=singular[use],
+        along=along,
+        back=back,
+    )
 
 
 def _moved(

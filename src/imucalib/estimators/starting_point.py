@@ -8,15 +8,13 @@ sensor.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from imucalib.errors import UnreadableInput
 from imucalib.units import DEG, MG
-
-Array = NDArray[np.float64]
 
 
 def full_matrix_start(model: Model, observations: Observations) -> Array:

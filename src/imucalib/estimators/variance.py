@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, whitener
-
-Array = NDArray[np.float64]
 
 #: Search range of a setting's standard deviation, as its largest effect on a reading in units of
 #: the readings' noise. Below `_VANISHED` the component counts as zero.
@@ -64,14 +62,14 @@ def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
     likelihood = -0.5 * chi2 / factor**2 - dof * np.log(factor) - log_det
     spread = 0.0 if fixed else 1.0 / (2.0 * max(dof, 1))
     return NoiseEstimate(
-        Noise(factor),
-        covariance,
-        2.0 * covariance[None],
-        np.array([[spread]]),
-        chi2,
-        dof,
-        float(likelihood),
-        at.jacobian,
+        noise=Noise(factor),
+        covariance=covariance,
+        slope=2.0 * covariance[None],
+        noise_covariance=np.array([[spread]]),
+        chi2=chi2,
+        dof=dof,
+        log_likelihood=float(likelihood),
+        white_jacobian=at.jacobian,
     )
 
 
@@ -99,14 +97,14 @@ def estimate_with_prior(at: Balanced, start: Noise, prior: Array, away: Array) -
     log_det = float(np.linalg.slogdet(np.eye(prior.size) + information / square * prior**2)[1])
     likelihood = -0.5 * (chi2 / square + float(np.sum((away / prior) ** 2)) + log_det)
     return NoiseEstimate(
-        Noise(factor),
-        covariance,
-        2.0 / square * (covariance @ information @ covariance)[None],
-        np.array([[0.5 / dof]]),
-        chi2,
-        max(0, round(size - used)),
-        likelihood - size * float(np.log(factor)),
-        at.jacobian,
+        noise=Noise(factor),
+        covariance=covariance,
+        slope=2.0 / square * (covariance @ information @ covariance)[None],
+        noise_covariance=np.array([[0.5 / dof]]),
+        chi2=chi2,
+        dof=max(0, round(size - used)),
+        log_likelihood=likelihood - size * float(np.log(factor)),
+        white_jacobian=at.jacobian,
     )
 
 
@@ -181,12 +179,12 @@ def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
     white = whitener(at.settings, noise.ratio)
     quadratic = float(at.residual @ py)
     return NoiseEstimate(
-        noise,
-        covariance,
-        slope,
-        spread,
-        quadratic * noise.factor**2,
-        at.residual.size - at.jacobian.shape[1],
-        -0.5 * (log_v + log_j + quadratic),
-        white(at.jacobian),
+        noise=noise,
+        covariance=covariance,
+        slope=slope,
+        noise_covariance=spread,
+        chi2=quadratic * noise.factor**2,
+        dof=at.residual.size - at.jacobian.shape[1],
+        log_likelihood=-0.5 * (log_v + log_j + quadratic),
+        white_jacobian=white(at.jacobian),
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.discovery import modules_of
+from imucalib.core.discovery import modules_of
 from imucalib.errors import UsageError
 
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import UsageError
 from imucalib.exports import Export
 from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 
 def c_header(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from io import StringIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import UsageError
 from imucalib.exports import Export
 from imucalib.exports.linear import lost_parts, sphere_of
 from imucalib.units import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 #: The catalogue's zero of the temperature effects.
 _REFERENCE_C = 25.0

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.series import parts_of
 from imucalib.core.context import Context
 from imucalib.core.sphere import even_directions
 from imucalib.units import MG, STANDARD_GRAVITY
 
-Array = NDArray[np.float64]
 _LINEAR = {"mounting", "bias", "scale", "non_orthogonality"}
 
 

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import ImucalError
-from imucalib.recording.recording import Array, Channel, Gap, Recording
+from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.segments import Segments, StillSettings, find_segments
 from imucalib.units import STANDARD_GRAVITY
 
@@ -204,9 +205,17 @@ def _facts(name: str, running: _Running, still: Segments | None) -> ChannelFacts
             if still.n:
                 norm = float(np.median(np.linalg.norm(still.rate[:, at], axis=1)))
     return ChannelFacts(
-        name, channel.quantity, channel.triad, channel.unit, running.samples, running.clock(),
-        running.low, running.high, noise, norm,
-    )  # fmt: skip
+        name=name,
+        quantity=channel.quantity,
+        triad=channel.triad,
+        unit=channel.unit,
+        samples=running.samples,
+        clock=running.clock(),
+        low=running.low,
+        high=running.high,
+        noise=noise,
+        norm_at_rest=norm,
+    )
 
 
 def _candidates(facts: tuple[ChannelFacts, ...]) -> tuple[tuple[str, str], ...]:

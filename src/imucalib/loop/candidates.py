@@ -6,16 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.model import Prediction
 from imucalib.core.truth import Truth
 from imucalib.loop.evidence import Candidate
 from imucalib.units import DEG, MG
-
-Array = NDArray[np.float64]
 
 #: Typical size of an unknown curve: 1 mg on an axis, 0.1 deg on an angle, 50 mg on one record.
 _CURVE_MG, _CURVE_DEG, _RECORD_MG, _RECORD_DEG = 1.0, 0.1, 50.0, 2.0

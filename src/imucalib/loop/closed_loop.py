@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -48,8 +48,6 @@ from imucalib.loop.search import (
 from imucalib.loop.subject import Refused, Searched, close
 from imucalib.loop.thresholds import KEEP, SUSPECTS
 
-Array = NDArray[np.float64]
-
 
 def close_loop(
     model: Model,
@@ -67,7 +65,18 @@ def close_loop(
     """
     rules = settings or LoopSettings()
     plain = fit_model(model, observations, start=start)
-    end = close(_State(plain, (), (), effects, rng, rules, families), rules)
+    end = close(
+        _State(
+            fit=plain,
+            records=(),
+            steps=(),
+            effects=effects,
+            rng=rng,
+            rules=rules,
+            families=families,
+        ),
+        rules,
+    )
     state = end.subject
     final = state.fit
     return FitLoop(

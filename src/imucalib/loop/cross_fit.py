@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
@@ -26,9 +26,6 @@ from imucalib.loop.records import extended
 from imucalib.loop.search import choose, curve_of, effect_named, objection, refined, search
 from imucalib.loop.thresholds import STRONG
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Index
 from imucalib.core.observations import Observations
-
-Index = NDArray[np.intp]
 
 #: Folds of single positions; of stretches of time there are as many as the calibrator made.
 _FOLDS = 10

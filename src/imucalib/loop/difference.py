@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.loop.thresholds import LOSS
 
-Array = NDArray[np.float64]
 Metric = Literal["rms", "mean"]
 _LEVEL = 0.95
 

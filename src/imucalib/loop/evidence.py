@@ -16,14 +16,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.noise_grid import TAU, EvidenceGrid
 from imucalib.loop.thresholds import ABSORBED
 
-Array = NDArray[np.float64]
 Kind = Literal["effect", "probe", "noise", "record"]
 
 #: Simulated data sets are drawn in parts; the second one's floor is below every alpha in use.
@@ -135,9 +134,12 @@ def _score_few(
                 break
         evidence[live] = found[:, 0]
     scores = [
-        Score(c, float(e), float(q), done, *numbers, _size(fit, c), _bar(null, alpha))
-        for c, e, q, numbers in zip(candidates, evidence, p, alone, strict=True)
-    ]
+        Score(
+            candidate=c, evidence=float(e), p=float(q), draws=done, left=left, strength=strength,
+            share=share, size=_size(fit, c), bar=_bar(null, alpha),
+        )
+        for c, e, q, (left, strength, share) in zip(candidates, evidence, p, alone, strict=True)
+    ]  # fmt: skip
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 
@@ -163,7 +165,12 @@ def _score_many(
     # Scores outlive the search: thousands of numbers a column would stay with them.
     bare = [replace(c, columns=c.columns[:0].copy()) for c in candidates]
     dead = [k for k in range(len(candidates)) if k not in live]
-    scores = [Score(bare[k], 0.0, 1.0, draws, 0.0, 0.0, 0.0) for k in dead]
+    scores = [
+        Score(
+            candidate=bare[k], evidence=0.0, p=1.0, draws=draws, left=0.0, strength=0.0, share=0.0
+        )
+        for k in dead
+    ]
     for i, k in enumerate(live):
         absorbed = found.left[i] < ABSORBED
         value = 0.0 if absorbed else float(found.evidence[i])
@@ -171,7 +178,19 @@ def _score_many(
         left, strength, share = (float(v[i]) for v in (found.left, found.strength, found.share))
         bar = _bar(found.best, alpha)
         size = _size(fit, candidates[k])
-        scores.append(Score(bare[k], value, p, draws, left, strength, share, size, bar))
+        scores.append(
+            Score(
+                candidate=bare[k],
+                evidence=value,
+                p=p,
+                draws=draws,
+                left=left,
+                strength=strength,
+                share=share,
+                size=size,
+                bar=bar,
+            )
+        )
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 

@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from imucalib.arrays import Array, Index
+
 #: Squared size of a block's direction over its largest from which it is more than rounding.
 _OPEN = 1e-8
 #: Observations, and simulated data sets, that are worked on at a time.
@@ -62,7 +62,17 @@ def gram_evidence(
     whole = np.add.reduceat(size, starts[:-1])
     freedom, power = residual.size - basis.shape[1], float(rest @ rest)
     indices = [np.arange(first, last) for first, last in pairwise(starts)]
-    return block_evidence(gram, along, power, freedom, whole, indices, tau, rng, draws)
+    return block_evidence(
+        gram=gram,
+        along=along,
+        power=power,
+        freedom=freedom,
+        whole=whole,
+        blocks=indices,
+        tau=tau,
+        rng=rng,
+        draws=draws,
+    )
 
 
 def block_evidence(

@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, balance, whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.loop.design import Fold
 
-Array = NDArray[np.float64]
 _OPEN = 1e-9  # share of the largest singular value below which a direction is not determined
 
 

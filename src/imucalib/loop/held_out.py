@@ -10,16 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.core.balance import whitener
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.truth import Truth
 from imucalib.effects.record_error import is_record_error
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.found import LoopSettings, Unexplained
-
-Array = NDArray[np.float64]
 
 _MOST_DRAWN = 2000  # numbers on which tails are judged by simulation
 

@@ -14,9 +14,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Whitener, whitener
-
-Array = NDArray[np.float64]
 
 #: Sizes of a candidate, in its typical size, over which the evidence is maximised.
 TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])

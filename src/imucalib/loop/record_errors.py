@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.references import KnownNorm, KnownVector, angles_of
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.held_out import theta_without, without_records
 from imucalib.units import DEG, MG
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -79,16 +78,15 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
     label = fit.observations.label[row]
     reading = fit.observations.reading[row, 0]
     reference = fit.observations.reference
+    said = partial(RecordError, row=row, where=label, p=p, evidence=evidence)
     if not reference.directed:
         assert isinstance(reference, KnownNorm)
         if reference.attitude is not None:
             return _of_triads(fit, row, channel, p, evidence)
         size = float(np.linalg.norm(_corrected_without(fit, row)[0])) - reference.gravity
         sd = fit.noise.factor * float(fit.observations.sigma[row, 0, 0]) / MG
-        return RecordError(
-            row, label, "norm", size / MG, sd, "mg", "movement, contact or a wrong record", (), p,
-            evidence,
-        )  # fmt: skip
+        likely = "movement, contact or a wrong record"
+        return said(channel="norm", size=size / MG, sd=sd, unit="mg", likely=likely, fix=())
     expected = predict_record(fit, row)
     likely, fix = _slip(fit, row, reading, expected)
     # A slip of one number is that number's error, even where an angle would imitate it.
@@ -97,11 +95,11 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
         axis = "xyz".index(channel)
         size = float(reading[axis] - expected.mean[axis]) / MG
         sd = float(np.sqrt(expected.covariance[axis, axis])) / MG
-        return RecordError(row, label, channel, size, sd, "mg", likely, fix, p, evidence)
-    away = _angle_away(fit, row, channel)
+        return said(channel=channel, size=size, sd=sd, unit="mg", likely=likely, fix=fix)
+    away = _angle_away(fit, row, channel) / DEG
     sd = fit.noise.sd[fit.noise.component.index(channel)] / DEG
     name = channel.replace(" setting", "")
-    return RecordError(row, label, name, away / DEG, sd, "deg", likely, fix, p, evidence)
+    return said(channel=name, size=away, sd=sd, unit="deg", likely=likely, fix=fix)
 
 
 def _of_triads(fit: Fit, row: int, channel: str, p: float, evidence: float) -> RecordError:
@@ -118,7 +116,18 @@ def _of_triads(fit: Fit, row: int, channel: str, p: float, evidence: float) -> R
         size, likely = float(np.linalg.norm(force[k] - others)), "a chip that hung or was touched"
     sd = fit.noise.factor * float(fit.observations.sigma[row].mean()) / MG
     label = fit.observations.label[row]
-    return RecordError(row, label, channel, size / MG, sd, "mg", likely, (), p, evidence)
+    return RecordError(
+        row=row,
+        where=label,
+        channel=channel,
+        size=size / MG,
+        sd=sd,
+        unit="mg",
+        likely=likely,
+        fix=(),
+        p=p,
+        evidence=evidence,
+    )
 
 
 def _corrected_without(fit: Fit, row: int) -> Array:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.balance import Noise
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
@@ -16,8 +16,6 @@ from imucalib.loop.evidence import Score, score
 from imucalib.loop.held_out import held_out
 from imucalib.loop.record_errors import RecordError, diagnose
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
 
 
 def record_scores(

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Protocol
 
-from imucalib.discovery import modules_of
+from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.catalogue import with_preset
 from imucalib.readers.source import head_of, sha256_of

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.recording.recording import Array
+from imucalib.arrays import Array
 
 _SHOWN = 40
 #: Median norms that gravity has in the units in use, within this factor.

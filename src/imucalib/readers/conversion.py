@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib import units
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping, parse_axis_map
-from imucalib.recording.recording import Array
 
 COUNTS = "counts"
 _IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.recording.mapping import TIME_UNITS
-from imucalib.recording.recording import Array, Gap
+from imucalib.recording.recording import Gap
 
 _YEAR_2000, _YEAR_2100 = 946_684_800.0, 4_102_444_800.0
 _MISSING_ONE = 1.75  # a step of two periods is a lost sample when the clock is clean

@@ -9,9 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.recording.correction import Correction
-
-Array = NDArray[np.float64]
 
 
 class Pending(Protocol):

@@ -9,10 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from imucalib.arrays import Array
 
-Array = NDArray[np.float64]
 Cell = str | float | int | None
 Mark = Literal["line", "points", "bars", "band", "step"]
 Tone = Literal["ok", "warning", "bad", "plain"]

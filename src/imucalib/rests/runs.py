@@ -10,16 +10,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
-from imucalib.recording.recording import Array, Channel, Recording
+from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.stillness import Sensor, StillSettings, still_windows
 from imucalib.rests.tails import TailBuilder, overlapping, with_tails
 from imucalib.rests.windows import WindowBuilder, Windows, in_order
 from imucalib.units import MG, STANDARD_GRAVITY
-
-Index = NDArray[np.intp]
 
 #: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
 #: that breathing causes. Together they tilt the mean by less than 1e-5 of its size.
@@ -125,8 +123,10 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     ordered = with_tails(ordered, tails.tails)
     warm = builders["temperature"].windows() if "temperature" in builders else None
     return Scan(
-        ordered, warm and in_order(warm)[0], name, rate, samples, stop, gaps, first.path,
-        first.format, first.sha256, first.start_ns, tuple(dict.fromkeys(notes)), first.mapping,
+        windows=ordered, temperature=warm and in_order(warm)[0], triad=name, rate=rate,
+        samples=samples, stop=stop, gaps=gaps, path=first.path, format=first.format,
+        sha256=first.sha256, start_ns=first.start_ns, notes=tuple(dict.fromkeys(notes)),
+        mapping=first.mapping,
     )  # fmt: skip
 
 
@@ -206,9 +206,17 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
     scatter = float(np.sqrt(np.median(steps) / 2.0 / 0.4549)) if steps.size else 0.0
     white = float(np.median(noise)) / np.sqrt(w.samples)
     return PostureRuns(
-        mean(w.mean[chosen]), count, mean(middle), mean(warm), max(scatter, white),
-        chosen.size, w.start.size, noise, notes, np.where(np.isfinite(w.finest), w.finest, 0.0),
-    )  # fmt: skip
+        mean=mean(w.mean[chosen]),
+        windows=count,
+        time=mean(middle),
+        temperature=mean(warm),
+        window_noise=max(scatter, white),
+        still=chosen.size,
+        total=w.start.size,
+        noise=noise,
+        notes=notes,
+        resolution=np.where(np.isfinite(w.finest), w.finest, 0.0),
+    )
 
 
 def _starts(w: Windows, chosen: Index) -> Index:

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.errors import Undetermined, UsageError
-from imucalib.recording.recording import Array, Recording
+from imucalib.recording.recording import Recording
 from imucalib.rests.stillness import Sensor, StillSettings, judge
-from imucalib.rests.windows import Index, WindowBuilder, Windows, in_order
+from imucalib.rests.windows import WindowBuilder, Windows, in_order
 
 __all__ = ["Segments", "StillSettings", "find_segments", "still_segments"]
 
@@ -184,9 +185,21 @@ def _measure(
     keep = np.all(last > first, axis=1) if n else np.zeros(0, dtype=np.bool_)
     start, stop = np.array(spans).reshape(n, 2).T
     return Segments(
-        start[keep], stop[keep], triads, first[keep], last[keep], (last - first)[keep],
-        mean[keep], variance[keep], rate[keep], temperature[keep], noise, rate_noise, moving, notes,
-    )  # fmt: skip
+        start=start[keep],
+        stop=stop[keep],
+        triads=triads,
+        first=first[keep],
+        last=last[keep],
+        samples=(last - first)[keep],
+        mean=mean[keep],
+        variance=variance[keep],
+        rate=rate[keep],
+        temperature=temperature[keep],
+        noise=noise,
+        rate_noise=rate_noise,
+        moving=moving,
+        notes=notes,
+    )
 
 
 def _bounds(windows: Windows, spans: list[tuple[float, float]]) -> NDArray[np.intp]:

@@ -8,11 +8,10 @@ from functools import cached_property, reduce
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Flags
 from imucalib.errors import UsageError
-from imucalib.recording.recording import Array
 from imucalib.rests.windows import Windows
 
-Flags = NDArray[np.bool_]
 _QUIETEST = 0.05  # share of the windows that is surely still in a recording worth calibrating
 _FROZEN_SECONDS = 60.0
 

@@ -12,8 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from imucalib.recording.recording import Array, Channel, Gap
-from imucalib.rests.windows import Index, Windows, breaks, window_statistics
+from imucalib.arrays import Array, Index
+from imucalib.recording.recording import Channel, Gap
+from imucalib.rests.windows import Windows, breaks, window_statistics
 
 
 @dataclass(frozen=True)

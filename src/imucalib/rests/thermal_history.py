@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.recording.recording import Array, Channel, Recording
+from imucalib.arrays import Array
+from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.windows import WindowBuilder, Windows, in_order
 
 _WINDOW = 10.0  # s

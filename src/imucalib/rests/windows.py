@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.recording.recording import Array, Channel, Gap, Pending
+from imucalib.arrays import Array, Index
+from imucalib.recording.recording import Channel, Gap, Pending
 
-Index = NDArray[np.intp]
 _COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
 _CACHE = 1 << 19  # bytes that are worked on at a time
 _ROOM = 1 << 19  # windows that there is room for at first: two months of ten seconds

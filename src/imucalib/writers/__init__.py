@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from imucalib.atomic_file import replaced_atomically
-from imucalib.discovery import modules_of
+from imucalib.core.discovery import modules_of
 from imucalib.errors import UsageError
 from imucalib.readers.joining import join
 from imucalib.recording.recording import Recording

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
-from imucalib.recording.recording import Array, Channel, Recording
+from imucalib.recording.recording import Channel, Recording
 
-Index = NDArray[np.intp]
 _FORMULA = tuple("=+-@")  # what makes a cell a formula
 _ROWS = 1 << 16  # rows that are made into text at a time
 

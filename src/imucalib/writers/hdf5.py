@@ -12,7 +12,8 @@ from io import FileIO, RawIOBase
 from pathlib import Path
 from typing import Any
 
-from imucalib.recording.recording import Array, Channel, Recording
+from imucalib.arrays import Array
+from imucalib.recording.recording import Channel, Recording
 
 FORMAT, VERSION = "imucal recording", 1
 _CHUNK_ROWS = 1 << 10  # what a flipped byte costs; fewer make reading slower

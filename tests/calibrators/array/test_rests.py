@@ -53,9 +53,20 @@ def simulated(seed: int, n: int = 20, warm: float = 0.0) -> tuple[Segments, Boar
     ones = np.ones((K, 3))
     count = np.full((n, K), 100, dtype=np.intp)
     segments = Segments(
-        start, start + 20.0, board.imus, count, count, count, mean, 1e-4 * np.ones_like(mean), rate,
-        np.full((n, K), np.nan), 0.02 * ones, 1e-3 * ones, 0.1,
-    )  # fmt: skip
+        start=start,
+        stop=start + 20.0,
+        triads=board.imus,
+        first=count,
+        last=count,
+        samples=count,
+        mean=mean,
+        variance=1e-4 * np.ones_like(mean),
+        rate=rate,
+        temperature=np.full((n, K), np.nan),
+        noise=0.02 * ones,
+        rate_noise=1e-3 * ones,
+        moving=0.1,
+    )
     return segments, board, gain, offset
 
 

@@ -16,11 +16,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from imucalib import cli
+from imucalib.arrays import Array
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
-from imucalib.core.effect import Array
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.loop.found import LoopSettings
 

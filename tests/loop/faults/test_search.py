@@ -35,7 +35,18 @@ def sheet_of(made: sheets.Sheet, row: np.ndarray | None = None) -> Sheet:
 
     row = numbers + 1 if row is None else row
     one = np.ones(len(i))
-    return Sheet(made.reading, i, t, row, one, 1000.0, held(i), held(t), inside, ordered)
+    return Sheet(
+        reading=made.reading,
+        inclination=i,
+        tool_face=t,
+        row=row,
+        sigma=one,
+        gravity=1000.0,
+        inclination_setting=held(i),
+        tool_face_setting=held(t),
+        inside=inside,
+        ordered=ordered,
+    )
 
 
 def told(made: sheets.Sheet) -> tuple[Fault, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.calibration.outcome import ErrorSummary
 from imucalib.calibrators.actigraph.errors import error_summary
@@ -23,8 +22,6 @@ from imucalib.loop.held_out import Held, fitted, held_out
 from imucalib.loop.wander.engine import Asked, Closed, close
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -79,7 +76,16 @@ def calibrate(
     if not request.loop or is_weak(base):
         held = held_out(base)
         error = error_summary(base, base, held, held)
-        return ActigraphResult(runs, None, base, base, held, held, error, light)
+        return ActigraphResult(
+            runs=runs,
+            loop=None,
+            base=base,
+            final=base,
+            base_held=held,
+            final_held=held,
+            error=error,
+            light=light,
+        )
     return _of_loop(runs, search(base, runs, request, rng))
 
 
@@ -94,7 +100,15 @@ def _of_loop(runs: PostureRuns, closed: Closed) -> ActigraphResult:
         final, final_held = base, base_held
     error = error_summary(base, final, base_held, final_held)
     return ActigraphResult(
-        runs, loop, base, final, base_held, final_held, error, closed.light, declined
+        runs=runs,
+        loop=loop,
+        base=base,
+        final=final,
+        base_held=base_held,
+        final_held=final_held,
+        error=error,
+        light=closed.light,
+        declined=declined,
     )
 
 

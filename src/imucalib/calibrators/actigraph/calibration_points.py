@@ -10,12 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.rests.windows import Windows
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: The paper's rule of stillness: seconds of a segment, and max - min (g) on one axis.
 SECONDS, RANGE_G = 5.0, 0.12

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, unseen
 from imucalib.calibrators.actigraph.errors import norm_sd
 from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.core.sphere import even_directions
 from imucalib.rests.runs import Scan
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

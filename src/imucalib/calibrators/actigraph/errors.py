@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
 from imucalib.calibration.uncertainty import force_slope
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.loop.held_out import Held, errors, fitted
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
 
 
 def mean_error(held: Held) -> float:
@@ -33,9 +31,14 @@ def error_summary(base: Fit, final: Fit, base_held: Held, final_held: Held) -> E
     sigma = final.noise.factor * final.observations.sigma[:, 0, 0]
     floor = float(np.mean(sigma)) * float(np.sqrt(2.0 / np.pi)) / MG
     return ErrorSummary(
-        "mean error of |a| at rest", "mg", raw, mean_error(fitted(base)), mean_error(fitted(final)),
-        floor, HeldOutError(raw, mean_error(base_held), mean_error(final_held)),
-    )  # fmt: skip
+        metric="mean error of |a| at rest",
+        unit="mg",
+        raw=raw,
+        base=mean_error(fitted(base)),
+        final=mean_error(fitted(final)),
+        floor=floor,
+        held_out=HeldOutError(raw, mean_error(base_held), mean_error(final_held)),
+    )
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,17 @@ def sphere_cells(base: Fit, final: Fit, held: Held) -> tuple[SphereCell, ...]:
             float(e[inside].mean()) if inside.any() else float("nan") for e in series
         )
         count = int(inside.sum())
-        found.append(SphereCell(name, count, raw, before, after, out, float(sd[k])))
+        found.append(
+            SphereCell(
+                name=name,
+                runs=count,
+                raw=raw,
+                base=before,
+                final=after,
+                held_out=out,
+                sd=float(sd[k]),
+            )
+        )
     return tuple(found)
 
 

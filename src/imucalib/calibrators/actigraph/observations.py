@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
@@ -15,8 +15,6 @@ from imucalib.effects.thermal_lag import LAGS, covariate, hours_of
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.rests.thermal_history import history_of
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
 
 _DAY = 86400.0
 _LEAST_WARMTH = 1.0  # °C: less variation than this cannot show what temperature does

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run, quality_of
 from imucalib.calibrators.actigraph.calibration_points import (
@@ -33,8 +33,6 @@ from imucalib.readers import blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import Scan, scan
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
 
 ARITHMETIC = {
     "float": "gradient descent",
@@ -134,9 +132,14 @@ def _error(chosen: PublishedMethod, found: Fit, first: Array, second: Array) -> 
     )
     floor = found.noise.factor * float(np.sqrt(2.0 / np.pi))
     return ErrorSummary(
-        "mean error of |a|", "mg", raw, chosen.fitted, chosen.fitted, floor,
-        HeldOutError(raw_second, chosen.verified, chosen.verified),
-    )  # fmt: skip
+        metric="mean error of |a|",
+        unit="mg",
+        raw=raw,
+        base=chosen.fitted,
+        final=chosen.fitted,
+        floor=floor,
+        held_out=HeldOutError(raw_second, chosen.verified, chosen.verified),
+    )
 
 
 def _limits(error: ErrorSummary, request: ActigraphRequest) -> tuple[Limit, ...]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.calibrate import base_model
 from imucalib.calibrators.actigraph.observations import hours, observations_of
 from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -19,8 +20,6 @@ from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.errors import ImucalError, Undetermined
 from imucalib.rests.runs import PostureRuns, Scan
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,13 @@ def _tested(parts: tuple[Part, ...], good: list[Fit]) -> Series:
     parameters = good[0].parameters
     moved = tuple((parameters[k].name, float(chance[k])) for k in order)
     return Series(
-        parts, parameters, np.asarray(common), statistic, dof, float(chi2.sf(statistic, dof)), moved
+        parts=parts,
+        parameters=parameters,
+        common=np.asarray(common),
+        statistic=statistic,
+        dof=dof,
+        p=float(chi2.sf(statistic, dof)),
+        moved=moved,
     )
 
 

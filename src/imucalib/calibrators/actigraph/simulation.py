@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.observations import covariates_of
 from imucalib.calibrators.actigraph.weak import NINE
 from imucalib.core.context import Context
@@ -18,8 +18,6 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.rests.windows import Windows
 from imucalib.units import MG, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 #: An ordinary wrist sensor.
 SENSOR = {
@@ -90,9 +88,15 @@ def simulated_week(plan: WeekPlan, seed: int) -> Week:
     temperature = np.interp(time, grid, warm) if plan.temperature else np.full(n, np.nan)
     window_noise = plan.noise * MG / np.sqrt(10.0 * plan.rate)
     blank = PostureRuns(
-        plan.gravity * direction, windows.astype(np.intp), time, temperature, window_noise,
-        int(windows.sum()), int(seconds / 10.0), np.full(3, plan.noise * MG),
-    )  # fmt: skip
+        mean=plan.gravity * direction,
+        windows=windows.astype(np.intp),
+        time=time,
+        temperature=temperature,
+        window_noise=window_noise,
+        still=int(windows.sum()),
+        total=int(seconds / 10.0),
+        noise=np.full(3, plan.noise * MG),
+    )
     force = plan.gravity * direction
     reading = sensed(plan, force, blank, scanned)
     spread = np.sqrt((plan.scatter * MG) ** 2 + window_noise**2 / windows)
@@ -138,18 +142,44 @@ def planted(plan: WeekPlan, context: Context) -> tuple[Model, Array]:
 def _scan(plan: WeekPlan, grid: Array, warm: Array, seconds: float) -> Scan:
     nothing = np.zeros((0, 3))
     empty = Windows(
-        1000, np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), np.zeros(0),
-        nothing, nothing, nothing, nothing, np.zeros(3),
-    )  # fmt: skip
+        samples=1000,
+        first=np.zeros(0, np.intp),
+        run=np.zeros(0, np.intp),
+        start=np.zeros(0),
+        stop=np.zeros(0),
+        mean=nothing,
+        variance=nothing,
+        low=nothing,
+        high=nothing,
+        finest=np.zeros(3),
+    )
     column = warm[:, None]
     thermometer = Windows(
-        1, np.arange(grid.size), np.zeros(grid.size, np.intp), grid, grid,
-        column, 0.0 * column, column, column, np.zeros(1),
-    )  # fmt: skip
+        samples=1,
+        first=np.arange(grid.size),
+        run=np.zeros(grid.size, np.intp),
+        start=grid,
+        stop=grid,
+        mean=column,
+        variance=0.0 * column,
+        low=column,
+        high=column,
+        finest=np.zeros(1),
+    )
     return Scan(
-        empty, thermometer if plan.temperature else None, "imu0", plan.rate,
-        int(seconds * plan.rate), seconds, 0, "simulated", "simulated", "", 0, (),
-    )  # fmt: skip
+        windows=empty,
+        temperature=thermometer if plan.temperature else None,
+        triad="imu0",
+        rate=plan.rate,
+        samples=int(seconds * plan.rate),
+        stop=seconds,
+        gaps=0,
+        path="simulated",
+        format="simulated",
+        sha256="",
+        start_ns=0,
+        notes=(),
+    )
 
 
 def code_steps(amplitude: float, period: float = 0.17) -> Callable[[Array], Array]:

@@ -7,8 +7,8 @@ data leave something open: what gravity has shown moves, the rest keeps the prio
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.observations import weighted
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -16,8 +16,6 @@ from imucalib.core.observations import Observations
 from imucalib.errors import NotConverged
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns
-
-Array = NDArray[np.float64]
 
 NINE = ("bias", "scale", "non_orthogonality")
 #: A combination that is known worse than this share of its typical size is weakly determined: what

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.recording.mapping import parse_axis_map
 from imucalib.recording.yaml_text import load
 from imucalib.units import DEG, STANDARD_GRAVITY
 
-Array = NDArray[np.float64]
 BOARDS = Path(__file__).parent / "boards"
 
 
@@ -52,10 +51,16 @@ class Board:
     def take(self, rows: list[int]) -> Board:
         """The board with some of its IMUs."""
         return Board(
-            self.name, tuple(self.imus[k] for k in rows), self.positions[rows],
-            self.rotations[rows], self.prior_sd, self.accelerometer_range, self.gyroscope_range,
-            self.outline, self.package,
-        )  # fmt: skip
+            name=self.name,
+            imus=tuple(self.imus[k] for k in rows),
+            positions=self.positions[rows],
+            rotations=self.rotations[rows],
+            prior_sd=self.prior_sd,
+            accelerometer_range=self.accelerometer_range,
+            gyroscope_range=self.gyroscope_range,
+            outline=self.outline,
+            package=self.package,
+        )
 
 
 def board_names() -> tuple[str, ...]:
@@ -102,13 +107,16 @@ def _board(content: Mapping[str, Any]) -> Board:
     outline = tuple(float(v) * 1e-3 for v in content.get("outline", ()))
     package = tuple(float(v) * 1e-3 for v in content.get("package", ()))
     return Board(
-        str(content.get("name", "array")), names, positions * 1e-3, rotations,
-        float(content.get("prior_sd", 3.0)) * 1e-3,
-        float(content.get("accelerometer_range", np.inf)) * STANDARD_GRAVITY,
-        float(content.get("gyroscope_range", np.inf)) * DEG,
-        (outline[0], outline[1], outline[2], outline[3]) if len(outline) == 4 else None,
-        (package[0], package[1], package[2]) if len(package) == 3 else None,
-    )  # fmt: skip
+        name=str(content.get("name", "array")),
+        imus=names,
+        positions=positions * 1e-3,
+        rotations=rotations,
+        prior_sd=float(content.get("prior_sd", 3.0)) * 1e-3,
+        accelerometer_range=float(content.get("accelerometer_range", np.inf)) * STANDARD_GRAVITY,
+        gyroscope_range=float(content.get("gyroscope_range", np.inf)) * DEG,
+        outline=(outline[0], outline[1], outline[2], outline[3]) if len(outline) == 4 else None,
+        package=(package[0], package[1], package[2]) if len(package) == 3 else None,
+    )
 
 
 def _rotation(imu: Mapping[str, Any]) -> Array:

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.corrected import corrected_samples, widened
 from imucalib.calibrators.array.log import array_log
@@ -32,7 +32,6 @@ from imucalib.estimators.markov.pmmh import run_pmmh
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments, still_segments
 
-Array = NDArray[np.float64]
 Say = Callable[[str], None]
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
 LOOP_SAMPLES = 1200  # moving samples of the final fit, at most
@@ -193,7 +192,15 @@ def _by_pmmh(
     )
     thin = max(1, request.iterations // 2000)
     positions = ArrayPositions(
-        data, chosen, found.draws[:, ::thin], None, found.accepted, 1, checked, "pmmh", (note,)
+        data=data,
+        prior=chosen,
+        unknowns=found.draws[:, ::thin],
+        frame=None,
+        accepted=found.accepted,
+        steps=1,
+        convergence=checked,
+        sampler="pmmh",
+        notes=(note,),
     )
     refuse_collapse(positions.mean, chosen.nominal)
     refuse_vague(positions)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.problem import ArrayData
 from imucalib.estimators.array.sampler import ArrayPositions
-
-Array = NDArray[np.float64]
 
 
 def corrected_samples(state: ArrayState) -> ArrayData:

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import StoredParameter, stored_parameters
 from imucalib.calibration.findings import Check, Findings, FoundStep, Untestable
@@ -29,7 +28,6 @@ from imucalib.estimators.array.noise import SensorNoise
 from imucalib.loop.found import Step
 from imucalib.units import DEG
 
-Array = NDArray[np.float64]
 _NORMAL_MAD = 1.4826
 _NAN = float("nan")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.effect import Action, Effect, Response, cross_matrix
 from imucalib.core.fit import Fit
@@ -14,7 +14,6 @@ from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.effects import named
 
-Array = NDArray[np.float64]
 #: What is fitted before anything is searched for.
 BASE = ("bias", "scale", "accelerometer_misalignment")
 _FIRST = (0, 1, 3)  # misalignments of the first triad that stand for the frame: xy, xz, yz

@@ -11,10 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from imucalib.arrays import Array, Index
+
 SCALE_TOLERANCE = 0.03  # of one gyro's scale, by the data sheets of consumer parts
 
 

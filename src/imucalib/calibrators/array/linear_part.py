@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.units import DEG
 
-Array = NDArray[np.float64]
 _SMALL = 1e-6  # share of an effect beyond its linear part from which on it counts
 
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.board import Board
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 _APART = 0.3  # share of a sample interval that simultaneous stamps may differ by
 _KEPT = 0.5  # share of the samples that all IMUs must have in common
 _NEAR_RANGE = 0.998  # share of the range from which a reading counts as clipped

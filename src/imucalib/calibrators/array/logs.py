@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.errors import UsageError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

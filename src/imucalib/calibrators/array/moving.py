@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.gyros import Gyros, relative_gyros
 from imucalib.calibrators.array.log import ArrayLog
 from imucalib.calibrators.array.rests import RestFit
@@ -15,8 +15,6 @@ from imucalib.errors import Undetermined
 from imucalib.estimators.array.problem import ArrayData
 from imucalib.units import DEG
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 GyroCovariance = Literal["scatter", "sample"]
 SLOWEST = 60.0 * DEG  # rad/s below which a sample counts as not rotating
 WIDEST = 0.05  # gyro scatter over |ω| above which the rate is not known well enough
@@ -59,7 +57,15 @@ def moving_part(log: ArrayLog, rests: RestFit, names: tuple[str, ...] = ()) -> M
     good = np.flatnonzero(usable & ~wide)
     counts |= {"gyros scattered": int(wide.sum()), "informative": len(good)}
     _refuse_few(counts, len(good))
-    return Moving(log.t, acceleration, rate, gyros, good, log.interval, counts)
+    return Moving(
+        t=log.t,
+        acceleration=acceleration,
+        rate=rate,
+        gyros=gyros,
+        good=good,
+        interval=log.interval,
+        counts=counts,
+    )
 
 
 def _refuse_odd(ratio: Array, names: tuple[str, ...]) -> None:

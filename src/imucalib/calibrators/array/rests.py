@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.frame import BASE, framed_misalignment, in_the_mean_frame
 from imucalib.calibrators.array.gyros import gyro_drift
@@ -35,7 +35,6 @@ from imucalib.loop.thresholds import GROSS
 from imucalib.rests.segments import Segments
 from imucalib.units import MG
 
-Array = NDArray[np.float64]
 FEWEST_POSES = 9
 #: Curves do not speak against a name, and an error below 10 mg makes no rest a wrong one: what a
 #: chip's offset does from rest to rest is noise.
@@ -181,11 +180,18 @@ def fit_rests(
         np.einsum("kij,nkj->nki", board.rotations, segments.rate[:, order]), middle
     )
     return RestFit(
-        fit, loop, gain, covariance,
-        np.sqrt(np.mean(segments.noise[order] ** 2, axis=1)),
-        np.sqrt(np.mean(segments.rate_noise[order] ** 2, axis=1)),
-        drift, drift_sd, board.rotations, float(middle[0]), float(middle[-1]),
-    )  # fmt: skip
+        fit=fit,
+        loop=loop,
+        gain=gain,
+        covariance=covariance,
+        noise=np.sqrt(np.mean(segments.noise[order] ** 2, axis=1)),
+        gyro_noise=np.sqrt(np.mean(segments.rate_noise[order] ** 2, axis=1)),
+        gyro_bias=drift,
+        gyro_bias_sd=drift_sd,
+        rotations=board.rotations,
+        start=float(middle[0]),
+        stop=float(middle[-1]),
+    )
 
 
 def _observations(

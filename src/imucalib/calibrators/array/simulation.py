@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.errors import UsageError
 from imucalib.estimators.array.problem import ArrayData
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

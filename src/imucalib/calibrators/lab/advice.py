@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.outcome import Limit
 from imucalib.calibration.uncertainty import correcting
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
@@ -26,8 +26,6 @@ from imucalib.loop.noise_checks import beyond_declared
 from imucalib.loop.record_errors import RecordError
 from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG
-
-Array = NDArray[np.float64]
 
 
 def fix_option(record: RecordError, raw: RawUnit) -> str:

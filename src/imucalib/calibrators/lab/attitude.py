@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.references import angles_of
 from imucalib.loop.held_out import Held
 from imucalib.units import DEG, MG
-
-Array = NDArray[np.float64]
 
 #: Below this cosine of the inclination (about 3 degrees from vertical) tool-face has no meaning.
 _LEAST_COSINE = 0.05

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.core.context import Context
@@ -22,9 +22,6 @@ from imucalib.units import (
     detect_acceleration_unit,
     factor,
 )
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

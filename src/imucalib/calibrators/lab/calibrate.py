@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.calibration.outcome import ErrorSummary
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors
 from imucalib.calibrators.lab.conventions import Conventions
@@ -35,8 +35,6 @@ from imucalib.loop.design import folds_of
 from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.held_out import Held, fitted
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Objective = Literal["settings", "vector", "angles", "paper"]
 
 MODELS: dict[str, tuple[str, ...]] = {
@@ -131,7 +129,17 @@ def calibrate(
     known = isinstance(data.reference, KnownVector)
     angles = attitude_errors(fitted(final), gravity) if known else None
     error = error_summary(base, final, data, splits)
-    return LabResult(observations, used, loop, base, final, error, splits, angles, settings)
+    return LabResult(
+        observations=observations,
+        used=used,
+        loop=loop,
+        base=base,
+        final=final,
+        error=error,
+        splits=splits,
+        angles=angles,
+        settings=settings,
+    )
 
 
 def _closed(
@@ -139,7 +147,15 @@ def _closed(
     rules: LoopSettings, start: Array,
 ) -> tuple[FitLoop, tuple[Held, Held]]:  # fmt: skip
     """The search, and held-out errors before and after by the one design of the data."""
-    loop = close_loop(model, data, wanted.effects, rng, rules, start, wanted.families)
+    loop = close_loop(
+        model=model,
+        observations=data,
+        effects=wanted.effects,
+        rng=rng,
+        settings=rules,
+        start=start,
+        families=wanted.families,
+    )
     folds = folds_of(data)
     if not loop.steps:
         return loop, (by_folds(loop.plain, folds),) * 2

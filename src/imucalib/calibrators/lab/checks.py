@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.calibrators.lab.bench import (
     RawUnit,
     direction_observations,
@@ -20,9 +20,6 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
 from imucalib.errors import UsageError
 from imucalib.units import DEG, MG
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: A reading at rest differs from the others' size by a tenth at most, through bias and scale.
 _FAR = 0.35

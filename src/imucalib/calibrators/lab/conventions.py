@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UsageError
 from imucalib.units import DEG
-
-Array = NDArray[np.float64]
 
 _ZERO_AXIS = {"+y": 0.0, "+x": 90.0, "-y": 180.0, "-x": 270.0}
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.lab.bench import held_settings
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.core.balance import balance
@@ -22,8 +22,6 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector, unit_vector
 from imucalib.effects import named
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -125,14 +123,14 @@ def judge(
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     typical = np.array([q.typical for q in parameters])
     return Design(
-        len(inclination),
-        _efficiency(total, len(inclination), best, p),
-        float(np.sqrt(values[-1] / max(values[0], 1e-300))),
-        tuple(q.name for q in parameters),
-        tuple(q.unit for q in parameters),
-        _sd(total) * typical,
-        null_directions(root / typical, parameters, 1.0),
-        tuple(additions),
+        positions=len(inclination),
+        efficiency=_efficiency(total, len(inclination), best, p),
+        condition=float(np.sqrt(values[-1] / max(values[0], 1e-300))),
+        names=tuple(q.name for q in parameters),
+        units=tuple(q.unit for q in parameters),
+        sd=_sd(total) * typical,
+        open_directions=null_directions(root / typical, parameters, 1.0),
+        additions=tuple(additions),
     )
 
 

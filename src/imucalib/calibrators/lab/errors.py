@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Index
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
 from imucalib.core.balance import Noise
 from imucalib.core.fit import Fit
@@ -16,8 +16,6 @@ from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.loop.held_out import Held, errors, fitted, held_out
 from imucalib.units import MG
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -91,13 +89,13 @@ def error_summary(
     bare = replace(base, model=nothing, theta=np.zeros(0))
     raw = errors(bare, bare.theta, data).rms() / MG
     return ErrorSummary(
-        "vector error, rms" if data.reference.directed else "error of |a|, rms",
-        "mg",
-        raw,
-        fitted(base).rms() / MG,
-        fitted(final).rms() / MG,
-        noise_floor(final) / MG,
-        HeldOutError(raw, base_out, final_out),
+        metric="vector error, rms" if data.reference.directed else "error of |a|, rms",
+        unit="mg",
+        raw=raw,
+        base=fitted(base).rms() / MG,
+        final=fitted(final).rms() / MG,
+        floor=noise_floor(final) / MG,
+        held_out=HeldOutError(raw, base_out, final_out),
     )
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Index
 from imucalib.calibrators.lab.bench import RawUnit, held_settings
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.conventions import Conventions
@@ -23,8 +23,6 @@ from imucalib.loop.faults.search import row_faults
 from imucalib.loop.faults.sheet import Sheet, in_order
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
-
-Index = NDArray[np.intp]
 
 #: Scatter of a bench's settings (deg) beyond which rows or angles are wrong, and how far held-out
 #: errors must lie below the raw readings' for a calibration to be worth its name.

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.atomic_file import replaced_atomically
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.csv.dialect import is_number
@@ -22,8 +23,6 @@ from imucalib.readers.csv.table import table_cells
 from imucalib.readers.hdf5.table import table_columns
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import FieldMapping
-
-Array = NDArray[np.float64]
 
 #: What a column can be, and the names under which it is found (without unit suffix, lower case).
 ROLES: dict[str, tuple[str, ...]] = {

@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Index
 from imucalib.calibrators.lab.bench import corrected_cells, swapped_angles
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.errors import UsageError
-
-Index = NDArray[np.intp]
 
 _ANGLES = ("inclination", "tool_face")
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Index
 from imucalib.calibration.findings import Findings, findings_of
 from imucalib.calibration.outcome import Outcome, Run, quality_of
 from imucalib.calibration.provenance import Provenance, provenance_of
@@ -30,8 +30,6 @@ from imucalib.core.observations import Observations
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.loop.found import FitLoop
 from imucalib.loop.record_errors import RecordError
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,15 +69,13 @@ def run_lab(
         rows = np.setdiff1d(rows, bad)
         faults = look_for_faults(table, raw, whole, rows, request)
         result = _calibrated(whole, rows, request)
-    undecided = faults.undecided(_records(result)) + tuple(
-        f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
-        f"({r.likely}); decide with {fix_option(r, raw)}"
-        for r in _records(result)
-    )
-    undecided = undecided or doubts(result, raw, request)
+    undecided = _undecided(result, faults, raw) or doubts(result, raw, request)
     provenance = _provenance(table, raw, request, mapping or dict(table.names), gaps)
     why = reasons(result, raw) + worthless(result, whole)
-    outcome = _judged(result, raw, request, provenance, undecided, why, (raw.sentence, *notes))
+    outcome = _judged(
+        result=result, raw=raw, request=request, provenance=provenance, undecided=undecided,
+        why=why, notes=(raw.sentence, *notes),
+    )  # fmt: skip
     details = lab_details(result, excluded, undecided, faults)
     return LabRun(
         outcome=outcome,
@@ -91,6 +87,14 @@ def run_lab(
         request=request,
         excluded=excluded,
         faults=faults,
+    )
+
+
+def _undecided(result: LabResult, faults: Faults, raw: RawUnit) -> tuple[str, ...]:
+    return faults.undecided(_records(result)) + tuple(
+        f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
+        f"({r.likely}); decide with {fix_option(r, raw)}"
+        for r in _records(result)
     )
 
 

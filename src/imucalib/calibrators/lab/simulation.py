@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.uncertainty import correcting
 from imucalib.calibrators.lab.bench import position_observations
 from imucalib.calibrators.lab.calibrate import MODELS
@@ -23,8 +23,6 @@ from imucalib.effects import named
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 #: An ordinary MEMS triad: bias in mg, scale, cross terms, mounting in deg.
 _SENSOR = {

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Array, Response, own_axis, three
+from imucalib.core.effect import Response, own_axis, three
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.estimators.array.likelihood import ArrayPosterior, cholesky_last, conditionals
 from imucalib.estimators.array.rates import modes
 from imucalib.estimators.array.rotation import local
-
-Array = NDArray[np.float64]
 
 
 def quadrature_gain(posterior: ArrayPosterior, x: Array, order: int = 5) -> Array:

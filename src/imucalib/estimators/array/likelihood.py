@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
 from imucalib.estimators.array.rates import Mode, modes
 from imucalib.estimators.array.rotation import (
@@ -26,7 +26,6 @@ from imucalib.estimators.array.rotation import (
     times,
 )
 
-Array = NDArray[np.float64]
 _CHUNK = 4096  # (geometry, sample) pairs worked on at a time: what fits the cache
 
 
@@ -103,7 +102,15 @@ class ArrayPosterior:
             turn, square, spin = _averaged(given, mode)
         else:
             turn, square, spin = _moments(mode.rate, mode.here.spin)
-        return value, _gradient(self.data, self.prior, given, geometry, turn, square, spin)
+        return value, _gradient(
+            data=self.data,
+            prior=self.prior,
+            given=given,
+            geometry=geometry,
+            turn=turn,
+            square=square,
+            spins=spin,
+        )
 
 
 def conditionals(data: ArrayData, prior: ArrayPrior, x: Array) -> tuple[Prepared, Geometry]:
@@ -126,7 +133,15 @@ def conditionals(data: ArrayData, prior: ArrayPrior, x: Array) -> tuple[Prepared
         data.precision,
     ).prepared()  # fmt: skip
     log_inertia = np.where(sign > 0, log_inertia, np.inf)
-    return given, Geometry(centred, spread, inertia, given.gain, factor, weight, log_inertia)
+    return given, Geometry(
+        centred=centred,
+        spread=spread,
+        inertia=inertia,
+        gain=given.gain,
+        factor=factor,
+        weight=weight,
+        log_inertia=log_inertia,
+    )
 
 
 def constants(data: ArrayData, prior: ArrayPrior, geometry: Geometry) -> Array:

@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import NotConverged
 from imucalib.estimators.array.likelihood import ArrayPosterior, conditionals
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
 from imucalib.estimators.array.rotation import cross
 
-Array = NDArray[np.float64]
 _FEW = 300  # samples on which the first steps are taken
 _REFRESHES = 25
 _LONGEST = 1.0  # prior standard deviations of a step

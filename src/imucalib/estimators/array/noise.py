@@ -11,10 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from imucalib.arrays import Array, Flags
+
 _NU = (3.0, 4.0, 6.0, 10.0, 25.0)
 _GROWTH = (0.3, 0.7, 1.5, 3.0, 7.0, 20.0)
 HELD_OUT_NATS = 4.0

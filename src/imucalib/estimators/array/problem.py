@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UsageError
 
-Array = NDArray[np.float64]
 MotionPrior = Literal["learned", "flat"]
 HYPER_SD = 2.0  # of each of the six numbers of Σ^-1's Cholesky factor, around the starting scale
 NOISE_SD = 1.0  # of the logarithm of the accelerometers' standard deviation around the declared

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.estimators.array.rotation import LINE, Local, Prepared, dot, local, times
 
-Array = NDArray[np.float64]
 _EXACT = 1e-8  # Newton decrement below which the rest is taken by the parabola at the point
 _LONGEST = 60
 

@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from imucalib.arrays import Array
+
 CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 LINE = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # where element (i, j) is among the six
@@ -47,10 +47,17 @@ class Conditionals:
         bend[:, :3] *= 2.0
         np.negative(bend[:, 3:], out=bend[:, 3:])
         return Prepared(
-            bend, torque, self.inertia, self.gain, _linear(self.inertia, self.gain),
-            _quadratic(self.inertia), _spun(self.inertia), self.power, self.rate[None],
-            self.precision,
-        )  # fmt: skip
+            bend=bend,
+            torque=torque,
+            inertia=self.inertia,
+            gain=self.gain,
+            linear=_linear(self.inertia, self.gain),
+            quadratic=_quadratic(self.inertia),
+            spun=_spun(self.inertia),
+            power=self.power,
+            rate=self.rate[None],
+            precision=self.precision,
+        )
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.mode import Frame, laplace_frame, start_prior
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
 from imucalib.estimators.markov.convergence import Convergence
 from imucalib.estimators.markov.hmc import Stop, sample
 
-Array = NDArray[np.float64]
 COLLAPSED = 0.5  # share of the drawing's extent below which a geometry is no longer believed
 VAGUE = 0.05  # relative standard deviation of the array's size above which it is not determined
 
@@ -106,9 +105,14 @@ def sample_positions(
         target, chosen.size, rng, chains=count, stop=stop, checkpoint=checkpoint, seen=frame.place
     )
     positions = ArrayPositions(
-        data, chosen, frame.place(found.draws), frame, found.accepted, found.steps,
-        found.convergence,
-    )  # fmt: skip
+        data=data,
+        prior=chosen,
+        unknowns=frame.place(found.draws),
+        frame=frame,
+        accepted=found.accepted,
+        steps=found.steps,
+        convergence=found.convergence,
+    )
     refuse_collapse(positions.mean, chosen.nominal)
     refuse_vague(positions)
     return positions

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from imucalib.arrays import Array
+
 _ROUNDS = 12
 _EXACT = 1e-8  # rad/s, step at which the rates are final
 
@@ -121,4 +122,14 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
     scale = 1.0 / np.sqrt(np.einsum("tii->ti", normal))
     unit = normal * scale[:, :, None] * scale[:, None]
     root = np.linalg.inv(np.linalg.cholesky(unit)).transpose(0, 2, 1) * scale[:, :, None]
-    return Sampled(rate, unknown[:, 3:6], unknown[:, :3], force, turn, off, weights, arms, root)
+    return Sampled(
+        rate=rate,
+        spin=unknown[:, 3:6],
+        origin=unknown[:, :3],
+        force=force,
+        turn=turn,
+        off=off,
+        weights=weights,
+        arms=arms,
+        root=root,
+    )

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.estimators.markov.convergence import Convergence, convergence
 
-Array = NDArray[np.float64]
 #: (chains, d) in the frame -> log density (chains,) and its gradient (chains, d)
 Target = Callable[[Array], tuple[Array, Array]]
 #: Steps of a trajectory with the acceptance wished for, of all chains and of the worst. One

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import NotConverged
 from imucalib.estimators.array.likelihood import conditionals, constants
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
 from imucalib.estimators.array.rotation import local
 
-Array = NDArray[np.float64]
 ACCEPTANCE = (0.07, 0.23)
 VARIANCE = 0.1
 _REPEATS = 100  # likelihoods from which a variance is told
@@ -89,7 +89,13 @@ def run_pmmh(
         draws[:, k], level[:, k] = walk.x, walk.level
         accepted += float(taken.mean())
     return PmmhResult(
-        draws, level, likelihood.count, variance, walk.step, accepted / iterations, burn_in
+        draws=draws,
+        log_density=level,
+        monte_carlo=likelihood.count,
+        variance=variance,
+        step=walk.step,
+        accepted=accepted / iterations,
+        burn_in=burn_in,
     )
 
 

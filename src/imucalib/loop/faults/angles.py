@@ -15,15 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
 from imucalib.loop.faults.found import ENOUGH, Fault, Hypothesis
 from imucalib.loop.faults.noise_grid import Base, beside_rows, design_rows
 from imucalib.loop.faults.sheet import Sheet, slopes
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: A typo is at least this far (deg) from what the sheet has.
 _NEAREST = 1.0

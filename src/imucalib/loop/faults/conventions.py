@@ -12,12 +12,9 @@ from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.loop.faults.found import ENOUGH
 from imucalib.loop.faults.sheet import Sheet
-
-Array = NDArray[np.float64]
 
 
 class Meaning(NamedTuple):

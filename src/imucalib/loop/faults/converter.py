@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from imucalib.arrays import Array, Index
 
 #: Rows that must show the same extreme value, and by how much (mg) their other readings differ.
 _REPEATS, _ELSEWHERE = 3, 30.0

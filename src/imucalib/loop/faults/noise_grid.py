@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.loop.faults.sheet import Sheet, slopes
-
-Array = NDArray[np.float64]
 
 #: Scatter of a setting (deg), size of what else may be (deg), noise (mg): scales of Cauchy-like
 #: priors. Ten degrees of scatter cost 7 nats, so a scatter cannot swallow a wrong row.
@@ -121,7 +120,7 @@ def base_of(sheet: Sheet) -> Base | None:
     P = (W - WX @ np.linalg.solve(A, np.swapaxes(WX, 1, 2))) * np.outer(weight, weight)
     g = P @ sheet.reading.ravel()
     c = -0.5 * (np.linalg.slogdet(V)[1] + np.linalg.slogdet(A)[1])
-    return Base(sheet, terms, grid, P, g, g @ sheet.reading.ravel(), c)
+    return Base(sheet=sheet, terms=terms, grid=grid, P=P, g=g, rss=g @ sheet.reading.ravel(), c=c)
 
 
 def _grid(n: int) -> Grid:

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.loop.faults.found import ENOUGH, Fault, Hypothesis
 from imucalib.loop.faults.noise_grid import Base
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: Hypotheses about blocks that are looked at on the whole grid, after a few of its points.
 _SHORT_LIST = 60

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from imucalib.arrays import Array
 from imucalib.loop.faults.angles import angles
 from imucalib.loop.faults.found import ENOUGH, Fault, with_rivals
 from imucalib.loop.faults.noise_grid import base_of
 from imucalib.loop.faults.readings import blocks, cells, exchanges, records
 from imucalib.loop.faults.sheet import Sheet
-
-Array = NDArray[np.float64]
 
 #: A sheet with more slips than this is better written anew.
 _MOST = 5

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
 from imucalib.units import DEG, MG
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 #: Dial angles (deg) to inclination and tool-face in rad, each angle on its own.
 Inside = Callable[[Array, Array], tuple[Array, Array]]
 

@@ -9,11 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.loop.design import Fold
 from imucalib.loop.wander.walk import Course, Walk, whitened
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 #: Bounds of the walk's memory: 3 min, and a sixth of the recording, beyond which it is a drift.

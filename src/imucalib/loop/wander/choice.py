@@ -6,15 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.effect import Effect
 from imucalib.loop.wander.bank import Bank, Mask, Split
 from imucalib.loop.wander.held_blocks import Judged, inside, judged
 from imucalib.loop.wander.likelihood import Level, Terms, best_level
 from imucalib.loop.wander.scores import Entry, Scored, finest, scored, usable_walks
-
-Array = NDArray[np.float64]
 
 #: Standard errors by which the density must gain over the blocks; what is driven by time lies in
 #: the same blocks as what it claims to explain, and has to gain more.
@@ -104,9 +102,27 @@ def search(
         best = None
         if len(taken) < rules.most and any(s.evidence > _LEAST for s in scores):
             bar = rules.bar(bank, terms, len(taken))
-            bank, best = _choice(bank, terms, level, scores, design, keep, rules, bar, refused)
+            bank, best = _choice(
+                bank=bank,
+                terms=terms,
+                level=level,
+                scores=scores,
+                design=design,
+                keep=keep,
+                rules=rules,
+                bar=bar,
+                refused=refused,
+            )
         if best is None:
-            return Search(bank, terms, level, tuple(taken), first, scores, tuple(refused))
+            return Search(
+                bank=bank,
+                terms=terms,
+                level=level,
+                taken=tuple(taken),
+                first=first,
+                last=scores,
+                refused=tuple(refused),
+            )
         taken.append(best)
         terms = terms.plus(best.found.entry.columns, best.size)
 

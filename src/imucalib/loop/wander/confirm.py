@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.loop.difference import Difference
 from imucalib.loop.found import Step
 from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Terms, best_level
 from imucalib.loop.wander.report import Predicted
-
-Array = NDArray[np.float64]
 
 #: Share of the searches without a block that must find an effect again, and one that time drives.
 _AGAIN, _AGAIN_IN_TIME = 0.5, 0.8

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.loop.design import Fold, folds_of
@@ -23,8 +24,6 @@ from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_differences, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
 from imucalib.loop.wander.words import scores_of, steps_of, unexplained
-
-Array = NDArray[np.float64]
 
 #: Rows that a search uses at most: more change no decision.
 _ROWS = 3000
@@ -130,6 +129,14 @@ def _final(found: _Pass) -> tuple[Fit, Array]:
     return fitted(model, problem.fit.observations, noise, start, precision), precision
 
 
+def _open(found: _Pass, last: Noise) -> bool:
+    """Whether the walk is a rival of what was taken: a walk of the longest memory that is tried
+    passes for a drift or a step of the same recording."""
+    timed = any(taken.found.entry.timed for taken in found.search.taken)
+    longest = max(walk.tau for walk in found.problem.bank.walks)
+    return not found.search.taken or (timed and last.walk.tau >= longest)
+
+
 def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: Asked) -> Closed:
     problem = found.problem
     bars = found.bars
@@ -161,7 +168,7 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
         as_recorded=final,
         steps=steps_of(problem, found.search, found.chances),
         rejected=found.search.refused,
-        unexplained=() if found.search.taken else unexplained(wander),
+        unexplained=unexplained(wander) if _open(found, last) else (),
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
         first_scores=scores_of(problem, first, found.chances[0], bars[0]),
         missing=problem.missing,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core import balance as balancing
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -15,8 +15,6 @@ from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.wander.noise import Noise, walk_columns
 from imucalib.loop.wander.walk import whitened
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
 
 _STEPS, _SETTLED = 12, 1e-6
 

@@ -14,12 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.loop.wander.bank import Bank, Mask, Split
 from imucalib.loop.wander.likelihood import Terms
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

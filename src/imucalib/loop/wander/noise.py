@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.core.balance import Balanced
 from imucalib.core.fit import Fit
 from imucalib.loop.wander.bank import bank_of, walks_of
@@ -14,9 +14,6 @@ from imucalib.loop.wander.held_blocks import solved
 from imucalib.loop.wander.likelihood import Terms, levels
 from imucalib.loop.wander.walk import Course, Walk, beside
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: Residual over its scatter from which a run counts less (Huber 1964), and 1 / the MAD of a normal.
 _FAR, _MAD = 2.5, 1.4826

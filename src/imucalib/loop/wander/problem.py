@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -22,9 +22,6 @@ from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.noise import Noise, natural
 from imucalib.loop.wander.scores import Entry
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: Values of a scan that are tried at first; the neighbours of the best one are tried after.
 _OF_A_SCAN = 24
@@ -135,7 +132,10 @@ def problem_of(
     terms = Terms(np.arange(p), base_precision(fit), p)
     of = {family.name: family for family in families}
     splits = splits_of(cut, part)
-    return Problem(fit, noise, bank, terms, entries, splits, tried, missing, small, of)
+    return Problem(
+        fit=fit, noise=noise, bank=bank, terms=terms, entries=entries, splits=splits,
+        effects=tried, missing=missing, small=small, families=of,
+    )  # fmt: skip
 
 
 def _entries(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.loop.design import Fold
 from imucalib.loop.difference import Difference, difference
 from imucalib.loop.held_out import Held, errors
@@ -15,8 +16,6 @@ from imucalib.loop.wander.choice import Rules, Taken, search
 from imucalib.loop.wander.held_blocks import judged, solved
 from imucalib.loop.wander.likelihood import Terms, best_level
 from imucalib.loop.wander.problem import Problem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.loop.evidence_gram import best_evidence, directions
 from imucalib.loop.wander.bank import Bank, Mask
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.walk import drawn, whitened
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 #: Prior sizes that are tried, in typical ones. A curve is held to three: its many terms would
 #: otherwise grow to any size where the postures do not determine them.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
 from imucalib.loop.wander.bank import Bank
@@ -15,8 +15,6 @@ from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.problem import Problem
 from imucalib.loop.wander.scores import Scored
 from imucalib.units import MG
-
-Array = NDArray[np.float64]
 
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
 _APART, _ALIKE = 2.0, 3.0
@@ -44,8 +42,19 @@ def scores_of(
         size = float(column) * problem.noise.scatter * MG
         candidate = Candidate(s.entry.name, "effect", np.zeros((0, 0)), family=s.entry.family)
         p, nats = chance_of(s, chance), float(bar[int(s.entry.timed)])
-        out.append(Score(candidate, s.evidence, p, chance.shape[1], s.left, s.strength, s.share,
-                         size, nats))  # fmt: skip
+        out.append(
+            Score(
+                candidate=candidate,
+                evidence=s.evidence,
+                p=p,
+                draws=chance.shape[1],
+                left=s.left,
+                strength=s.strength,
+                share=s.share,
+                size=size,
+                bar=nats,
+            )
+        )
     return tuple(out)
 
 

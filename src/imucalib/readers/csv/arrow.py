@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.recording.recording import Array
+from imucalib.arrays import Array
 
 
 @cache

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv import time as csv_time
 from imucalib.readers.csv.header import HeaderFacts
@@ -15,7 +16,6 @@ from imucalib.readers.csv.select import Selection
 from imucalib.readers.csv.time import MISSING, TextTime
 from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, stepping
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
-from imucalib.recording.recording import Array
 
 _DAY = 86_400.0
 
@@ -127,8 +127,9 @@ def _by_stamps(
     looks = tuple(_seconds(s, "int" if text else kind, unit, origin, None) for s in raw)
     steps = Stepping(raw_steps.step * size, raw_steps.threshold * size)
     clock = Clock(
-        kind, unit, origin, start_ns, 1.0 / steps.step, steps.threshold, text, looks=looks
-    )
+        kind=kind, unit=unit, origin=origin, start_ns=start_ns, rate=1.0 / steps.step,
+        threshold=steps.threshold, text=text, looks=looks,
+    )  # fmt: skip
     coarse = _coarse(clock, looks, steps)
     if coarse is not clock:
         notes.append(
@@ -193,6 +194,14 @@ def _coarse(clock: Clock, looks: Sequence[Array], steps: Stepping) -> Clock:
     typical = float(np.median(counts)) if counts else float(same.sum() + 1)
     rate = typical / steps.step
     return Clock(
-        clock.kind, clock.unit, clock.origin, clock.start_ns, rate, 1.75 * steps.step,
-        clock.text, steps.step, typical, clock.looks,
-    )  # fmt: skip
+        kind=clock.kind,
+        unit=clock.unit,
+        origin=clock.origin,
+        start_ns=clock.start_ns,
+        rate=rate,
+        threshold=1.75 * steps.step,
+        text=clock.text,
+        resolution=steps.step,
+        typical=typical,
+        looks=clock.looks,
+    )

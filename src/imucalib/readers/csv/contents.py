@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.contents import Content, listing, norm_of
 from imucalib.readers.csv.dialect import Dialect, cells_of, is_number
-from imucalib.recording.recording import Array
 
 _ROWS = 50  # of each look
 

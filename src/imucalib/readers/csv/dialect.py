@@ -176,7 +176,13 @@ def _with_header(shape: _Shape, lines: list[str], mapping: FieldMapping, where: 
         )
     preamble = tuple(lines[:first])
     return Dialect(
-        shape.delimiter, shape.decimal, names, shape.width, first + 1, shape.numeric, preamble
+        delimiter=shape.delimiter,
+        decimal=shape.decimal,
+        names=names,
+        width=shape.width,
+        data_line=first + 1,
+        numeric=shape.numeric,
+        preamble=preamble,
     )
 
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv import arrow as csv_arrow
 from imucalib.readers.csv.dialect import cells_of, is_blank, is_number
 from imucalib.readers.csv.source import Lines
 from imucalib.readers.csv.time import MISSING
-from imucalib.recording.recording import Array
 
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 _ERRORS = rb"#(?:value|ref|div/0|num|null)!|#name\?"  # of a spreadsheet

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
 from imucalib.readers.conversion import Conversion
@@ -21,7 +22,6 @@ from imucalib.readers.csv.source import Lines, looks
 from imucalib.readers.timebase import stepping
 from imucalib.recording.correction import Correction
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Array
 
 _REST_SECONDS = 0.5  # window of the look for rest that finds the unit
 
@@ -96,7 +96,15 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     idle = facts.device.sleeps
     unique = tuple(dict.fromkeys(notes))
     return Plan(
-        dialect, layout, clock, signals, idle, unique, resolved, facts.rows, facts.corrections
+        dialect=dialect,
+        layout=layout,
+        clock=clock,
+        signals=signals,
+        idle=idle,
+        notes=unique,
+        resolved=resolved,
+        rows=facts.rows,
+        corrections=facts.corrections,
     )
 
 
@@ -117,7 +125,15 @@ def _layout(
     kind = _time_kind(dialect, selection.time, samples)
     time = selection.time if kind else -1
     width = max((len(s) for s in samples), default=0) + 16
-    layout = Layout(dialect.delimiter, dialect.decimal, dialect.width, time, kind, columns, width)
+    layout = Layout(
+        delimiter=dialect.delimiter,
+        decimal=dialect.decimal,
+        width=dialect.width,
+        time=time,
+        time_kind=kind,
+        values=columns,
+        text_width=width,
+    )
     return layout, samples
 
 
@@ -173,7 +189,15 @@ def _signal(
         how = conversion.temperature(mapping, vector.unit, np.concatenate(raw)[:, 0], where)
     name = f"{vector.triad}/{vector.quantity}"
     at = tuple(layout.values.index(c) for c in vector.columns)
-    return Signal(name, vector.quantity, vector.triad, at, how, rate, threshold)
+    return Signal(
+        name=name,
+        quantity=vector.quantity,
+        triad=vector.triad,
+        at=at,
+        conversion=how,
+        rate=rate,
+        threshold=threshold,
+    )
 
 
 def _resolved(

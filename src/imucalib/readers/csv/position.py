@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.clock import bad_stamp
 from imucalib.readers.csv.parse import Rows
 from imucalib.readers.csv.plan import Plan
 from imucalib.readers.csv.time import spread
-from imucalib.recording.recording import Array
 
 _DAY = 86_400.0
 _MOST_BAD_STAMPS = 1000  # of a block: each costs a pass over it

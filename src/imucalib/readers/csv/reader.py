@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.dialect import cells_of, is_number
 from imucalib.readers.csv.parse import parse
@@ -24,7 +25,7 @@ from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Array, Channel, Gap, Recording
+from imucalib.recording.recording import Channel, Gap, Recording
 
 
 class CsvReader:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.recording.recording import Array
 
 Int = NDArray[np.int64]
 MISSING = np.iinfo(np.int64).min  #: a blank stamp

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 
-from imucalib.discovery import modules_of
+from imucalib.core.discovery import modules_of
 from imucalib.errors import UsageError
 from imucalib.recording.mapping import FieldMapping
 

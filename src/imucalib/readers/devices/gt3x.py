@@ -92,14 +92,14 @@ class Gt3xReader:
             values = conversion.apply(counts)
             channel = Channel(t, values, conversion.unit, "acceleration", "imu0", rate)
             yield Recording(
-                {"imu0/acceleration": channel},
-                str(path),
-                self.name,
-                digest,
-                (origin - (zone or 0)) * 1_000_000_000,
-                gaps,
-                (*notes, *lost),
-                {"acc_unit": conversion.source_unit, "rate": rate},
+                channels={"imu0/acceleration": channel},
+                path=str(path),
+                format=self.name,
+                sha256=digest,
+                start_ns=(origin - (zone or 0)) * 1_000_000_000,
+                gaps=gaps,
+                notes=(*notes, *lost),
+                mapping={"acc_unit": conversion.source_unit, "rate": rate},
             )
 
 

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucalib.recording.recording import Array, Channel, Gap, Recording
+from imucalib.arrays import Array
+from imucalib.recording.recording import Channel, Gap, Recording
 
 _SHORTEST = 1.0  # s: no sensor whose noise exceeds its resolution repeats itself for so long
 

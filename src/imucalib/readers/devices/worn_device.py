@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.conversion import acceleration, norms_at_rest, temperature
 from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps, stepping
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Array, Channel, Recording
+from imucalib.recording.recording import Channel, Recording
 
 _CWA, _BIN = b"MD", b"Device Identity"
 
@@ -62,10 +63,15 @@ class WornDeviceReader:
             if warm.shape[0] == seconds.size:
                 channels["imu0/temperature"] = _channel(t, heat.apply(warm[part]), "degC", rate)
             yield Recording(
-                channels, str(path), self.name, digest, round(origin * 1e9),
-                tuple(find_gaps(t, rows, step.threshold, before)),
-                () if first else tuple(n for n in notes if n), {"acc_unit": convert.source_unit},
-            )  # fmt: skip
+                channels=channels,
+                path=str(path),
+                format=self.name,
+                sha256=digest,
+                start_ns=round(origin * 1e9),
+                gaps=tuple(find_gaps(t, rows, step.threshold, before)),
+                notes=() if first else tuple(n for n in notes if n),
+                mapping={"acc_unit": convert.source_unit},
+            )
 
 
 READER = WornDeviceReader()

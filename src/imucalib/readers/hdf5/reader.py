@@ -14,6 +14,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.contents import listing, suggestion
 from imucalib.readers.hdf5.attributes import text_of
@@ -26,7 +27,7 @@ from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
 from imucalib.recording.correction import corrections_of
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Array, Channel, Gap, Recording
+from imucalib.recording.recording import Channel, Gap, Recording
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
@@ -150,7 +151,15 @@ def _channel(
         gaps = find_gaps(t[new], rows[new], signal.threshold, last.get(signal.name))
     last[signal.name] = float(t[-1])
     values = cast(Array, raw)  # of the type that the file has, while the conversion is pending
-    return Channel(t, values, how.unit, found.quantity, found.triad, signal.rate, how), gaps
+    return Channel(
+        t=t,
+        values=values,
+        unit=how.unit,
+        quantity=found.quantity,
+        triad=found.triad,
+        rate=signal.rate,
+        pending=how,
+    ), gaps
 
 
 def _finite(values: NDArray[np.generic]) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
 from imucalib.readers.conversion import Conversion
@@ -16,7 +17,6 @@ from imucalib.readers.hdf5.clock import Found
 from imucalib.readers.hdf5.file import File
 from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, start_of, stepping
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
-from imucalib.recording.recording import Array
 
 _LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
 _REST_SECONDS = 0.5

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.hdf5.attributes import text_of
 from imucalib.readers.hdf5.fields import datasets
 from imucalib.readers.hdf5.file import opened
-from imucalib.recording.recording import Array
 
 
 def table_columns(path: Path) -> dict[str, Array | list[str]]:

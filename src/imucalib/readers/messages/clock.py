@@ -92,10 +92,16 @@ def choose_clock(survey: Survey, *, scalar: bool, time_unit: str, rate: float | 
         times = np.sort(times)
     period, longest = _period(times)
     if rate:
-        return Clock("rate", 1, 0, 1e9 / rate, np.inf, int(log.first), tuple(notes))
+        return Clock(
+            source="rate", factor=1, late=0, period=1e9 / rate, longest=np.inf,
+            first=int(log.first), notes=tuple(notes),
+        )  # fmt: skip
     notes += _counted(survey, facts, factor, times, period)
     late, first = int(np.ceil(facts.late * factor)), int(to_ns(np.array([facts.low]), factor)[0])
-    return Clock(chosen, factor, late, period, longest, first, tuple(notes))
+    return Clock(
+        source=chosen, factor=factor, late=late, period=period, longest=longest, first=first,
+        notes=tuple(notes),
+    )  # fmt: skip
 
 
 def _unit(stamp: ClockFacts, log: ClockFacts, time_unit: str) -> tuple[int, str]:

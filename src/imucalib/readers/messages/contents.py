@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UsageError
 from imucalib.readers.contents import Content, norm_of
 from imucalib.readers.messages.decode import Decoder, decoder_for
@@ -16,7 +17,6 @@ from imucalib.readers.messages.fields import vectors_of
 from imucalib.readers.messages.log import MessageLog
 from imucalib.readers.messages.records import MessageBlock, Topic
 from imucalib.readers.messages.select import natural
-from imucalib.recording.recording import Array
 
 _SAMPLED = 2000  # messages of a topic that its norms are taken from, a stretch of each block
 _STRETCH = 50

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers import conversion
 from imucalib.readers.contents import listing, suggestion
@@ -27,7 +28,7 @@ from imucalib.readers.messages.store import Store
 from imucalib.readers.messages.stream import TopicStream
 from imucalib.readers.messages.timeline import Timeline
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Array, Recording
+from imucalib.recording.recording import Recording
 
 CHANNEL_NAMES = {"acc": "acceleration", "gyro": "angular_rate", "temperature": "temperature"}
 _HOUR = 3_600_000_000_000
@@ -86,9 +87,16 @@ def decide(log: MessageLog, mapping: FieldMapping, stream: TopicStream, store: S
     states = {part.quantity: part.conversion.source_unit for part in reversed(parts)}
     found = resolved(mapping, triads, fields, [states.get("acc", ""), states.get("gyro", "")])
     head = Recording(
-        {}, str(path), log.format, log.sha256(), start if dated else None, (), tuple(notes),
-        found.to_dict(), marks,
-    )  # fmt: skip
+        channels={},
+        path=str(path),
+        format=log.format,
+        sha256=log.sha256(),
+        start_ns=start if dated else None,
+        gaps=(),
+        notes=tuple(notes),
+        mapping=found.to_dict(),
+        corrections=marks,
+    )
     return Plan(head, tuple(parts), clocks, start)
 
 

@@ -6,13 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.readers.messages.log import MessageLog
 from imucalib.readers.messages.plan import CHANNEL_NAMES, Plan, decide
 from imucalib.readers.messages.store import Store
 from imucalib.readers.messages.stream import TopicStream, checked
 from imucalib.readers.messages.timeline import Timeline
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Array, Channel, Gap, Recording
+from imucalib.recording.recording import Channel, Gap, Recording
 
 
 def read_log(log: MessageLog, mapping: FieldMapping, *, strict: bool) -> Recording:
@@ -135,9 +136,16 @@ def _recording(
         )
     head, ordered = plan.head, sorted(gaps, key=lambda gap: (gap.start, gap.stop, gap.reason))
     return Recording(
-        channels, head.path, head.format, head.sha256, head.start_ns, tuple(ordered), notes,
-        head.mapping, head.corrections,
-    )  # fmt: skip
+        channels=channels,
+        path=head.path,
+        format=head.format,
+        sha256=head.sha256,
+        start_ns=head.start_ns,
+        gaps=tuple(ordered),
+        notes=notes,
+        mapping=head.mapping,
+        corrections=head.corrections,
+    )
 
 
 def _whole(pieces: list[Array]) -> Array:

@@ -155,7 +155,10 @@ def parse_chunk_head(content: bytes) -> ChunkHead | None:
     name = content[32 : 32 + name_length]
     (inner,) = _U64.unpack_from(content, 32 + name_length)
     text = name.decode("ascii", "replace")
-    return ChunkHead(first, last, size, crc, text, 40 + name_length, inner)
+    return ChunkHead(
+        first_ns=first, last_ns=last, uncompressed_size=size, uncompressed_crc=crc,
+        compression=text, body=40 + name_length, size=inner,
+    )  # fmt: skip
 
 
 def text_at(content: bytes, at: int) -> tuple[str, int]:

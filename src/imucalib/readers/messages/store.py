@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.readers.messages.lanes import Samples
 from imucalib.readers.messages.survey import ClockFacts, Growing, Stamps, Survey
-from imucalib.recording.recording import Array
 
 _BATCH = 4096  # rows that are surveyed at once when samples are not kept
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.recording.recording import Array
+from imucalib.arrays import Array
 
 _PIECE = 4096  # rows of one stretch that is kept to judge the norm at rest
 _LARGEST_SLAB = 1 << 20  # rows

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.readers.messages.clock import TWO_PERIODS, Clock
 from imucalib.readers.messages.survey import Stamps
-from imucalib.recording.recording import Array, Gap
+from imucalib.recording.recording import Gap
 
 
 @dataclass

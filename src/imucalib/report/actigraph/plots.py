@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.errors import raw_errors, sphere_cells
 from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.loop.held_out import fitted
 from imucalib.report.document import Block, Plot, Series, Table
 from imucalib.units import DEG, MG
-
-Array = NDArray[np.float64]
 
 _BANDS = ((1.0, "below 1 mg"), (3.0, "1 to 3 mg"), (np.inf, "above 3 mg"))
 _BINS = 60

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.errors import ImucalError
 from imucalib.estimators.array.mode import laplace_frame
 from imucalib.report.document import Plot, Series
 
-Array = NDArray[np.float64]
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 _FEWEST = 10  # samples below which a part is not shown
 

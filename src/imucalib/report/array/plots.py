@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.estimators.markov.convergence import autocorrelation
 from imucalib.report.document import Plot, Series
 
-Array = NDArray[np.float64]
 _HALF, _MOST = 1.1774, 2.6482  # radii that hold 50 % and 97 % of a plane Gaussian
 
 
@@ -98,10 +98,17 @@ def deviation_plot(run: ArrayRun) -> Plot:
     off, sd = 1e3 * (run.final.mean - run.board.drawn), 1e3 * run.final.sd
     x = np.arange(run.board.count, dtype=np.float64)
     series = tuple(
-        Series(axis, x[1:] + 0.2 * (k - 1), off[1:, k], "bars", off[1:, k] - 1.96 * sd[1:, k],
-               off[1:, k] + 1.96 * sd[1:, k], run.board.imus[1:])
+        Series(
+            label=axis,
+            x=x[1:] + 0.2 * (k - 1),
+            y=off[1:, k],
+            mark="bars",
+            low=off[1:, k] - 1.96 * sd[1:, k],
+            high=off[1:, k] + 1.96 * sd[1:, k],
+            names=run.board.imus[1:],
+        )
         for k, axis in enumerate("xyz")
-    )  # fmt: skip
+    )
     caption = f"Position minus drawing, relative to {run.board.imus[0]}, 95 % intervals."
     return Plot("Deviation from the drawing", "IMU", "mm", series, caption)
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.calibrators.lab.advice import curve_words, fixture_curve
 from imucalib.calibrators.lab.attitude import attitude_errors, rms
@@ -14,8 +14,6 @@ from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import fitted
 from imucalib.report.document import Plot, Section, Series, Table
 from imucalib.units import DEG
-
-Array = NDArray[np.float64]
 
 
 def dial_section(run: LabRun) -> Section:

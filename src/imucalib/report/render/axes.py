@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.report.document import Array, Plot, Series
+from imucalib.arrays import Array
+from imucalib.report.document import Plot, Series
 
 LARGEST = 1e300  # beyond it differences overflow: drawn as a gap
 SMALLEST = 1e-290  # below it steps underflow: drawn as zero

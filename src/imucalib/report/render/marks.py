@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.report.document import Array
+from imucalib.arrays import Array
 from imucalib.report.render.markup import escape, points, short
 from imucalib.report.render.thinning import LONGEST, Indices, runs, thinned
 

@@ -8,7 +8,7 @@ from html import escape as escape_entities
 
 import numpy as np
 
-from imucalib.report.document import Array
+from imucalib.arrays import Array
 
 # What XML 1.0 does not allow at all, not even escaped, and the controls that HTML rejects.
 _FORBIDDEN = re.compile(

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.report.document import Array, Plot, Series
+from imucalib.arrays import Array
+from imucalib.report.document import Plot, Series
 from imucalib.report.render import marks
 from imucalib.report.render.axes import (
     Axis,

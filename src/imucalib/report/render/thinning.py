@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.report.document import Array
+from imucalib.arrays import Array
 
 Indices = NDArray[np.intp]
 

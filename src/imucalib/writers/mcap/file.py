@@ -89,7 +89,12 @@ class McapFile:
             self._record(mr.MESSAGE_INDEX, body)
             self._counts[number] = self._counts.get(number, 0) + rows.size
         tail = self._at - at - length
-        self._chunks.append(_Chunk(at, length, first, last, index, tail, len(packed), len(data)))
+        self._chunks.append(
+            _Chunk(
+                start=at, length=length, first_ns=first, last_ns=last, indexes=index,
+                index_length=tail, packed=len(packed), size=len(data),
+            )
+        )  # fmt: skip
 
     def attachment(self, content: bytes) -> None:
         """Write an attachment record with its content as another file has it."""

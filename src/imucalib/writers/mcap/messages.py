@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import UsageError
 from imucalib.readers.messages.definition import IMU_ROS2, TEMPERATURE_ROS2
 from imucalib.readers.messages.fields import (
@@ -19,7 +20,7 @@ from imucalib.readers.messages.fields import (
     META_TRIAD,
 )
 from imucalib.readers.messages.records import MESSAGE
-from imucalib.recording.recording import Array, Channel, Recording
+from imucalib.recording.recording import Channel, Recording
 
 _CHUNK_BYTES = 1 << 20
 SHORT_NAMES = {"acceleration": "acc", "angular_rate": "gyro", "temperature": "temperature"}
@@ -131,7 +132,17 @@ def _output(
     values = tuple((c.quantity, c.values[:, 0] if temperature else c.values) for c in channels)
     frame = channels[0].triad.encode() + b"\0"
     dtype = _record_type(len(frame), temperature)
-    return Output(number, schema, topic, metadata, ns, log, values, dtype, frame)
+    return Output(
+        number=number,
+        schema=schema,
+        topic=topic,
+        metadata=metadata,
+        ns=ns,
+        log=log,
+        values=values,
+        dtype=dtype,
+        frame=frame,
+    )
 
 
 def _record_type(frame: int, temperature: bool) -> np.dtype[np.void]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.readers.mcap.reader import McapLog
 from imucalib.readers.messages.decode import RosDecoder, decoder_for
 from imucalib.readers.messages.plan import CHANNEL_NAMES, Part, Plan
@@ -20,7 +21,7 @@ from imucalib.readers.messages.records import MessageBlock, Topic
 from imucalib.readers.messages.store import Store
 from imucalib.readers.messages.stream import TopicStream
 from imucalib.recording.mapping import UNCHANGED, from_dict
-from imucalib.recording.recording import Array, Recording
+from imucalib.recording.recording import Recording
 
 _UNITS = {"acc": "m/s2", "gyro": "rad/s"}
 _VECTORS = 3

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.setup import with_neighbours
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -14,8 +15,6 @@ from imucalib.calibrators.array.loop.timing import SampleAge, fit_sample_age
 from imucalib.calibrators.array.moving import Moving
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 _GROUP = 8  # samples that learn or vote together where all are in the search
 _TRAIN = 0.5  # share of the informative samples outside of the search from which they suffice
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Index
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.curves import CURVE, SENSOR, array_curves
 from imucalib.calibrators.array.loop.motion import BoardMotion
@@ -15,9 +15,6 @@ from imucalib.calibrators.array.loop.terms import columns_of
 from imucalib.core.effect import Response
 from imucalib.estimators.array.gram import Columns
 from imucalib.loop.evidence import Kind
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,17 @@ def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
             name = f"{effect.name}@{imu}"
             if name not in taken | rejected:
                 part = np.arange(k * m, (k + 1) * m)
-                entries.append(Entry(name, "effect", imu, here, part, effect, k))
+                entries.append(
+                    Entry(
+                        name=name,
+                        kind="effect",
+                        driver=imu,
+                        block=here,
+                        part=part,
+                        effect=effect,
+                        only=k,
+                    )
+                )
     _add_curves(blocks, entries, motion, taken)
     return Candidates(tuple(blocks), tuple(entries), missing)
 
@@ -93,4 +100,14 @@ def _add_curves(
             name = curve.name.format(imu=imu)
             if CURVE + name not in taken:
                 part = np.arange(k * each, (k + 1) * each)
-                entries.append(Entry(name, "probe", imu, here, part, curve, k))
+                entries.append(
+                    Entry(
+                        name=name,
+                        kind="probe",
+                        driver=imu,
+                        block=here,
+                        part=part,
+                        effect=curve,
+                        only=k,
+                    )
+                )

@@ -57,7 +57,15 @@ def close_array_loop(
     before = held_out_residuals(base)
     started = base if ages is None else kept_ages(base, ages, voting=True)
     skipped = asked.skipped(setup.imus)
-    first = MotionSubject(started, before, moving, rng, rules, skipped, ages)
+    first = MotionSubject(
+        state=started,
+        residuals=before,
+        moving=moving,
+        rng=rng,
+        rules=rules,
+        left_out=skipped,
+        ages=ages,
+    )
     end = close(first, rules)
     path = end.subject
     final, ages = _on_all(path, moving, whole)

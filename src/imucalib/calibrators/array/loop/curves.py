@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.core.context import Context
 from imucalib.core.effect import Channel, Response
@@ -18,7 +18,6 @@ from imucalib.core.truth import Truth
 from imucalib.estimators.array.samples import turning
 from imucalib.units import DEG
 
-Array = NDArray[np.float64]
 Driver = Callable[[Truth, Context], Array]
 CURVE = "curve of "  # how the name of a correction without a cause begins
 #: Typical size of an unknown curve (m/s² and deg/s), and how many terms it has.

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.ages import found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import named_effect
 from imucalib.calibrators.array.loop.state import ArrayState, settled
@@ -16,8 +16,6 @@ from imucalib.calibrators.array.moving import Moving
 from imucalib.core.effect import Response
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.gram import Columns, gram, reduced
-
-Array = NDArray[np.float64]
 
 
 def with_declared(state: ArrayState, names: Sequence[str], moving: Moving) -> ArrayState:

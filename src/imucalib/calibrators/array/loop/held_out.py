@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.gram import gram
 from imucalib.loop.found import Checked
 from imucalib.units import DEG
 
-Array = NDArray[np.float64]
 NORMAL_MAD = 1.4826
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.truth import Motion, Truth
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

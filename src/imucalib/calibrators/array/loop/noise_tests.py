@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.noise import SensorNoise, log_density, scaled
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,19 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.loop.candidates import Candidates, Entry, candidates
 from imucalib.calibrators.array.loop.noise_tests import NoiseTest, noise_tests
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN, Term, determined, typical_of
 from imucalib.estimators.array.gram import Gram, Reduced, gram, reduced, starts_of
 from imucalib.loop.evidence import Candidate, Score
-from imucalib.loop.evidence_gram import block_evidence
+from imucalib.loop.evidence_gram import GramEvidence, block_evidence
 from imucalib.loop.subject import Searched
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 TAU = 10.0 ** np.arange(-3.0, 1.1, 0.5)
 ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest must leave
 _READINGS, _FEWEST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
@@ -116,7 +114,6 @@ def search(
     total = free[0] + free[1]
     whole = reduced(total, base, prior, state.base.pull * (prior > 0.0), others)
     halves = [reduced(one, base, prior, 0.0 * prior, others) for one in free]
-    scale = whole.power / max(total.numbers - b, 1)
     starts = starts_of(found.blocks)
     index = {e.name: starts[e.block] + e.part for e in found.entries}
     diagonal = np.diag(total.matrix)[b:], np.diag(whole.matrix)
@@ -124,16 +121,8 @@ def search(
             for n, at in index.items()}  # fmt: skip
     size = {n: float(np.sqrt(max(diagonal[1][at].sum(), 0.0))) for n, at in index.items()}
     live = [e for e in found.entries if left[e.name] >= ABSORBED and size[e.name] >= OPEN]
-    # Absorbed columns are rounding errors: they must not enter the simulation.
-    sound = diagonal[1] > 1e-9 * diagonal[0]
-    kept = [index[e.name][sound[index[e.name]]] for e in live]
-    used = np.unique(np.concatenate(kept))
-    evidence = block_evidence(
-        whole.matrix[np.ix_(used, used)] / scale, whole.along[used] / scale, whole.power / scale,
-        total.numbers - b,
-        np.array([diagonal[0][index[e.name]].sum() / scale for e in live]),
-        [np.searchsorted(used, at) for at in kept], TAU, rng, draws,
-    )  # fmt: skip
+    own = [index[e.name] for e in live]
+    evidence = _evidence(whole, diagonal[0], own, total.numbers - b, rng, draws)
     noises = noise_tests(state, rng, draws)
     null = np.maximum(evidence.best, noises.null)
     value = dict(zip((e.name for e in live), evidence.evidence, strict=True))
@@ -146,10 +135,39 @@ def search(
     carry = np.sqrt(np.sum(whole.carry[: state.positions] ** 2, axis=0) / state.positions)
     impact = {e.name: float(np.linalg.norm(carry[index[e.name]])) for e in found.entries}
     return Search(
-        tuple(sorted(scores, key=lambda s: -s.evidence)), found.missing,
-        {e.name: e for e in found.entries}, index, whole, total.matrix[b:, b:],
-        (halves[0], halves[1]), null, impact,
-    )  # fmt: skip
+        scores=tuple(sorted(scores, key=lambda s: -s.evidence)),
+        missing=found.missing,
+        entries={e.name: e for e in found.entries},
+        index=index,
+        whole=whole,
+        total=total.matrix[b:, b:],
+        halves=(halves[0], halves[1]),
+        null=null,
+        impact=impact,
+    )
+
+
+def _evidence(
+    whole: Reduced, size: Array, own: list[Index], freedom: int, rng: np.random.Generator,
+    draws: int,
+) -> GramEvidence:  # fmt: skip
+    """Evidence of blocks of columns; size : squared, of every column before anything was taken."""
+    scale = whole.power / max(freedom, 1)
+    # Absorbed columns are rounding errors: they must not enter the simulation.
+    sound = np.diag(whole.matrix) > 1e-9 * size
+    kept = [at[sound[at]] for at in own]
+    used = np.unique(np.concatenate(kept))
+    return block_evidence(
+        gram=whole.matrix[np.ix_(used, used)] / scale,
+        along=whole.along[used] / scale,
+        power=whole.power / scale,
+        freedom=freedom,
+        whole=np.array([size[at].sum() / scale for at in own]),
+        blocks=[np.searchsorted(used, at) for at in kept],
+        tau=TAU,
+        rng=rng,
+        draws=draws,
+    )
 
 
 def _grams(state: ArrayState, found: Candidates) -> tuple[Gram, Gram]:
@@ -169,15 +187,39 @@ def _score(
 ) -> Score:
     bare = Candidate(entry.name, entry.kind, np.zeros((0, len(entry.part))), entry.driver)
     if evidence is None:
-        return Score(bare, 0.0, 1.0, len(null), 0.0, strength, 0.0)
+        return Score(
+            candidate=bare,
+            evidence=0.0,
+            p=1.0,
+            draws=len(null),
+            left=0.0,
+            strength=strength,
+            share=0.0,
+        )
     p = float((1 + (null >= evidence).sum()) / (len(null) + 1))
-    return Score(bare, float(evidence), p, len(null), left, strength, float(share))
+    return Score(
+        candidate=bare,
+        evidence=float(evidence),
+        p=p,
+        draws=len(null),
+        left=left,
+        strength=strength,
+        share=float(share),
+    )
 
 
 def _noise_score(test: NoiseTest, null: Array) -> Score:
     bare = Candidate(test.name, "noise", np.zeros((0, 1)), test.driver)
     p = float((1 + (null >= test.evidence).sum()) / (len(null) + 1))
-    return Score(bare, test.evidence, p, len(null), 1.0, test.strength, 0.0)
+    return Score(
+        candidate=bare,
+        evidence=test.evidence,
+        p=p,
+        draws=len(null),
+        left=1.0,
+        strength=test.strength,
+        share=0.0,
+    )
 
 
 def discounted(score: Score, factor: float, null: Array) -> Score:

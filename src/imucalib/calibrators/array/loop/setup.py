@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.moving import Moving
 from imucalib.estimators.array.samples import Readings, Sampled
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 _STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
 _BLOCK = 5.0  # s, parts of the motion that are held out together
 FEWEST = 60
@@ -61,9 +60,18 @@ def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> 
     block = ((t[inner] - t[0]) / min(_BLOCK, span / 8.0)).astype(np.intp)
     readings = Readings(moving.acceleration[rows], moving.rate[rows])
     return Setup(
-        readings, t, (t - t[0]) / span, inner, block % 2 == 0, board.imus, board.rotations,
-        board.drawn, board.prior_sd, robust, rows,
-    )  # fmt: skip
+        readings=readings,
+        t=t,
+        order=(t - t[0]) / span,
+        inner=inner,
+        first=block % 2 == 0,
+        imus=board.imus,
+        rotations=board.rotations,
+        nominal=board.drawn,
+        spread=board.prior_sd,
+        robust=robust,
+        rows=rows,
+    )
 
 
 def with_neighbours(moving: Moving) -> Index:

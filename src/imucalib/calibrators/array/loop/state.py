@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.terms import Term
@@ -20,8 +20,6 @@ from imucalib.estimators.array.gram import Columns, Gram, Reduced, gradient, gra
 from imucalib.estimators.array.noise import SensorNoise, chosen_noise, log_density, scaled
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
 #: step at which a fit is settled.
 _ROUNDS, _AGAIN, _CLOSE = 30, (0, 8, 16, 24), 0.05
@@ -134,9 +132,16 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     ones = np.ones(setup.readings.rate.shape[:2])
     weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
     sampled = fit_samples(setup.readings, weights, setup.nominal, rate)
-    motion = motion_at(setup, sampled, None)
     state = ArrayState(
-        setup, setup.nominal, terms, noise, sampled, motion, np.empty((0, 0)), -np.inf, False
+        setup=setup,
+        r=setup.nominal,
+        terms=terms,
+        noise=noise,
+        sampled=sampled,
+        motion=motion_at(setup, sampled, None),
+        covariance=np.empty((0, 0)),
+        density=-np.inf,
+        converged=False,
     )
     return settled(state)
 
@@ -235,17 +240,13 @@ def _moved(state: ArrayState, step: Array, covariance: Array) -> ArrayState:
 
 def _sampled(state: ArrayState) -> ArrayState:
     """The motion for the positions, terms and noise as they are."""
-    setup = state.setup
-    readings = corrected(state)
-    speed = np.linalg.norm(state.sampled.rate, axis=1)
-    off = state.sampled.off
+    speed, off = np.linalg.norm(state.sampled.rate, axis=1), state.sampled.off
     weights = Weights(
         state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
         state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
     )
-    sampled = fit_samples(readings, weights, state.r, state.sampled)
-    motion = motion_at(setup, sampled, state.motion.age)
-    return replace(state, sampled=sampled, motion=motion)
+    sampled = fit_samples(corrected(state), weights, state.r, state.sampled)
+    return replace(state, sampled=sampled, motion=motion_at(state.setup, sampled, state.motion.age))
 
 
 def corrected(state: ArrayState) -> Readings:

@@ -118,10 +118,16 @@ class MotionSubject:
             if s.candidate.kind == "effect" and s.name != chosen.name and s.evidence >= near
         )  # fmt: skip
         step = Step(
-            trial.terms[-1].name, chosen.p, chosen.draws, chosen.evidence,
-            self.residuals.against(after), aliases, size_in_words(trial, trial.terms[-1]), gains,
-            curve,
-        )  # fmt: skip
+            effect=trial.terms[-1].name,
+            p=chosen.p,
+            draws=chosen.draws,
+            evidence=chosen.evidence,
+            checked=self.residuals.against(after),
+            aliases=aliases,
+            value=size_in_words(trial, trial.terms[-1]),
+            gains=gains,
+            curve=curve,
+        )
         return replace(self, state=trial, residuals=after, steps=(*self.steps, step))
 
     def _owing(

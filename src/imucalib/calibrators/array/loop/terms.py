@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.core.context import Context
@@ -16,7 +16,6 @@ from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.estimators.array.gram import Columns
 
-Array = NDArray[np.float64]
 SMALLEST, LARGEST = 1e-3, 10.0  # believable sizes of an effect, in its typical ones
 OPEN = 0.05  # λ at typical size below which a direction says nothing
 

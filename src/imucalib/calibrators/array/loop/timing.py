@@ -10,10 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from imucalib.arrays import Array, Index
+
 _BLOCK = 3.0  # s over which a beat's phase is held to be steady
 _CYCLES = 4.0  # of a beat over the motion, below which it is a delay that drifts
 _LINE = 30.0  # power of a spectral line over the spectrum's median from which it counts
