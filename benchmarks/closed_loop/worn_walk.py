@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.observations import covariates_of
 from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.simulation import scan_of
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.rests.runs import PostureRuns, Scan
-from imucalib.rests.windows import Windows
 
 Array = NDArray[np.float64]
 G = 9.80665
@@ -92,47 +92,8 @@ def strength(
 
 
 def recording(time: Array, reading: Array, warm: Array, windows: Array) -> tuple[PostureRuns, Scan]:
-    none = np.zeros((0, 3))
-    empty = Windows(
-        samples=1000,
-        first=np.zeros(0, np.intp),
-        run=np.zeros(0, np.intp),
-        start=np.zeros(0),
-        stop=np.zeros(0),
-        mean=none,
-        variance=none,
-        low=none,
-        high=none,
-        finest=np.zeros(3),
-    )
     grid = np.arange(0.0, SPAN, 600.0)
-    column = np.interp(grid, time, warm)[:, None]
-    thermometer = Windows(
-        samples=1,
-        first=np.arange(grid.size),
-        run=np.zeros(grid.size, np.intp),
-        start=grid,
-        stop=grid,
-        mean=column,
-        variance=0 * column,
-        low=column,
-        high=column,
-        finest=np.zeros(1),
-    )
-    scan = Scan(
-        windows=empty,
-        temperature=thermometer,
-        triad="imu0",
-        rate=100.0,
-        samples=int(SPAN * 100),
-        stop=SPAN,
-        gaps=0,
-        path="made",
-        format="made",
-        sha256="",
-        start_ns=0,
-        notes=(),
-    )
+    scan = scan_of(grid, np.interp(grid, time, warm), rate=100.0, seconds=SPAN)
     total = int(windows.sum())
     runs = PostureRuns(
         mean=reading,

@@ -151,7 +151,7 @@ def main() -> None:
         # A full disk or a missing permission while writing: outputs are whole or absent.
         click.echo(f"error: {error.filename or 'output'}: {error.strerror}", err=True)
         code = 3
-    except Exception as error:
+    except Exception as error:  # a fault of this program: its report and exit 70, not a traceback
         code = _crashed(error)
     sys.exit(code if isinstance(code, int) else 0)
 

@@ -84,7 +84,7 @@ def simulated_week(plan: WeekPlan, seed: int) -> Week:
     direction = postures(n, rng)
     grid = np.arange(5.0, seconds, 60.0)
     warm = temperature_at(grid, seed)
-    scanned = _scan(plan, grid, warm, seconds)
+    scanned = scan_of(grid, warm if plan.temperature else None, rate=plan.rate, seconds=seconds)
     temperature = np.interp(time, grid, warm) if plan.temperature else np.full(n, np.nan)
     window_noise = plan.noise * MG / np.sqrt(10.0 * plan.rate)
     blank = PostureRuns(
@@ -139,7 +139,8 @@ def planted(plan: WeekPlan, context: Context) -> tuple[Model, Array]:
     return model, theta
 
 
-def _scan(plan: WeekPlan, grid: Array, warm: Array, seconds: float) -> Scan:
+def scan_of(grid: Array, warm: Array | None, *, rate: float, seconds: float) -> Scan:
+    """A scan that no samples made: its thermometer reads `warm` (t,) in °C at `grid` (t,) in s."""
     nothing = np.zeros((0, 3))
     empty = Windows(
         samples=1000,
@@ -153,8 +154,25 @@ def _scan(plan: WeekPlan, grid: Array, warm: Array, seconds: float) -> Scan:
         high=nothing,
         finest=np.zeros(3),
     )
+    return Scan(
+        windows=empty,
+        temperature=None if warm is None else _thermometer(grid, warm),
+        triad="imu0",
+        rate=rate,
+        samples=int(seconds * rate),
+        stop=seconds,
+        gaps=0,
+        path="simulated",
+        format="simulated",
+        sha256="",
+        start_ns=0,
+        notes=(),
+    )
+
+
+def _thermometer(grid: Array, warm: Array) -> Windows:
     column = warm[:, None]
-    thermometer = Windows(
+    return Windows(
         samples=1,
         first=np.arange(grid.size),
         run=np.zeros(grid.size, np.intp),
@@ -165,20 +183,6 @@ def _scan(plan: WeekPlan, grid: Array, warm: Array, seconds: float) -> Scan:
         low=column,
         high=column,
         finest=np.zeros(1),
-    )
-    return Scan(
-        windows=empty,
-        temperature=thermometer if plan.temperature else None,
-        triad="imu0",
-        rate=plan.rate,
-        samples=int(seconds * plan.rate),
-        stop=seconds,
-        gaps=0,
-        path="simulated",
-        format="simulated",
-        sha256="",
-        start_ns=0,
-        notes=(),
     )
 
 

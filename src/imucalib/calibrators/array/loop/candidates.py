@@ -55,7 +55,6 @@ def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
         if effect.name in taken:
             continue
         columns = columns_of(effect, motion)
-        m = columns.basis.shape[3]
         typical = np.array([p.typical for p in effect.each])
         blocks.append(Columns(columns.basis * typical, columns.gyro, columns.shared))
         here = len(blocks) - 1
@@ -64,23 +63,30 @@ def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
             entries.append(
                 Entry(effect.name, "effect", SENSOR[effect.channel], here, every, effect)
             )
-        for k, imu in enumerate(motion.context.triads if effect.scan else ()):
-            name = f"{effect.name}@{imu}"
-            if name not in taken | rejected:
-                part = np.arange(k * m, (k + 1) * m)
-                entries.append(
-                    Entry(
-                        name=name,
-                        kind="effect",
-                        driver=imu,
-                        block=here,
-                        part=part,
-                        effect=effect,
-                        only=k,
-                    )
-                )
+        if effect.scan:
+            own = _of_each("effect", effect, f"{effect.name}@{{imu}}", motion, here)
+            entries += [e for e in own if e.name not in taken | rejected]
     _add_curves(blocks, entries, motion, taken)
     return Candidates(tuple(blocks), tuple(entries), missing)
+
+
+def _of_each(
+    kind: Kind, effect: Response, name: str, motion: BoardMotion, block: int
+) -> list[Entry]:
+    """One entry an IMU, of its own columns alone; `name` has the IMU's place in it."""
+    size = len(effect.each)
+    return [
+        Entry(
+            name=name.replace("{imu}", imu),
+            kind=kind,
+            driver=imu,
+            block=block,
+            part=np.arange(k * size, (k + 1) * size),
+            effect=effect,
+            only=k,
+        )
+        for k, imu in enumerate(motion.context.triads)
+    ]
 
 
 def _add_curves(
@@ -92,22 +98,9 @@ def _add_curves(
         columns = columns_of(curve, motion)
         typical = np.array([p.typical for p in curve.each])
         blocks.append(Columns(columns.basis * typical, columns.gyro, columns.shared))
-        here, each = len(blocks) - 1, len(typical)
+        here = len(blocks) - 1
         if driver:
             entries.append(Entry(curve.name, "probe", driver, here, np.arange(columns.size), curve))
             continue
-        for k, imu in enumerate(motion.context.triads):
-            name = curve.name.format(imu=imu)
-            if CURVE + name not in taken:
-                part = np.arange(k * each, (k + 1) * each)
-                entries.append(
-                    Entry(
-                        name=name,
-                        kind="probe",
-                        driver=imu,
-                        block=here,
-                        part=part,
-                        effect=curve,
-                        only=k,
-                    )
-                )
+        own = _of_each("probe", curve, curve.name, motion, here)
+        entries += [e for e in own if CURVE + e.name not in taken]
