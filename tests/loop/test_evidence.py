@@ -14,7 +14,6 @@ from imucalib.core.observations import Observations
 from imucalib.effects import catalogue, named
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop import held_out as held_out_module
-from imucalib.loop import noise_grid as evidence_grid
 from imucalib.loop.asked import searched
 from imucalib.loop.candidates import (
     correlated_noise,
@@ -25,6 +24,7 @@ from imucalib.loop.candidates import (
 )
 from imucalib.loop.evidence import Candidate, Score, apart, score
 from imucalib.loop.held_out import errors, fitted, held_out
+from imucalib.loop.noise import grid as evidence_grid
 from imucalib.loop.record_errors import diagnose
 from imucalib.units import MG
 from worlds.bench import (

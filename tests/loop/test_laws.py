@@ -21,7 +21,6 @@ from imucalib.core.observations import Observations
 from imucalib.effects import catalogue, named
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop import cross_fit
-from imucalib.loop import noise_grid as evidence_grid
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.cross_fit import CrossFit, by_folds, cross_fitted, judged
@@ -30,7 +29,8 @@ from imucalib.loop.evidence import score
 from imucalib.loop.foretold import foretold
 from imucalib.loop.found import FitLoop, LoopSettings, Step
 from imucalib.loop.held_out import Held, errors
-from imucalib.loop.noise_checks import beyond_declared, heavy_tails, noise_doubts
+from imucalib.loop.noise import grid as evidence_grid
+from imucalib.loop.noise.doubts import beyond_declared, heavy_tails, noise_doubts
 from imucalib.loop.records import extended
 from worlds.bench import base_model, bench, draw, ordinary_theta
 
@@ -52,9 +52,9 @@ def clean(seed: int, n: int = 40) -> Observations:
     return draw(base, ordinary_theta(base, data, seed), data, seed + 100)
 
 
-def searched(data: Observations, names: tuple[str, ...]) -> FitLoop:
+def searched(data: Observations, names: tuple[str, ...], rules: LoopSettings = RULES) -> FitLoop:
     effects: dict[str, Effect] = {name: named(name) for name in names}
-    return close_loop(base_model(), data, effects, np.random.default_rng(0), RULES)
+    return close_loop(base_model(), data, effects, np.random.default_rng(0), rules)
 
 
 def test_a_correction_of_the_wrong_sign_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,7 +69,7 @@ def test_a_correction_of_the_wrong_sign_is_refused(monkeypatch: pytest.MonkeyPat
         return right(self, turned, reading, context)
 
     monkeypatch.setattr(Model, "correct", wrong)
-    loop = searched(data, ("cubic",))
+    loop = searched(data, ("cubic",), replace(RULES, curves=False))
     assert not loop.steps
     assert "does not hold out" in dict(loop.rejected)["cubic"]
 
@@ -254,16 +254,59 @@ def test_a_curve_corrects_without_a_name() -> None:
     base, data = base_model(), bench(5, 60)
     drawn = draw(base, ordinary_theta(base, data, 5), data, 6)
     order = data.context["order"]
-    wave = 0.03 * np.sin(2.0 * np.pi * order)[:, None, None] * np.array([1.0, -0.5, 0.8])
+    bumps = np.exp(-(((order - 0.2) / 0.06) ** 2)) - 0.8 * np.exp(-(((order - 0.55) / 0.12) ** 2))
+    wave = 0.05 * bumps[:, None, None] * np.array([1.0, -0.5, 0.8])
     bent = drawn.with_reading(drawn.reading + wave)
     effects = {"cubic": named("cubic")}
     rng = np.random.default_rng(0)
-    plain = close_loop(base, bent, effects, rng, RULES)
+    plain = close_loop(base, bent, effects, rng, replace(RULES, curves=False))
     assert plain.verdict == "unexplained"
-    loop = close_loop(base, bent, effects, rng, replace(RULES, curves=True))
+    loop = close_loop(base, bent, effects, rng, RULES)
     assert [s.effect.split(":")[:2] for s in loop.curves] == [["curve@bias", "order"]]
     assert loop.verdict == "unexplained"
     assert not loop.named
     checked = loop.curves[0].checked[0]
     assert checked.after < 0.4 * checked.before
     assert set(catalogue()).isdisjoint(s.effect for s in loop.steps)
+
+
+FORMS = {
+    "shape@bias:order:sine": lambda order: np.sin(2.0 * np.pi * order / 0.4 + 0.7),
+    "shape@bias:order:kink": lambda order: 3.0 * np.abs(order - 0.4),
+    "shape@bias:temperature:power": lambda warm: ((warm - 25.0) / 12.0) ** 2,
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_curve_with_a_form_gets_its_formula(name: str) -> None:
+    base, data = base_model(), bench(5, 60)
+    drawn = draw(base, ordinary_theta(base, data, 5), data, 6)
+    driver = data.context[name.split(":")[1]]
+    wave = 0.04 * FORMS[name](driver)[:, None, None] * np.array([1.0, -0.5, 0.8])
+    loop = close_loop(base, drawn.with_reading(drawn.reading + wave), {}, np.random.default_rng(0))
+    (step,) = loop.steps
+    forms = [f.rsplit(":", len(f.split(":")) - 3)[0] for f in (step.effect, *step.aliases)]
+    assert name in forms
+    assert not step.curve
+    assert loop.verdict.startswith("explained")
+
+
+def test_noise_that_neighbours_share_is_part_of_the_model() -> None:
+    """It speaks against no effect, and it is not taken for one."""
+    base, data = base_model(), bench(5, 60)
+    rng = np.random.default_rng(3)
+    walk = np.zeros((60, 3))
+    for k in range(1, 60):
+        walk[k] = 0.6 * walk[k - 1] + 0.03 * rng.standard_normal(3)
+    alone = draw(base, ordinary_theta(base, data, 5), data, 6)
+    loop = close_loop(base, alone.with_reading(alone.reading + walk[:, None]), {}, rng, RULES)
+    assert loop.final.observations.shared
+    assert not loop.named
+    planted_ = planted("quadratic", 3.0, n=60)
+    found = close_loop(
+        base, planted_.with_reading(planted_.reading + walk[:, None]),
+        {n: named(n) for n in ("quadratic", "warm_up", "bias_drift")}, rng, RULES,
+    )  # fmt: skip
+    assert [s.effect for s in found.named] == ["quadratic"]
+    size = found.final.noise.sd[-1]
+    assert 0.5 * 0.0375 < size < 2.0 * 0.0375  # 0.03 / sqrt(1 - 0.36)

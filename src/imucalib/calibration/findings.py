@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -60,7 +61,10 @@ class Untestable:
 @dataclass(frozen=True)
 class Gain:
     """What data that took no part in any choice say: errors before and after, and the 95 % interval
-    of what was gained, all in `unit`; proved : whether the gain is beyond chance."""
+    of what was gained, all in `unit`; proved : whether the gain is beyond chance
+    nats, nats_low : what the log density of those data gains, and its lower 95 % edge; NaN where it
+        was not judged
+    """
 
     before: float
     after: float
@@ -68,13 +72,19 @@ class Gain:
     high: float
     proved: bool
     unit: str
+    nats: float = math.nan
+    nats_low: float = math.nan
 
     @property
     def words(self) -> str:
         """One sentence's part."""
+        dense = ""
+        if not math.isnan(self.nats):
+            dense = f"; in log density {self.nats:+.1f} nats, at least {self.nats_low:+.1f}"
         return (
             f"{self.before:.3g} -> {self.after:.3g} {self.unit} on data that took no part in any "
-            f"choice (gain {self.before - self.after:.2g}, 95 % {self.low:.2g} to {self.high:.2g})"
+            f"choice (gain {self.before - self.after:.2g}, 95 % {self.low:.2g} to {self.high:.2g}"
+            f"{dense})"
         )
 
 
@@ -83,7 +93,10 @@ def gain_of(found: Difference | None) -> Gain | None:
     if found is None:
         return None
     before, after, low, high = (v / MG for v in (found.before, found.after, found.low, found.high))
-    return Gain(before, after, low, high, found.proved, "mg")
+    return Gain(
+        before=before, after=after, low=low, high=high, proved=found.proved, unit="mg",
+        nats=found.nats, nats_low=found.nats_low,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,6 @@ def command(recording: Path, **options: Any) -> int:
     def say(text: str) -> None:
         note(text, options["quiet"])
 
-    if options["curves"]:
-        say("--curves: the search of a worn sensor weighs converter curves beside effects")
     if request.as_published:
         from imucalib.calibrators.actigraph.published import calibrate_as_published
         from imucalib.report.actigraph.published import published_document

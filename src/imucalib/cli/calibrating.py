@@ -45,7 +45,7 @@ _OPTIONS = (
                  help="Python file with effects of your own."),
     click.option("--loop/--no-loop", default=True, show_default=True,
                  help="Search for what the model lacks."),
-    click.option("--curves", is_flag=True,
+    click.option("--curves/--no-curves", default=True, show_default=True,
                  help="Correct structure without a name by a smooth curve, where that holds out."),
     click.option("--draws", type=click.IntRange(min=1),
                  help="Simulated data sets behind each p-value; default 1000, of an array 499."),

@@ -5,20 +5,21 @@ projected out of each observation. Directions with a variance component c stay a
 
     V = s² diag(σ²) + Σ_c sd_c² N_c N_cᵀ
 
-which is the errors-in-variables likelihood of settings that rows share (generalised least squares
+Noise that observations share stands beside them as components of its own, in m/s². Without it V
+is the errors-in-variables likelihood of settings that rows share (generalised least squares
 with variance components; Patterson and Thompson 1971 for the restricted likelihood).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.core.model import Model, Prediction
-from imucalib.core.observations import Observations
+from imucalib.core.observations import Observations, SharedNoise
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Noise:
     """Noise of the readings and of the settings.
 
     factor : the readings' noise is factor * Observations.sigma
-    component : names of the variance components, sd : their standard deviations (rad)
+    component : names of the variance components, sd : their standard deviations (rad; of shared
+        noise m/s²)
     """
 
     factor: float
@@ -44,7 +46,8 @@ class Balanced:
     """A linearised balance after projecting the flat directions.
 
     residual : (N,), jacobian : (N, p), both in units of Observations.sigma
-    settings : per component, the matrix N_c (N, q_c) in those units per rad
+    settings : per component, the matrix N_c (N, q_c) in those units per rad (of shared noise, which
+        stands last, per m/s²); free : how many of them are free directions η
     keep : (n, m, m - flat) projection that was applied to each observation's 3K numbers
     owner : (N,) observation of each number
     """
@@ -56,6 +59,7 @@ class Balanced:
     keep: Array
     owner: NDArray[np.intp]
     sigma: Array
+    free: int = 0
 
     def columns(self, block: Array) -> Array:
         """Bring columns (n, K, 3, m) of a candidate effect, m/s² per unit, to the balance."""
@@ -65,6 +69,12 @@ class Balanced:
             return np.asarray(np.einsum("nij,ni->nj", block.reshape(n, 3 * k, m), weight))
         scaled = block.reshape(n, 3 * k, m) / self.sigma[..., None]
         return np.asarray((self.keep.transpose(0, 2, 1) @ scaled).reshape(-1, m))
+
+    def beside(self, shared: tuple[SharedNoise, ...]) -> Balanced:
+        """With noise that observations share, as components behind all others."""
+        every = (_shared_columns(self, noise) for noise in shared)
+        names = (*self.component, *(noise.name for noise in shared))
+        return replace(self, settings=(*self.settings, *every), component=names)
 
 
 def balance(model: Model, theta: Array, eta: Array, observations: Observations) -> Balanced:
@@ -113,7 +123,15 @@ def balanced(prediction: Prediction, eta: Array, observations: Observations) -> 
         keep=keep,
         owner=np.repeat(np.arange(n), rows),
         sigma=sigma,
-    )
+        free=len(names),
+    ).beside(observations.shared)
+
+
+def _shared_columns(at: Balanced, noise: SharedNoise) -> Array:
+    n, q = noise.factor.shape
+    triads = at.sigma.shape[1] // 3
+    block = np.einsum("nq,ij->niqj", noise.factor, np.eye(3)).reshape(n, 1, 3, 3 * q)
+    return at.columns(np.broadcast_to(block, (n, triads, 3, 3 * q)))
 
 
 @dataclass(frozen=True)
@@ -154,5 +172,6 @@ def setting_errors(at: Balanced, noise: Noise, misfit: Array) -> Array:
         from scipy.linalg import solve_triangular
 
         weighted = solve_triangular(white.lower, weighted, lower=True, trans="T")
-    parts = [rho**2 * m.T @ weighted for m, rho in zip(at.settings, ratio, strict=True)]
+    own = zip(at.settings[: at.free], ratio, strict=False)
+    parts = [rho**2 * m.T @ weighted for m, rho in own]
     return np.concatenate(parts) if parts else np.zeros(0)

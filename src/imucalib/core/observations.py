@@ -12,6 +12,24 @@ from imucalib.core.references import Reference
 
 
 @dataclass(frozen=True)
+class SharedNoise:
+    """A random bias of each axis that observations share, of unknown size.
+
+    name : of its variance component; factor : (n, q), factor factorᵀ is its correlation
+    memory : observations after which it forgets
+    without : of the other components the sd over the noise factor where this one is left out
+    """
+
+    name: str
+    factor: Array
+    memory: float
+    without: tuple[float, ...] = ()
+
+    def take(self, rows: Index) -> SharedNoise:
+        return replace(self, factor=self.factor[rows])
+
+
+@dataclass(frozen=True)
 class Observations:
     """What a calibrator fits.
 
@@ -21,6 +39,7 @@ class Observations:
     context : covariates for the effects that need them
     group : (n,) held-out key: observations of one group leave the fit together
     label : (n,) name of each observation in reports ("row 10")
+    shared : noise beyond sigma that observations have in common, each with a size to estimate
     """
 
     reading: Array
@@ -29,6 +48,7 @@ class Observations:
     context: Context
     group: Index
     label: tuple[str, ...]
+    shared: tuple[SharedNoise, ...] = ()
 
     @property
     def n(self) -> int:
@@ -37,12 +57,13 @@ class Observations:
     def take(self, rows: Index) -> Observations:
         """A subset; settings that no remaining row used disappear with their rows."""
         return Observations(
-            self.reading[rows],
-            self.sigma[rows],
-            self.reference.take(rows),
-            self.context.take(rows),
-            self.group[rows],
-            tuple(self.label[r] for r in rows),
+            reading=self.reading[rows],
+            sigma=self.sigma[rows],
+            reference=self.reference.take(rows),
+            context=self.context.take(rows),
+            group=self.group[rows],
+            label=tuple(self.label[r] for r in rows),
+            shared=tuple(noise.take(rows) for noise in self.shared),
         )
 
     def without(self, rows: Index) -> Observations:

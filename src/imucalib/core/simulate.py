@@ -24,8 +24,8 @@ def simulate(
     """
     reference, context = observations.reference, observations.context
     eta = reference.start(observations.reading)
-    if noise.component:
-        directions = reference.directions(eta)
+    directions = reference.directions(eta)
+    if any(directions.component):
         for column, component in enumerate(directions.component):
             sd = noise.sd[noise.component.index(component)] if component else 0.0
             used = np.unique(directions.index[:, column])

@@ -35,13 +35,14 @@ def fit(
     *,
     start: Array | None = None,
     noise: Noise | None = None,
+    begin: Noise | None = None,
     prior: Array | None = None,
     rounds: int = 60,
 ) -> Fit:
     """Fit θ, η and, unless `noise` is given, the noise.
 
     start : θ to start from; the effects' own starting values by default
-    noise : held fixed when given (held-out refits); otherwise estimated by REML
+    noise : held fixed when given (held-out refits); otherwise estimated by REML, from `begin`
     prior : (p,) standard deviations of normal priors about the effects' own starting values: the
         maximum a posteriori, which exists for any number of observations; without settings only
     A Fit whose `converged` is False must not be reported as a calibration.
@@ -51,7 +52,7 @@ def fit(
     corrected = model.correct(theta, observations.reading, context)
     state = State(theta, reference.start(corrected))
     names = balance(model, state.theta, state.eta, observations).component
-    current = noise or Noise(1.0, names, tuple(0.01 for _ in names))
+    current = noise or begin or Noise(1.0, names, tuple(0.01 for _ in names))
     estimate: NoiseEstimate | None = None
     converged, steps = False, 0
     for _ in range(rounds):
@@ -129,7 +130,7 @@ def _solve(
         return _with_eta(model, observations, State(state.theta + step, state.eta), noise)
 
     first = _with_eta(model, observations, start, noise)
-    if noise.component:
+    if _has_settings(observations, start.eta):
         # A gross error looks like a gross setting error until θ has had its say: start from
         # whichever comes out better, η settled before the first step of θ or after it.
         residual, jacobian = linearise(start)
@@ -146,7 +147,7 @@ def _with_eta(model: Model, observations: Observations, state: State, noise: Noi
     Large setting errors bend the linearisation: unless η is settled, the cost depends on the path
     and a step cannot be judged by it.
     """
-    if noise.component:
+    if _has_settings(observations, state.eta):
         for _ in range(6):
             at = balance(model, state.theta, state.eta, observations)
             eta = setting_errors(at, noise, at.residual)
@@ -163,6 +164,10 @@ def _with_eta(model: Model, observations: Observations, state: State, noise: Noi
 
 def _has_flat(observations: Observations, eta: Array) -> bool:
     return None in observations.reference.directions(eta).component
+
+
+def _has_settings(observations: Observations, eta: Array) -> bool:
+    return any(observations.reference.directions(eta).component)
 
 
 def _flat_step(model: Model, observations: Observations, state: State) -> Array:

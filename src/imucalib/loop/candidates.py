@@ -99,12 +99,16 @@ def probes(fit: Fit) -> tuple[Candidate, ...]:
     n, k, _ = prediction.reading.shape
     found = []
     fine = int(np.clip(2 * n // 5, _TERMS, _MOST_TERMS))
+    every = list[Array]()
     for axis, letter in enumerate("xyz"):
         curves = _cosines(prediction.force[:, :, axis].ravel(), fine).reshape(n, k, fine)
         block = np.zeros((n, k, 3, fine))
         block[:, :, axis] = curves * _CURVE_MG * MG
+        every.append(block)
         name = f"response of {letter} against its own input"
         found.append(_probe(fit, name, block, letter, f"response:{letter}:-1:1"))
+    name, block = "response of each axis against its own input", np.concatenate(every, axis=-1)
+    found.append(_probe(fit, name, block, "xyz", "response:xyz:-1:1"))
     for name in ("order", "temperature", "inclination", "tool_face"):
         if name not in context or np.ptp(context[name]) <= 0.0:
             continue

@@ -22,9 +22,11 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import effect_candidates
+from imucalib.loop.choice import Decided, Options, curve_of, decided
 from imucalib.loop.evidence import Score, score
 from imucalib.loop.found import Checked, FitLoop, LoopSettings, Step
-from imucalib.loop.noise_checks import noise_doubts
+from imucalib.loop.noise.doubts import noise_doubts
+from imucalib.loop.noise.shared import WANDERING, lead_over_a_walk, with_shared_noise
 from imucalib.loop.records import (
     extended,
     held_out_rms,
@@ -38,10 +40,7 @@ from imucalib.loop.records import (
 from imucalib.loop.search import (
     aliases,
     choose,
-    curve_of,
     effect_named,
-    objection,
-    refined,
     search,
     unexplained,
 )
@@ -64,7 +63,7 @@ def close_loop(
     families : scans over a value, for example the time of a step
     """
     rules = settings or LoopSettings()
-    plain = fit_model(model, observations, start=start)
+    plain = with_shared_noise(fit_model(model, observations, start=start))
     end = close(
         _State(
             fit=plain,
@@ -87,7 +86,10 @@ def close_loop(
         records=named_records(final, state.records),
         steps=state.steps,
         rejected=tuple(end.rejected.items()),
-        unexplained=(*unexplained(end.last.scores, rules), *noise_doubts(final, rng, rules)),
+        unexplained=(
+            *unexplained(end.last.scores, rules),
+            *noise_doubts(final, rng, rules, shared=not state.steps),
+        ),
         scores=end.last.scores,
         first_scores=end.first.scores,
         missing=end.last.missing,
@@ -109,9 +111,15 @@ class _State:
 
     @property
     def _room(self) -> bool:
-        # What is left beside a curve is not physics any more.
-        curved = any(step.curve for step in self.steps)
-        return len(self.steps) < self.rules.most_effects and not curved
+        return len(self.steps) < self.rules.most_effects
+
+    @property
+    def _last(self) -> str:
+        return self.steps[-1].effect if self.steps else ""
+
+    @property
+    def _options(self) -> Options:
+        return Options(self.effects, self.families, self.rng, self.rules)
 
     def search(self, rejected: Mapping[str, str]) -> Searched:
         return search(self.fit, self.effects, self.rng, self.rules, rejected, self.families)
@@ -129,16 +137,15 @@ class _State:
     def tried(
         self, found: Searched, chosen: Score, rejected: Mapping[str, str]
     ) -> _State | Refused:
-        chosen = refined(self.fit, chosen, self.families, self.rng, self.rules)
-        trial = extended(self.fit, effect_named(self.effects, chosen.name))
-        reason = objection(self.fit, trial)
-        if reason:
-            return Refused(chosen.candidate.family or chosen.name, reason)
-        return self.accept(trial, chosen, found.scores)
+        taken = decided(self.fit, found.scores, chosen, self._options, self._last)
+        if isinstance(taken, Refused):
+            return taken
+        return self.taken(taken, found.scores)
 
     def smoothed(self, found: Searched) -> _State | None:
-        smooth = curve_of(self.fit, found.scores, self.rules) if self._room else None
-        return self.accept(smooth[1], smooth[0], (), curve=True) if smooth else None
+        options = self._options
+        smooth = curve_of(self.fit, found.scores, options, self._last) if self._room else None
+        return self.taken(smooth, ()) if smooth else None
 
     def without_the_worst_record(self, rival: Score | None) -> _State | None:
         """Set aside the record that belongs least to the rest, if it stands out by itself and more
@@ -172,20 +179,25 @@ class _State:
             return ()
         return record_scores(fit, taken, self.rng, draws=rules.draws, alpha=rules.record_alpha)
 
-    def accept(
-        self, fit: Fit, chosen: Score, scores: tuple[Score, ...], *, curve: bool = False
-    ) -> _State:
+    def taken(self, decided: Decided, scores: tuple[Score, ...]) -> _State:
         """Take an effect in, and give records back that it explains."""
+        fit, chosen, curve = decided.fit, decided.score, decided.curve
+        rivals = decided.rivals
+        if chosen.name in {s.name for s in scores} or chosen.candidate.family:
+            rivals = aliases(self.fit, self.effects, chosen, scores, self.rules)
+        if not curve and lead_over_a_walk(self.fit, chosen.evidence) < self.rules.margin:
+            rivals = (*rivals, WANDERING)
         step = Step(
             chosen.name,
             chosen.p,
             chosen.draws,
             chosen.evidence,
             (Checked("error", "m/s2", held_out_rms(self.fit), held_out_rms(fit)),),
-            aliases(self.fit, self.effects, chosen, scores, self.rules),
+            rivals,
             curve=curve,
         )
-        state = replace(self, fit=fit, steps=(*self.steps, step))
+        own = tuple(s for s in self.steps if s.effect not in decided.drops)
+        state = replace(self, fit=with_shared_noise(fit), steps=(*own, step))
         for found, row in self.records:
             without = reduced(state.fit, record_names(state.fit, row))
             others = {r for _, r in state.records if r != row}
@@ -220,13 +232,15 @@ class _State:
         return None
 
     def eliminated(self) -> _State:
-        """Without an earlier effect that a later one has made unnecessary (less than 1 nat)."""
+        """Without an earlier effect that a later one has made unnecessary (less than 1 nat); a
+        curve, which holds every shape of its driver, makes no name so."""
         state = self
         for step in self.steps[:-1]:
-            without = reduced(state.fit, (step.effect,))
+            curves = tuple(s.effect for s in state.steps if s.curve and not step.curve)
+            without = reduced(state.fit, (step.effect, *curves))
             one = [effect_named(self.effects, step.effect)]
             candidates, _ = effect_candidates(without, one)
             if score(without, candidates, self.rng, draws=1)[0].evidence < KEEP:
                 steps = tuple(s for s in state.steps if s.effect != step.effect)
-                state = replace(state, fit=without, steps=steps)
+                state = replace(state, fit=reduced(state.fit, (step.effect,)), steps=steps)
         return state

@@ -17,13 +17,14 @@ from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.choice import Options, curve_of, decided
 from imucalib.loop.design import Fold, parts_of
 from imucalib.loop.difference import Metric, difference, with_density
 from imucalib.loop.foretold import foretold
 from imucalib.loop.found import FitLoop, LoopSettings, Unexplained
 from imucalib.loop.held_out import Held, errors, theta_without, without_records
-from imucalib.loop.records import extended
-from imucalib.loop.search import choose, curve_of, effect_named, objection, refined, search
+from imucalib.loop.search import choose, search
+from imucalib.loop.subject import Refused
 from imucalib.loop.thresholds import STRONG
 from imucalib.units import MG
 
@@ -59,17 +60,19 @@ def cross_fitted(
     for fold in folds:
         held, good = data.take(fold.rows), _without(fold, wrong)
         chosen = _searched(loop, good.rest, effects, rng, rules, families)
+        found = len(chosen.model.names) > len(loop.plain.model.names)
+        whole = loop.final.observations if found else data
         clean.append(errors(chosen, chosen.theta, held))
         plain = theta_without(loop.base, np.setdiff1d(every, fold.rest))
         nats.append(
-            foretold(chosen, chosen.theta, data, good) - foretold(loop.base, plain, data, good)
+            foretold(chosen, chosen.theta, whole, good) - foretold(loop.base, plain, data, good)
         )
-        after.append(clean[-1] if not wrong else _as_recorded(chosen, data, fold))
-    before, found = by_folds(loop.plain, folds), _joined(after, folds)
+        after.append(clean[-1] if not wrong else _as_recorded(chosen, whole, fold))
+    before, late = by_folds(loop.plain, folds), _joined(after, folds)
     if not wrong:
-        return CrossFit(folds, before, found, before, found, np.array(nats))
+        return CrossFit(folds, before, late, before, late, np.array(nats))
     base = by_folds(loop.base, folds)
-    return CrossFit(folds, before, found, base, _joined(clean, folds), np.array(nats))
+    return CrossFit(folds, before, late, base, _joined(clean, folds), np.array(nats))
 
 
 def by_folds(fit: Fit, folds: tuple[Fold, ...]) -> Held:
@@ -132,25 +135,30 @@ def _searched(
 ) -> Fit:
     """The loop on a part of the data that has no wrong record. The noise is that of the whole,
     before and after: it costs most of the time and tells nothing about the choice."""
-    plain, noise = loop.plain, loop.final.noise
+    plain = loop.plain
+    options = Options(
+        effects, families, rng, rules, loop.final.noise, loop.final.observations.take(rest)
+    )
     own = loop.base.model.slices(loop.base.observations.context)
     start = np.concatenate([loop.base.theta[own[name]] for name in plain.model.names])
     fit = fit_model(plain.model, plain.observations.take(rest), start=start, noise=loop.base.noise)
     rejected: dict[str, str] = {}
+    last = ""
     for _ in range(3 * rules.most_effects):
         if len(fit.model.names) >= len(plain.model.names) + rules.most_effects:
             break
         scores = search(fit, effects, rng, rules, rejected, families).scores
-        best = choose(scores, rules)
-        if best is None:
-            smooth = curve_of(fit, scores, rules) if rules.curves else None
-            return smooth[1] if smooth else fit
-        best = refined(fit, best, families, rng, rules)
-        trial = extended(fit, effect_named(effects, best.name), noise=noise)
-        if reason := objection(fit, trial):
-            rejected[best.candidate.family or best.name] = reason
+        if best := choose(scores, rules):
+            taken = decided(fit, scores, best, options, last)
+            if isinstance(taken, Refused):
+                rejected[taken.name] = taken.reason
+                continue
         else:
-            fit = trial
+            smooth = curve_of(fit, scores, options, last) if rules.curves else None
+            if smooth is None:
+                return fit
+            taken = smooth
+        fit, last = taken.fit, taken.score.name
     return fit
 
 

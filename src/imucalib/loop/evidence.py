@@ -20,7 +20,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence_gram import gram_evidence
-from imucalib.loop.noise_grid import TAU, EvidenceGrid
+from imucalib.loop.noise.grid import TAU, EvidenceGrid
 from imucalib.loop.thresholds import ABSORBED
 
 Kind = Literal["effect", "probe", "noise", "record"]
@@ -120,7 +120,12 @@ def _score_few(
     null = np.zeros(0)
     if live:
         grid = EvidenceGrid(
-            at.jacobian, at.settings, fitted, [candidates[k].columns / noise.factor for k in live]
+            at.jacobian,
+            at.settings,
+            fitted,
+            [candidates[k].columns / noise.factor for k in live],
+            without=fit.observations.shared[-1].without if fit.observations.shared else None,
+            coarse=draws == 0,
         )
         found = grid.evidence(at.residual[:, None] / noise.factor)
         for part in (*_PARTS, draws):

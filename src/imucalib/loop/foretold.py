@@ -2,7 +2,8 @@
 
 log p(y_F | y_R) with θ integrated flat is the difference of two restricted likelihoods, of all rows
 and of the rest, of the model linearised where the rest has fitted it (Patterson and Thompson 1971):
-what the rest says of a setting error that rows share is in it, and so is the doubt about θ.
+what the rest says of a setting error that rows share is in it, and so is the doubt about θ. Noise
+that neighbours share begins anew: nobody who uses a calibration has its neighbours.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.loop.design import Fold
 
+_STRETCHES = 12
 _OPEN = 1e-9  # share of the largest singular value below which a direction is not determined
 
 
@@ -28,9 +30,28 @@ def foretold(fit: Fit, theta: Array, data: Observations, fold: Fold) -> float:
     """
     reference = data.reference
     eta = reference.start(fit.model.correct(theta, data.reading, data.context))
-    at = balance(fit.model, theta, eta, data)
+    at = _cut(balance(fit.model, theta, eta, data), fold.rows)
     both = np.concatenate([fold.rows, fold.rest])
     return _restricted(_of(at, both), fit.noise) - _restricted(_of(at, fold.rest), fit.noise)
+
+
+def foretold_stretches(fit: Fit) -> Array:
+    """(stretches,) nats of each of a few stretches in the order of recording, given all others, at
+    the linearisation of the fit."""
+    order = np.argsort(fit.observations.context["order"], kind="stable")
+    every = []
+    for rows in np.array_split(order, min(order.size, _STRETCHES)):
+        at = _cut(fit.at, rows)
+        rest = _of(at, np.setdiff1d(order, rows))
+        every.append(_restricted(at, fit.noise) - _restricted(rest, fit.noise))
+    return np.array(every)
+
+
+def _cut(at: Balanced, rows: NDArray[np.intp]) -> Balanced:
+    """With shared noise that rows and all others have each for themselves."""
+    apart = np.isin(at.owner, rows)[:, None]
+    shared = (np.hstack([m * apart, m * ~apart]) for m in at.settings[at.free :])
+    return replace(at, settings=(*at.settings[: at.free], *shared))
 
 
 def _of(at: Balanced, rows: NDArray[np.intp]) -> Balanced:

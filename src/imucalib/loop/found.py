@@ -31,7 +31,7 @@ class LoopSettings:
     noise_alpha: float = NOISE_ALPHA
     declared: bool = False
     bar: float | None = None
-    curves: bool = False
+    curves: bool = True
     gross: float = 0.0
     margin: float = MARGIN
     draws: int = 1000

@@ -17,6 +17,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.truth import Truth
 from imucalib.effects.record_error import is_record_error
+from imucalib.loop.foretold import foretold_stretches
 
 
 @dataclass(frozen=True)
@@ -117,17 +118,25 @@ def without_records(fit: Fit, theta: Array) -> Array:
 
 
 def log_predictive(fit: Fit) -> float:
-    """Sum over groups of the log density of each group given all others (nats).
+    """Sum of `log_predictives` (nats)."""
+    return float(log_predictives(fit).sum())
+
+
+def log_predictives(fit: Fit) -> Array:
+    """(groups,) log density of each group given all others (nats); of stretches of neighbours where
+    these share noise.
 
     Closed form: with P = V⁻¹ - V⁻¹J(JᵀV⁻¹J)⁻¹JᵀV⁻¹, group g has the predictive residual
     P_gg⁻¹ (P r)_g and the precision P_gg (Sundararajan and Keerthi 2001).
     """
+    if fit.observations.shared:
+        return foretold_stretches(fit)
     at, noise = fit.at, fit.noise
     white, q = fit.white_basis()
     keys = fit.observations.group[at.owner]
     residual = white(at.residual) / noise.factor
     rest = residual - q @ (q.T @ residual)
-    total = 0.0
+    every = list[float]()
     if white.lower is not None:
         inverse = white(np.eye(at.residual.size))
         projector = inverse.T @ inverse - (inverse.T @ q) @ (inverse.T @ q).T
@@ -142,9 +151,9 @@ def log_predictive(fit: Fit) -> float:
         # A direction that only this group determines predicts nothing: it carries no weight.
         use = values > 1e-9
         values, along = values[use], along[use]
-        total += float(np.sum(np.log(values) / 2.0 - 0.5 * along**2 / values)) - 0.5 * plain[1]
-        total -= float((use.sum() + plain[0]) * np.log(noise.factor))
-    return total
+        nats = float(np.sum(np.log(values) / 2.0 - 0.5 * along**2 / values)) - 0.5 * plain[1]
+        every.append(nats - float((use.sum() + plain[0]) * np.log(noise.factor)))
+    return np.array(every)
 
 
 def _independent_block(q: Array, rest: Array) -> tuple[Array, Array, tuple[int, float]]:

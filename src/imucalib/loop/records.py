@@ -49,7 +49,7 @@ def set_aside(fit: Fit, row: int) -> Fit:
 
 def _settled(fit: Fit) -> Array:
     """η with the settings as they were meant, for references that have settings."""
-    return np.zeros_like(fit.eta) if fit.noise.component else fit.eta
+    return np.zeros_like(fit.eta) if fit.at.free else fit.eta
 
 
 def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[RecordError, ...]:

@@ -14,13 +14,10 @@ from imucalib.loop.candidates import correlated_noise, effect_candidates, family
 from imucalib.loop.evidence import Candidate, Score, apart, score
 from imucalib.loop.found import LoopSettings, Unexplained
 from imucalib.loop.held_out import log_predictive
-from imucalib.loop.records import extended, held_out_rms
+from imucalib.loop.records import held_out_rms
 from imucalib.loop.subject import Searched
 from imucalib.loop.thresholds import (
     APART,
-    CURVE_NATS,
-    CURVE_RMS,
-    CURVE_TERMS,
     HELD_OUT_NATS,
     HELD_OUT_RMS,
 )
@@ -46,7 +43,9 @@ def search(
         if family.name not in rejected:
             values = family.values(current.observations.context)
             catalogue += family_candidates(current, family, values)
-    everything = catalogue + probes(current) + correlated_noise(current)
+    everything = catalogue + probes(current)
+    if not current.observations.shared:
+        everything += correlated_noise(current)
     draws = rules.draws if rules.bar is None else 0
     scores = score(current, everything, rng, draws=draws, alpha=rules.alpha)
     return Searched(_one_a_scan(scores), missing)
@@ -116,38 +115,9 @@ def effect_named(effects: Mapping[str, Effect], name: str) -> Effect:
 
 
 def choose(scores: tuple[Score, ...], rules: LoopSettings) -> Score | None:
-    """The best catalogue effect, unless a probe or noise beats it by the margin."""
-    passing = [s for s in scores if passes(s, rules)]
-    physical = [s for s in passing if s.candidate.kind == "effect"]
-    if not physical or physical[0].evidence < passing[0].evidence - rules.margin:
-        return None
-    return physical[0]
-
-
-def curve_of(
-    current: Fit, scores: tuple[Score, ...], rules: LoopSettings
-) -> tuple[Score, Fit] | None:
-    """The strongest probe as a correction without a name, its terms chosen by what holds out.
-
-    It has to gain more than an effect has to: nothing but the data speak for it.
-    """
-    passing = [s for s in scores if passes(s, rules) and s.candidate.curve]
-    if not passing:
-        return None
-    found, best, most = passing[0], None, -np.inf
-    for terms in CURVE_TERMS:
-        effect = known(f"curve@{found.candidate.curve}:{terms}")
-        assert effect is not None, found.candidate.curve
-        if effect.name in current.model.names or effect.missing(current.observations.context):
-            continue
-        trial = extended(current, effect)
-        if objection(current, trial, CURVE_NATS, CURVE_RMS):
-            continue
-        if (density := log_predictive(trial)) > most:
-            best, most = (effect.name, trial), density
-    if best is None:
-        return None
-    return replace(found, candidate=replace(found.candidate, name=best[0])), best[1]
+    """The best catalogue effect. Neither noise nor a curve speaks against it here."""
+    physical = (s for s in scores if passes(s, rules) and s.candidate.kind == "effect")
+    return next(physical, None)
 
 
 def passes(found: Score, rules: LoopSettings) -> bool:

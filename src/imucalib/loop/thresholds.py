@@ -19,7 +19,7 @@ ABSORBED = 1e-5
 #: λ sin(angle) below which two effects are not told apart: the difference of two maxima of χ² is
 #: then within two standard deviations of zero.
 APART = 2.0
-#: Nats by which a curve must beat the best effect to speak against it: odds of 20.
+#: Nats by which a curve must beat the best effect to be weighed beside it: odds of 20.
 MARGIN = 3.0
 #: Nats that an effect must gain in the left-out density (odds of 2.7), and share of the left-out
 #: error that may be left, here and for a curve, which has nothing but the data to speak for it.
@@ -35,6 +35,14 @@ STRONG = 10.0
 LOSS = -1.0
 #: Nats that an earlier step must still be worth beside later ones.
 KEEP = 1.0
+#: Nats of restricted likelihood from which on noise that neighbours share is part of the model: too
+#: easily rather than too late, since its size is estimated and what is not there costs nothing.
+SHARED_NATS = 1.5
+#: Numbers up to which it is looked for: it costs their cube.
+SHARED_NUMBERS = 600
+#: Standard errors, and share of its own gain, by which a curve must lead a name on data that were
+#: left out to be taken in its place.
+CURVE_LEAD, CURVE_SHARE = 1.0, 0.2
 #: Suspect records that are set aside on trial when nothing stands out by itself.
 SUSPECTS = 3
 #: Of an array, whose halves of the motion are half of the data: nats of one half and of both below

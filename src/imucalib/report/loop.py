@@ -24,6 +24,13 @@ _ANEW = (
 )
 
 
+def floor_words(error: ErrorSummary, digits: int = 2) -> str:
+    """What the measured noise alone would leave, in brackets."""
+    if math.isnan(error.floor):
+        return "(noise floor unknown: nothing repeated, no noise declared)"
+    return f"(noise floor {error.floor:.{digits}f})"
+
+
 def error_table(error: ErrorSummary, note: str = "") -> Table:
     """Error before and after, fitted and on data that was not fitted, with the floor."""
     digits = 3 if error.unit == "m/s²" else 2
@@ -37,7 +44,8 @@ def error_table(error: ErrorSummary, note: str = "") -> Table:
         ("base model", error.base, held.base),
         ("final model", error.final, held.final),
     )
-    floor = ("noise floor", number(error.floor), *(("",) if fitted else ()))
+    known = "unknown" if math.isnan(error.floor) else number(error.floor)
+    floor = ("noise floor", known, *(("",) if fitted else ()))
     shown = tuple(
         (name, *((number(f),) if fitted else ()), number(h))
         for name, f, h in rows
@@ -155,7 +163,8 @@ def _verdict(found: Findings) -> Text:
     parts = [f"{u.name} (driven by {u.driver})" if u.driver else u.name for u in found.unexplained]
     parts += [f"{s.curve}, corrected by a curve" for s in found.steps if s.curve]
     unknown = ", ".join(parts)
-    gained = f" Held out: {found.gain.words}." if found.gain and found.steps else ""
+    aside = f", {records} set aside" if records else ""
+    gained = f" Held out{aside}: {found.gain.words}." if found.gain and found.steps else ""
     return {
         "not run": Text("Fitted with the declared effects; the search was not run."),
         "nothing missing": Text("Nothing is missing: no candidate passes the search.", "ok"),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.outcome import Outcome, Run, Status
 from imucalib.report.document import Document, Facts, Section, Table, Text, Tone
-from imucalib.report.loop import advice_section, candidate_section, loop_section
+from imucalib.report.loop import advice_section, candidate_section, floor_words, loop_section
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import MG
 
@@ -20,7 +20,7 @@ def standard_document(run: Run) -> Document:
     error = outcome.error
     head = (
         f"Held-out {error.metric} {error.held_out.base:.3g} {error.unit} before, "
-        f"{error.held_out.final:.3g} {error.unit} after (noise floor {error.floor:.3g})."
+        f"{error.held_out.final:.3g} {error.unit} after {floor_words(error, 3)}."
     )
     sections = [
         loop_section(outcome),

@@ -22,7 +22,7 @@ from imucalib.core.references import KnownVector, angles_of, unit_vector
 from imucalib.effects import catalogue
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
-from imucalib.loop.noise_checks import beyond_declared
+from imucalib.loop.noise.doubts import beyond_declared
 from imucalib.loop.record_errors import RecordError
 from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG
@@ -82,7 +82,7 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
 
 def _settings(fit: Fit) -> list[str]:
     """Whose the scatter is: the table's settings or the sensor's noise."""
-    noise = setting_noise(fit.noise)
+    noise = setting_noise(fit)
     sensor = fit.noise.factor * float(np.median(fit.at.sigma))
     reference = fit.observations.reference
     assert isinstance(reference, KnownVector)

@@ -128,7 +128,7 @@ def calibrate(
     gravity = gravity_of(data)
     known = isinstance(data.reference, KnownVector)
     angles = attitude_errors(fitted(final), gravity) if known else None
-    error = error_summary(base, final, data, splits)
+    error = error_summary(base, final, data, splits, settings.sigma)
     return LabResult(
         observations=observations,
         used=used,

@@ -14,7 +14,7 @@ from imucalib.calibrators.lab.advice import fixture_curve
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
-from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.errors import setting_noise, shared_noise
 from imucalib.calibrators.lab.faults import Faults
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.fit import Fit
@@ -75,10 +75,14 @@ def noise_block(fit: Fit) -> dict[str, Any]:
     """Noise of the readings (mg) and scatter of the settings (deg), with their sd."""
     sigma = fit.noise.factor * float(np.median(fit.at.sigma)) / MG
     block: dict[str, Any] = {"reading_mg": sigma, "reading_sd_mg": sigma * float(fit.noise_sd[0])}
-    for k, (name, sd) in enumerate(setting_noise(fit.noise).items(), start=1):
+    for k, (name, sd) in enumerate(setting_noise(fit).items(), start=1):
         key = name.replace(" ", "_").replace("-", "_")
         block[f"{key}_deg"] = sd / DEG
         block[f"{key}_sd_deg"] = sd / DEG * float(fit.noise_sd[k])
+    shared, memory = shared_noise(fit)
+    if shared > 0.0:
+        block |= {"shared_mg": shared / MG, "shared_sd_mg": shared / MG * float(fit.noise_sd[-1])}
+        block["shared_memory_positions"] = memory
     return block
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from imucalib.arrays import Index
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
-from imucalib.core.balance import Noise
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -16,6 +15,9 @@ from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.loop.held_out import Held, errors, fitted, held_out
 from imucalib.units import MG
+
+#: Pairs of rows in one attitude from which on they say what the noise is; 1 / the MAD of a normal.
+_REPEATS, _MAD = 6, 1.4826
 
 
 @dataclass(frozen=True)
@@ -75,12 +77,14 @@ def refitted(fit: Fit, objective: str) -> Held | None:
 
 
 def error_summary(
-    base: Fit, final: Fit, data: Observations, splits: tuple[Split, ...]
+    base: Fit, final: Fit, data: Observations, splits: tuple[Split, ...], sigma: float | None
 ) -> ErrorSummary:
     """The one metric of the loop: length of the vector error, or error of the norm, rms in mg.
 
     Held out are the rows of the test set when there is one, else folds that took no part in the
     choice, else each row in turn; NaN where none exists.
+
+    sigma : declared noise of a reading, m/s², or None
     """
     base_out, final_out = (
         (splits[-1].base.rms() / MG, splits[-1].final.rms() / MG) if splits else (np.nan, np.nan)
@@ -94,21 +98,41 @@ def error_summary(
         raw=raw,
         base=fitted(base).rms() / MG,
         final=fitted(final).rms() / MG,
-        floor=noise_floor(final) / MG,
+        floor=noise_floor(data, sigma) / MG,
         held_out=HeldOutError(raw, base_out, final_out),
     )
 
 
-def noise_floor(fit: Fit) -> float:
-    """rms of the metric that noise and setting errors alone would leave, m/s²."""
-    at, noise = fit.at, fit.noise
-    scale = at.sigma.reshape(-1) if at.keep.shape[2] == at.sigma.shape[1] else at.sigma[:, 0]
-    power = (noise.factor * scale) ** 2
-    for matrix, sd in zip(at.settings, noise.sd, strict=True):
-        power = power + (sd * scale) ** 2 * np.sum(matrix**2, axis=1)
-    return float(np.sqrt(power.sum() / fit.observations.n))
+def noise_floor(data: Observations, sigma: float | None) -> float:
+    """rms of the metric that noise alone would leave, m/s²: as declared, else as rows that repeat
+    an attitude differ; NaN where nothing measures it. A fit's own residual holds what it lacks.
+
+    Of repeats by the median of their differences, which a wrong row does not move.
+    """
+    numbers = 3 if data.reference.directed else 1
+    if sigma is not None:
+        return float(np.sqrt(numbers)) * sigma
+    if not data.reference.directed:
+        return float("nan")
+    meant = data.reference.truth(np.zeros(data.reference.eta_size))[:, 0]
+    _, place = np.unique(np.round(meant, 6), axis=0, return_inverse=True)
+    order = np.argsort(place, kind="stable")
+    again = np.diff(place[order]) == 0
+    apart = np.diff(data.reading[order, 0], axis=0)[again]
+    if len(apart) < _REPEATS:
+        return float("nan")
+    each = _MAD * np.median(np.abs(apart), axis=0) / np.sqrt(2.0)
+    return float(np.linalg.norm(each))
 
 
-def setting_noise(noise: Noise) -> dict[str, float]:
-    """Standard deviations (rad) by component name."""
-    return dict(zip(noise.component, noise.sd, strict=True))
+def setting_noise(fit: Fit) -> dict[str, float]:
+    """Standard deviations (rad) of the settings by component name."""
+    return dict(zip(fit.noise.component[: fit.at.free], fit.noise.sd, strict=False))
+
+
+def shared_noise(fit: Fit) -> tuple[float, float]:
+    """Of the noise that neighbours share its standard deviation (m/s²) and after how many
+    observations it forgets; zero where there is none."""
+    if not fit.observations.shared:
+        return 0.0, 0.0
+    return fit.noise.sd[-1], fit.observations.shared[-1].memory

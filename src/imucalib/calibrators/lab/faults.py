@@ -126,7 +126,7 @@ def _converter_questions(
 def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[str, ...]:
     """What no bench can be, once fitted: settings beyond a hand's, a unit guessed wrong."""
     found = []
-    for name, sd in setting_noise(result.final.noise).items():
+    for name, sd in setting_noise(result.final).items():
         if sd / DEG > SCATTER:
             found.append(
                 f"{name}s scatter by {sd / DEG:.1f} deg, a bench is set within {SCATTER:g}: rows "

@@ -7,14 +7,14 @@ import numpy as np
 from imucalib.calibrators.lab.advice import curve_words
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms, worst
 from imucalib.calibrators.lab.calibrate import gravity_of
-from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.errors import setting_noise, shared_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import fitted
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text
 from imucalib.report.lab.plots import dial_section, residual_plots, uncertainty_section
 from imucalib.report.lab.tables import iscwsa_table, position_table, published_table, training_note
-from imucalib.report.loop import advice_section, candidate_section, loop_section
+from imucalib.report.loop import advice_section, candidate_section, floor_words, loop_section
 from imucalib.report.sections import parameter_table, sensor_section, verdict
 from imucalib.significant_digits import plus_minus, spread
 from imucalib.units import DEG, MG
@@ -51,7 +51,7 @@ def _verdict(run: LabRun) -> Text:
     error = run.outcome.error
     head = (
         f"Held-out error {error.held_out.raw:.2f} raw, {error.held_out.base:.2f} base, "
-        f"{error.held_out.final:.2f} {error.unit} rms final (noise floor {error.floor:.2f})."
+        f"{error.held_out.final:.2f} {error.unit} rms final {floor_words(error)}."
     )
     return verdict(run.outcome, head)
 
@@ -111,12 +111,16 @@ def _spreads(errors: AttitudeErrors, known: bool) -> tuple[str, ...]:
 
 def _bench_section(run: LabRun) -> Section:
     fit = run.result.final
-    noise = setting_noise(fit.noise)
+    noise = setting_noise(fit)
     sigma = fit.noise.factor * float(np.median(fit.at.sigma)) / MG
     rows = [("noise of a reading", plus_minus(sigma, sigma * float(fit.noise_sd[0]), "mg"))]
     for k, (name, sd) in enumerate(noise.items(), start=1):
         spread_sd = sd / DEG * float(fit.noise_sd[k])
         rows.append((name, f"{plus_minus(sd / DEG, spread_sd, 'deg')} scatter"))
+    shared, memory = shared_noise(fit)
+    if shared > 0.0:
+        own = plus_minus(shared / MG, shared / MG * float(fit.noise_sd[-1]), "mg")
+        rows.append(("noise that neighbours share", f"{own}, forgotten in {memory:.2g} positions"))
     rows += [("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})")]
     rows += [("raw unit", run.raw.sentence)]
     rows += [("condition number", f"{fit.condition:.0f}, parameters in typical sizes")]

@@ -22,6 +22,8 @@ TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 #: Variance components are re-estimated on this grid of factors of the fitted ratio. The fitted
 #: ratio itself is left out: the data would sit on a grid point and simulated data beside one.
 SHRINK = (0.0, 0.15, 0.4, 0.72, 0.92, 1.15, 1.6)
+#: The same beside noise that neighbours share, and inside folds.
+_COARSE = (0.0, 0.4, 0.92, 1.6)
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,9 @@ class EvidenceGrid:
     jacobian : (N, p) of the fitted parameters; settings : the components' matrices N_c
     ratio : fitted sd of each component over the noise factor
     blocks : (N, m_k) columns of each candidate at typical size
+    without : the same ratios where the last component, noise that neighbours share, is left out: it
+        may have taken over what a candidate explains, and the other components with it
+    coarse : fewer hypotheses of the noise, for a part of data whose whole has been searched
     """
 
     def __init__(
@@ -50,13 +55,18 @@ class EvidenceGrid:
         settings: tuple[Array, ...],
         ratio: tuple[float, ...],
         blocks: Sequence[Array],
+        without: tuple[float, ...] | None = None,
+        coarse: bool = False,
     ) -> None:
         columns = np.column_stack(blocks)
         self._starts = np.cumsum([0] + [b.shape[1] for b in blocks])[:-1]
-        grids = [tuple(factor * r for factor in SHRINK) for r in ratio]
+        shrink = _COARSE if coarse else SHRINK
+        points = _around(ratio, shrink if without is None else _COARSE)
+        if without is not None:
+            points += [(*point, 0.0) for point in _around(without, shrink)]
         self._points = [
             _at_point(jacobian, whitener(settings, point), columns, self._starts)
-            for point in product(*grids)
+            for point in dict.fromkeys(points)
         ]
 
     def evidence(self, data: Array) -> Array:
@@ -81,21 +91,25 @@ class EvidenceGrid:
         return best - nothing
 
 
+def _around(ratio: tuple[float, ...], shrink: tuple[float, ...]) -> list[tuple[float, ...]]:
+    return list(product(*(tuple(dict.fromkeys(s * r for s in shrink)) for r in ratio)))
+
+
 def _at_point(jacobian: Array, white: Whitener, columns: Array, starts: NDArray[np.intp]) -> _Point:
     basis, triangle = np.linalg.qr(white(jacobian))
     projected = white(columns)
     projected = projected - basis @ (basis.T @ projected)
-    u, size = projected.copy(), np.zeros(columns.shape[1])
-    for first, last in zip(starts, [*starts[1:], columns.shape[1]], strict=True):
-        block = projected[:, first:last]
-        if last - first == 1:
-            size[first] = float(block[:, 0] @ block[:, 0])
-            u[:, first] = block[:, 0] / np.sqrt(max(size[first], 1e-300))
-            continue
-        # Eigenvectors of the small Gram matrix are the block's singular directions.
-        values, vectors = np.linalg.eigh(block.T @ block)
-        size[first:last] = np.maximum(values, 0.0)
-        u[:, first:last] = block @ vectors / np.sqrt(np.maximum(values, 1e-300))
-        u[:, first:last][:, values <= 1e-12 * values[-1]] = 0.0
+    u, size = np.empty_like(projected), np.zeros(columns.shape[1])
+    widths = np.diff([*starts, columns.shape[1]])
+    for width in np.unique(widths):
+        # Eigenvectors of the small Gram matrices are the blocks' singular directions; blocks of
+        # one width are decomposed together.
+        at = starts[widths == width][:, None] + np.arange(width)
+        blocks = projected[:, at].transpose(1, 0, 2)
+        values, vectors = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)
+        size[at] = np.maximum(values, 0.0)
+        turned = blocks @ (vectors / np.sqrt(np.maximum(values, 1e-300))[:, None, :])
+        turned[np.broadcast_to((values <= 1e-12 * values[:, -1:])[:, None, :], turned.shape)] = 0.0
+        u[:, at] = turned.transpose(1, 0, 2)
     log_j = float(np.log(np.maximum(np.abs(np.diag(triangle)), 1e-300)).sum())
     return _Point(white, basis, u, size, -0.5 * white.log_det - log_j)

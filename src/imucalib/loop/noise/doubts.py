@@ -9,15 +9,27 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.found import LoopSettings, Unexplained
+from imucalib.loop.noise.shared import shared_evidence
+from imucalib.units import MG
 
 _MOST_DRAWN = 2000  # numbers on which tails are judged by simulation
 
 
 def noise_doubts(
-    fit: Fit, rng: np.random.Generator, rules: LoopSettings
+    fit: Fit, rng: np.random.Generator, rules: LoopSettings, *, shared: bool = False
 ) -> tuple[Unexplained, ...]:
-    """What speaks against the noise model, most serious first; no effect is claimed by it."""
+    """What speaks against the noise model, most serious first; no effect is claimed by it.
+
+    shared : whether noise that neighbours share counts as structure: where nothing else was found
+    """
     found = []
+    nats = shared_evidence(fit) if shared else 0.0
+    # Twice the gain of a variance on its border and of its memory: chi-square of two overstates p.
+    if (p := math.exp(-nats)) < rules.noise_alpha:
+        size = fit.noise.sd[-1] / MG
+        memory = fit.observations.shared[-1].memory
+        name = f"noise that neighbours share, {size:.2g} mg, forgotten in {memory:.2g} positions"
+        found.append(Unexplained(name, "order", "noise", p, nats, 0.0))
     if rules.declared and (p := beyond_declared(fit)) < rules.noise_alpha:
         name = f"scatter {fit.noise.factor:.2g} times the declared noise"
         found.append(Unexplained(name, "", "noise", p, 0.0, 1.0 - fit.noise.factor**-2.0))

@@ -1,0 +1,110 @@
+"""What a form of one number bends: the bias, the response of axes, or an angle of the bench."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect, Response, Rotation, Turn
+from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
+from imucalib.effects.inclination import inclination_axis
+from imucalib.units import MG, STANDARD_GRAVITY
+
+#: What is bent -> words for it.
+KINDS = {"bias": "bias", "response": "response", "inclination": "inclination error",
+         "tool_face": "tool-face error"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Form:
+    """values : (...) -> (..., m) of the driver, for axes of their input in g; slope : its
+    derivative there, needed for a response; labels : (m,) of the parameters"""
+
+    values: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Words:
+    """name, sentence, equation, source and how to identify it, as `Effect` has them; prefix : of
+    the parameters' names."""
+
+    name: str
+    sentence: str
+    equation: str
+    source: str
+    identify: str
+    prefix: str
+
+    @property
+    def described(self) -> tuple[str, str, str, str, str]:
+        return (self.name, self.sentence, self.equation, self.source, self.identify)
+
+
+def bent(words: Words, what: str, against: str, form: Form) -> Effect:
+    """The effect; `against` names a covariate, or axes ("x", "xyz") whose input drives them.
+    ValueError for a `what` that is none."""
+    if what == "response":
+        return _response(words, against, form)
+    if what == "bias":
+        return _bias(words, against, form)
+    if what in KINDS:
+        return _angle(words, what, against, form)
+    raise ValueError(f"'{what}' cannot be bent")
+
+
+def _bias(words: Words, name: str, form: Form) -> Effect:
+    def basis(truth: Truth, context: Context) -> Array:
+        shapes = MG * form.values(context[name])
+        block = np.eye(3)[:, :, None] * shapes[:, None, None, None, :]
+        every = np.broadcast_to(block, (*truth.shape, 3, shapes.shape[1]))
+        return np.asarray(every.reshape(*truth.shape, -1))
+
+    each = tuple(
+        Parameter(f"{words.prefix}_{name}_{a}{k}", "mg", 1.0, 300.0)
+        for a in "xyz"
+        for k in form.labels
+    )
+    return Response(*words.described, (name,), each=each, basis=basis)
+
+
+def _response(words: Words, letters: str, form: Form) -> Effect:
+    axes = ["xyz".index(a) for a in letters]
+
+    def basis(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, len(axes), len(form.labels)))
+        for k, axis in enumerate(axes):
+            out[..., axis, k, :] = MG * form.values(truth.force[..., axis] / STANDARD_GRAVITY)
+        return out.reshape(*truth.shape, -1)
+
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, len(axes), len(form.labels), 3))
+        for k, axis in enumerate(axes):
+            steep = form.slope(truth.force[..., axis] / STANDARD_GRAVITY)
+            out[..., axis, k, :, axis] = MG / STANDARD_GRAVITY * steep
+        return out.reshape(*truth.shape, -1, 3)
+
+    each = tuple(
+        Parameter(f"{words.prefix}_{a}{k}", "mg", 1.0, 300.0) for a in letters for k in form.labels
+    )
+    return Response(*words.described, each=each, basis=basis, basis_dx=basis_dx)
+
+
+def _angle(words: Words, what: str, name: str, form: Form) -> Effect:
+    def turn(context: Context) -> tuple[Array, Array]:
+        if what == "inclination":
+            axis = inclination_axis(context)
+        else:
+            axis = np.broadcast_to(np.array([0.0, 0.0, -1.0]), (context.n, 3))
+        return axis, form.values(context[name])
+
+    turns: tuple[Turn, ...] = (turn,)
+    each = tuple(
+        Parameter(f"{words.prefix}_{what}_{name}{k}", "deg", 0.1, 10.0) for k in form.labels
+    )
+    needs = tuple(dict.fromkeys((name, "tool_face")))
+    return Rotation(*words.described, needs, named=each, turns=turns)

@@ -1,0 +1,148 @@
+"""What a search takes: a name or a curve without one, whichever predicts data that were left out.
+
+Both are judged side by side. A name goes first where it does about as well: a curve holds every
+shape of its driver. A curve is taken only where what it gains beyond the name is clear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.core.balance import Noise
+from imucalib.core.effect import Effect, Family
+from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations
+from imucalib.effects import known
+from imucalib.loop.evidence import Score
+from imucalib.loop.found import LoopSettings
+from imucalib.loop.held_out import log_predictive, log_predictives
+from imucalib.loop.records import extended, reduced
+from imucalib.loop.search import effect_named, objection, passes, refined
+from imucalib.loop.shapes import form_of
+from imucalib.loop.subject import Refused
+from imucalib.loop.thresholds import CURVE_LEAD, CURVE_NATS, CURVE_RMS, CURVE_SHARE, CURVE_TERMS
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What is taken, and the fit with it; curve : whether it has no name; rivals : other forms that
+    do about as well; drops : earlier effects whose part it takes over."""
+
+    score: Score
+    fit: Fit
+    curve: bool
+    rivals: tuple[str, ...] = ()
+    drops: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a choice may try. noise, data : to hold a refit at, where a search of the whole data has
+    estimated them; by default they are estimated anew."""
+
+    effects: Mapping[str, Effect]
+    families: tuple[Family, ...]
+    rng: np.random.Generator
+    rules: LoopSettings
+    noise: Noise | None = None
+    data: Observations | None = None
+
+    def extended(self, fit: Fit, effect: Effect) -> Fit:
+        """Refit with one more effect."""
+        if self.data is not None:
+            fit = replace(fit, observations=self.data)
+        return extended(fit, effect, noise=self.noise)
+
+
+def decided(
+    current: Fit, scores: tuple[Score, ...], chosen: Score, options: Options, last: str = ""
+) -> Decided | Refused:
+    """The chosen effect or the curve that explains clearly more; or why neither is taken.
+
+    last : the effect that was taken before, if any
+    """
+    rules = options.rules
+    chosen = refined(current, chosen, options.families, options.rng, rules)
+    trial = options.extended(current, effect_named(options.effects, chosen.name))
+    if reason := objection(current, trial):
+        return Refused(chosen.candidate.family or chosen.name, reason)
+    best = next((s for s in scores if passes(s, rules) and s.candidate.curve), None)
+    if best is None or best.evidence < chosen.evidence + rules.margin:
+        return Decided(chosen, trial, curve=False)
+    smooth = curve_of(current, scores, options, last)
+    if smooth is None or not _leads(smooth.fit, trial, current):
+        return Decided(chosen, trial, curve=False)
+    if rules.curves:
+        return smooth
+    why = f"a curve without a name explains clearly more: {smooth.score.candidate.driver}"
+    return Refused(chosen.candidate.family or chosen.name, why)
+
+
+def _leads(curve: Fit, name: Fit, before: Fit) -> bool:
+    """Whether a curve predicts what was left out clearly better than a name does."""
+    lead = log_predictives(curve) - log_predictives(name)
+    total, spread = float(lead.sum()), float(np.std(lead, ddof=1)) * lead.size**0.5
+    gained = log_predictive(curve) - log_predictive(before)
+    return total > CURVE_LEAD * spread and total > CURVE_SHARE * gained
+
+
+def curve_of(
+    current: Fit, scores: tuple[Score, ...], options: Options, last: str = ""
+) -> Decided | None:
+    """The strongest probe as a correction: by a form with a formula where it has one, else without
+    a name, its terms chosen by what holds out.
+
+    It has to gain more than an effect has to: nothing but the data speak for it. A curve beside the
+    effect that was taken before may be what is left of one form.
+    """
+    own = {name.rpartition(":")[0] for name in current.model.names if name.startswith("curve@")}
+    found = next(
+        (
+            s
+            for s in scores
+            if passes(s, options.rules)
+            and s.candidate.curve
+            and f"curve@{s.candidate.curve}" not in own
+        ),
+        None,
+    )
+    if found is None:
+        return None
+    smooth = _smoothed(current, found, options)
+    if smooth is None:
+        return None
+    formed = _formed(current, found, smooth, options)
+    if formed is None and last:
+        one = _formed(reduced(current, (last,)), found, smooth, options)
+        formed = one and replace(one, drops=(last,))
+    return formed or smooth
+
+
+def _formed(current: Fit, found: Score, smooth: Decided, options: Options) -> Decided | None:
+    """A form with a formula in place of a curve, where it predicts about as well."""
+    form = form_of(current, found, options.rng)
+    if form is None or form.effect.missing(current.observations.context):
+        return None
+    trial = options.extended(current, form.effect)
+    if objection(current, trial) or _leads(smooth.fit, trial, current):
+        return None
+    return Decided(form.score, trial, curve=False, rivals=form.rivals)
+
+
+def _smoothed(current: Fit, found: Score, options: Options) -> Decided | None:
+    best, most = None, -np.inf
+    for terms in CURVE_TERMS:
+        effect = known(f"curve@{found.candidate.curve}:{terms}")
+        assert effect is not None, found.candidate.curve
+        if effect.missing(current.observations.context):
+            continue
+        trial = options.extended(current, effect)
+        if objection(current, trial, CURVE_NATS, CURVE_RMS):
+            continue
+        if (density := log_predictive(trial)) > most:
+            named = replace(found, candidate=replace(found.candidate, name=effect.name))
+            best, most = Decided(named, trial, curve=True), density
+    return best

@@ -1,0 +1,111 @@
+"""Noise that neighbours in the order of recording share: a part of the model, not a rival.
+
+A bias of each axis that wanders is a variance component beside the noise of a reading, with an
+exponential correlation exp(-|i - j| / τ) in the order of recording. It is estimated first, and
+again after every effect: what an effect explains, it no longer holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.balance import Noise, balance
+from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations, SharedNoise
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.estimators.variance import NoiseEstimate, estimate_noise
+from imucalib.loop.thresholds import SHARED_NATS, SHARED_NUMBERS
+
+NAME = "shared noise"
+#: What stands beside an effect that a slow walk of the bias imitates.
+WANDERING = "wandering_bias"
+#: Observations after which it forgets, as tried; beyond a sixth of all it is a drift.
+_MEMORY, _LONGEST = (1.5, 4.0, 12.0), 1.0 / 6.0
+_FEWEST = 12
+#: Memories, in recordings, of what passes for a drift or a step.
+_SLOW = (0.2, 0.5, 2.0)
+_JITTER = 1e-9
+#: Starts of the estimate: share of the other components that stays, and the shared noise in units
+#: of that of a reading.
+_STARTS = ((1.0, 0.5), (0.4, 1.5))
+
+
+def with_shared_noise(fit: Fit) -> Fit:
+    """The same model, refitted under the shared noise that the data ask for, if they ask for any.
+
+    Up to `SHARED_NUMBERS` numbers in one order; the noise is otherwise left as it is.
+    """
+    own = fit.observations
+    bare = replace(own, shared=())
+    if "order" not in own.context or own.n < _FEWEST or fit.at.residual.size > SHARED_NUMBERS:
+        return fit
+    alone = fit if not own.shared else _refitted(fit, bare)
+    longest = max(bare.n * _LONGEST, _MEMORY[0])
+    tried = _tried(bare, tuple(m for m in _MEMORY if m <= longest))
+    found = [(_estimated(alone, data), data) for data in tried]
+    best, data = max(found, key=lambda one: one[0].log_likelihood)
+    if best.log_likelihood - alone.log_likelihood <= SHARED_NATS:
+        return alone
+    shared = replace(data.shared[0], without=alone.noise.ratio)
+    return _refitted(alone, replace(data, shared=(shared,)), best.noise)
+
+
+def lead_over_a_walk(fit: Fit, nats: float) -> float:
+    """Nats by which an effect, worth `nats` beside the fit, beats a bias that wanders slowly: over
+    a whole recording the two can look alike."""
+    if "order" not in fit.observations.context or fit.at.residual.size > SHARED_NUMBERS:
+        return nats
+    bare = replace(fit.observations, shared=())
+    own = fit.observations.shared
+    alone = replace(fit, noise=_without(fit.noise)) if own else fit
+    memories = tuple(bare.n * share for share in _SLOW)
+    slow = max(_estimated(alone, data).log_likelihood for data in _tried(bare, memories))
+    return fit.log_likelihood + nats - max(slow, fit.log_likelihood)
+
+
+def _without(noise: Noise) -> Noise:
+    return Noise(noise.factor, noise.component[:-1], noise.sd[:-1])
+
+
+def _tried(bare: Observations, memories: tuple[float, ...]) -> list[Observations]:
+    position = np.argsort(np.argsort(bare.context["order"], kind="stable")).astype(float)
+    apart = np.abs(position[:, None] - position)
+    return [
+        replace(bare, shared=(SharedNoise(NAME, _root(apart, memory), memory),))
+        for memory in memories
+    ]
+
+
+def _root(apart: Array, memory: float) -> Array:
+    values = np.exp(-apart / memory) + _JITTER * np.eye(len(apart))
+    return np.asarray(np.linalg.cholesky(values), np.float64)
+
+
+def _estimated(fit: Fit, data: Observations) -> NoiseEstimate:
+    """The noise beside a fit under data whose last component is shared, the best of a few starts:
+    what neighbours share can stand in for the noise of a reading and for settings."""
+    at = balance(fit.model, fit.theta, fit.eta, data)
+    noise, unit = fit.noise, fit.noise.factor * float(np.median(at.sigma))
+    found = []
+    for part, size in _STARTS:
+        sd = (*(part * sd for sd in noise.sd), size * unit)
+        start = Noise(part * noise.factor, at.component, sd)
+        found.append(estimate_noise(at, start, fixed=False))
+    return max(found, key=lambda one: one.log_likelihood)
+
+
+def _refitted(fit: Fit, data: Observations, begin: Noise | None = None) -> Fit:
+    found = fit_model(fit.model, data, start=fit.theta, begin=begin)
+    return found if found.converged else fit
+
+
+def shared_evidence(fit: Fit) -> float:
+    """Nats that a fit's shared noise gains over none; zero where there is none."""
+    if not fit.observations.shared or fit.noise.sd[-1] == 0.0:
+        return 0.0
+    at = replace(fit.at, settings=fit.at.settings[:-1], component=fit.at.component[:-1])
+    noise = _without(fit.noise)
+    return fit.log_likelihood - estimate_noise(at, noise, fixed=False).log_likelihood

@@ -1,0 +1,163 @@
+"""Whether a curve without a name has a form with a formula.
+
+Every form of `effects/shape` is scanned over its numbers against the driver of the curve. The
+evidence of a form is the mean over what was tried, which pays for having looked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.effect import Effect
+from imucalib.core.fit import Fit
+from imucalib.effects import known
+from imucalib.loop.candidates import effect_candidates, fitted_prediction
+from imucalib.loop.evidence import Score, score
+from imucalib.loop.thresholds import MARGIN
+from imucalib.units import DEG, STANDARD_GRAVITY
+
+_ANGLES = ("tool_face", "inclination")
+_FINER = 9
+
+
+@dataclass(frozen=True)
+class Formed:
+    """The best form of a driver, and others that do about as well."""
+
+    score: Score
+    effect: Effect
+    rivals: tuple[str, ...]
+
+
+def form_of(fit: Fit, curve: Score, rng: np.random.Generator) -> Formed | None:
+    """The form beside a fit that a curve found there may have, or None where none can be tried.
+
+    curve : the score of a probe, whose `curve` says what is bent and by which driver
+    """
+    what, against, *_ = curve.candidate.curve.split(":")
+    driver = _driver(fit, what, against)
+    every = {kind: list(_numbers(kind, driver, what, against)) for kind in _GRIDS}
+    found = _scored(fit, what, against, every, rng)
+    if not found:
+        return None
+    of_kind = {kind: _of_scan(members) for kind, members in found.items()}
+    best = max(of_kind, key=lambda kind: of_kind[kind])
+    top = max(found[best], key=lambda s: s.evidence)
+    near = _between(every[best], _numbers_of(top.name))
+    finer = _scored(fit, what, against, {best: near}, rng).get(best, [])
+    top = max([top, *finer], key=lambda s: s.evidence)
+    effect = known(top.name)
+    assert effect is not None, top.name
+    rivals = tuple(
+        max(found[kind], key=lambda s: s.evidence).name
+        for kind, nats in of_kind.items()
+        if kind != best and nats > of_kind[best] - MARGIN
+    )
+    named = replace(curve.candidate, name=effect.name, kind="effect", curve="")
+    return Formed(replace(curve, candidate=named, evidence=of_kind[best]), effect, rivals)
+
+
+def _of_scan(members: list[Score]) -> float:
+    nats = np.array([m.evidence for m in members])
+    return float(nats.max() + np.log(np.mean(np.exp(nats - nats.max()))))
+
+
+def _scored(
+    fit: Fit, what: str, against: str, every: dict[str, list[tuple[float, ...]]],
+    rng: np.random.Generator,
+) -> dict[str, list[Score]]:  # fmt: skip
+    effects, kind_of = [], {}
+    for kind, values in every.items():
+        for numbers in values:
+            name = f"shape@{what}:{against}:{kind}:" + ":".join(f"{v:.4g}" for v in numbers)
+            effect = known(name)
+            if effect is not None and name not in kind_of:
+                effects.append(effect)
+                kind_of[name] = kind
+    candidates, _ = effect_candidates(fit, effects)
+    found: dict[str, list[Score]] = {}
+    for one in score(fit, candidates, rng, draws=0):
+        found.setdefault(kind_of[one.name], []).append(one)
+    return found
+
+
+def _driver(fit: Fit, what: str, against: str) -> Array:
+    """Sorted distinct values of the driver, in g or as the covariate is, angles in degrees."""
+    if what == "response":
+        force = fitted_prediction(fit).force / STANDARD_GRAVITY
+        values = force[..., ["xyz".index(a) for a in against]]
+    else:
+        values = fit.observations.context[against] / (DEG if against in _ANGLES else 1.0)
+    return np.unique(np.round(values, 9))
+
+
+def _sines(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
+    if against == "tool_face":
+        yield from ((360.0 / k,) for k in range(1, 13))
+        return
+    span = float(np.ptp(u))
+    shortest = max(4.0 * span / u.size, span / 16.0)
+    yield from ((float(p),) for p in np.geomspace(shortest, 1.5 * span, 32))
+
+
+def _powers(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
+    middle, reach = 0.5 * float(u[0] + u[-1]), 0.5 * float(np.ptp(u))
+    if what == "response":
+        middle, reach = 0.0, 1.0
+    yield from ((float(k), middle, reach) for k in (2, 3, 4, 5))
+
+
+def _inside(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
+    yield from ((float(v),) for v in np.linspace(u[0], u[-1], 18)[2:-2])
+
+
+def _steps(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
+    between = 0.5 * (u[1:] + u[:-1])
+    edge = max(1, between.size // 12)
+    picked = np.unique(np.linspace(edge, between.size - 1 - edge, 24).astype(int))
+    yield from ((float(v),) for v in between[picked])
+
+
+def _limits(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
+    if what == "response":
+        yield from ((float(v),) for v in (0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9))
+
+
+def _teeth(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
+    for (period,) in _sines(u, what, against):
+        yield from ((period, float(phase)) for phase in np.arange(8) / 8.0)
+
+
+def _decays(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
+    span = float(np.ptp(u))
+    for share in (0.05, 0.1, 0.2, 0.4, 0.8):
+        yield share * span, float(u[0])
+        yield -share * span, float(u[-1])
+
+
+_GRIDS = {
+    "sine": _sines, "power": _powers, "kink": _inside, "step": _steps, "saturation": _limits,
+    "soft_saturation": _limits, "saw_tooth": _teeth, "exponential": _decays,
+}  # fmt: skip
+
+
+def _numbers(kind: str, u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
+    return _GRIDS[kind](u, what, against) if u.size >= 8 else iter(())
+
+
+def _numbers_of(name: str) -> tuple[float, ...]:
+    return tuple(float(v) for v in name.split(":")[3:])
+
+
+def _between(tried: list[tuple[float, ...]], best: tuple[float, ...]) -> list[tuple[float, ...]]:
+    """Values of the first number between its neighbours in the scan."""
+    first = np.unique([t[0] for t in tried])
+    at = int(np.argmin(np.abs(first - best[0])))
+    low, high = first[max(at - 1, 0)], first[min(at + 1, first.size - 1)]
+    if low == high or np.allclose(first, np.round(first)):  # whole numbers have none between
+        return []
+    return [(float(v), *best[1:]) for v in np.linspace(low, high, _FINER + 2)[1:-1]]
