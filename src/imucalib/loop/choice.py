@@ -20,7 +20,7 @@ from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings
 from imucalib.loop.held_out import log_predictive, log_predictives
 from imucalib.loop.records import extended, reduced
-from imucalib.loop.search import effect_named, objection, passes, refined
+from imucalib.loop.search import clear, effect_named, objection, passes, refined
 from imucalib.loop.shapes import form_of
 from imucalib.loop.subject import Refused
 from imucalib.loop.thresholds import CURVE_LEAD, CURVE_NATS, CURVE_RMS, CURVE_SHARE, CURVE_TERMS
@@ -103,7 +103,7 @@ def curve_of(
         (
             s
             for s in scores
-            if passes(s, options.rules)
+            if clear(s, options.rules)
             and s.candidate.curve
             and f"curve@{s.candidate.curve}" not in own
         ),

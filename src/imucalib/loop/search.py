@@ -20,6 +20,7 @@ from imucalib.loop.thresholds import (
     APART,
     HELD_OUT_NATS,
     HELD_OUT_RMS,
+    MARGIN,
 )
 
 
@@ -125,6 +126,13 @@ def passes(found: Score, rules: LoopSettings) -> bool:
     if rules.bar is not None:
         return found.evidence >= rules.bar
     return found.p <= rules.alpha
+
+
+def clear(found: Score, rules: LoopSettings) -> bool:
+    """Whether structure without a name stands out far enough to be corrected: a name has physics to
+    speak for it, a curve has only these data."""
+    bar = found.bar if rules.bar is None else rules.bar
+    return passes(found, rules) and found.evidence >= bar + MARGIN
 
 
 def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexplained, ...]:

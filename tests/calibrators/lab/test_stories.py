@@ -85,8 +85,8 @@ def test_a_lost_sign_is_named(row: int, axis: str) -> None:
     assert "inclination_zero" in found(result)
 
 
-def test_structure_outside_the_catalogue_is_not_given_a_name() -> None:
-    """A third harmonic of the tool-face: the driver is right, and no effect is claimed for it."""
+def test_structure_outside_the_catalogue_gets_a_formula_but_no_cause() -> None:
+    """A third harmonic of the tool-face, which no effect of the catalogue is."""
     rng = np.random.default_rng(3)
     table = simulated_table(BenchPlan("rings", 48, setting=(0.05, 0.05)), rng)
     data = position_observations(table, table.raw() * MG, Conventions(), STANDARD_GRAVITY)
@@ -98,8 +98,7 @@ def test_structure_outside_the_catalogue_is_not_given_a_name() -> None:
     moved = reference.truth(turned) - reference.truth(0.0 * turned)
     result = calibrate(data.with_reading(data.reading + moved), RULES, rng)
     assert result.loop is not None
-    assert result.loop.verdict == "unexplained"
-    assert result.loop.unexplained[0].driver == "tool-face"
+    assert [s.effect for s in result.loop.steps] == ["shape@tool_face:tool_face:sine:120"]
 
 
 def test_an_absorbed_effect_is_listed_as_not_testable() -> None:
