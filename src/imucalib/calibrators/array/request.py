@@ -28,7 +28,8 @@ class ArrayRequest:
     say nothing that matters; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
     iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
     of the search; curves : whether structure without a name is corrected by smooth curves
-    still : what counts as a rest; draws : simulated data sets of the search; extra_effects : of the user's own files
+    still : what counts as a rest; draws : simulated data sets of the search
+    extra_effects : of the user's own files
     limits : name -> largest allowed value; command : the line that was typed"""
 
     board: Board
