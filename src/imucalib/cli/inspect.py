@@ -53,14 +53,12 @@ def command(
       imucal inspect log.mcap --save-mapping mapping.yaml
       imucal inspect log.mcap --rests --html rests.html
     """
-    from imucalib.atomic_file import demand_output
-    from imucalib.calibration.file import write_together
+    from imucalib.atomic_file import demand_output, replaced_atomically
     from imucalib.inspection.inspection import inspect_recording
     from imucalib.readers import blocks
     from imucalib.recording.mapping import from_dict
     from imucalib.recording.mapping import save_mapping as save
     from imucalib.report.inspection import inspection_dict, inspection_document
-    from imucalib.report.render.html import render_html
     from imucalib.report.render.text import render_text
 
     for output in (save_mapping, html):
@@ -73,7 +71,10 @@ def command(
         save(from_dict(found.mapping), save_mapping)
         note(f"wrote {save_mapping}", options["quiet"])
     if html is not None:
-        write_together({html: render_html(document)})
+        from imucalib.report.render.html import render_html
+
+        with replaced_atomically(html) as temporary:
+            temporary.write_text(render_html(document), encoding="utf-8", errors="backslashreplace")
         note(f"wrote {html}", options["quiet"])
     if options["as_json"]:
         emit_json(inspection_dict(found, rests=rests))

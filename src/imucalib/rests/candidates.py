@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +24,7 @@ Interval = tuple[float, float]
 _FEW = 5  # rests from which a gyroscope's bias at rest is told
 _BIAS = 0.1 * DEG  # rad/s that a bias at rest may differ from the others' in any case
 _SPREAD = 6.0  # standard deviations (by the median) that it may differ
+_LONG = 10.0  # s
 _WITNESSES = 20  # spans whose whiteness is the usual one
 
 
@@ -39,6 +41,11 @@ class Seen:
     @property
     def key(self) -> Key:
         return self.sensor.quantity, self.sensor.triad
+
+    @cached_property
+    def starts(self) -> Array:
+        """(n,) s, of the spans."""
+        return np.array([span.start for span in self.spans])
 
 
 def seen(sensor: Sensor, samples: Samples, settings: StillSettings) -> Seen:
@@ -88,8 +95,7 @@ def windows_in(w: Windows, inside: Interval) -> tuple[int, int]:
 
 
 def _span_at(one: Seen, inside: Interval) -> Span:
-    starts = [span.start for span in one.spans]
-    return one.spans[int(np.searchsorted(starts, inside[0], side="right")) - 1]
+    return one.spans[int(np.searchsorted(one.starts, inside[0], side="right")) - 1]
 
 
 def _parts(whole: Interval, longest: float | None) -> list[Interval]:
@@ -101,7 +107,7 @@ def _parts(whole: Interval, longest: float | None) -> list[Interval]:
 def _judged(
     inside: Interval, every: Sequence[Seen], samples: Samples, settings: StillSettings
 ) -> Candidate:
-    drift, noise, turning, fewest = 0.0, 0.0, False, np.inf
+    drift, noise, turning, unsure, fewest = 0.0, 0.0, False, False, np.inf
     rate = max(one.sensor.rate for one in every)
     for one in every:
         means, each, sd, white = _means(one, inside, samples)
@@ -115,6 +121,8 @@ def _judged(
         span = _span_at(one, inside)
         turning |= own.turning or span.wandering
         turning |= span.louder and not is_noise(white, one.usual)
+        # Without its samples, only long steadiness tells a louder noise from a slow motion.
+        unsure |= span.louder and not samples.whole and length < _LONG
     # Ends stop short of the motion: what they leave was still.
     length = inside[1] - inside[0] + (2.0 * BLUR if samples.whole else 0.0) + 1.5 / rate
     reason: Reason = ""
@@ -122,6 +130,8 @@ def _judged(
         reason = "too short"
     elif turning:
         reason = "turning"
+    elif unsure:
+        reason = "other noise"
     return Candidate(*inside, drift, noise, reason)
 
 
