@@ -65,7 +65,7 @@ def kinds_of(sensor: Sensor, settings: StillSettings) -> Kinds:
         return replace(nothing, still=still)
     base, spiky = allowed(sensor, settings), _spiky(sensor)
     moving = every(w.high > w.low)
-    steady = steady_windows(w, sensor.step) & moving & ~spiky
+    steady = steady_windows(w, sensor.step, still) & moving & ~spiky
     if not still.any():
         return replace(nothing, shaking=steady, spiky=spiky)
     top = np.minimum(_LOUDER * base, np.maximum(loudest(sensor, still), base))
@@ -93,16 +93,18 @@ def kinds_of(sensor: Sensor, settings: StillSettings) -> Kinds:
     )  # fmt: skip
 
 
-def steady_windows(w: Windows, step: Array) -> Flags:
-    """Windows that have a neighbour of the same mean and variance, as far as these tell."""
-    v = w.variance + np.square(step) / 12.0
-    one, two = v[:-1], v[1:]
-    close = np.abs(np.diff(w.mean, axis=0)) <= _ALIKE * np.sqrt((one + two) / w.samples)
-    alike = (one <= _ALIKE * two) & (two <= _ALIKE * one)
-    pair = every(close & alike) & (np.diff(w.run) == 0)
-    steady = np.append(pair, False)
-    steady[1:] |= pair
-    return steady
+def steady_windows(w: Windows, step: Array, still: Flags) -> Flags:
+    """Windows that are not still and have a neighbour of the same mean and variance, as far as
+    these tell."""
+    one = np.flatnonzero(~(still[1:] & still[:-1]) & (np.diff(w.run) == 0))
+    two, least = one + 1, np.square(step) / 12.0
+    before, after = w.variance[one] + least, w.variance[two] + least
+    apart = np.square(w.mean[two] - w.mean[one]) * w.samples
+    pair = every(apart <= _ALIKE**2 * (before + after))
+    pair &= every((before <= _ALIKE * after) & (after <= _ALIKE * before))
+    steady = np.zeros_like(still)
+    steady[one[pair]] = steady[two[pair]] = True
+    return steady & ~still
 
 
 def _spiky(sensor: Sensor) -> Flags:
