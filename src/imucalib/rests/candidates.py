@@ -178,8 +178,9 @@ def _beside_bias(
 def _louder_notes(found: Sequence[Candidate], every: Sequence[Seen]) -> list[str]:
     notes = []
     for one in every:
-        own = [c for c in found if not c.reason and any(
-            s.louder and s.start <= c.start < s.stop for s in one.spans)]  # fmt: skip
+        if not any(span.louder for span in one.spans):
+            continue
+        own = [c for c in found if not c.reason and _span_at(one, (c.start, c.stop)).louder]
         if own and one.sensor.quantity == "acceleration":
             ratio = np.median([c.noise for c in own]) / float(np.max(one.sensor.noise))
             notes.append(
