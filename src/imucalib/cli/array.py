@@ -9,7 +9,7 @@ import click
 
 from imucalib.cli.calibrating import Together, calibrating, finish, shared_of
 from imucalib.cli.output import note
-from imucalib.cli.recording_options import mapping_of
+from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.array.request import ArrayRequest
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
               help="Also write the posterior's draws: .h5 or .nc.")  # fmt: skip
 @click.option("--checkpoint", type=click.Path(path_type=Path),
               help="Keep the chains here after every block, and go on from there.")  # fmt: skip
+@shortest_rest_option
 @calibrating
 def command(logs: tuple[Path, ...], **options: Any) -> int:
     """Find the positions of an inertial array's accelerometers from a bench log.
@@ -106,7 +107,7 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         motion=options["motion_prior"], exponent=float(options["det_exponent"]),
         accelerometer_sigma=sigma, gyro_covariance=options["gyro_covariance"],
         chains=options["chains"], stop=Stop(ess=options["ess"]), iterations=options["iterations"],
-        loop=shared.loop, asked=asked, curves=shared.curves,
+        still=still_of(options), loop=shared.loop, asked=asked, curves=shared.curves,
         draws=shared.draws or ArrayRequest.draws,
         checkpoint=options["checkpoint"], seed=shared.seed, extra_effects=shared.extra_effects,
         limits=shared.limits, command=shared.command,

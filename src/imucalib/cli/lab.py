@@ -10,12 +10,13 @@ import click
 from imucalib.cli.calibrating import calibrating, finish
 from imucalib.cli.lab_options import lab_options, request_of
 from imucalib.cli.output import note, pairs
-from imucalib.cli.recording_options import mapping_of
+from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
 
 
 @click.command("lab", short_help="Calibrate on a bench with known angles.")
 @click.argument("table", type=click.Path(path_type=Path))
 @lab_options
+@shortest_rest_option
 @calibrating
 def command(table: Path, **options: Any) -> int:
     """Calibrate a tool's accelerometer on a bench with known tool-face and inclination.
@@ -34,7 +35,8 @@ def command(table: Path, **options: Any) -> int:
     from imucalib.report.lab.document import lab_document
 
     files = LabFiles(
-        table, options["recording"], pairs(options["columns"], "--columns"), mapping_of(options)
-    )
+        table, options["recording"], pairs(options["columns"], "--columns"), mapping_of(options),
+        still_of(options),
+    )  # fmt: skip
     run = calibrate_files(files, request_of(options), lambda text: note(text, options["quiet"]))
     return finish([Report(run, lab_document(run))], options)

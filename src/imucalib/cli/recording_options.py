@@ -10,6 +10,7 @@ import click
 
 if TYPE_CHECKING:
     from imucalib.recording.mapping import FieldMapping
+    from imucalib.rests.stillness import StillSettings
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -71,6 +72,24 @@ def recording_options(command: Command) -> Command:
 force_option = click.option(
     "--force", is_flag=True, help="Replace an output file that is there; never an input."
 )
+
+
+#: Of commands that look for rests in a recording.
+shortest_rest_option = click.option(
+    "--shortest-rest", type=float, default=1.0, show_default=True, metavar="SECONDS",
+    help="Recording: what is still for less is no rest.",
+)  # fmt: skip
+
+
+def still_of(options: dict[str, Any]) -> StillSettings:
+    """What counts as a rest, by --shortest-rest."""
+    from imucalib.errors import UsageError
+    from imucalib.rests.stillness import StillSettings
+
+    shortest = options["shortest_rest"]
+    if not 0.1 <= shortest <= 3600.0:
+        raise UsageError(f"--shortest-rest {shortest:g} is not between 0.1 and 3600 s")
+    return StillSettings(shortest=shortest)
 
 
 def inputs_of(options: dict[str, Any], *files: Path) -> list[Path]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from imucalib.inspection.inspection import ChannelFacts, Inspection
+from imucalib.rests.refused import refusals
 from imucalib.units import STANDARD_GRAVITY
 
 _FAR = 0.1  # a norm at rest this far from 1 g (relative) is a wrong unit or scale, not a bad sensor
@@ -25,7 +26,8 @@ def _problems(found: Inspection) -> Iterator[str]:
     if unscaled:
         yield f"no scale is known for the acceleration of {_some(unscaled)}"
     if accelerometers and (found.still is None or not found.still.n):
-        yield found.why_not_still or "it never rests for two seconds"
+        candidates = found.still.candidates if found.still else ()
+        yield found.why_not_still or f"no rest in it: {refusals(candidates)}"
     off = [f.triad for f in accelerometers if f.unit == "m/s2" and _is_off(f)]
     if off:
         yield f"the norm at rest of {_some(off)} is not that of gravity"
@@ -55,6 +57,8 @@ def _advice(found: Inspection) -> Iterator[tuple[str, str]]:
         yield "--unit UNIT", "m/s2, g, mg, ug or counts, if the unit above is wrong"
     if any(f.unit == "counts" for f in _of(found, "angular_rate")):
         yield "--gyro-unit deg/s", "or rad/s: the file states no unit for the angular rate"
+    if found.still is not None and any(c.reason for c in found.still.candidates):
+        yield "--rests", "lists what came near a rest, and what refused it"
     if found.losses:
         yield "--strict", "refuses this file instead of reading what is left"
     if len(accelerometers) > 1:

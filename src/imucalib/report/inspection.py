@@ -12,6 +12,7 @@ import numpy as np
 from imucalib.inspection.advice import advice, problems
 from imucalib.inspection.inspection import ChannelFacts, Inspection
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text, Tone
+from imucalib.report.rests import rests_dict, rests_section
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
@@ -24,8 +25,9 @@ _OPTIONS = {
 _RENAMED = {"acc_unit": "--unit", "lsb_per_g": "--lsb", "lsb_per_dps": "--gyro-lsb"}
 
 
-def inspection_document(found: Inspection) -> Document:
-    """What is in the file, what would be used, what is wrong, and what to do next."""
+def inspection_document(found: Inspection, *, rests: bool = False) -> Document:
+    """What is in the file, what would be used, what is wrong, and what to do next; on request
+    every candidate for a rest."""
     sections = [
         Section("File", (_file(found),)),
         Section("Channels", (_channels(found),)),
@@ -33,6 +35,8 @@ def inspection_document(found: Inspection) -> Document:
     ]
     if found.still is not None and found.still.n:
         sections.append(Section("Rest", (_rest(found.still),)))
+    if rests:
+        sections.append(rests_section(found))
     losses: list[Block] = [Text(note, "warning") for note in found.losses]
     if found.gap_count:
         losses.append(_gaps(found))
@@ -186,8 +190,8 @@ def _norm(f: ChannelFacts) -> str:
     return f"{f.norm_at_rest / DEG:.2f} deg/s" if f.unit == "rad/s" else f"{f.norm_at_rest:.5g}"
 
 
-def inspection_dict(found: Inspection) -> dict[str, Any]:
-    """Plain types, ready for JSON."""
+def inspection_dict(found: Inspection, *, rests: bool = False) -> dict[str, Any]:
+    """Plain types, ready for JSON; on request with every candidate for a rest."""
 
     def number(value: float) -> float | None:
         return value if math.isfinite(value) else None
@@ -219,6 +223,7 @@ def inspection_dict(found: Inspection) -> dict[str, Any]:
         "gaps": {"count": found.gap_count, "seconds": found.gap_seconds},
         "still_segments": found.still.n if found.still else 0,
         "why_not_still": found.why_not_still,
+        **({"rests": rests_dict(found)} if rests else {}),
         "candidates": [{"channel": c, "finding": w} for c, w in found.candidates],
         "problems": list(problems(found)),
         "losses": list(found.losses),

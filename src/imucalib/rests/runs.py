@@ -22,8 +22,9 @@ from imucalib.units import MG, STANDARD_GRAVITY
 #: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
 #: that breathing causes. Together they tilt the mean by less than 1e-5 of its size.
 WORN = StillSettings(
-    window=10.0, shortest=5.0, trim=0, variance_ratio=2.25, range_ratio=12.0, sway=3.3 * MG
-)
+    window=10.0, shortest=5.0, trim=0, variance_ratio=2.25, range_ratio=12.0, sway=3.3 * MG,
+    quietest=0.05,
+)  # fmt: skip
 _CHANGE = 20.0 * MG  # between neighbouring windows of one posture, at most
 _REACH = 30.0 * MG  # between any window of a run and its first
 
@@ -165,7 +166,7 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
     """Runs of still windows of one posture. Raises Undetermined when nothing is still, and
     UnreadableInput when the size of the readings at rest cannot be gravity."""
     w = scanned.windows
-    sensor = Sensor(scanned.triad, "acceleration", scanned.rate, w)
+    sensor = Sensor(scanned.triad, "acceleration", scanned.rate, w, settings.quietest)
     still, notes = still_windows(sensor, settings)
     chosen = np.flatnonzero(still)
     chosen = np.setdiff1d(chosen, overlapping(w, chosen))

@@ -30,6 +30,7 @@ from imucalib.estimators.array.sampler import (
 from imucalib.estimators.markov.convergence import convergence
 from imucalib.estimators.markov.pmmh import run_pmmh
 from imucalib.recording.recording import Recording
+from imucalib.rests.refused import refusals
 from imucalib.rests.segments import Segments, still_segments
 
 Say = Callable[[str], None]
@@ -47,7 +48,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     if request.limits and not (request.loop or request.asked.declare):
         raise UsageError("limits need held-out data", remedy="leave --no-loop out")
     log, board = array_log(recording, request.board)
-    segments = still_segments(recording)
+    segments = still_segments(recording, request.still)
     order = _order(segments, board, recording)
     rests = fit_rests(
         segments, board, order, request.gravity,
@@ -77,9 +78,11 @@ def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
     names = board.imus if set(board.imus) <= set(segments.triads) else segments.triads
     if segments.n == 0:
         raise Undetermined(
-            "no still interval found, so the accelerometers cannot be calibrated by gravity",
+            "no rest found, so the accelerometers cannot be calibrated by gravity: "
+            + refusals(segments.candidates),
             where=recording.path,
-            remedy="hold the board still in nine or more attitudes before twisting it",
+            remedy="hold the board still in nine or more attitudes before twisting it; "
+            "`imucal inspect FILE --rests` lists what was refused",
         )
     return [segments.triads.index(name) for name in names]
 

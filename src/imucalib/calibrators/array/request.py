@@ -13,6 +13,7 @@ from imucalib.calibrators.array.moving import GyroCovariance
 from imucalib.core.effect import Effect
 from imucalib.estimators.array.problem import MotionPrior
 from imucalib.estimators.markov.hmc import Stop
+from imucalib.rests.stillness import StillSettings
 from imucalib.units import STANDARD_GRAVITY
 
 Sampler = Literal["hmc", "pmmh"]
@@ -27,7 +28,8 @@ class ArrayRequest:
     say nothing that matters; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
     iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
     of the search; curves : whether structure without a name is corrected by smooth curves
-    draws : simulated data sets of the search; extra_effects : of the user's own files
+    still : what counts as a rest; draws : simulated data sets of the search
+    extra_effects : of the user's own files
     limits : name -> largest allowed value; command : the line that was typed"""
 
     board: Board
@@ -43,6 +45,7 @@ class ArrayRequest:
     chains: int | None = None
     stop: Stop = field(default_factory=Stop)
     iterations: int = 100_000
+    still: StillSettings = field(default_factory=StillSettings)
     loop: bool = True
     asked: Asked = NOTHING_ASKED
     curves: bool = False
@@ -72,4 +75,5 @@ class ArrayRequest:
             "loop": self.loop,
             "curves": self.curves,
             "draws": self.draws,
+            "shortest_rest_s": self.still.shortest,
         }

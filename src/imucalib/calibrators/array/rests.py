@@ -201,8 +201,8 @@ def _observations(
     if n < FEWEST_POSES:
         raise Undetermined(
             f"{n} rests found, at least {FEWEST_POSES} are needed to calibrate the accelerometers",
-            remedy="hold the board still in nine or more attitudes, two seconds each; "
-            "`imucal inspect` shows what counts as still",
+            remedy="hold the board still in nine or more attitudes; `imucal inspect FILE --rests` "
+            "lists what counts as a rest and what was refused",
         )
     reading = segments.mean[:, order]
     ratio = np.median(np.linalg.norm(reading, axis=2), axis=0) / gravity

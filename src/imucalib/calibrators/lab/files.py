@@ -15,7 +15,8 @@ from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
-from imucalib.rests.segments import Segments, still_segments
+from imucalib.rests.refused import refusals
+from imucalib.rests.segments import Segments, StillSettings, still_segments
 
 #: A file of positions has at most this many rows; a longer one is taken for a recording.
 _MOST_POSITIONS = 2000
@@ -23,23 +24,25 @@ _MOST_POSITIONS = 2000
 
 @dataclass(frozen=True)
 class LabFiles:
-    """Inputs of `lab`. columns : role -> heading of the table; mapping : of the recording."""
+    """Inputs of `lab`. columns : role -> heading of the table; mapping : of the recording; still :
+    what counts as a rest in it."""
 
     table: Path
     recording: Path | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     mapping: FieldMapping = field(default_factory=FieldMapping)
+    still: StillSettings = field(default_factory=StillSettings)
 
 
 def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -> LabRun:
     """Read, check and calibrate. `say` gets one line for each thing worth knowing on the way."""
     if files.recording is not None:
         positions = _table(files, request, need_raw=False)
-        recording, segments = _still(files.recording, files.mapping, say)
+        recording, segments = _still(files.recording, files, say)
         table = _in_order(positions, segments, recording)
         return _run(table, recording, request)
     if request.reference == "norm" and not _is_table(files):
-        recording, segments = _still(files.table, files.mapping, say)
+        recording, segments = _still(files.table, files, say)
         return _run(_rests(segments, recording), recording, request)
     table = _table(files, request)
     say(f"read {table.n} positions from {files.table}")
@@ -71,20 +74,19 @@ def _is_table(files: LabFiles) -> bool:
     return table.n <= _MOST_POSITIONS and "time" not in table
 
 
-def _still(
-    path: Path, mapping: FieldMapping, say: Callable[[str], None]
-) -> tuple[Recording, Segments]:
-    recording = read(path, mapping)
-    segments = still_segments(recording)
+def _still(path: Path, files: LabFiles, say: Callable[[str], None]) -> tuple[Recording, Segments]:
+    recording = read(path, files.mapping)
+    segments = still_segments(recording, files.still)
     span = max((float(c.t[-1]) for c in recording.channels.values() if c.t.size), default=0.0)
     say(f"read {path} ({recording.format}, {span:.0f} s): {segments.n} still segments")
     for text in (*recording.notes, *segments.notes):
         say(f"  {text}")
     if segments.n == 0:
         raise UnreadableInput(
-            "no still segment in it",
+            f"no rest in it: {refusals(segments.candidates)}",
             where=str(path),
-            remedy="hold each position for two seconds or more; `imucal inspect` shows the noise",
+            remedy=f"hold each position still for {files.still.shortest:g} s or more "
+            "(--shortest-rest); `imucal inspect FILE --rests` lists what was refused",
         )
     return recording, segments
 

@@ -1,0 +1,241 @@
+"""What is a rest and what is none, on worlds that know nothing of the detector's constants."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from imucalib.errors import Undetermined
+from imucalib.recording.recording import Channel, Recording
+from imucalib.rests import samples
+from imucalib.rests.runs import WORN, posture_runs, scan
+from imucalib.rests.segments import Segments, StillSettings, find_segments, still_segments
+
+RATE, G = 100.0, 9.80665
+MG = 1e-3 * G
+
+
+def recorded(values: np.ndarray, rate: np.ndarray | None = None) -> Recording:
+    t = np.arange(len(values)) / RATE
+    channels = {"imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", RATE)}
+    if rate is not None:
+        channels["imu0/angular_rate"] = Channel(t, rate, "rad/s", "angular_rate", "imu0", RATE)
+    return Recording(channels, "made", "made", "")
+
+
+def bench(
+    rng: np.random.Generator, lengths: list[float], noise: float = 2 * MG, pause: float = 3.0
+) -> tuple[np.ndarray, list[tuple[float, float]]]:
+    """Rests (s) in random attitudes between shakes of `pause` s; readings and planted spans."""
+    parts, spans, at = [], [], 0
+    for length in [*lengths, 0.0]:
+        n = round(pause * RATE)
+        bell = np.sin(np.pi * (np.arange(n) + 0.5) / n)[:, None]
+        parts.append(rng.normal(0, 4.0, (n, 3)) * bell + [0, 0, G])
+        direction = rng.normal(size=3)
+        still = round(length * RATE)
+        parts.append(np.tile(G * direction / np.linalg.norm(direction), (still, 1)))
+        spans.append(((at + n) / RATE, (at + n + still) / RATE))
+        at += n + still
+    values = np.concatenate(parts)
+    return values + rng.normal(0, noise, values.shape), spans[:-1]
+
+
+def called_rest(found: Segments, a: float, b: float) -> float:
+    """Share of an interval."""
+    shared = np.minimum(found.stop, b) - np.maximum(found.start, a)
+    return float(np.maximum(shared, 0.0).sum() / (b - a))
+
+
+def reasons(found: Segments, a: float, b: float) -> set[str]:
+    return {c.reason for c in found.candidates if c.start < b and c.stop > a}
+
+
+@pytest.mark.parametrize("length", [1.05, 1.4, 2.0, 2.2, 2.4, 2.9])
+@pytest.mark.parametrize("pause", [3.0, 27.0])
+def test_rests_are_found_down_to_the_shortest(length: float, pause: float) -> None:
+    values, spans = bench(np.random.default_rng(7), [length] * 8, pause=pause)
+    found = still_segments(recorded(values))
+    assert found.n == len(spans)
+    for k, (a, b) in enumerate(spans):
+        assert abs(found.start[k] - a) < 0.12
+        assert abs(found.stop[k] - b) < 0.12
+
+
+@pytest.mark.parametrize(("shortest", "expected"), [(0.5, 6), (1.0, 0), (0.9, 0)])
+def test_the_shortest_rest_can_be_stated(shortest: float, expected: int) -> None:
+    values, spans = bench(np.random.default_rng(3), [0.62] * 6)
+    found = still_segments(recorded(values), StillSettings(shortest=shortest))
+    assert found.n == expected
+    if not expected:
+        assert all(reasons(found, a, b) <= {"too short", "vibrating"} for a, b in spans)
+
+
+def test_ends_are_to_the_sample_not_to_a_window() -> None:
+    values, _ = bench(np.random.default_rng(5), [3.21, 4.37, 2.83, 5.11])
+    found = still_segments(recorded(values))
+    assert len(np.unique(np.round(found.first[:, 0] % 50))) > 2
+    assert not np.all((found.last - found.first) % 50 == 0)
+
+
+def middle_of(rng: np.random.Generator, change: np.ndarray, noise: float) -> np.ndarray:
+    """Five-second rests with something slow among them, which moves across gravity."""
+    rests, _ = bench(rng, [5.0] * 4, noise)
+    others, _ = bench(rng, [5.0] * 4, noise)
+    slow = np.array([0.0, 0.0, G]) + change + rng.normal(0, noise, (len(change), 3))
+    return np.concatenate([rests, slow, others])
+
+
+SLOW = {
+    "0.05 deg/s": lambda t: G * np.sin(np.radians(0.05) * t),
+    "0.2 deg/s": lambda t: G * np.sin(np.radians(0.2) * t),
+    "0.5 deg/s": lambda t: G * np.sin(np.radians(0.5) * t),
+    "creep": lambda t: 30 * MG * t / t[-1],
+    "settling creep": lambda t: 30 * MG * (1 - np.exp(-t / 10.0)),
+    "hand": lambda t: 15 * MG * (np.sin(0.9 * t) + np.sin(0.37 * t)),
+}
+
+
+@pytest.mark.parametrize("name", SLOW)
+@pytest.mark.parametrize("noise", [0.2, 1.0, 3.0])
+@pytest.mark.parametrize("gyroscope", [False, True])
+def test_what_moves_slowly_is_no_rest(name: str, noise: float, gyroscope: bool) -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(6000) / RATE
+    change = np.stack([SLOW[name](t), 0 * t, 0 * t], axis=1)
+    values = middle_of(rng, change, noise * MG)
+    start = (len(values) - len(t)) / 2 / RATE
+    rate = np.radians(rng.normal(0.4, 0.05, values.shape)) if gyroscope else None
+    found = still_segments(recorded(values, rate))
+    # Where a hand turns back it stands still for a second, within a milligravity.
+    assert called_rest(found, start, start + 60.0) < (0.1 if name == "hand" else 0.02)
+    assert called_rest(found, 0.0, start) == pytest.approx(20.0 / 35.0, abs=0.02)
+    assert "turning" in reasons(found, start, start + 60.0)
+
+
+def test_a_turn_about_gravity_is_told_by_the_gyroscope() -> None:
+    rng = np.random.default_rng(2)
+    values = middle_of(rng, np.zeros((6000, 3)), 2 * MG)
+    turned = np.radians(rng.normal(0.4, 0.05, values.shape))
+    middle = slice(len(values) // 2 - 3000, len(values) // 2 + 3000)
+    turned[middle, 2] += np.radians(0.5)
+    assert still_segments(recorded(values)).n == 9
+    found = still_segments(recorded(values, turned))
+    assert found.n == 8
+    assert "turning" in reasons(found, middle.start / RATE, middle.stop / RATE)
+
+
+def test_a_warm_up_within_a_long_rest_is_no_turn() -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(60_000) / RATE
+    warm = 3 * MG * (1 - np.exp(-t / 200.0))
+    values = middle_of(rng, np.stack([warm, 0 * t, warm], axis=1), 2 * MG)
+    found = still_segments(recorded(values))
+    assert found.n == 9
+    assert np.max(found.stop - found.start) > 595.0
+
+
+@pytest.mark.parametrize("louder", [1.8, 3.0, 4.5])
+def test_rests_of_a_louder_half_do_not_vanish(louder: float) -> None:
+    rng = np.random.default_rng(6)
+    quiet, one = bench(rng, [3.0] * 10, 1 * MG)
+    loud, two = bench(rng, [3.0] * 10, louder * MG)
+    found = still_segments(recorded(np.concatenate([quiet, loud])))
+    at = len(quiet) / RATE
+    for a, b in [*one, *((a + at, b + at) for a, b in two)]:
+        assert called_rest(found, a, b) > 0.9
+    assert called_rest(found, 0.0, found.stop[-1]) < 0.6
+    assert any("times the noise of the quietest" in note for note in found.notes)
+
+
+def test_one_louder_rest_is_refused_with_its_reason() -> None:
+    rng = np.random.default_rng(8)
+    values, spans = bench(rng, [3.0] * 10, 1 * MG)
+    a, b = spans[4]
+    inside = slice(round(a * RATE), round(b * RATE))
+    values[inside] += rng.normal(0, 20 * MG, values[inside].shape)
+    found = still_segments(recorded(values))
+    assert found.n == 9
+    assert reasons(found, a + 0.5, b - 0.5) == {"vibrating"}
+
+
+def test_vibration_all_the_time_is_no_rest() -> None:
+    rng = np.random.default_rng(9)
+    values = np.array([0, 0, G]) + rng.normal(0, 200 * MG, (360_000, 3))
+    found = still_segments(recorded(values))
+    assert found.n == 0
+    assert "vibrating" in reasons(found, 0.0, 3600.0)
+    assert any(re.search(r"shakes by (199|20\d) mg", note) for note in found.notes)
+    with pytest.raises(Undetermined, match="shakes"):
+        posture_runs(scan([recorded(values)], WORN.window))
+
+
+def test_noise_below_a_coarse_resolution_is_no_vibration() -> None:
+    rng = np.random.default_rng(10)
+    values, spans = bench(rng, [3.0] * 10, 40 * MG)
+    step = 49 * MG  # of a shock sensor
+    found = still_segments(recorded(np.round(values / step) * step))
+    assert found.n == len(spans)
+
+
+@pytest.mark.parametrize("every", [100, 50, 200])
+def test_lost_rows_end_with_a_reason(every: int) -> None:
+    values = np.array([0, 0, G]) + np.random.default_rng(0).normal(0, 2 * MG, (3000, 3))
+    values[every // 2 :: every] = 0.0
+    found = still_segments(recorded(values))
+    if every <= 100:
+        assert found.n == 0
+        assert reasons(found, 0.0, 30.0) == {"dropouts"}
+    else:
+        assert called_rest(found, 0.0, 30.0) > 0.8
+
+
+def test_filtered_noise_is_noise() -> None:
+    """A chip's low-pass filter makes samples alike; its rests are rests still."""
+    rng = np.random.default_rng(12)
+    values, spans = bench(rng, [3.0] * 12, 1e-9)
+    noise = rng.normal(size=values.shape)
+    kernel = np.exp(-np.arange(40) / 6.0)
+    noise = np.apply_along_axis(np.convolve, 0, noise, kernel, "same")
+    found = still_segments(recorded(values + 2 * MG * noise / noise.std()))
+    hit = sum(called_rest(found, a, b) > 0.8 for a, b in spans)
+    assert hit >= 11
+
+
+@pytest.mark.parametrize("most", [0, 1 << 24])
+def test_a_long_recording_in_blocks_keeps_its_rests(
+    most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values, spans = bench(np.random.default_rng(13), [6.0] * 10)
+    whole = recorded(values)
+    channel = whole.channels["imu0/acceleration"]
+    parts = [
+        Recording(
+            {"imu0/acceleration": Channel(channel.t[a:b], values[a:b], "m/s2", "acceleration",
+                                          "imu0", RATE)},
+            "made", "made", "",
+        )
+        for a, b in pairwise(range(0, len(values) + 1, 450))
+    ]  # fmt: skip
+    monkeypatch.setattr(samples.Samples.__init__, "__defaults__", (most,))
+    found = find_segments(parts)
+    assert found.n == len(spans)
+    for k, (a, b) in enumerate(spans):
+        assert a - 0.06 <= found.start[k] < a + (0.3 if most else 1.1)
+        assert b + 0.06 >= found.stop[k] > b - (0.3 if most else 1.1)
+    assert any("too long" in note for note in found.notes) == (not most)
+
+
+def test_a_candidate_tells_its_drift_and_noise() -> None:
+    rng = np.random.default_rng(14)
+    t = np.arange(3000) / RATE
+    values = middle_of(rng, np.stack([0.5 * MG * t, 0 * t, 0 * t], axis=1), 1 * MG)
+    found = still_segments(recorded(values))
+    (turn,) = (c for c in found.candidates if c.start > 36.0 and c.stop < 64.0)
+    assert turn.reason == "turning"
+    assert turn.drift == pytest.approx(15 * MG, rel=0.4)
+    assert turn.noise == pytest.approx(MG, rel=0.15)
+    assert turn.length == pytest.approx(30.0, abs=4.0)
