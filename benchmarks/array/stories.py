@@ -32,7 +32,8 @@ def story(name: str, seeds: int, samples: int) -> str:
         other += bool(extra) or bool(found.unexplained)
         if effect != "sensing_elements":
             z.append(positions_z(found, true))
-        off.append(found.after.acceleration / found.before.acceleration)
+        assert found.gained is not None
+        off.append(found.gained.after.acceleration / found.gained.before.acceleration)
     spread = f"{np.sqrt(np.mean(np.square(z))):.2f}" if z else "-"
     within = f"{100 * np.mean(np.abs(z) < 1.96):.0f} %" if z else "-"
     return (f"| {name} | {right} of {seeds} | {other} of {seeds} | {spread} | {within} | "

@@ -253,11 +253,26 @@ def test_a_temperature_effect_is_undone_alike_in_blocks_of_any_size(
         assert np.allclose(got, whole, rtol=0.0, atol=1e-9)
 
 
-def test_a_lag_without_a_thermometer_is_refused(lagging: tuple[Path, Calibration]) -> None:
+def test_a_lag_without_a_thermometer_is_left_out_and_told(
+    lagging: tuple[Path, Calibration],
+) -> None:
+    calibration = lagging[1]
     channel = Channel(np.arange(5.0), np.full((5, 3), 5.0), "m/s2", "acceleration", "imu0", 1.0)
     bare = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=0)
+    found = apply_to_recording(calibration, bare)
+    (note,) = [n for n in found.notes if "left out" in n]
+    assert "thermal_lag@1h" in note
+    low, high = calibration.valid["temperature_lag_1h"]
+    middle = calibration.apply(
+        channel.values, Context(5, {"temperature_lag_1h": np.full(5, 0.5 * (low + high))})
+    )
+    assert np.allclose(found.channels["imu0/acceleration"].values, middle, atol=1e-6)
+    # Planted: 1.5, -2.0 and 1.0 mg/°C.
+    size = float(note.partition("up to ")[2].partition(" mg")[0])
+    assert size == pytest.approx(0.5 * (high - low) * np.sqrt(1.5**2 + 2.0**2 + 1.0), rel=0.15)
+    unknown = replace(calibration, valid={})
     with pytest.raises(UnreadableInput, match="temperature_lag_1h"):
-        apply_to_recording(lagging[1], bare)
+        apply_to_recording(unknown, bare)
 
 
 @pytest.fixture(scope="module")

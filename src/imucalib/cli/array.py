@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--board", "--layout", "board", required=True, help="Board file (YAML), or a name: "
               "mimu4444, mimu4444_corners.")  # fmt: skip
+@click.option(
+    "--as-drawn",
+    is_flag=True,
+    help="Keep the board file's axes and places even where the log contradicts them.",
+)
 @click.option("--sampler", type=click.Choice(["hmc", "pmmh"]), default="hmc", show_default=True,
               help="pmmh: Algorithm 1 of the paper.")  # fmt: skip
 @click.option("--samples", default=2000, show_default=True, help="Moving samples, at most.")
@@ -108,6 +113,7 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         accelerometer_sigma=sigma, gyro_covariance=options["gyro_covariance"],
         chains=options["chains"], stop=Stop(ess=options["ess"]), iterations=options["iterations"],
         still=still_of(options), loop=shared.loop, asked=asked, curves=shared.curves,
+        as_drawn=options["as_drawn"],
         draws=shared.draws or ArrayRequest.draws,
         checkpoint=options["checkpoint"], seed=shared.seed, extra_effects=shared.extra_effects,
         limits=shared.limits, command=shared.command,

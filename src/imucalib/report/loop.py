@@ -14,8 +14,8 @@ from imucalib.units import MG
 
 _HELD_OUT = {
     "actigraph": "Held out: each block of time predicted by a fit without it.",
-    "array": "Held out: each half of the motion, in blocks, under positions and effects of the "
-    "other; ω, dω/dt and s are every sample's own. MAD: median absolute deviation.",
+    "array": "Held out: each half of the motion, in blocks, under what a search of the other half "
+    "finds; ω, dω/dt and s are every sample's own. MAD: median absolute deviation.",
     "": "Held out: each position predicted by a fit without it, or the test rows.",
 }
 _ANEW = (

@@ -14,6 +14,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.ranges import two_ranges
 from imucalib.rests.stillness import Sensor, StillSettings, still_windows
 from imucalib.rests.tails import TailBuilder, overlapping, with_tails
 from imucalib.rests.windows import WindowBuilder, Windows, in_order
@@ -164,8 +165,10 @@ def _chosen(block: Recording, triad: str) -> list[tuple[str, Channel]]:
 
 def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
     """Runs of still windows of one posture. Raises Undetermined when nothing is still, and
-    UnreadableInput when the size of the readings at rest cannot be gravity."""
+    UnreadableInput when the size of the readings at rest cannot be gravity, or is another one from
+    some moment on."""
     w = scanned.windows
+    _refuse_two_ranges(scanned)
     sensor = Sensor(scanned.triad, "acceleration", scanned.rate, w, settings.quietest)
     still, notes = still_windows(sensor, settings)
     chosen = np.flatnonzero(still)
@@ -177,6 +180,22 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
             remedy="wear it through a night; `imucal inspect` shows the noise",
         )
     return grouped(scanned, chosen, sensor.noise, tuple(notes))
+
+
+def _refuse_two_ranges(scanned: Scan) -> None:
+    """All windows are asked: with the range the noise changes, and one part is not still."""
+    w = scanned.windows
+    change = two_ranges(np.linalg.norm(w.mean, axis=1))
+    if change is None:
+        return
+    before, after = (level / STANDARD_GRAVITY for level in (change.before, change.after))
+    raise UnreadableInput(
+        f"gravity is {before:.3g} g before {w.start[change.row] / 3600.0:.2f} h and {after:.3g} g "
+        "from there on: the range or the unit changes",
+        where=scanned.path,
+        remedy="export the recording in two files at that moment, each with its own scale, or "
+        "with one scale for all",
+    )
 
 
 def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] = ()) -> PostureRuns:

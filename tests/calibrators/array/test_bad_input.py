@@ -127,7 +127,7 @@ def test_exchanged_topics_are_noticed(recording: Recording) -> None:
             return c
         return replace(recording.channels[f"{other[c.triad]}/{c.quantity}"], triad=c.triad)
 
-    with pytest.raises(Undetermined, match=r"imu[25] differs from the board's drawing"):
+    with pytest.raises(Undetermined, match=r"imu2 and imu5 are exchanged"):
         calibrate(changed(recording, change))
 
 

@@ -50,7 +50,8 @@ def test_a_planted_error_is_named(name: str) -> None:
     assert STORIES[name][0] in named(found), [s.effect for s in found.steps]
     if STORIES[name][0] != "sensing_elements":  # they share directions with the positions
         assert np.sqrt(np.mean(positions_z(found, true) ** 2)) < 1.6
-    assert found.after.acceleration <= found.before.acceleration * 1.05
+    assert found.gained is not None
+    assert found.gained.after.acceleration <= found.gained.before.acceleration * 1.05
 
 
 def test_a_clean_log_is_left_alone(clean: MotionLoop) -> None:
@@ -240,7 +241,8 @@ def test_a_measured_boards_clocks_delay_and_elements() -> None:
     assert {"gyro_sample_age", "gyro_scale", "gyro_misalignment", "gyro_delay",
             "sensing_elements"} <= names  # fmt: skip
     assert found.after.rate < 2.0
-    assert found.after.acceleration < 0.25
+    assert found.gained is not None
+    assert found.gained.after.acceleration < 0.25
     assert found.final.noise[0].freedom < 10.0
     span = next(t for t in found.final.found if t.name == "gyro_sample_age")
     assert float(span.theta[0]) == pytest.approx(1.0, abs=0.1)
@@ -384,7 +386,8 @@ def test_curves_correct_what_has_no_name_where_it_helps() -> None:
     assert [s.effect for s in found.steps] == ["curve of position of imu5 against time"]
     assert not found.steps[0].certain
     assert found.verdict == "unexplained"
-    assert found.after.acceleration < found.before.acceleration
+    assert found.gained is not None
+    assert found.gained.after.acceleration < found.gained.before.acceleration
     assert np.abs(found.final.r - true).max() < 5e-5
     text = said(found, 200)
     assert "position of imu5 against time, corrected by a curve" in " ".join(text.split())

@@ -15,6 +15,7 @@ from imucalib.calibrators.actigraph.advice import advice, limits_of, reasons
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.calibration import actigraph_calibration, actigraph_details
 from imucalib.calibrators.actigraph.coverage import Coverage, coverage_of
+from imucalib.calibrators.actigraph.exchange import Exchange, exchange_in, refuse_exchange
 from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import Series, series, without_found
@@ -60,10 +61,14 @@ def run_of(
     )
     for text in (*scanned.notes, *runs.notes):
         say(f"  {text}")
+    exchange = exchange_in(runs)
+    refuse_exchange(exchange, scanned.path, parts=request.every is not None)
+    if exchange is not None:
+        say(f"  {exchange.words}")
     result = calibrate(runs, scanned, request, np.random.default_rng(request.seed))
     result = replace(result, loop=result.loop and with_untestable(result.loop, runs))
     coverage = coverage_of(result, scanned, gravity=request.gravity, window=request.window)
-    outcome = _judged(result, coverage, scanned, request)
+    outcome = _judged(result, coverage, scanned, request, exchange)
     parts = None
     if request.every:
         parts = series(without_found(runs, result.final, request), scanned, request, say)
@@ -81,8 +86,9 @@ def run_of(
 
 
 def _judged(
-    result: ActigraphResult, coverage: Coverage, scanned: Scan, request: ActigraphRequest
-) -> Outcome:
+    result: ActigraphResult, coverage: Coverage, scanned: Scan, request: ActigraphRequest,
+    exchange: Exchange | None,
+) -> Outcome:  # fmt: skip
     declined = (result.declined,) if result.declined else ()
     return Outcome(
         calibrator="actigraph",
@@ -90,7 +96,7 @@ def _judged(
         provenance=provenance(scanned, request),
         findings=_findings(result.loop, request),
         quality=quality_of(result.final),
-        reasons=reasons(result, coverage),
+        reasons=(*((exchange.words,) if exchange else ()), *reasons(result, coverage)),
         advice=advice(result, coverage),
         limits=limits_of(result, request.limits),
         notes=(*scanned.notes, *result.runs.notes, *declined),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from imucalib.recording.yaml_text import load
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 BOARDS = Path(__file__).parent / "boards"
+_KEYS = ("name", "prior_sd", "accelerometer_range", "gyroscope_range", "package", "outline", "imus")
+_IMU_KEYS = ("name", "position", "axes", "rotation", "accelerometer_axes", "gyro_axes")
+_SMALLEST = 1e-4  # m that an array extends at least
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,8 @@ class Board:
     prior_sd : m, of each coordinate about the drawing
     accelerometer_range : m/s², gyroscope_range : rad/s, where readings clip; inf when not known
     outline : m, (left, bottom, right, top) or None; package : m, its size or None
+    accelerometer_axes, gyro_axes : (K, 3, 3) signed permutations, a sensor's own axes to the
+        package's, where it is wired otherwise than the package is drawn
     """
 
     name: str
@@ -38,6 +44,13 @@ class Board:
     gyroscope_range: float = float("inf")
     outline: tuple[float, float, float, float] | None = None
     package: tuple[float, float, float] | None = None
+    accelerometer_axes: Array = field(default_factory=lambda: np.eye(3)[None])
+    gyro_axes: Array = field(default_factory=lambda: np.eye(3)[None])
+
+    def __post_init__(self) -> None:
+        for name in ("accelerometer_axes", "gyro_axes"):
+            every = np.broadcast_to(getattr(self, name), self.rotations.shape)
+            object.__setattr__(self, name, every)
 
     @property
     def count(self) -> int:
@@ -50,16 +63,13 @@ class Board:
 
     def take(self, rows: list[int]) -> Board:
         """The board with some of its IMUs."""
-        return Board(
-            name=self.name,
+        return replace(
+            self,
             imus=tuple(self.imus[k] for k in rows),
             positions=self.positions[rows],
             rotations=self.rotations[rows],
-            prior_sd=self.prior_sd,
-            accelerometer_range=self.accelerometer_range,
-            gyroscope_range=self.gyroscope_range,
-            outline=self.outline,
-            package=self.package,
+            accelerometer_axes=self.accelerometer_axes[rows],
+            gyro_axes=self.gyro_axes[rows],
         )
 
 
@@ -93,7 +103,10 @@ def read_board(name: str | Path) -> Board:
 
 
 def _board(content: Mapping[str, Any]) -> Board:
+    _refuse_unknown(content, _KEYS, "the board")
     imus = content["imus"]
+    for imu in imus:
+        _refuse_unknown(imu, _IMU_KEYS, str(imu["name"]))
     positions = np.array([imu["position"] for imu in imus], dtype=float).reshape(len(imus), 3)
     rotations = np.array([_rotation(imu) for imu in imus])
     names = tuple(str(imu["name"]) for imu in imus)
@@ -103,6 +116,12 @@ def _board(content: Mapping[str, Any]) -> Board:
         raise UnreadableInput(
             "the nominal positions lie in a plane or on a line, or are not numbers",
             remedy="an array needs extent in all three directions for its rotation to be seen",
+        )
+    extent = 1e-3 * float(np.ptp(positions, axis=0).max())
+    if extent < _SMALLEST:
+        raise UnreadableInput(
+            f"the whole array extends {1e6 * extent:.3g} µm, its positions look like metres",
+            remedy="the board file gives positions in mm",
         )
     outline = tuple(float(v) * 1e-3 for v in content.get("outline", ()))
     package = tuple(float(v) * 1e-3 for v in content.get("package", ()))
@@ -116,16 +135,33 @@ def _board(content: Mapping[str, Any]) -> Board:
         gyroscope_range=float(content.get("gyroscope_range", np.inf)) * DEG,
         outline=(outline[0], outline[1], outline[2], outline[3]) if len(outline) == 4 else None,
         package=(package[0], package[1], package[2]) if len(package) == 3 else None,
+        accelerometer_axes=np.array([_axes(imu, "accelerometer_axes") for imu in imus]),
+        gyro_axes=np.array([_axes(imu, "gyro_axes") for imu in imus]),
     )
+
+
+def _refuse_unknown(content: Mapping[str, Any], known: tuple[str, ...], whose: str) -> None:
+    """A key that means nothing is a misspelt one: what it should say would be left out."""
+    for key in content:
+        if key not in known:
+            near = get_close_matches(str(key), known, 1)
+            meant = f"'{near[0]}'?" if near else f"known are {', '.join(known)}"
+            raise UnreadableInput(f"{whose} has the unknown key '{key}'", remedy=meant)
+
+
+def _axes(imu: Mapping[str, Any], key: str) -> Array:
+    """(3, 3) the x, y and z that `key` names in terms of what is read."""
+    chosen = parse_axis_map(str(imu.get(key, "")))
+    turn = np.zeros((3, 3))
+    turn[np.arange(3), list(chosen.order)] = chosen.sign
+    return turn
 
 
 def _rotation(imu: Mapping[str, Any]) -> Array:
     if "rotation" in imu:
         turn = np.array(imu["rotation"], dtype=float).reshape(3, 3)
     else:
-        chosen = parse_axis_map(str(imu.get("axes", "")))
-        turn = np.zeros((3, 3))
-        turn[np.arange(3), list(chosen.order)] = chosen.sign
+        turn = _axes(imu, "axes")
     if np.linalg.norm(turn @ turn.T - np.eye(3)) > 1e-6 or np.linalg.det(turn) < 0.0:
         raise UnreadableInput(
             f"the axes of {imu['name']} are not a rotation",

@@ -10,7 +10,8 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.corrected import corrected_samples, widened
-from imucalib.calibrators.array.log import array_log
+from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction
+from imucalib.calibrators.array.log import array_log, in_package_axes
 from imucalib.calibrators.array.loop.at_rest import with_rests
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.setup import array_setup
@@ -43,13 +44,17 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     """Rests, triads, gyros, informative samples, posterior, loop.
 
     Raises UnreadableInput for a recording that does not match the board, Undetermined when the
-    rests or the motion do not hold the answer, NotConverged when the chains disagree.
+    rests or the motion do not hold the answer or contradict the board, NotConverged when the
+    chains disagree.
     """
     if request.limits and not (request.loop or request.asked.declare):
         raise UsageError("limits need held-out data", remedy="leave --no-loop out")
+    recording = in_package_axes(recording, request.board)
     log, board = array_log(recording, request.board)
     segments = still_segments(recording, request.still)
     order = _order(segments, board, recording)
+    if not request.as_drawn:
+        refuse_contradiction(compared(log, segments, board, order))
     rests = fit_rests(
         segments, board, order, request.gravity,
         asked=replace(request.asked, search=request.loop), seed=request.seed,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.triads import Triad
@@ -81,20 +82,33 @@ def _triads(
         bias = bias + np.einsum("kij,kj->ki", gain, found.offset)
         gain = gain @ found.gain
         gyro_gain, gyro_bias = found.gyro_gain, gyro_bias + found.gyro_offset
+    # What is corrected is read in the sensors' own axes: those of the package are undone first.
+    wired = _in_board_axes(board.accelerometer_axes, board.rotations)
+    gyro_wired = _in_board_axes(board.gyro_axes, board.rotations)
+    both = np.zeros((board.count, 12, 12))
+    both[:, :9, :9] = np.einsum("kij,ab->kiajb", wired, np.eye(3)).reshape(-1, 9, 9)
+    both[:, 9:, 9:] = wired
+    covariance = both @ covariance @ both.transpose(0, 2, 1)
     return tuple(
         Triad(
             name=name,
             rotation=board.rotations[k],
-            gain=gain[k],
-            bias=bias[k],
-            gyro_gain=gyro_gain[k],
-            gyro_bias=gyro_bias[k],
+            gain=wired[k] @ gain[k],
+            bias=wired[k] @ bias[k],
+            gyro_gain=gyro_wired[k] @ gyro_gain[k],
+            gyro_bias=gyro_wired[k] @ gyro_bias[k],
             covariance=covariance[k],
             noise=float(rests.noise[k]),
             gyro_noise=float(rests.gyro_noise[k]),
         )
         for k, name in enumerate(board.imus)
     )
+
+
+def _in_board_axes(own: Array, rotations: Array) -> Array:
+    """(K, 3, 3) from a package's axes to its sensor's own, as seen in board axes."""
+    back = rotations.transpose(0, 2, 1)
+    return np.asarray(rotations @ own.transpose(0, 2, 1) @ back)
 
 
 def array_details(

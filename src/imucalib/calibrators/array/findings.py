@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.calibration import StoredParameter, stored_parameters
-from imucalib.calibration.findings import Check, Findings, FoundStep, Untestable
+from imucalib.calibration.findings import Check, Findings, FoundStep, Gain, Untestable
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
 from imucalib.calibrators.array.frame import BASE
 from imucalib.calibrators.array.loop.ages import beats
 from imucalib.calibrators.array.loop.at_rest import AT_REST
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.cross_fit import Gained
 from imucalib.calibrators.array.loop.curves import CURVE
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.loop.worth import size_in_words
@@ -43,6 +44,7 @@ def array_findings(loop: MotionLoop) -> Findings:
         unexplained=loop.unexplained,
         scores=loop.scores,
         missing=loop.missing,
+        gain=_gain(loop.gained),
         not_testable=tuple(_untestable(name, m) for name, m in loop.impact.items()),
         declared=tuple(
             (t.name, size_in_words(loop.final, t))
@@ -54,8 +56,37 @@ def array_findings(loop: MotionLoop) -> Findings:
         facts=(
             ("accelerometer noise", _noise_words(a, 1.0, "m/s²")),
             ("gyro noise", _noise_words(g, DEG, "deg/s")),
+            *_gains(loop.gained),
             ("shared by neighbours", f"{loop.dispersion:.2f} times fewer samples"),
         ),
+    )
+
+
+def _gain(found: Gained | None) -> Gain | None:
+    """Of the sensor that gained most, in the unit of its error."""
+    if found is None:
+        return None
+    gyro, d = found.principal is found.rate, found.principal
+    scale, unit = (DEG, "deg/s") if gyro else (1.0, "m/s²")
+    before, after, low, high = (v / scale for v in (d.before, d.after, d.low, d.high))
+    return Gain(before, after, low, high, found.proved, unit)
+
+
+def _gains(found: Gained | None) -> tuple[tuple[str, str], ...]:
+    """What each sensor has gained, with its interval."""
+    if found is None:
+        return ()
+    sensors = (
+        ("accelerometers", found.acceleration, 1.0, "m/s²"),
+        ("gyros", found.rate, DEG, "deg/s"),
+    )
+    return tuple(
+        (
+            f"held-out gain, {name}",
+            f"{d.gain / scale:.3g} {unit}, 95 % {d.low / scale:.3g} to {d.high / scale:.3g}, "
+            f"{d.parts} blocks",
+        )
+        for name, d, scale, unit in sensors
     )
 
 
@@ -112,8 +143,8 @@ def array_errors(
         noise[1] / DEG / _NORMAL_MAD * np.sqrt(1.0 - 1.0 / imus),
     )
     held = ((_NAN, _NAN), (_NAN, _NAN))
-    if loop is not None:
-        before, after = loop.before, loop.after
+    if loop is not None and loop.gained is not None:
+        before, after = loop.gained.before, loop.gained.after
         held = (before.acceleration, after.acceleration), (before.rate, after.rate)
     return tuple(
         ErrorSummary(

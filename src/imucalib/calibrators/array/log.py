@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,19 @@ def array_log(recording: Recording, board: Board) -> tuple[ArrayLog, Board]:
         t, acceleration, rate = t[finite], acceleration[finite], rate[finite]
         clipped = clipped[finite]
     return ArrayLog(t, acceleration, rate, clipped, step, tuple(notes)), board
+
+
+def in_package_axes(recording: Recording, board: Board) -> Recording:
+    """The recording with every sensor's axes those of its package, as the board file says. Raises
+    UnreadableInput for IMUs that do not match the board."""
+    own = {"acceleration": board.accelerometer_axes, "angular_rate": board.gyro_axes}
+    names, channels = _matched_names(recording, board)[0], dict(recording.channels)
+    for name, channel in recording.channels.items():
+        if channel.triad in names and channel.quantity in own:
+            turn = own[channel.quantity][names.index(channel.triad)]
+            if not np.array_equal(turn, np.eye(3)):
+                channels[name] = replace(channel, values=channel.values @ turn.T)
+    return replace(recording, channels=channels)
 
 
 def _matched_names(recording: Recording, board: Board) -> tuple[list[str], list[str]]:

@@ -28,8 +28,9 @@ class ArrayRequest:
     say nothing that matters; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
     iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
     of the search; curves : whether structure without a name is corrected by smooth curves
-    still : what counts as a rest; draws : simulated data sets of the search
-    extra_effects : of the user's own files
+    still : what counts as a rest
+    as_drawn : whether axes and places are those of the board file, whatever the log says
+    draws : simulated data sets of the search; extra_effects : of the user's own files
     limits : name -> largest allowed value; command : the line that was typed"""
 
     board: Board
@@ -49,6 +50,7 @@ class ArrayRequest:
     loop: bool = True
     asked: Asked = NOTHING_ASKED
     curves: bool = False
+    as_drawn: bool = False
     checkpoint: Path | None = None
     seed: int = 0
     draws: int = 499
@@ -74,6 +76,7 @@ class ArrayRequest:
             "without": list(self.asked.without),
             "loop": self.loop,
             "curves": self.curves,
+            "as_drawn": self.as_drawn,
             "draws": self.draws,
             "shortest_rest_s": self.still.shortest,
         }

@@ -70,6 +70,7 @@ class Bank:
     log_det: Array
     _sums: dict[tuple[int, bytes], Array] = field(default_factory=dict, repr=False)
     _whole: dict[int, Array] = field(default_factory=dict, repr=False)
+    _added: dict[bytes, Array] = field(default_factory=dict, repr=False)
 
     @property
     def count(self) -> Index:
@@ -97,7 +98,10 @@ class Bank:
 
     def plus(self, columns: Array) -> Bank:
         """With more columns (n, c) behind all others."""
-        white, _ = whitened(self.course, self.walks, columns)
+        key = columns.tobytes()
+        if key not in self._added:  # searches without one block after the other end at the same
+            self._added[key] = whitened(self.course, self.walks, columns)[0]
+        white = self._added[key]
         both = np.concatenate([self.white, white], axis=2)
         every = np.column_stack([self.columns, columns])
         return replace(self, columns=every, white=both, _whole={})

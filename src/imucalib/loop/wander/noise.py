@@ -18,13 +18,17 @@ from imucalib.units import MG
 #: Residual over its scatter from which a run counts less (Huber 1964), and 1 / the MAD of a normal.
 _FAR, _MAD = 2.5, 1.4826
 _ROUNDS = 4
+#: Share of the fitted walk up to which an effect may bring its own, and nats behind the likeliest
+#: from which a larger walk is out of the question.
+ROOM, _BEHIND = 3.5, 40.0
 
 
 @dataclass(frozen=True)
 class Noise:
     """scatter : mg, of a run beside its windows' noise; course : times, postures and variances in
     units of scatter²; walk : the fitted one; evidence : nats of that walk over none
-    wander : mg, rms of what the smoothed walk does to |a|; light : how many runs count less"""
+    wander : mg, rms of what the smoothed walk does to |a|; light : how many runs count less
+    walks : that may be the noise of this recording, or of a part of it, the white one first"""
 
     scatter: float
     course: Course
@@ -32,6 +36,7 @@ class Noise:
     evidence: float
     wander: float
     light: int
+    walks: tuple[Walk, ...]
 
     @property
     def sigma(self) -> Array:
@@ -91,4 +96,13 @@ def noise_of(fit: Fit, known: Array, part: Index, precision: Array | None = None
         far = np.sqrt(np.maximum(1.0, np.abs(alone) / max(size, 1e-12) / _FAR))
     course = replace(course, variance=far**2 * (1.0 + known / scatter**2))
     gained = best.nats - every[0].nats
-    return Noise(scatter, course, walks[best.walk], gained, wander, int((far > 1.0).sum()))
+    # A smaller noise may come with an effect; a larger one so far behind stays there in every fold.
+    likely = tuple(
+        walk
+        for walk, level in zip(walks, every, strict=True)
+        if walk.rho <= ROOM * walks[best.walk].rho or level.nats > best.nats - _BEHIND
+    )
+    return Noise(
+        scatter=scatter, course=course, walk=walks[best.walk], evidence=gained, wander=wander,
+        light=int((far > 1.0).sum()), walks=likely,
+    )  # fmt: skip

@@ -16,7 +16,7 @@ from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.design import Fold
 from imucalib.loop.evidence import Candidate
 from imucalib.loop.search import thinned
-from imucalib.loop.wander.bank import Bank, Split, bank_of, splits_of, walks_of
+from imucalib.loop.wander.bank import Bank, Split, bank_of, splits_of
 from imucalib.loop.wander.choice import Taken, kind_of
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.noise import Noise, natural
@@ -128,7 +128,7 @@ def problem_of(
         noise.course, time=noise.course.time[rows], seen=seen,
         variance=noise.course.variance[rows], part=part,
     )  # fmt: skip
-    bank = bank_of(course, walks_of(context["time"]), columns)
+    bank = bank_of(course, noise.walks, columns)
     terms = Terms(np.arange(p), base_precision(fit), p)
     of = {family.name: family for family in families}
     splits = splits_of(cut, part)

@@ -18,14 +18,13 @@ from imucalib.arrays import Array, Index
 from imucalib.loop.evidence_gram import best_evidence, directions
 from imucalib.loop.wander.bank import Bank, Mask
 from imucalib.loop.wander.likelihood import Level, Terms, levels
+from imucalib.loop.wander.noise import ROOM
 from imucalib.loop.wander.walk import drawn, whitened
 
 #: Prior sizes that are tried, in typical ones. A curve is held to three: its many terms would
 #: otherwise grow to any size where the postures do not determine them.
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
 _CURVE_SIZE, _CURVE_TERMS = 3.0, 7
-#: How much larger a candidate's own walk may be than the fitted one (variance).
-_ROOM = 3.5
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ def usable_walks(bank: Bank, fitted: Level, *, same_tau: bool) -> tuple[int, ...
     return tuple(
         k
         for k, walk in enumerate(bank.walks)
-        if walk.rho <= _ROOM * now.rho and (not same_tau or walk.rho == 0 or walk.tau == now.tau)
+        if walk.rho <= ROOM * now.rho and (not same_tau or walk.rho == 0 or walk.tau == now.tau)
     )
 
 

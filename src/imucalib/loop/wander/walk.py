@@ -11,7 +11,7 @@ filter gives L⁻¹ of the Cholesky factor at a cost linear in n (Kalman 1960; H
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,50 +31,88 @@ class Course:
     """Rows in order of time.
 
     time : (n,) s; seen : (n, q) H; variance : (n,) d; part : (n,) 0, 1, ... never decreasing, the
-        parts in each of which the walk begins anew
+        parts in each of which the walk begins anew; filters : those that were made, by their walks
     """
 
     time: Array
     seen: Array
     variance: Array
     part: Index
+    filters: dict[tuple[Walk, ...], _Filter] = field(
+        init=False, default_factory=dict, repr=False, compare=False
+    )
 
     @property
     def parts(self) -> int:
         return int(self.part[-1]) + 1
 
 
+@dataclass(frozen=True)
+class _Filter:
+    """What the filter does to any column: keep (walks, n) of the state from the row before; gain
+    (walks, n, q) by which a row moves it; root : (walks, n) √ of a row's variance given those
+    before; log_det : (walks, parts)"""
+
+    keep: Array
+    gain: Array
+    root: Array
+    log_det: Array
+
+
 def whitened(course: Course, walks: Sequence[Walk], columns: Array) -> tuple[Array, Array]:
     """L⁻¹ columns, (walks, n, m) for columns (n, m), and log|V| of every part, (walks, parts)."""
-    rho, tau = (np.array([getattr(w, name) for w in walks]) for name in ("rho", "tau"))
+    steps = _filter(course, tuple(walks))
+    start, longest, length = _order(course)
+    (n, m), q = columns.shape, course.seen.shape[1]
+    out = np.empty((len(walks), n, m))
+    state = np.zeros((len(walks), course.parts, q, m))
+    for step in range(int(length.max())):
+        alive = longest[: int((length > step).sum())]
+        rows = start[alive] + step
+        state = state[:, : alive.size]
+        if step:
+            state *= steps.keep[:, rows, None, None]
+        new = columns[rows] - (course.seen[rows][:, None] @ state)[:, :, 0]
+        state += steps.gain[:, rows, :, None] * new[:, :, None]
+        out[:, rows] = new
+    out /= steps.root[..., None]
+    return out, steps.log_det
+
+
+def _order(course: Course) -> tuple[Index, Index, Index]:
+    """Where each part starts, the parts with the longest first, and their lengths."""
     start = np.searchsorted(course.part, np.arange(course.parts))
     length = np.diff([*start, course.part.size])
-    longest = np.argsort(-length, kind="stable")
-    (n, m), q = columns.shape, course.seen.shape[1]
-    out = np.empty((rho.size, n, m))
-    log_det = np.zeros((rho.size, course.parts))
+    return start.astype(np.intp), np.argsort(-length, kind="stable"), length
+
+
+def _filter(course: Course, walks: tuple[Walk, ...]) -> _Filter:
+    """Made once for a course and its walks: no column enters it."""
+    if walks in course.filters:
+        return course.filters[walks]
+    rho, tau = (np.array([getattr(w, name) for w in walks]) for name in ("rho", "tau"))
+    start, longest, length = _order(course)
+    n, q = course.seen.shape
+    keep, root = np.ones((rho.size, n)), np.empty((rho.size, n))
+    gains = np.empty((rho.size, n, q))
     fresh = rho[:, None, None, None] * np.eye(q)
-    state = np.zeros((rho.size, course.parts, q, m))
     spread = np.broadcast_to(fresh, (rho.size, course.parts, q, q))
     for step in range(int(length.max())):
         alive = longest[: int((length > step).sum())]
         rows = start[alive] + step
-        state, spread = state[:, : alive.size], spread[:, : alive.size]
+        spread = spread[:, : alive.size]
         if step:
-            keep = np.exp(-(course.time[rows] - course.time[rows - 1]) / tau[:, None])
-            state = state * keep[..., None, None]
-            kept = keep[..., None, None] ** 2
+            part = np.exp(-(course.time[rows] - course.time[rows - 1]) / tau[:, None])
+            keep[:, rows], kept = part, part[..., None, None] ** 2
             spread = spread * kept + (1.0 - kept) * fresh
         h = course.seen[rows]
         across = (spread @ h[..., None])[..., 0]
         size = np.sum(across * h, axis=-1) + course.variance[rows]
-        new = columns[rows] - (h[:, None] @ state)[:, :, 0]
         gain = across / size[..., None]
-        state = state + gain[..., None] * new[:, :, None]
         spread = spread - gain[..., None] * across[:, :, None]
-        out[:, rows] = new / np.sqrt(size)[..., None]
-        log_det[:, alive] += np.log(size)
-    return out, log_det
+        gains[:, rows], root[:, rows] = gain, np.sqrt(size)
+    log_det = 2.0 * np.add.reduceat(np.log(root), start, axis=1)
+    return course.filters.setdefault(walks, _Filter(keep, gains, root, log_det))
 
 
 def covariance(course: Course, walk: Walk, rows: Index) -> Array:

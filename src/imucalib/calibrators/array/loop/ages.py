@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Array, Flags
+from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.motion import board_motion
-from imucalib.calibrators.array.loop.setup import with_neighbours
+from imucalib.calibrators.array.loop.setup import Setup, with_neighbours
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.timing import SampleAge, fit_sample_age
 from imucalib.calibrators.array.moving import Moving
@@ -58,16 +58,9 @@ def beats(ages: Ages, t: Array) -> tuple[Beat | None, ...]:
 def found_ages(state: ArrayState, moving: Moving, *, all_rows: bool = False) -> Ages | None:
     """Sawtooth ages from the samples outside of the search; None where no gyro shows a line."""
     setup = state.setup
-    near = with_neighbours(moving)
-    searched = np.zeros(len(moving.t), dtype=np.bool_)
-    searched[setup.rows[setup.inner]] = True
-    learning = near[~searched[near]]
-    voting = np.ones(len(moving.t), dtype=np.bool_)
+    near, learning, voting = _learning(setup, moving)
     if all_rows:
-        learning = near
-    elif len(learning) < _TRAIN * len(near):
-        turn = (np.arange(len(moving.t)) // _GROUP) % 2 == 0
-        learning, voting = near[turn[near]], ~turn
+        learning, voting = near, np.ones(len(moving.t), dtype=np.bool_)
     if len(learning) < 100:
         return None
     off, spin = _everywhere(state, moving, near)
@@ -75,6 +68,29 @@ def found_ages(state: ArrayState, moving: Moving, *, all_rows: bool = False) -> 
     if not np.isfinite(clock.frequency).any():
         return None
     return Ages(clock.wave[setup.rows], voting[setup.rows], clock)
+
+
+def _learning(setup: Setup, moving: Moving) -> tuple[Index, Index, Flags]:
+    """Samples with neighbours, those of them that learn, and (N,) those that vote."""
+    near = with_neighbours(moving)
+    looked = np.zeros(len(moving.t), dtype=np.bool_)
+    looked[setup.apart] = True
+    learning = near[~looked[near]]
+    if len(learning) >= _TRAIN * len(near):
+        return near, learning, np.ones(len(moving.t), dtype=np.bool_)
+    turn = (np.arange(len(moving.t)) // _GROUP) % 2 == 0
+    return near, near[turn[near]], ~turn
+
+
+def voting(setup: Setup, moving: Moving) -> Flags:
+    """(inner,) samples of which no clock is ever learned."""
+    return np.asarray(_learning(setup, moving)[2][setup.rows[setup.inner]])
+
+
+def ages_elsewhere(ages: Ages, setup: Setup, moving: Moving) -> Ages:
+    """The same clocks at other samples."""
+    told = _learning(setup, moving)[2]
+    return Ages(ages.clock.wave[setup.rows], told[setup.rows], ages.clock)
 
 
 def ages_again(state: ArrayState, moving: Moving, before: Ages | None) -> Ages | None:

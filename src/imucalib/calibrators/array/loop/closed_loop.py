@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
+from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted, transferred
 from imucalib.calibrators.array.loop.declared import with_declared
-from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residuals
+from imucalib.calibrators.array.loop.held_out import held_out_residuals
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Search, absorbed
 from imucalib.calibrators.array.loop.setup import Setup
-from imucalib.calibrators.array.loop.state import ArrayState, settled, start_state, transferred
+from imucalib.calibrators.array.loop.state import ArrayState, settled, start_state
 from imucalib.calibrators.array.loop.subject import MotionSubject, without_a_name
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.moving import Moving
-from imucalib.loop.found import FitLoop, Loop, LoopSettings
+from imucalib.loop.found import FitLoop, Loop, LoopSettings, Step, Unexplained
 from imucalib.loop.subject import close
+from imucalib.loop.thresholds import STRONG
 
+HALF_DRAWS = 99  # simulated data sets of a half's search: enough for the rate of false alarms
+_REFUSED = "motion that took no part in the search refuses it"
 ARRAY_RULES = LoopSettings(draws=499, most_effects=8)
 
 
@@ -28,69 +32,101 @@ ARRAY_RULES = LoopSettings(draws=499, most_effects=8)
 class MotionLoop(Loop[ArrayState]):
     """The search over a motion.
 
-    ages : clocks of the gyros, or None; before, after : held-out residuals; impact : what cannot
+    ages : clocks of the gyros, or None; gained : what motion that took no part in any choice says,
+    None where it is too short for that; impact : what cannot
     be seen, with the m rms by which its typical size moves the positions; dispersion : how many
     times fewer accelerometer samples the noise that neighbours share leaves; asked : what the user
     declared; rests : the search at rest, of which `with_rests` made a part of this one
     """
 
     ages: Ages | None
-    before: Residuals
-    after: Residuals
+    gained: Gained | None
     impact: Mapping[str, float]
     dispersion: float
     asked: Asked = NOTHING_ASKED
     rests: FitLoop | None = None
+
+    @property
+    def suspected(self) -> bool:
+        """Whether the motion names a cause that the other half of it does not prove."""
+        own = self.rests.steps if self.rests is not None else ()
+        in_motion = len(self.named) > len(own)
+        return in_motion and self.gained is not None and not self.gained.proved
 
 
 def close_array_loop(
     setup: Setup, terms: tuple[Term, ...], moving: Moving, rng: np.random.Generator,
     rules: LoopSettings = ARRAY_RULES, whole: Setup | None = None, asked: Asked = NOTHING_ASKED,
 ) -> MotionLoop:  # fmt: skip
-    """Search, accept, refit, until nothing passes.
+    """Search, accept, refit, until nothing passes; then the same on each half of the motion.
 
     whole : more samples, for the final fit alone; asked : effects that the user declares, or keeps
     out of the search
     """
-    base = with_declared(start_state(setup, terms), asked.declare, moving)
-    ages = found_ages(base, moving)
-    before = held_out_residuals(base)
-    started = base if ages is None else kept_ages(base, ages, voting=True)
-    skipped = asked.skipped(setup.imus)
-    first = MotionSubject(
-        state=started,
-        residuals=before,
-        moving=moving,
-        rng=rng,
-        rules=rules,
-        left_out=skipped,
-        ages=ages,
-    )
+
+    def started(chosen: Setup) -> MotionSubject:
+        return _start(chosen, terms, moving, rng, rules, asked)
+
+    def searched(chosen: Setup) -> tuple[MotionSubject, MotionSubject]:
+        first = started(chosen)
+        few = replace(rules, draws=min(rules.draws, HALF_DRAWS))
+        return first, close(replace(first, rules=few), few).subject if asked.search else first
+
+    first = started(setup)
     end = close(first, rules)
     path = end.subject
+    gained = cross_fitted(whole or setup, moving, searched)
+    refused: tuple[tuple[str, str], ...] = ()
+    structure = path.corrected
+    if path.steps and gained is not None and not gained.holds:
+        refused = tuple((step.effect, _REFUSED) for step in path.steps)
+        structure += tuple(_as_structure(step) for step in path.steps if step.evidence > STRONG)
+        path = first
     final, ages = _on_all(path, moving, whole)
     left = tuple(
         without_a_name(s)
         for s in end.last.scores
         if asked.search and s.candidate.kind != "effect" and s.p <= rules.alpha
     )
-    moved = bool(path.steps or asked.declare)
     return MotionLoop(
-        base=base,
+        base=first.state,
         final=final,
         steps=path.steps,
-        rejected=(*end.rejected.items(), *path.dropped),
-        unexplained=(*path.corrected, *left[:3]),
+        rejected=(*end.rejected.items(), *path.dropped, *refused),
+        unexplained=(*structure, *left[:3]),
         scores=end.last.scores,
         first_scores=end.first.scores,
         missing=end.last.missing,
+        difference=None if gained is None else gained.principal,
         ages=ages,
-        before=before,
-        after=held_out_residuals(final) if moved else before,
+        gained=gained,
         impact=absorbed(tuple(s for s in (end.first, end.last) if isinstance(s, Search))),
         dispersion=shared_by_neighbours(final, gyro=False),
         asked=asked,
     )
+
+
+def _start(
+    setup: Setup, terms: tuple[Term, ...], moving: Moving, rng: np.random.Generator,
+    rules: LoopSettings, asked: Asked,
+) -> MotionSubject:  # fmt: skip
+    """The base model on some samples, with the clocks that it shows."""
+    base = with_declared(start_state(setup, terms), asked.declare, moving)
+    ages = found_ages(base, moving)
+    return MotionSubject(
+        state=base if ages is None else kept_ages(base, ages, voting=True),
+        residuals=held_out_residuals(base),
+        moving=moving,
+        rng=rng,
+        rules=rules,
+        left_out=asked.skipped(setup.imus),
+        ages=ages,
+    )
+
+
+def _as_structure(step: Step) -> Unexplained:
+    """A step that held-out motion refuses, as structure that has no name."""
+    return Unexplained(step.effect, step.effect, "effect", step.p, step.evidence, 0.0)
 
 
 def _on_all(

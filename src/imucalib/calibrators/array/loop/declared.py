@@ -26,8 +26,8 @@ def with_declared(state: ArrayState, names: Sequence[str], moving: Moving) -> Ar
     for name in names:
         effect, _ = named_effect(name, state.setup.imus)
         if "sample_age" in effect.needs and state.motion.age is None:
-            ages = found_ages(state, moving, all_rows=True)
-            state = state if ages is None else kept_ages(state, ages, voting=False)
+            ages = found_ages(state, moving)
+            state = state if ages is None else kept_ages(state, ages, voting=True)
         reason = effect.missing(state.motion.context)
         term = None if reason else declared_term(state, name)
         if term is None or len(term.value) == 0:

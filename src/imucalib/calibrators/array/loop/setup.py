@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,10 @@ class Setup:
     """What does not change in the search.
 
     readings : calibrated by the rests, at T samples and their neighbours; t : (T,) s
-    inner : samples that have both neighbours; first : (inner,) whether in the first held-out half
+    inner : samples that have both neighbours; block : (inner,) of a few seconds, in order of time;
+    first : (inner,) whether in the first held-out half: every other block
+    apart : of the moving part, samples of which no clock may be learned: what was chosen to be
+        looked at, also where only a part of it is
     order : (T,) 0..1 over the motion; nominal : (K, 3) m, the drawing; spread : m, its sd
     robust : whether tails and growth of the noise may be taken in
     rows : (T,) of the moving part
@@ -33,7 +36,9 @@ class Setup:
     t: Array
     order: Array
     inner: Index
+    block: Index
     first: NDArray[np.bool_]
+    apart: Index
     imus: tuple[str, ...]
     rotations: Array
     nominal: Array
@@ -64,13 +69,34 @@ def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> 
         t=t,
         order=(t - t[0]) / span,
         inner=inner,
+        block=block,
         first=block % 2 == 0,
+        apart=rows[inner],
         imus=board.imus,
         rotations=board.rotations,
         nominal=board.drawn,
         spread=board.prior_sd,
         robust=robust,
         rows=rows,
+    )
+
+
+def part_of(setup: Setup, chosen: NDArray[np.bool_]) -> Setup:
+    """Some of the samples (inner,) in whole blocks, with their neighbours; the halves of what is
+    left are made of its own blocks, in turn."""
+    middle, block = setup.inner[chosen], setup.block[chosen]
+    rows = np.unique(np.concatenate([middle - 1, middle, middle + 1]))
+    readings = Readings(setup.readings.acceleration[rows], setup.readings.rate[rows])
+    turn = np.unique(block, return_inverse=True)[1]
+    return replace(
+        setup,
+        readings=readings,
+        t=setup.t[rows],
+        order=setup.order[rows],
+        inner=np.searchsorted(rows, middle),
+        block=block,
+        first=turn % 2 == 0,
+        rows=setup.rows[rows],
     )
 
 

@@ -146,15 +146,6 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     return settled(state)
 
 
-def transferred(state: ArrayState, setup: Setup) -> ArrayState:
-    """What was found, at other samples; to be settled there."""
-    ones = np.ones(setup.readings.rate.shape[:2])
-    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
-    rate = np.median(setup.readings.rate, axis=1)
-    sampled = fit_samples(setup.readings, weights, state.r, rate)
-    return replace(state, setup=setup, sampled=sampled, motion=motion_at(setup, sampled, None))
-
-
 def settled(state: ArrayState) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for."""
     state = _climbed(_with_scale(state))
@@ -194,7 +185,7 @@ def _climbed(state: ArrayState) -> ArrayState:
     """Newton with the matrix of the start: what changes on the way is the residual."""
     converged, matrix, made = False, np.empty((0, 0)), np.zeros(2)
     for k in range(_ROUNDS):
-        state = _sampled(state)
+        state = moved_motion(state)
         base = state.base
         sigma = np.array([noise.sigma for noise in state.noise])
         if k in _AGAIN or np.any(np.abs(made / sigma - 1.0) > _STALE):
@@ -210,7 +201,7 @@ def _climbed(state: ArrayState) -> ArrayState:
         converged = float(step @ inner @ step) < _CLOSE and float(np.abs(moved).max()) < _STALE
         if converged:
             break
-    return replace(_sampled(state), converged=converged)
+    return replace(moved_motion(state), converged=converged)
 
 
 def _measured(state: ArrayState) -> ArrayState:
@@ -238,7 +229,7 @@ def _moved(state: ArrayState, step: Array, covariance: Array) -> ArrayState:
     return replace(state, r=r, terms=tuple(terms))
 
 
-def _sampled(state: ArrayState) -> ArrayState:
+def moved_motion(state: ArrayState) -> ArrayState:
     """The motion for the positions, terms and noise as they are."""
     speed, off = np.linalg.norm(state.sampled.rate, axis=1), state.sampled.off
     weights = Weights(

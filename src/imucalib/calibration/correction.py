@@ -1,0 +1,203 @@
+"""A calibration made ready for a recording: what it needs, what it has to do without, how far it
+reaches.
+
+An effect whose covariate was not recorded acts as in the middle of what was calibrated, which
+leaves the least of it; that, and samples beyond the calibrated range, are counted and told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.series import CalibrationPart, part_at, parts_of
+from imucalib.calibration.undo import Undo
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect
+from imucalib.core.model import Model
+from imucalib.core.truth import Truth
+from imucalib.effects.thermal_lag import PREFIX, hours_of
+from imucalib.errors import UnreadableInput
+from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.thermal_history import ThermalHistory, temperature_at
+from imucalib.units import MG, STANDARD_GRAVITY
+
+Spans = Mapping[str, tuple[float, float]]
+#: Covariates with a range: what a message calls them, and their unit.
+_RANGED = {"temperature": ("temperature", " °C"), "order": ("time as a share of the session", "")}
+_MARGIN = 0.1  # share of a range by which a sample may leave it
+_GRAVITY = 1.1 * STANDARD_GRAVITY  # m/s² on one axis: calibrations by gravity see no more
+
+
+class Correction:
+    """Corrects blocks of one recording, and remembers what to say of them.
+
+    parts : of a calibration in parts, each valid for a time; needs : covariates of every effect
+    """
+
+    def __init__(self, calibration: Calibration, use: str | None = None) -> None:
+        self.calibration = calibration
+        self.parts: tuple[CalibrationPart, ...] = parts_of(calibration, use)
+        chosen = [part.calibration for part in self.parts] or [calibration]
+        self._models = [one.model() for one in chosen]
+        self._undo = [Undo(model, theta) for model, theta in self._models]
+        models = [model for model, _ in self._models]
+        self.needs = {n for model in models for effect in model.effects for n in effect.needs}
+        self._bent = any(undo.bent for undo in self._undo)
+        self._samples = self._far = self._unsettled = 0
+        self._left: dict[str, tuple[int, float, float]] = {}
+        self._held: dict[str, None] = {}
+
+    @property
+    def lags(self) -> dict[str, float]:
+        """The lagged temperatures that are needed, with their hours."""
+        names = [n for n in self.needs if n.startswith(PREFIX)]
+        return {name: hours_of(name.removeprefix(PREFIX)) for name in names}
+
+    def __call__(
+        self,
+        recording: Recording,
+        channel: Channel,
+        history: ThermalHistory | None,
+        thermometer: Channel | None,
+    ) -> Array:
+        """Specific force (n, 3) m/s² of a block. Raises UnreadableInput where a covariate is
+        missing of which not even the calibrated range is known."""
+        known = self._known(recording, channel, history, thermometer)
+        context = Context(len(channel.t), self._complete(known, len(channel.t), recording))
+        self._samples += len(channel.t)
+        if self._bent:
+            x, y, z = np.abs(channel.values).T > _GRAVITY
+            self._far += int(np.count_nonzero(x | y | z))
+        if not self.parts:
+            return self._of_part(0, channel.values, context)
+        out, valid = np.empty_like(channel.values), part_at(self.parts, known["time"])
+        for number in np.unique(valid):
+            rows = np.flatnonzero(valid == number)
+            out[rows] = self._of_part(int(number), channel.values[rows], context.take(rows))
+        return out
+
+    def _of_part(self, number: int, values: Array, context: Context) -> Array:
+        done = self._undo[number](values, context)
+        self._unsettled += int((~done.settled).sum())
+        return done.force
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done without, and what lies beyond the calibrated range."""
+        found = list(self._held)
+        for name, (count, lowest, highest) in self._left.items():
+            word, unit = _RANGED[name]
+            low, high = self.calibration.valid[name]
+            found.append(
+                f"{count} of {self._samples} samples lie outside the calibrated {word}, "
+                f"{low:.3g} to {high:.3g}{unit}: {lowest:.3g} to {highest:.3g}{unit} were "
+                "recorded; their correction is extrapolated"
+            )
+        if self._far:
+            found.append(
+                f"{self._far} of {self._samples} samples read more than 1.1 g on an axis, beyond "
+                "what gravity calibrates: the curved part of their correction is extrapolated"
+            )
+        if self._unsettled:
+            found.append(
+                f"{self._unsettled} of {self._samples} samples lie where the curved part cannot be "
+                "undone: the linear part alone corrects them"
+            )
+        return tuple(found)
+
+    def _known(
+        self,
+        recording: Recording,
+        channel: Channel,
+        history: ThermalHistory | None,
+        thermometer: Channel | None,
+    ) -> dict[str, Array]:
+        known = _clock(self.calibration, recording, channel)
+        if thermometer is not None:
+            known["temperature"] = temperature_at(thermometer, channel.t)
+        if history is not None:
+            known |= {name: history.lagged(h, channel.t) for name, h in self.lags.items()}
+        for name in _RANGED:
+            if name in self.needs and name in known:
+                self._count(name, known[name])
+        return known
+
+    def _count(self, name: str, values: Array) -> None:
+        low, high = self.calibration.valid.get(name, (-np.inf, np.inf))
+        margin = _MARGIN * (high - low)
+        outside = int(((values < low - margin) | (values > high + margin)).sum())
+        if outside:
+            count, lowest, highest = self._left.get(name, (0, np.inf, -np.inf))
+            span = min(lowest, float(values.min())), max(highest, float(values.max()))
+            self._left[name] = (count + outside, *span)
+
+    def _complete(self, known: dict[str, Array], n: int, recording: Recording) -> dict[str, Array]:
+        """The covariates that are needed; those that are missing in the middle of their range."""
+        valid = self.calibration.valid
+        found = {name: known[name] for name in self.needs if name in known}
+        absent = self.needs - set(found)
+        for model, theta in self._models:
+            slices = model.slices(Context(1))
+            for effect in model.effects:
+                lost = sorted(set(effect.needs) & absent)
+                if not lost:
+                    continue
+                if unknown := [name for name in lost if name not in valid]:
+                    names = ", ".join(unknown)
+                    raise UnreadableInput(
+                        f"effect {effect.name} needs {names}, which the recording lacks",
+                        where=recording.path,
+                        remedy="record it, or calibrate with --without " + effect.name,
+                    )
+                size = _swing(effect, theta[slices[effect.name]], model, valid, lost)
+                self._held[_held_words(effect.name, lost, valid, size)] = None
+        return found | {name: np.full(n, 0.5 * sum(valid[name])) for name in absent}
+
+
+def _held_words(effect: str, lost: list[str], valid: Spans, size: float) -> str:
+    spans = ", ".join(f"{valid[name][0]:.3g} to {valid[name][1]:.3g}" for name in lost)
+    names = ", ".join(lost)
+    return (
+        f"{effect} is left out, for the recording has no {names}: it acts as "
+        f"in the middle of what was calibrated ({spans}), which leaves up to {size / MG:.2g} mg"
+    )
+
+
+def _swing(
+    effect: Effect,
+    theta: Array,
+    model: Model,
+    valid: Spans,
+    lost: list[str],
+) -> float:
+    """m/s², how far the effect goes from the middle of its covariates' range to its ends, at most,
+    with gravity along any axis."""
+    ends = np.array(list(product(*[(0.5 * sum(valid[n]), *valid[n]) for n in lost])))
+    along = STANDARD_GRAVITY * np.concatenate([np.eye(3), -np.eye(3)])
+    force = np.tile(along, (len(ends), 1))
+    every = {n: np.repeat(ends[:, k], len(along)) for k, n in enumerate(lost)}
+    rest = {n: np.full(len(force), 0.5 * sum(valid[n])) for n in effect.needs if n not in every}
+    context = Context(len(force), {**rest, **every})
+    delta = effect.act(theta, Truth(force[:, None]), context).delta[:, 0]
+    moved = delta.reshape(len(ends), len(along), 3) - delta[: len(along)]
+    return float(np.linalg.norm(moved, axis=2).max())
+
+
+def _clock(calibration: Calibration, recording: Recording, channel: Channel) -> dict[str, Array]:
+    """Time as the calibration counts it, where it says how: drifts and steps belong to its time."""
+    clock = calibration.facts.get("clock")
+    if not clock:
+        return {}
+    start, shift = recording.start_ns, 0.0
+    if start is not None and clock["start_ns"] is not None:
+        shift = (start - int(clock["start_ns"])) / 1e9
+    time = channel.t + shift
+    known = {"time": time, "order": time / float(clock["span_s"])}
+    if start is not None:
+        known["time_of_day"] = 2.0 * np.pi * ((channel.t + start / 1e9 % 86400.0) / 86400.0 % 1.0)
+    return known

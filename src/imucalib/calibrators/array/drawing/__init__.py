@@ -1,0 +1,1 @@
+"""Whether a log fits the board file: axes and places, before anything is fitted."""

@@ -1,0 +1,89 @@
+"""Where IMUs are, by linear algebra on their accelerometers: exchanged places, another unit.
+
+a_k - mean = W(ω, dω/dt) (r_k - mean) with the gyros' rate and its differences: good to a millimetre
+without any calibration, enough to tell one place of the drawing from another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags, Index
+from imucalib.core.effect import cross_matrix
+
+_FEWEST = 60
+_CLEARER = 4.0  # times that another order must lower the squared distance of those that move
+_EXPLAINED = 0.3  # share of the differences that places must explain
+_SIZE = 2.0  # factor between the sizes of board and drawing that is another unit of length
+_RATES = 500.0  # and that from which it is one of the rates: the size goes with their square
+_GRAVITY = 4.0, 20.0  # m/s² between which the force at rest must lie to be in its unit
+
+
+@dataclass(frozen=True)
+class Places:
+    """seen : (K, 3) m by the motion, about their mean; place : (K,) of the drawing at which each
+    IMU stands; size : of the array over the drawing's; inverted : whether all accelerometers read
+    with the other sign"""
+
+    seen: Array
+    place: Index
+    size: float
+    inverted: bool
+
+    @property
+    def exchanged(self) -> Index:
+        return np.flatnonzero(self.place != np.arange(len(self.place)))
+
+    @property
+    def other_unit(self) -> bool:
+        factor = max(self.size, 1.0 / self.size)
+        return _SIZE < factor < _RATES
+
+
+def in_its_unit(still: Array) -> bool:
+    """Whether readings (m, K, 3) m/s² at rest have about the size of gravity."""
+    size = np.median(np.linalg.norm(still, axis=2), axis=0)
+    return bool(np.all((size > _GRAVITY[0]) & (size < _GRAVITY[1])))
+
+
+def places(t: Array, force: Array, rate: Array, usable: Flags, drawn: Array) -> Places | None:
+    """Places of K IMUs; None where the motion does not show them.
+
+    t : (n,) s; force : (n, K, 3) m/s² and rate : (n, 3) rad/s in board axes; usable : (n,) neither
+    clipped nor slow; drawn : (K, 3) m
+    """
+    step = float(np.median(np.diff(t)))
+    regular = np.abs(t[2:] - t[:-2] - 2.0 * step) < 0.3 * step
+    rows = 1 + np.flatnonzero(usable[1:-1] & usable[:-2] & usable[2:] & regular)
+    if len(rows) < _FEWEST:
+        return None
+    spin = (rate[rows + 1] - rate[rows - 1]) / (t[rows + 1] - t[rows - 1])[:, None]
+    turning = cross_matrix(rate[rows])
+    columns = np.zeros((len(rows), 3, 6))  # a position, and what a bias adds
+    columns[..., :3], columns[..., 3:] = turning @ turning + cross_matrix(spin), np.eye(3)
+    off = force[rows] - force[rows].mean(axis=1, keepdims=True)
+    flat = columns.reshape(-1, 6)
+    value = off.transpose(0, 2, 1).reshape(len(flat), -1)
+    found = np.linalg.lstsq(flat, value, rcond=None)[0]
+    moved = value - flat[:, 3:] @ found[3:]
+    if np.sum((value - flat @ found) ** 2) > (1.0 - _EXPLAINED) * np.sum(moved**2):
+        return None
+    return _placed(found[:3].T - found[:3].mean(axis=1), drawn - drawn.mean(axis=0))
+
+
+def _placed(seen: Array, drawn: Array) -> Places:
+    from scipy.optimize import linear_sum_assignment
+
+    size = float(np.sqrt(np.sum(seen**2) / np.sum(drawn**2)))
+    scaled = seen if 1.0 / _SIZE < size < _SIZE else seen / size
+    apart = np.sum((scaled[:, None] - drawn) ** 2, axis=2)
+    as_drawn = np.diag(apart)
+    inverted = _CLEARER * float(np.sum((scaled + drawn) ** 2)) < float(as_drawn.sum())
+    place = np.asarray(linear_sum_assignment(apart)[1], np.intp)
+    moved = place != np.arange(len(place))
+    nearer = apart[np.arange(len(place)), place]
+    if inverted or _CLEARER * float(nearer[moved].sum()) > float(as_drawn[moved].sum()):
+        place = np.arange(len(place))
+    return Places(seen, place, size, inverted)

@@ -1,0 +1,142 @@
+"""Before and after on motion that took no part: the whole search, repeated on each half of it.
+
+One design, fixed before the search: blocks of a few seconds in two halves. On one half positions,
+noise, effects and their choice are made anew, then the other half is predicted with all of it held;
+only the motion of each sample is its own, and the phases of the gyros' clocks come from samples in
+between that are never predicted. Base and final model stand on the same samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags, Index
+from imucalib.calibrators.array.loop.ages import ages_elsewhere, kept_ages, voting
+from imucalib.calibrators.array.loop.held_out import Residuals
+from imucalib.calibrators.array.loop.setup import FEWEST, Setup, motion_at, part_of
+from imucalib.calibrators.array.loop.state import ArrayState, moved_motion
+from imucalib.calibrators.array.loop.subject import MotionSubject
+from imucalib.calibrators.array.moving import Moving
+from imucalib.estimators.array.samples import Weights, fit_samples
+from imucalib.loop.difference import Difference
+from imucalib.units import DEG
+
+Searching = Callable[[Setup], tuple[MotionSubject, MotionSubject]]
+_HALVES = 2
+#: Rounds of the motion, with its weights, under positions and terms that do not move.
+_FOLLOWED = 6
+_COUNTS = (
+    0.1  # share of an error from which on a loss of one sensor counts against the other's gain
+)
+
+
+@dataclass(frozen=True)
+class Gained:
+    """acceleration (m/s²), rate (rad/s) : median absolute deviations before and after"""
+
+    acceleration: Difference
+    rate: Difference
+
+    @property
+    def before(self) -> Residuals:
+        return Residuals(self.acceleration.before, self.rate.before / DEG)
+
+    @property
+    def after(self) -> Residuals:
+        return Residuals(self.acceleration.after, self.rate.after / DEG)
+
+    @property
+    def principal(self) -> Difference:
+        """The sensor that has gained the larger share of its error."""
+        return max((self.acceleration, self.rate), key=lambda d: d.gain / max(d.before, 1e-300))
+
+    @property
+    def proved(self) -> bool:
+        """Whether one sensor has gained beyond chance, and the other lost nothing that counts."""
+        both = (self.acceleration, self.rate)
+        lost = any(d.high < 0.0 and d.after > (1.0 + _COUNTS) * d.before for d in both)
+        return any(d.proved for d in both) and not lost
+
+    @property
+    def holds(self) -> bool:
+        return self.principal.gain > 0.0
+
+
+def cross_fitted(setup: Setup, moving: Moving, searched: Searching) -> Gained | None:
+    """Predict each half by what a search of the other finds; None where the halves are too small.
+
+    searched : from samples to the fitted base and to where the search ends
+    """
+    parts: list[list[Array]] = []
+    blocks: list[Index] = []
+    for half in (setup.first, ~setup.first):
+        train, test = part_of(setup, half), part_of(setup, ~half)
+        silent = voting(test, moving)
+        if min(len(train.inner), int(silent.sum())) < FEWEST // _HALVES:
+            return None
+        ends = [_predicted(end, test, moving) for end in searched(train)]
+        parts.append([_sizes(end, silent) for end in ends])
+        blocks.append(test.block[silent])
+    before, after = (np.concatenate(sizes, axis=1) for sizes in zip(*parts, strict=True))
+    block = np.concatenate(blocks)
+    acceleration, rate = (difference_of_medians(before[k], after[k], block, _HALVES)
+                          for k in range(2))  # fmt: skip
+    return Gained(acceleration, rate)
+
+
+def _predicted(path: MotionSubject, setup: Setup, moving: Moving) -> ArrayState:
+    """The motion at other samples under positions, terms and noise that were found without them."""
+    state = path.state
+    moved = transferred(replace(state, motion=state.motion.aged(None)), setup)
+    if path.ages is not None and state.motion.age is not None:
+        moved = kept_ages(moved, ages_elsewhere(path.ages, setup, moving), voting=False)
+    return followed(moved)
+
+
+def _sizes(state: ArrayState, rows: Flags) -> Array:
+    """(2, n, 3 K) m/s² and rad/s: what is left of the samples `rows` (inner,)."""
+    off, inner = state.sampled.off, state.setup.inner[rows]
+    return np.abs([x[inner].reshape(len(inner), -1) for x in (off.acceleration, off.rate)])
+
+
+def difference_of_medians(before: Array, after: Array, block: Index, folds: int) -> Difference:
+    """Median absolute deviations before and after, and the interval of their difference by leaving
+    out blocks in turn (the jackknife of grouped data), widened for the training data that folds
+    share as in `loop/difference`.
+
+    before, after : (n, m) sizes of the errors of n samples; block : (n,) of samples that belong
+    together
+    """
+    from scipy.special import stdtrit
+
+    def gain(rows: Flags) -> float:
+        return float(np.median(before[rows]) - np.median(after[rows]))
+
+    every = np.unique(block)
+    left = np.array([gain(block != one) for one in every])
+    n = every.size
+    error = float(np.sqrt((n - 1) / n * np.sum((left - left.mean()) ** 2))) if n > 1 else np.inf
+    reach = float(stdtrit(max(n - 1, 1), 0.975)) * error
+    wide = float(np.sqrt(1.0 + folds / (folds - 1)))
+    start, end = float(np.median(before)), float(np.median(after))
+    low, high = start - end - wide * reach, start - end + wide * reach
+    return Difference(start, end, low, high, start - end - reach, n)
+
+
+def transferred(state: ArrayState, setup: Setup) -> ArrayState:
+    """What was found, at other samples; to be settled there."""
+    ones = np.ones(setup.readings.rate.shape[:2])
+    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
+    rate = np.median(setup.readings.rate, axis=1)
+    sampled = fit_samples(setup.readings, weights, state.r, rate)
+    return replace(state, setup=setup, sampled=sampled, motion=motion_at(setup, sampled, None))
+
+
+def followed(state: ArrayState) -> ArrayState:
+    """The motion of every sample for positions, terms and noise that are held as they are."""
+    for _ in range(_FOLLOWED):
+        state = moved_motion(state)
+    return state

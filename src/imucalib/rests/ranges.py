@@ -1,0 +1,42 @@
+"""A change of range or unit within a recording: gravity of one size before, of another after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array
+
+_RATIO = 1.3  # between two sizes of gravity that no sensor's errors explain
+_CLEARER = 5.0  # times that two levels leave less scatter than one: a steady drift leaves a quarter
+_FEWEST = 5  # windows on either side
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """row : of the first window after the change; before, after : median size there"""
+
+    row: int
+    before: float
+    after: float
+
+
+def two_ranges(size: Array) -> Ranges | None:
+    """The two ranges of sizes (n,) in order of time; None where one does.
+
+    One split by least squares of the logarithm: a range is a factor.
+    """
+    n = size.size
+    if n < 2 * _FEWEST or not np.all(size > 0.0):
+        return None
+    x = np.log(size)
+    x = x - x.mean()
+    rows = np.arange(_FEWEST, n - _FEWEST + 1)
+    total = np.cumsum(x)[rows - 1]
+    explained = total**2 / rows + total**2 / (n - rows)
+    best = int(np.argmax(explained))
+    row, left = int(rows[best]), float(np.sum(x**2) - explained[best])
+    before, after = float(np.median(size[:row])), float(np.median(size[row:]))
+    far = max(before, after) > _RATIO * min(before, after)
+    return Ranges(row, before, after) if far and _CLEARER * left < float(np.sum(x**2)) else None

@@ -1,0 +1,193 @@
+"""A board file that the log contradicts ends with the lines that fit it; a right one is let be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib.calibration.apply import apply_to_recording
+from imucalib.calibrators.array.board import Board, read_board
+from imucalib.calibrators.array.calibrate import calibrate_array
+from imucalib.calibrators.array.drawing.axes import SIGNED, common_gyro_axes, in_words
+from imucalib.calibrators.array.drawing.check import Drawn, compared
+from imucalib.calibrators.array.log import array_log, in_package_axes
+from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.calibrators.array.simulation import LogPlan, simulated_log
+from imucalib.errors import Undetermined, UnreadableInput
+from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.segments import still_segments
+
+BOARD = read_board("mimu4444_corners")
+PLAN = LogPlan(poses=12, pose_seconds=3.0, seconds=15.0)
+Matrix = NDArray[np.float64]
+FLIPPED, SWAPPED = np.diag([1.0, -1.0, 1.0]), np.eye(3)[[1, 0, 2]]
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulated_log(BOARD, PLAN, np.random.default_rng(1)).recording
+
+
+def seen(recording: Recording, board: Board) -> Drawn:
+    wired = in_package_axes(recording, board)
+    log, board = array_log(wired, board)
+    return compared(log, still_segments(wired), board, list(range(board.count)))
+
+
+def wired(recording: Recording, imus: str, quantity: str, turn: Matrix) -> Recording:
+    def change(c: Channel) -> Channel:
+        hit = c.triad[3:] in imus and quantity in c.quantity
+        return replace(c, values=c.values @ turn.T) if hit else c
+
+    return replace(recording, channels={n: change(c) for n, c in recording.channels.items()})
+
+
+def exchanged(recording: Recording, one: str, two: str) -> Recording:
+    other = {one: two, two: one}
+    channels = {
+        n: replace(recording.channels[f"{other.get(c.triad, c.triad)}/{c.quantity}"], triad=c.triad)
+        for n, c in recording.channels.items()
+    }
+    return replace(recording, channels=channels)
+
+
+def with_lines(lines: tuple[str, ...], path: Path) -> Board:
+    """The board file with these lines for theirs."""
+    from imucalib.calibrators.array.board import BOARDS
+
+    text = (BOARDS / "mimu4444_corners.yaml").read_text()
+    for line in lines:
+        name = line.partition("name: ")[2].partition(",")[0]
+        old = next(row for row in text.splitlines() if f"name: {name}," in row)
+        text = text.replace(old, line)
+    path.write_text(text)
+    return read_board(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault", "line"),
+    [
+        (lambda r: wired(r, "3", "angular", FLIPPED), "gyro of imu3", 'gyro_axes: "x,-y,z"'),
+        (lambda r: wired(r, "5", "angular", SWAPPED), "gyro of imu5", 'gyro_axes: "y,x,z"'),
+        (lambda r: wired(r, "125", "angular", QUARTER), "imu1, imu2, imu5", 'gyro_axes: "y,-x,z"'),
+        (lambda r: wired(r, "4", "accel", FLIPPED), "accelerometer of imu4", 'axes: "x,-y,z"'),
+        (lambda r: wired(r, "6", "", QUARTER), "imu6 is mounted", 'axes: "y,-x,z"'),
+        (lambda r: exchanged(r, "imu0", "imu2"), "imu0 and imu2", "[-9.45, -9.45, 1]"),
+        (lambda r: exchanged(r, "imu0", "imu1"), "imu0 and imu1", "[-9.45, 9.45, -1]"),
+        (lambda r: exchanged(r, "imu3", "imu5"), "imu3 and imu5", "[9.45, 9.45, -1]"),
+        (lambda r: wired(exchanged(r, "imu0", "imu4"), "6", "angular", FLIPPED), "imu0 and imu4",
+         'gyro_axes: "x,-y,z"'),
+        (lambda r: wired(r, "01234567", "accel", -np.eye(3)), "every accelerometer",
+         'accelerometer_axes: "-x,-y,-z"'),
+    ],
+)  # fmt: skip
+def test_its_lines_mend_the_board_file(
+    recording: Recording,
+    change: Callable[[Recording], Recording],
+    fault: str,
+    line: str,
+    tmp_path: Path,
+) -> None:
+    broken = change(recording)
+    found = seen(broken, BOARD)
+    assert fault in "; ".join(found.faults)
+    assert line in "\n".join(found.lines)
+    again = seen(broken, with_lines(found.lines, tmp_path / "board.yaml"))
+    assert again.faults == ()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_board_within_its_tolerance_is_let_be(seed: int) -> None:
+    plan = replace(PLAN, scatter=1e-3, gain=0.02, gyro_gain=0.03, twist=250.0 + 100.0 * seed)
+    log = simulated_log(BOARD, plan, np.random.default_rng(seed))
+    assert seen(log.recording, BOARD).faults == ()
+
+
+def test_a_drawing_in_another_unit_is_told(recording: Recording, tmp_path: Path) -> None:
+    inches = replace(BOARD, positions=BOARD.positions / 25.4)
+    found = seen(recording, inches)
+    assert "times as large as drawn" in found.faults[0]
+    mended = with_lines(found.lines, tmp_path / "b.yaml")
+    assert np.allclose(mended.positions, BOARD.positions, rtol=0.1, atol=1e-4)
+
+
+def test_it_ends_with_the_lines_or_goes_on_as_drawn(recording: Recording) -> None:
+    broken = wired(recording, "3", "angular", FLIPPED)
+    with pytest.raises(Undetermined, match="imu3") as caught:
+        calibrate_array(broken, ArrayRequest(BOARD, samples=60, loop=False), lambda _: None)
+    assert 'gyro_axes: "x,-y,z"' in caught.value.remedy
+    trusted = ArrayRequest(BOARD, samples=60, loop=False, as_drawn=True)
+    run = calibrate_array(broken, trusted, lambda _: None)
+    assert run.moving.gyros.gain[3, 0, 0] * run.moving.gyros.gain[3, 1, 1] < 0.0
+
+
+def test_a_sensor_wired_otherwise_is_calibrated_and_applied(
+    recording: Recording, tmp_path: Path
+) -> None:
+    broken = wired(wired(recording, "3", "angular", FLIPPED), "5", "accel", SWAPPED)
+    board = with_lines(seen(broken, BOARD).lines, tmp_path / "board.yaml")
+    request = ArrayRequest(BOARD, samples=60, loop=False)
+    right = calibrate_array(recording, request, lambda _: None)
+    mended = calibrate_array(broken, replace(request, board=board), lambda _: None)
+    assert mended.final.mean == pytest.approx(right.final.mean, abs=1e-9)
+    one = apply_to_recording(right.calibration, recording)
+    two = apply_to_recording(mended.calibration, broken)
+    for name, channel in one.channels.items():
+        assert np.allclose(two.channels[name].values, channel.values, atol=1e-9), name
+
+
+def test_gravity_tells_how_all_gyros_turn() -> None:
+    from scipy.spatial.transform import Rotation
+
+    rng = np.random.default_rng(2)
+    t = 0.01 * np.arange(2400)
+    moving = (t % 3.0) > 2.0  # one second of turning after two of rest
+    axis = rng.normal(size=(8, 3)) * 0.9
+    rate = np.where(moving[:, None], axis[(t / 3.0).astype(int)], 0.0)
+    turn, up = Rotation.identity(), [np.array([0.0, 0.6, 0.8])]
+    for k in range(7):
+        turn = Rotation.from_rotvec(-axis[k] * 1.0)
+        up.append(turn.apply(up[-1]))
+    start = 3.0 * np.arange(8)
+    noisy = rate + 0.01 * rng.normal(size=rate.shape)
+    for chosen in (SIGNED[0], SIGNED[7], SIGNED[13], SIGNED[42]):
+        found = common_gyro_axes(t, noisy @ chosen, 9.81 * np.array(up), start, start + 1.99)
+        assert in_words(found) == in_words(chosen)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("gyroscope_range", "gyro_scope_range", "gyroscope_range"),
+        ("position: [-9.45, 9.45, 1.0]", "posit: [-9.45, 9.45, 1.0]", "position"),
+        ("prior_sd", "colour", "known are"),
+    ],
+)
+def test_a_key_that_means_nothing_is_refused(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    from imucalib.calibrators.array.board import BOARDS
+
+    path = tmp_path / "board.yaml"
+    path.write_text((BOARDS / "mimu4444_corners.yaml").read_text().replace(old, new, 1))
+    with pytest.raises(UnreadableInput, match="unknown key") as caught:
+        read_board(path)
+    assert words in caught.value.remedy
+
+
+def test_metres_for_millimetres_are_told(tmp_path: Path) -> None:
+    text = "imus:\n" + "\n".join(
+        f"  - {{name: imu{k}, position: {p}}}"
+        for k, p in enumerate(([0, 0, 0], [0.02, 0, 0], [0, 0.02, 0], [0, 0, 0.02]))
+    )
+    path = tmp_path / "board.yaml"
+    path.write_text(text)
+    with pytest.raises(UnreadableInput, match="look like metres") as caught:
+        read_board(path)
+    assert "mm" in caught.value.remedy

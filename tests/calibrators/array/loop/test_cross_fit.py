@@ -1,0 +1,112 @@
+"""What motion that took no part says: nothing of it trains, and a loss takes the steps back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.array.loop.ages import found_ages, voting
+from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.cross_fit import difference_of_medians
+from imucalib.calibrators.array.loop.setup import Setup, array_setup, part_of
+from imucalib.calibrators.array.loop.state import start_state
+from imucalib.calibrators.array.loop.terms import rest_terms
+from imucalib.calibrators.array.moving import Moving
+from imucalib.calibrators.array.rests import RestFit
+from imucalib.recording.recording import Recording
+from worlds.array_stories import BOARD, moving_of, planted_log
+
+SAMPLES = 300
+
+
+def looked_at(recording: Recording) -> tuple[Moving, RestFit, Setup]:
+    moving, rests = moving_of(recording)
+    setup = array_setup(moving, BOARD, SAMPLES, robust=True)
+    assert setup is not None
+    return moving, rests, setup
+
+
+def closed(recording: Recording) -> MotionLoop:
+    moving, rests, setup = looked_at(recording)
+    rng = np.random.default_rng(0)
+    return close_array_loop(setup, rest_terms(rests), moving, rng, replace(ARRAY_RULES, draws=199))
+
+
+def by_block(recording: Recording, even: float, odd: float) -> Recording:
+    """Gyro scales of a few per cent that differ from one half of the blocks to the other."""
+    _, _, setup = looked_at(recording)
+    edges = np.array([setup.t[setup.inner[setup.block == b]].min() for b in range(8)])
+    sizes = np.random.default_rng(4).normal(size=BOARD.count) * 0.02
+    sizes -= sizes.mean()
+    channels = dict(recording.channels)
+    for k, imu in enumerate(BOARD.imus):
+        name = f"{imu}/angular_rate"
+        channel = channels[name]
+        late = np.searchsorted(edges - 0.1, channel.t, side="right") - 1
+        factor = np.where(late % 2 == 0, even, odd)
+        values = channel.values * (1.0 + sizes[k] * factor)[:, None]
+        channels[name] = replace(channel, values=values)
+    return replace(recording, channels=channels)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Recording:
+    return planted_log("clean", 7)[0]
+
+
+def test_halves_share_no_sample_and_no_clock_learns_of_them(clean: Recording) -> None:
+    recording = planted_log("clock skew, 1 ms", 3)[0]
+    moving, rests, setup = looked_at(recording)
+    one, two = part_of(setup, setup.first), part_of(setup, ~setup.first)
+    assert not set(one.rows[one.inner]) & set(two.rows[two.inner])
+    assert np.array_equal(
+        np.sort(np.concatenate([one.rows[one.inner], two.rows[two.inner]])),
+        setup.rows[setup.inner],
+    )
+    state = start_state(one, rest_terms(rests))
+    before = found_ages(state, moving)
+    silent = two.rows[two.inner][voting(two, moving)]
+    rate = moving.rate.copy()
+    rate[silent] *= 1.5
+    after = found_ages(state, replace(moving, rate=rate))
+    assert before is not None
+    assert after is not None
+    assert np.array_equal(before.clock.frequency, after.clock.frequency)
+    assert len(silent) > 30
+
+
+def test_what_both_halves_share_is_proved(clean: Recording) -> None:
+    found = closed(by_block(clean, 1.0, 1.0))
+    assert "gyro_scale" in {s.effect for s in found.steps}
+    assert found.gained is not None
+    assert found.gained.proved
+    assert found.gained.rate.after < 0.3 * found.gained.rate.before
+    assert found.verdict.startswith("explained")
+
+
+def test_what_one_half_refuses_of_the_other_is_not_taken(clean: Recording) -> None:
+    found = closed(by_block(clean, 3.0, -2.0))
+    assert found.gained is not None
+    assert "gyro_scale" not in {s.effect for s in found.steps}
+    assert not any(term.found for term in found.final.terms)
+    assert found.verdict in ("unexplained", "suspected")
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.15])
+def test_the_interval_of_medians_holds_the_truth(gain: float) -> None:
+    rng = np.random.default_rng(5)
+    block, inside, wide = np.repeat(np.arange(20), 30), 0, []
+    for _ in range(200):
+        # Blocks differ by more than their samples say: as fast and slow motion do.
+        level = np.exp(0.3 * rng.normal(size=20))[block][:, None]
+        before = np.abs(rng.normal(size=(600, 6))) * level
+        after = np.abs(rng.normal(size=(600, 6))) * level * (1.0 - gain)
+        found = difference_of_medians(before, after, block, 2)
+        truth = gain * 0.6745 * float(np.median(level)) if gain else 0.0
+        plain = found.gain - found.plain_low
+        inside += abs(found.gain - truth) < plain
+        wide.append((found.high - found.low) / (2.0 * plain))
+    assert np.allclose(wide, np.sqrt(3.0))
+    assert 180 <= inside <= 200
