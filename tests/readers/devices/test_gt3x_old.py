@@ -92,5 +92,5 @@ def test_nonsense_in_info_is_refused(line: str, tmp_path: Path) -> None:
         rows[name] = value
         file.writestr("info.txt", "".join(f"{k}: {v}\n" for k, v in rows.items()))
         file.writestr("activity.bin", bytes.fromhex("006008EBD007009EBF007008EBF0"))
-    with pytest.raises(UnreadableInput, match="sample rate|start date"):
+    with pytest.raises(UnreadableInput, match=r"sample rate|start date"):
         read(path)

@@ -10,7 +10,7 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.dialect import cells_of, decoded, is_comment, is_number
 from imucalib.readers.csv.source import whole_text
 from imucalib.recording.mapping import FieldMapping
-from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical
+from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical, without_brackets
 
 _BINARY = re.compile(rb"[\0\xfe\xff]")  # in no text of UTF-8, and in no table of Windows-1252
 _FEWEST = 3  # cells of a heading
@@ -72,7 +72,7 @@ def _without_titles(lines: list[tuple[int, str]], delimiter: str) -> list[tuple[
 
 def _are_units(row: list[str]) -> bool:
     """Whether every cell is a unit, or nothing."""
-    texts = [cell.strip("[]() ") for cell in row if cell]
+    texts = [without_brackets(cell) for cell in row if cell]
     return bool(texts) and all(
         canonical(text) in _UNITS or text.lower() in _OTHER_UNITS for text in texts
     )
@@ -80,7 +80,7 @@ def _are_units(row: list[str]) -> bool:
 
 def _with_unit(name: str, cell: str) -> str:
     """The heading with the unit below it, unless it states one."""
-    unit = cell.strip("[]() ").replace("°", "deg")
+    unit = without_brackets(cell).replace("°", "deg")
     return name if not unit or name.endswith((")", "]")) else f"{name} [{unit}]"
 
 
