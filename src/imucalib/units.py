@@ -34,7 +34,9 @@ _SPELLINGS = {
     "m s^-2": "m/s2", "m s-2": "m/s2", "ms-2": "m/s2", "m s⁻²": "m/s2", "m/s/s": "m/s2",
     "m*s^-2": "m/s2", "mps2": "m/s2", "gee": "g", "milli-g": "mg", "millig": "mg", "µg": "ug",
     "micro-g": "ug", "1e-6 g": "ug", "1e-3 g": "mg", "rad s^-1": "rad/s", "rad s-1": "rad/s",
-    "rads-1": "rad/s", "rps": "rad/s", "deg s^-1": "deg/s", "dps": "deg/s", "d/s": "deg/s",
+    "rads-1": "rad/s", "rps": "rad/s", "deg s^-1": "deg/s", "degree s-1": "deg/s",
+    "degrees s-1": "deg/s", "deg s-1": "deg/s", "degree/s": "deg/s", "degree s^-1": "deg/s",
+    "rad/sec": "rad/s", "radians/s": "rad/s", "radian s-1": "rad/s", "dps": "deg/s", "d/s": "deg/s",
     "deg/sec": "deg/s", "°/s": "deg/s", "degrees/s": "deg/s", "degree": "deg", "degrees": "deg",
     "°": "deg", "radian": "rad", "radians": "rad",
 }  # fmt: skip

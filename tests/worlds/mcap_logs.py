@@ -128,7 +128,7 @@ def write_log(
     in_order: bool = True,
     **options: object,
 ) -> Path:
-    """A log with the official writer: topic -> (log time in ns, payload), by log time or as given."""
+    """A log with the official writer: topic -> (log time, ns; payload), by it or as given."""
     with path.open("wb") as file:
         writer = Writer(file, compression=compression, chunk_size=chunk_size, **options)
         writer.start("ros2")

@@ -71,10 +71,10 @@ def _parts(name: str, t: Array, step: float, clock: _Clock) -> Index:
             f"{said} at {start:.6g} s: what follows is a part of its own, its times "
             f"moved on by {clock.moves[-1]:.6g} s"
         )
-    part = first + np.cumsum(jumps < -_BACK)
+    part: Index = first + np.cumsum(jumps < -_BACK)
     if t.size:
         clock.last[name], clock.part[name] = float(t[-1]), int(part[-1])
-    return np.minimum(part, len(clock.moves) - 1)
+    return np.asarray(np.minimum(part, len(clock.moves) - 1))
 
 
 def _gap(gap: Gap, block: Recording, parts: dict[str, Index], clock: _Clock) -> Gap:
