@@ -29,6 +29,7 @@ from imucalib.recording.recording import Recording
 
 _FIRST, _PAGE = b"Device Identity", b"Recorded Data"
 _DIGITS, _PER_PAGE, _PAGE_BYTES = 3600, 300, 3900
+_MOST_BAD = 100_000  # damaged pages: more than 100 Hz of three days
 _DRIFT = 0.01  # a quartz sets the pace
 _GZIP = b"\x1f\x8b"
 #: Longest header, and bytes without a page after which the file is no recording.
@@ -59,6 +60,8 @@ class _Loss:
         """Count a damaged page; raises with `strict`."""
         if self.strict:
             raise UnreadableInput(why, where=f"{self.where}, page {number}")
+        if self.pages > _MOST_BAD:
+            raise UnreadableInput("hardly a page of it is whole", where=self.where)
         self.pages, self.why = self.pages + 1, self.why or f"page {number}: {why}"
 
     def told(self) -> None:

@@ -5,6 +5,7 @@ h5py is passed in as objects; this module does not import it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -35,6 +36,8 @@ _GENERIC = {"sensors", "data", "raw", "calibrated", "imu", "readings", "table", 
             "values", "processed", "x"}  # fmt: skip
 _SCALES = ("scale", "scale_factor", "Scale")
 _MOST = 4096  # datasets: each costs half a millisecond before it is read
+_DEEPEST = 32  # groups within groups
+_LARGE_CHUNK, _CHUNK_RATIO = 64 << 20, 100
 _LARGEST_RATIO = 2000  # logical over stored bytes; deflate cannot do more than about 1032
 
 
@@ -42,7 +45,12 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
     """Every numeric or compound dataset with rows, in the file's order."""
     found: list[Any] = []
 
-    def visit(_: str, node: Any) -> bool | None:
+    def visit(name: str, node: Any) -> bool | None:
+        if name.count("/") > _DEEPEST:
+            raise UnreadableInput(
+                f"the file nests more than {_DEEPEST} groups", where=where,
+                remedy="no recording does: copy it again",
+            )  # fmt: skip
         if hasattr(node, "shape") and node.shape and node.size:
             found.append(node)
         return True if len(found) > _MOST else None
@@ -61,7 +69,19 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
                 where=where,
                 remedy="the file's metadata is damaged: copy it again",
             )
+        _demand_small_chunks(node, stored, where)
         yield node
+
+
+def _demand_small_chunks(node: Any, stored: int, where: str) -> None:
+    """Refuse chunks that are large and nearly empty: each costs its size, whatever is read."""
+    chunk = math.prod(node.chunks or ()) * node.dtype.itemsize if node.chunks else 0
+    if chunk > _LARGE_CHUNK and chunk > _CHUNK_RATIO * stored:
+        raise UnreadableInput(
+            f"a chunk of {node.name} takes {chunk} bytes, and the file stores {stored}",
+            where=where,
+            remedy="write it in chunks of some thousand rows",
+        )
 
 
 def fields_of(file: Any, mapping: FieldMapping, where: str) -> list[Found]:
