@@ -110,3 +110,23 @@ def test_a_message_that_comes_late_is_put_in_order(tmp_path: Path) -> None:
     write_log(path, {"/imu": packed(late, cdr)}, in_order=False)
     (acc,) = [c for name, c in read(path).channels.items() if name.endswith("acceleration")]
     np.testing.assert_array_equal(acc.values, axes(rows, "acc"))
+
+
+@pytest.mark.parametrize("row", [0, 1, 2, 3, 500, 1998, 1999])
+@pytest.mark.parametrize("off", [-90.0, 90.0, 9e6])
+def test_one_wrong_stamp_sets_no_clock(row: int, off: float, tmp_path: Path) -> None:
+    t = np.arange(2000) / 100.0 + 100.0
+    wrong = t.copy()
+    wrong[row] += off
+    values = np.tile([[0.0, 0.0, 1.0]], (2000, 1)) + np.arange(6000).reshape(-1, 3) % 7 / 1000
+    path = tmp_path / "a.csv"
+    rows = zip(wrong, *values.T, strict=True)
+    path.write_text(
+        "t [s],x [g],y [g],z [g]\n"
+        + "".join(f"{s:.2f},{x:.3f},{y:.3f},{z:.3f}\n" for s, x, y, z in rows)
+    )
+    for found in (read(path), join(blocks(path, block_samples=200), "")):
+        acc = found.channels["imu0/acceleration"]
+        same = np.delete(np.arange(acc.t.size), row)
+        np.testing.assert_allclose(acc.t[same], t[same], atol=1e-9)
+        assert not any("part of its own" in note for note in found.notes)

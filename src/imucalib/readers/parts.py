@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.readers.timebase import SIDES, set_back
 from imucalib.recording.recording import Gap, Recording
 
 _BACK = 1.0  # s; smaller steps are stamps out of order, which the gaps alone tell
@@ -21,13 +22,21 @@ _MOST = 100  # parts: a clock that is set back more often is no clock
 
 @dataclass
 class _Clock:
-    """moves : how far each part is moved on, s; last, part : of each channel, at its last sample"""
+    """moves : how far each part is moved on, s; last, part : of each channel, its last times and
+    the part that they are in; steps : of this block, the steps back that begin a part
+    """
 
     moves: list[float] = field(default_factory=lambda: [0.0])
-    last: dict[str, float] = field(default_factory=dict)
+    last: dict[str, Array] = field(default_factory=dict)
     part: dict[str, int] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
+    steps: set[tuple[float, float]] = field(default_factory=set)
+
+    def keep(self, name: str, t: Array) -> None:
+        """Note the end of a channel's block."""
+        before = self.last.get(name, t[:0])
+        self.last[name] = np.concatenate([before, t])[-SIDES:] if t.size < SIDES else t[-SIDES:]
 
 
 def in_parts(blocks: Iterator[Recording]) -> Iterator[Recording]:
@@ -39,42 +48,47 @@ def in_parts(blocks: Iterator[Recording]) -> Iterator[Recording]:
             yield _moved(block, clock)
         else:
             for name, channel in block.channels.items():
-                clock.last[name] = float(channel.t[-1]) if channel.t.size else np.nan
+                clock.keep(name, channel.t)
             yield block
 
 
 def _moved(block: Recording, clock: _Clock) -> Recording:
-    clock.notes, clock.gaps = [], []
+    clock.notes, clock.gaps, clock.steps = [], [], set()
     channels, parts = {}, {}
     for name, channel in block.channels.items():
         parts[name] = _parts(name, channel.t, 1.0 / channel.rate, clock)
         channels[name] = replace(channel, t=channel.t + np.array(clock.moves)[parts[name]])
-    kept = [_gap(g, block, parts, clock) for g in block.gaps if g.stop >= g.start - _BACK]
+    kept = [
+        _gap(g, block, parts, clock) for g in block.gaps if (g.start, g.stop) not in clock.steps
+    ]
     gaps = sorted([*kept, *clock.gaps], key=lambda g: g.start)
     return replace(block, channels=channels, gaps=tuple(gaps), notes=(*block.notes, *clock.notes))
 
 
 def _parts(name: str, t: Array, step: float, clock: _Clock) -> Index:
     """The part of each sample of a channel; a new part's move is found by who sees it first."""
-    before = clock.last.get(name, float(t[0]) if t.size else np.nan)
-    jumps = np.diff(t, prepend=before)
-    first = clock.part.get(name, 0)
-    back = np.flatnonzero(jumps < -_BACK)
-    for k, row in enumerate(back.tolist(), start=first + 1):
+    before = clock.last.get(name, t[:0])
+    first, rows = clock.part.get(name, 0), set_back(t, before, _BACK)
+    for k, row in enumerate(rows, start=first + 1):
+        old, new = float(t[row - 1] if row else before[-1]), float(t[row])
+        clock.steps.add((old, new))
         if k < len(clock.moves) or len(clock.moves) > _MOST:
             continue
-        clock.moves.append(clock.moves[-1] + step - float(jumps[row]))
-        start = (float(t[row - 1]) if row else before) + clock.moves[-2]
-        said = f"the clock was set back by {-float(jumps[row]):.6g} s"
-        clock.gaps.append(Gap(start, float(t[row]) + clock.moves[-1], said))
+        clock.moves.append(clock.moves[-1] + old + step - new)
+        start = old + clock.moves[-2]
+        said = f"the clock was set back by {old - new:.6g} s"
+        clock.gaps.append(Gap(start, new + clock.moves[-1], said))
         clock.notes.append(
             f"{said} at {start:.6g} s: what follows is a part of its own, its times "
             f"moved on by {clock.moves[-1]:.6g} s"
         )
-    part: Index = first + np.cumsum(jumps < -_BACK)
+    begun = np.zeros(t.size, dtype=np.intp)
+    begun[rows] = 1
+    part = np.minimum(first + np.cumsum(begun), len(clock.moves) - 1)
     if t.size:
-        clock.last[name], clock.part[name] = float(t[-1]), int(part[-1])
-    return np.asarray(np.minimum(part, len(clock.moves) - 1))
+        clock.keep(name, t)
+        clock.part[name] = int(part[-1])
+    return np.asarray(part)
 
 
 def _gap(gap: Gap, block: Recording, parts: dict[str, Index], clock: _Clock) -> Gap:

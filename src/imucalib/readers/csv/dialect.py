@@ -174,7 +174,7 @@ def _with_header(shape: _Shape, lines: list[str], mapping: FieldMapping, where: 
         while above and not mapping.header and _is_damaged_row(lines[above[-1]], shape):
             first = above.pop()
         names = () if mapping.header is False else _names(lines, above, shape)
-    if any(c < "\t" for name in names for c in name):
+    if any(c < " " for name in names for c in name):
         raise UnreadableInput(
             "the heading is damaged: it holds control characters",
             where=f"{where}: line {above[-1] + 1}",
@@ -223,7 +223,8 @@ def _split_names(line: str, shape: _Shape) -> tuple[str, ...]:
         names = cells_of(bare if candidate == ";" else _BEFORE_NAMES.sub("", bare), candidate)
         if len(names) == width + 1 and not names[-1]:
             names = names[:-1]
-        if len(names) == width - 1 and shape.blank_tail:
+        merged = any(candidate in n or '"' in n for n in names)  # a lost quote joins two names
+        if len(names) == width - 1 and shape.blank_tail and not merged:
             names = [*names, ""]
         if len(names) == width and sum(any(ch.isalpha() for ch in n) for n in names) * 2 >= width:
             return tuple(names)

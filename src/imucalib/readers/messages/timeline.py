@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.readers.messages.clock import SET_BACK, TWO_PERIODS, Clock
 from imucalib.readers.messages.survey import Stamps
+from imucalib.readers.timebase import SIDES, set_back
 from imucalib.recording.recording import Gap
 
-_STAYS = 9  # samples after a step back that tell a clock from a message that came late
 _MOST_PARTS = 100
 
 
@@ -27,7 +27,7 @@ class Timeline:
     _row: int = 0
     _sent: int = 0
     _last: int | None = None
-    _peak: int | None = None
+    _tail: NDArray[np.int64] | None = None
     _held: tuple[NDArray[np.int64], list[Array]] | None = None
 
     def push(
@@ -53,21 +53,12 @@ class Timeline:
         return t, joined, [g for d in done for g in d[2]]
 
     def _set_back(self, ns: NDArray[np.int64]) -> list[int]:
-        """Rows where the clock was set back: what follows stays back, unlike a late message."""
-        before = ns[0] if self._peak is None else self._peak
-        peak = np.maximum.accumulate(np.concatenate([[before], ns]))
-        rows = list[int]()
-        for row in np.flatnonzero(ns < peak[:-1] - SET_BACK).tolist():
-            start = rows[-1] if rows else 0
-            top = int(ns[start:row].max()) if row > start else int(before)
-            if (not rows or ns[row] < top - SET_BACK) and (
-                np.median(ns[row : row + _STAYS]) < top - SET_BACK
-            ):
-                rows.append(row)
-                if len(rows) > _MOST_PARTS:
-                    return []
-        self._peak = int(ns[rows[-1] :].max()) if rows else int(peak[-1])
-        return rows
+        """Rows where the clock was set back; a message that comes late sets no clock."""
+        before = self._tail if self._tail is not None else ns[:0]
+        rows = set_back(ns, before, SET_BACK)
+        start = rows[-1] if rows else 0
+        self._tail = (ns[start:] if rows else np.concatenate([before, ns]))[-SIDES:]
+        return rows if len(rows) <= _MOST_PARTS else []
 
     def flush(self, marks: list[int]) -> tuple[Array, list[Array], list[Gap]] | None:
         """The samples that were held back for their order."""
