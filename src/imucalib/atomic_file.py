@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import platform
 import re
+import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -68,6 +69,53 @@ def replaced_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise UsageError(f"the output cannot be written: {error}", where=str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def replaced_together(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+    """Temporary paths for several files, which take their places when the block ends: all or none.
+
+    Where one cannot take its place the others get back what stood there before. Errors as in
+    `replaced_atomically`.
+    """
+    for target in paths:
+        _remove_stale(target)
+    made = list[Path]()
+    try:
+        made += (_temporary_beside(target) for target in paths)
+        yield tuple(made)
+        _take_places(list(zip(made, paths, strict=True)))
+    except OSError as error:
+        where = str(error.filename2 or error.filename or paths[0])
+        raise UsageError(f"the output cannot be written: {error}", where=where) from error
+    finally:
+        for temporary in made:
+            temporary.unlink(missing_ok=True)
+
+
+def _take_places(pairs: list[tuple[Path, Path]]) -> None:
+    """Rename every temporary file to its target, or put back what stood there and raise."""
+    kept, taken = dict[Path, Path](), list[Path]()
+    try:
+        for _, target in pairs:
+            if target.is_file():
+                kept[target] = _temporary_beside(target)
+                shutil.copyfile(target, kept[target])
+        for temporary, target in pairs:
+            _fill_permissions(temporary)
+            os.replace(temporary, target)
+            taken.append(target)
+    except BaseException:
+        for target in taken:
+            if target in kept:
+                _fill_permissions(kept[target])
+                os.replace(kept[target], target)
+            else:
+                target.unlink(missing_ok=True)
+        raise
+    finally:
+        for old in kept.values():
+            old.unlink(missing_ok=True)
 
 
 def _temporary_beside(target: Path) -> Path:

@@ -7,6 +7,7 @@ connect them, `MG` and `DEG`, live here.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,19 +28,31 @@ ACCELERATION_UNITS: dict[str, float] = {
 RATE_UNITS: dict[str, float] = {"rad/s": 1.0, "deg/s": DEG, "mrad/s": 1e-3}
 ANGLE_UNITS: dict[str, float] = {"rad": 1.0, "deg": DEG, "mrad": 1e-3}
 
+_BALANCED = re.compile(r"(?:[^()\[\]]|\([^()]*\)|\[[^\[\]]*\])*")
 _SPELLINGS = {
-    "m/s^2": "m/s2", "m/s²": "m/s2", "m s^-2": "m/s2", "m s-2": "m/s2", "ms-2": "m/s2",
-    "m s⁻²": "m/s2", "m/s/s": "m/s2", "m*s^-2": "m/s2", "mps2": "m/s2", "gee": "g", "milli-g": "mg",
-    "millig": "mg", "µg": "ug", "micro-g": "ug", "1e-6 g": "ug", "1e-3 g": "mg",
-    "rad s^-1": "rad/s", "rad s-1": "rad/s", "rads-1": "rad/s", "rps": "rad/s", "deg s^-1": "deg/s",
-    "dps": "deg/s", "°/s": "deg/s", "degrees/s": "deg/s", "degree": "deg", "degrees": "deg",
+    "m/s^2": "m/s2", "m/(s^2)": "m/s2", "m/(s2)": "m/s2", "m/(s*s)": "m/s2", "m/s²": "m/s2",
+    "m s^-2": "m/s2", "m s-2": "m/s2", "ms-2": "m/s2", "m s⁻²": "m/s2", "m/s/s": "m/s2",
+    "m*s^-2": "m/s2", "mps2": "m/s2", "gee": "g", "milli-g": "mg", "millig": "mg", "µg": "ug",
+    "micro-g": "ug", "1e-6 g": "ug", "1e-3 g": "mg", "rad s^-1": "rad/s", "rad s-1": "rad/s",
+    "rads-1": "rad/s", "rps": "rad/s", "deg s^-1": "deg/s", "degree s-1": "deg/s",
+    "degrees s-1": "deg/s", "deg s-1": "deg/s", "degree/s": "deg/s", "degree s^-1": "deg/s",
+    "rad/sec": "rad/s", "radians/s": "rad/s", "radian s-1": "rad/s", "dps": "deg/s", "d/s": "deg/s",
+    "deg/sec": "deg/s", "°/s": "deg/s", "degrees/s": "deg/s", "degree": "deg", "degrees": "deg",
     "°": "deg", "radian": "rad", "radians": "rad",
 }  # fmt: skip
 
 
+def without_brackets(text: str) -> str:
+    """The text without the pair of brackets around it: "[m/(s^2)]" is "m/(s^2)"."""
+    text = text.strip()
+    while text[:1] + text[-1:] in ("[]", "()") and _BALANCED.fullmatch(text[1:-1]):
+        text = text[1:-1].strip()
+    return text
+
+
 def canonical(unit: str) -> str:
     """The one spelling of a unit that this package uses; unknown text comes back stripped."""
-    text = unit.strip().strip("[]()").strip()
+    text = without_brackets(unit)
     return _SPELLINGS.get(text.lower(), text.lower() if text.lower() in _ALL else text)
 
 

@@ -18,10 +18,12 @@ from imucalib import atomic_file, readers, writers
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import write as write_calibration
+from imucalib.calibration.file import write_together
 from imucalib.cli import cli
 from imucalib.errors import UsageError
 from imucalib.readers import sha256_of
 from imucalib.recording.recording import Channel, Recording
+from worlds.places import ROOT
 
 FORMATS = pytest.mark.parametrize("suffix", [".csv", ".h5", ".mcap"])
 
@@ -223,3 +225,88 @@ def test_termination_takes_its_temporary_files_along(tmp_path: Path) -> None:
         process.send_signal(signal.SIGTERM)
         assert process.wait(30) == 128 + signal.SIGTERM
     assert [p.name for p in tmp_path.iterdir()] == ["raw.csv"]
+
+
+def lab(folder: Path, table: Path, *more: str) -> Result:
+    gravity = ("--no-loop", "--gravity", "9.8061", "-q")
+    return CliRunner().invoke(cli, ["lab", str(table), "-o", str(folder), *gravity, *more])
+
+
+def bench(folder: Path, name: str) -> Path:
+    table = folder / name
+    table.write_bytes((ROOT / "sample_logs" / "bench.csv").read_bytes())
+    return table
+
+
+def test_results_of_another_input_are_replaced_only_by_force(tmp_path: Path) -> None:
+    one, two, out = bench(tmp_path, "a.csv"), bench(tmp_path, "b.csv"), tmp_path / "out"
+    assert lab(out, one).exit_code == 0
+    assert lab(out, one).exit_code == 0  # the same again
+    before = (out / "calibration.yaml").read_bytes()
+    refused = lab(out, two)
+    assert isinstance(refused.exception, UsageError)
+    assert "the calibration of a.csv" in str(refused.exception)
+    assert (out / "calibration.yaml").read_bytes() == before
+    assert lab(out, two, "--force").exit_code == 0
+    (out / "calibration.yaml").write_text("somebody: else\n")
+    assert "no calibration" in str(lab(out, two).exception)
+
+
+def test_a_folder_that_cannot_be_is_found_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def worked(*_: object, **__: object) -> None:
+        raise AssertionError("the work began")
+
+    monkeypatch.setattr("imucalib.calibrators.lab.files.calibrate_files", worked)
+    (tmp_path / "file").write_text("x")
+    refused = lab(tmp_path / "file" / "out", bench(tmp_path, "a.csv"))
+    assert isinstance(refused.exception, UsageError)
+
+
+def test_files_of_one_run_appear_together_or_not_at_all(tmp_path: Path) -> None:
+    kept, blocked, new = (tmp_path / n for n in ("calibration.yaml", "report.html", "report.json"))
+    kept.write_text("before")
+    blocked.mkdir()
+    with pytest.raises(UsageError):
+        write_together({kept: "after", new: "after", blocked: "after"})
+    assert kept.read_text() == "before"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["calibration.yaml", "report.html"]
+    blocked.rmdir()
+    write_together({kept: "after", new: "after", blocked: "after"})
+    assert {p.read_text() for p in tmp_path.iterdir()} == {"after"}
+
+
+def test_a_run_that_is_ended_leaves_no_temporary_file(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, sys; from pathlib import Path; from imucalib import cli; "
+        "from imucalib.atomic_file import replaced_together as r\n"
+        "def work(**_):\n"
+        "    with r((Path(sys.argv[1]) / 'a', Path(sys.argv[1]) / 'b')):\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "cli.cli.main = work\ncli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert done.returncode == 143
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_convert_holds_blocks_not_the_recording(tmp_path: Path) -> None:
+    """Twice as long a log must not take twice the memory (of numpy's arrays)."""
+    import tracemalloc
+
+    peaks = []
+    for n in (700_000, 1_400_000):
+        path = tmp_path / f"{n}.csv"
+        row = "0.02,-0.01,1.0\n0.021,-0.012,0.998\n"
+        path.write_text("x [g],y [g],z [g]\n" + row * (n // 2))
+        tracemalloc.start()
+        target = str(tmp_path / f"{n}.h5")
+        done = CliRunner().invoke(cli, ["convert", str(path), target, "--rate", "100"])
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert done.exit_code == 0, done.output
+        assert readers.read(target).channels["imu0/acceleration"].t.size == n
+        last = list(readers.blocks(target))[-1].channels["imu0/acceleration"].t[-1]
+        assert last == pytest.approx((n - 1) / 100)
+    assert peaks[1] < 1.3 * peaks[0]

@@ -125,9 +125,10 @@ def write_log(
     encoding: str = "cdr",
     compression: CompressionType = CompressionType.ZSTD,
     chunk_size: int = 32 * 1024,
+    in_order: bool = True,
     **options: object,
 ) -> Path:
-    """A log with the official writer: topic -> (log time in ns, payload), in order of log time."""
+    """A log with the official writer: topic -> (log time, ns; payload), by it or as given."""
     with path.open("wb") as file:
         writer = Writer(file, compression=compression, chunk_size=chunk_size, **options)
         writer.start("ros2")
@@ -138,7 +139,7 @@ def write_log(
             for topic, pairs in topics.items()
             for i, (log, payload) in enumerate(pairs)
         ]
-        for log, i, topic, payload in sorted(messages, key=lambda m: m[0]):
+        for log, i, topic, payload in sorted(messages, key=lambda m: m[0] if in_order else 0):
             writer.add_message(channels[topic], log, payload, log, i)
         writer.finish()
     return path

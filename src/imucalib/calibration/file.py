@@ -8,7 +8,6 @@ has `triads` in their place, one linear correction an IMU.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.atomic_file import replaced_atomically
+from imucalib.atomic_file import replaced_together
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.plain import plain
 from imucalib.calibration.triads import triad_from
@@ -81,11 +80,11 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def write_together(texts: Mapping[Path, str]) -> None:
-    """Write several text files; none takes its place before all are written."""
-    with ExitStack() as stack:
-        for path, text in reversed(list(texts.items())):  # they are renamed in the opposite order
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary = stack.enter_context(replaced_atomically(path))
+    """Write several text files, all or none."""
+    for path in texts:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with replaced_together(tuple(texts)) as temporaries:
+        for temporary, text in zip(temporaries, texts.values(), strict=True):
             temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 

@@ -23,7 +23,7 @@ from imucalib.cli.output import (
     seed_option,
     width,
 )
-from imucalib.cli.recording_options import recording_options
+from imucalib.cli.recording_options import force_option, recording_options
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect
@@ -67,17 +67,33 @@ def calibrating(command: Command) -> Command:
     def checked(*args: Any, **options: Any) -> Any:
         if options["export"] and options["output"] is None:
             raise click.UsageError("--export needs a folder: -o")
+        force = options.pop("force")
+        if options["output"] is not None and not force:
+            _demand_folders(options["output"], options)
         return command(*args, **options)
 
     checked.calibrates = True  # type: ignore[attr-defined]
     whole: Any = checked
-    for option in (quiet_option, json_option, seed_option):
+    for option in (quiet_option, json_option, seed_option, force_option):
         whole = option(whole)
     whole = recording_options(whole)
     for option in reversed(_OPTIONS):
         whole = option(whole)
     found: Command = gravity_options(whole)
     return found
+
+
+def _demand_folders(folder: Path, options: Mapping[str, Any]) -> None:
+    """Refuse, before the work, a folder that cannot be written or that holds another's results."""
+    from imucalib.report.files import demand_folder
+
+    context = click.get_current_context()
+    arguments = [p.name for p in context.command.params if isinstance(p, click.Argument)]
+    named = [options[name] for name in arguments if name is not None]
+    read = [Path(f) for value in named for f in (value if isinstance(value, tuple) else (value,))]
+    others = [Path(v) for v in options.values() if isinstance(v, Path)]
+    for each in read if len(read) > 1 else [None]:
+        demand_folder(folder / each.stem if each else folder, [*read, *others])
 
 
 def calibrates(command: click.Command) -> bool:

@@ -28,23 +28,29 @@ def command(source: Path, target: Path, strict: bool, force: bool, **options: An
     Example: imucal convert log.csv log.mcap --rate 100 --acc x,y,z
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.readers import read
-    from imucalib.writers import write, writer_for
+    from imucalib.readers import blocks, read
+    from imucalib.writers import ChannelsChange, Told, write, write_blocks, writer_for
 
     writer_for(target)
     demand_output(target, inputs_of(options, source), force=force)
-    recording = read(source, mapping_of(options), strict=strict)
-    write(recording, target)
-    for text in recording.notes:
+    mapping = mapping_of(options)
+    told = Told(blocks(source, mapping, strict=strict))
+    try:
+        write_blocks(told, target)
+    except ChannelsChange:  # a table must know its columns first: then all of it is held
+        recording = read(source, mapping, strict=strict)
+        told = Told([recording])
+        write(next(iter(told)), target)
+    for text in told.notes:
         note(text, options["quiet"])
     if options["as_json"]:
         emit_json(
             {
                 "output": str(target),
-                "channels": list(recording.channels),
-                "notes": list(recording.notes),
+                "channels": list(told.channels),
+                "notes": list(told.notes),
             }
         )
     elif not options["quiet"]:
-        say(f"wrote {target}: {', '.join(recording.channels)}")
+        say(f"wrote {target}: {', '.join(told.channels)}")
     return 0

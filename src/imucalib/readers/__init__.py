@@ -14,6 +14,7 @@ from typing import Protocol
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.catalogue import with_preset
+from imucalib.readers.parts import in_parts
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -40,6 +41,8 @@ class Reader(Protocol):
       of a ROS 2 bag), never at the suffix alone;
     - times `t` of all blocks count from the same `start_ns`, and each block holds consecutive
       samples, so that concatenating the blocks equals `read`; a block may lack a channel;
+    - times that step back by more than a second have a gap that ends before it starts: `in_parts`
+      makes parts of them;
     - a note or gap appears in one block only: the first in which it is known (a gap between two
       blocks belongs to the later one);
     - units are SI, or "counts" when raw integers were declared without a scale;
@@ -105,7 +108,8 @@ def read(
     UnreadableInput when nothing can be read or, with `strict`, when anything is damaged, and
     UsageError when the mapping names what the file does not have.
     """
-    return reader_for(path).read(Path(path), with_preset(mapping or FieldMapping()), strict=strict)
+    found = reader_for(path).read(Path(path), with_preset(mapping or FieldMapping()), strict=strict)
+    return next(in_parts(iter([found])))
 
 
 def blocks(
@@ -117,7 +121,9 @@ def blocks(
 ) -> Iterator[Recording]:
     """Read a recording of any known format piecewise, in bounded memory; errors as in `read`."""
     full = with_preset(mapping or FieldMapping())
-    return reader_for(path).blocks(Path(path), full, block_samples=block_samples, strict=strict)
+    return in_parts(
+        reader_for(path).blocks(Path(path), full, block_samples=block_samples, strict=strict)
+    )
 
 
 def stored_blocks(
@@ -128,4 +134,4 @@ def stored_blocks(
     full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
     given = getattr(reader, "stored_blocks", reader.blocks)
     found: Iterator[Recording] = given(Path(path), full, block_samples=BLOCK_SAMPLES, strict=strict)
-    return found
+    return in_parts(found)

@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from imucalib.recording.mapping import TIME_UNITS
+from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, without_brackets
 
 _ACC = {"a", "acc", "accel", "acceleration", "accelerometer", "accelerations", "accelero"}
 _GYRO = {"g", "w", "gyr", "gyro", "gyros", "gyroscope", "omega", "angular", "angvel", "angrate"}
 _TEMPERATURE = {"temp", "temperature", "temps"}
 _TIME = {"time", "timestamp", "timestamps", "stamp", "t", "datetime", "seconds", "secs", "sec",
          "sampletimefine", "utc", "epoch", "elapsed", "stamps"}  # fmt: skip
-_SILENT = {"rs", "s", "b", "field", "data", "raw", "calibrated", "uncal", "linear", "angular",
-           "velocity", "rate", "imu", "sensor", "sensors", "axis", "value", "values", "header",
+_SILENT = {"rs", "s", "b", "field", "data", "raw", "cal", "calibrated", "uncal", "linear",
+           "angular", "velocity", "rate", "imu", "sensor", "sensors", "axis", "value", "values",
+           "header",
            "acceleration", "meas", "rot", "rotation", "vel", "speed"}  # fmt: skip
 # Quantities that share words with the two above but are not them.
 _OTHER = {"mag", "magnetometer", "magnetic", "free", "freeacc", "gravity", "grav", "mean", "std",
@@ -27,7 +29,7 @@ _OTHER = {"mag", "magnetometer", "magnetic", "free", "freeacc", "gravity", "grav
 _COMPACT = re.compile(
     r"^(accel|acc|a|gyro|gyr|g|w|omega)_?(\d*)_?([xyz])(\d*)$|^([xyz])_?(accel|acc|gyro|gyr)(\d*)$"
 )
-_BRACKETED = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+_BRACKETED = re.compile(r"\s*(\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\))\s*$")
 _UNIT_WORDS = {
     "ms2": "m/s2", "mps2": "m/s2", "mss": "m/s2", "mg": "mg", "ug": "ug", "rads": "rad/s",
     "rps": "rad/s", "dps": "deg/s", "degs": "deg/s", "degc": "degC", "celsius": "degC",
@@ -62,7 +64,9 @@ class Column:
 
 
 def understand(names: Sequence[str]) -> list[Column]:
-    """The meaning of every column name; bare x, y, z are acceleration if nothing else is."""
+    """The meaning of every column name; bare x, y, z are acceleration, or a rate by
+    their unit, if nothing else is an acceleration.
+    """
     columns = [_column(i, name) for i, name in enumerate(names)]
     if not any(c.quantity == "acceleration" for c in columns):
         columns = [_bare_axis(c) for c in columns]
@@ -70,11 +74,13 @@ def understand(names: Sequence[str]) -> list[Column]:
 
 
 def _bare_axis(column: Column) -> Column:
-    words = _words(column.name)
-    if column.quantity or len(words) != 1 or words[0] not in ("x", "y", "z"):
+    words = [w for w in _words(column.name) if w != "axis"]
+    unit = canonical(column.unit)
+    known = unit in ACCELERATION_UNITS or unit in ("", "counts")
+    quantity = "acceleration" if known else "angular_rate" if unit in RATE_UNITS else ""
+    if column.quantity or not quantity or len(words) != 1 or words[0] not in ("x", "y", "z"):
         return column
-    axis = "xyz".index(words[0])
-    return Column(column.index, column.name, "acceleration", axis, "imu0", column.unit)
+    return replace(column, quantity=quantity, axis="xyz".index(words[0]), triad="imu0")
 
 
 def _words(name: str) -> list[str]:
@@ -86,7 +92,7 @@ def _column(index: int, text: str) -> Column:
     name, unit = text.strip().lstrip("#%").strip(), ""
     found = _BRACKETED.search(name)
     if found:
-        name, unit = name[: found.start()].strip(), found.group(1)
+        name, unit = name[: found.start()].strip(), without_brackets(found.group(1))
     words = _words(name)
     if not unit and len(words) > 1:
         unit = _UNIT_WORDS.get(words[-1], "")

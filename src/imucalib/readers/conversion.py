@@ -19,6 +19,8 @@ from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping, parse_a
 
 COUNTS = "counts"
 _IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor
+_NEAR_SCALE = 1.25  # the same for a device that has a few known scales
+_LIKE_1024 = (1012.0, 1037.0)  # norms that 1024 counts a g explain better than mg
 _STILL_SHARE = 0.1  # the quietest windows that stand for "at rest"
 
 
@@ -30,6 +32,7 @@ class Conversion:
     source_unit : unit of the file
     factor, offset : (1,) or (3,) per file axis
     note : how the unit was found, or empty when the file states it
+    counts_per_g : the device's scale, where the norm at rest chose it, else 0
     """
 
     unit: str
@@ -38,6 +41,7 @@ class Conversion:
     offset: Array
     axes: AxisMap = UNCHANGED
     note: str = ""
+    counts_per_g: float = 0.0
 
     def apply(self, raw: NDArray[np.generic]) -> Array:
         """Convert raw values (..., 3), or (..., 1) for a scalar quantity, to float64."""
@@ -81,34 +85,76 @@ def norms_at_rest(pieces: Sequence[Array], window: int) -> Array:
     return norms
 
 
-def acceleration(mapping: FieldMapping, stated: str, rest: Array, where: str) -> Conversion:
+@dataclass(frozen=True)
+class Source:
+    """What is known of an acceleration before its numbers are looked at.
+
+    unit : that the file (or its format) states, or ""; scales : counts a g that the device's models
+    have, one of which its file does not name; whole : every number is an integer
+    """
+
+    unit: str = ""
+    scales: tuple[float, ...] = ()
+    whole: bool = False
+
+
+def acceleration(
+    mapping: FieldMapping, source: Source | str, rest: Array, where: str
+) -> Conversion:
     """Conversion of raw acceleration to m/s².
 
-    stated : unit that the file (or its format) states, or ""; rest : raw norms at rest, from
+    source : what the file states, or just its unit; rest : raw norms at rest, from
     `norms_at_rest`, used to find the unit and to refuse a wrong one, whoever states it. Raises
     UnreadableInput when no unit fits, UsageError for an unknown one.
     """
+    source = Source(source) if isinstance(source, str) else source
     axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
-    unit = units.canonical(mapping.acc_unit or stated)
+    unit = units.canonical(mapping.acc_unit or source.unit)
     if mapping.lsb_per_g and unit in ("", COUNTS):
         scale = units.STANDARD_GRAVITY / _per_axis(mapping.lsb_per_g, "lsb_per_g", 1.0)
         return Conversion("m/s2", COUNTS, scale, offset, axes, "acceleration from counts per g")
+    if source.scales and not mapping.acc_unit:
+        return _by_scales(source.scales, rest, where, offset=offset, axes=axes)
     if unit == COUNTS:
         note = "acceleration kept as raw counts"
         return Conversion(COUNTS, COUNTS, np.ones(1), offset, axes, note)
     note = ""
     if not unit:
-        try:
-            found = units.detect_acceleration_unit(rest, where)
-        except UnreadableInput as error:
-            remedy = "name it with --unit, or give the scale with --unit counts --lsb N"
-            raise UnreadableInput(error.what, where=where, remedy=remedy) from error
-        unit, note = found.unit, f"acceleration: {found.sentence}"
+        unit, note = _by_norm(source, rest, where)
     factor = _factor(unit, units.ACCELERATION_UNITS, mapping.acc_unit, "--unit", where)
     if not note:
         _refuse_wrong(unit, factor, rest, bool(mapping.acc_unit), where)
     return Conversion("m/s2", unit, np.array([factor]), offset, axes, note)
+
+
+def _by_norm(source: Source, rest: Array, where: str) -> tuple[str, str]:
+    """The unit that makes the norm at rest 1 g, and the sentence that says so."""
+    found = units.detect_acceleration_unit(rest, where)
+    if source.whole and found.unit == "mg" and _LIKE_1024[0] < found.norm_at_rest < _LIKE_1024[1]:
+        raise UnreadableInput(
+            f"whole numbers whose norm at rest is {found.norm_at_rest:.6g}: mg, or counts",
+            where=where, remedy="say which: --unit mg, or --unit counts --lsb 1024",
+        )  # fmt: skip
+    return found.unit, f"acceleration: {found.sentence}"
+
+
+def _by_scales(
+    scales: tuple[float, ...], rest: Array, where: str, *, offset: Array, axes: AxisMap
+) -> Conversion:
+    """The one of a device's scales that makes the norm at rest 1 g."""
+    norm = float(np.median(rest)) if rest.size else np.nan
+    fitting = [s for s in scales if 1.0 / _NEAR_SCALE < norm / s < _NEAR_SCALE]
+    if len(fitting) != 1:
+        raise UnreadableInput(
+            f"the norm at rest is {norm:.6g} counts, and the device's models have "
+            f"{', '.join(f'{s:g}' for s in scales)} a g",
+            where=where, remedy="give the scale with --unit counts --lsb N",
+        )  # fmt: skip
+    (scale,) = fitting
+    factor = np.array([units.STANDARD_GRAVITY / scale])
+    note = f"acceleration: norm at rest = {norm:.6g} -> {scale:g} counts a g, as the device has"
+    return Conversion("m/s2", COUNTS, factor, offset, axes=axes, note=note, counts_per_g=scale)
 
 
 def _refuse_wrong(unit: str, factor: float, rest: Array, by_user: bool, where: str) -> None:

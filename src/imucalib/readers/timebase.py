@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
@@ -14,6 +16,7 @@ from imucalib.recording.recording import Gap
 
 _YEAR_2000, _YEAR_2100 = 946_684_800.0, 4_102_444_800.0
 _MISSING_ONE = 1.75  # a step of two periods is a lost sample when the clock is clean
+SIDES, _FEWEST = 9, 3  # samples on each side of a step back that decide whether it is one
 _JITTERY = 5.0  # else only a step of this many times its 99th percentile is a gap
 
 
@@ -55,6 +58,24 @@ def find_gaps(t: Array, rows: Array | range, threshold: float, before: float | N
         for k in np.flatnonzero((steps > threshold) | (steps < 0)).tolist():
             add(float(t[k]), float(t[k + 1]), int(rows[k + 1] - rows[k]) > 1)
     return gaps
+
+
+def set_back(t: NDArray[Any], before: NDArray[Any], least: float) -> list[int]:
+    """Rows of `t` at which its clock was set back by more than `least`.
+
+    before : the last `SIDES` times in front of `t`, or fewer. A step back counts where most samples
+    of both sides agree: one stamp that is wrong or late sets no clock.
+    """
+    whole = np.concatenate([before, t])
+    rows, last = list[int](), 0
+    for row in (np.flatnonzero(whole[1:] < whole[:-1] - least) + 1).tolist():
+        one, other = whole[max(last, row - SIDES) : row], whole[row : row + SIDES]
+        if min(one.size, other.size) >= _FEWEST and row >= before.size and (
+            np.median(other) < np.median(one) - least
+        ):  # fmt: skip
+            rows.append(row - before.size)
+            last = row
+    return rows
 
 
 def is_absolute(seconds: float) -> bool:

@@ -32,7 +32,8 @@ class FieldMapping:
     "topic:field.path" of a 3-vector, one to a triad.
 
     acc, gyro, temperature, time : field addresses; time empty means "from `rate`"
-    triads : names of the sensors, in the order of `acc` ("imu0", "imu1", ... when empty)
+    triads : names of the sensors, in the order of `acc`, then of `gyro` where these differ
+        ("imu0", "imu1", ... when empty)
     acc_unit, gyro_unit, temperature_unit : units of the file; "counts" for raw integers
     lsb_per_g, lsb_per_dps : counts per g and per deg/s, one value or one an axis
     acc_offset, gyro_offset : counts at zero, subtracted before scaling, one value or one an axis

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +12,9 @@ from typing import Any
 
 from imucalib.calibration.file import to_yaml, write_together
 from imucalib.calibration.outcome import Run
+from imucalib.errors import ImucalError, UsageError
 from imucalib.exports import Exported
+from imucalib.recording.yaml_text import load
 from imucalib.report.data import report_dict
 from imucalib.report.document import Document
 from imucalib.report.render.html import render_html
@@ -27,6 +30,30 @@ class Report:
     @cached_property
     def content(self) -> dict[str, Any]:
         return report_dict(self.run)
+
+
+def demand_folder(folder: Path, inputs: Sequence[Path]) -> None:
+    """Raise UsageError unless results of `inputs` may be written into a folder; before the work.
+
+    Results of a run on one of the inputs may be replaced; another's, or what no run wrote, may not.
+    """
+    place = next(p for p in (folder, *folder.parents) if p.exists())
+    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+        what = "no folder can be written here" if place.is_dir() else "this is a file, no folder"
+        raise UsageError(what, where=str(place), remedy="name another folder with -o")
+    target = folder / "calibration.yaml"
+    if not os.path.lexists(target):
+        return
+    try:
+        facts = load(target)
+        made = facts["provenance"]["input"]
+    except (ImucalError, KeyError, TypeError):
+        made = None
+    if made not in {path.name for path in inputs}:
+        held = f"the calibration of {made}" if made else "a file that is no calibration of imucal"
+        raise UsageError(
+            f"it holds {held}", where=str(target), remedy="name another folder, or give --force"
+        )
 
 
 def write_report(

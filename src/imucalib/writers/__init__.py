@@ -6,7 +6,7 @@ A writer is found by its file being here and chosen by the suffix of the output 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -19,6 +19,8 @@ from imucalib.recording.recording import Recording
 
 __all__ = [
     "BlockWriter",
+    "ChannelsChange",
+    "Told",
     "Writer",
     "write",
     "write_blocks",
@@ -52,6 +54,26 @@ class BlockWriter(Protocol):
     def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
         """Write blocks as `readers.blocks` yields them."""
         ...
+
+
+class ChannelsChange(UsageError):
+    """A block has channels that the format had to know from the first on."""
+
+
+class Told:
+    """Blocks on their way to a writer, and what they told: their notes and channels, each once."""
+
+    def __init__(self, blocks: Iterable[Recording]) -> None:
+        self._blocks = blocks
+        self.notes, self.channels = dict[str, None](), dict[str, None]()
+
+    def __iter__(self) -> Iterator[Recording]:
+        for block in self._blocks:
+            self.notes.update(dict.fromkeys(block.notes))
+            self.channels.update(dict.fromkeys(block.channels))
+            yield block
+        if not self.channels:
+            raise UsageError("the recording has no channels to write")
 
 
 @cache

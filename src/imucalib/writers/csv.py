@@ -7,6 +7,7 @@ that gives the same float64. Channels with their own times get rows of their own
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TextIO
 
@@ -15,6 +16,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording
+from imucalib.writers import ChannelsChange
 
 _FORMULA = tuple("=+-@")  # what makes a cell a formula
 _ROWS = 1 << 16  # rows that are made into text at a time
@@ -33,23 +35,28 @@ class CsvWriter:
     def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
         """Write block after block; memory holds one. Errors as in `write`, and UsageError for a
         channel that the first block does not have: the heading is written by then."""
-        count, head = 0, ""
+        count, head, first = 0, "", dict[str, Channel]()
         names: tuple[str, ...] = ()
         with path.open("w", encoding="utf-8", newline="\n") as out:
             for recording in blocks:
                 channels = dict(recording.channels)
                 if not names:
+                    first = channels
                     names, head = tuple(channels), _head(0, recording.start_ns)
                     head += "".join(f"# corrected: {c.to_text()}\n" for c in recording.corrections)
                     out.write(head + ",".join(_names(channels)) + "\n")
-                if tuple(channels) != names:
-                    raise UsageError(
+                missing = [n for n in names if n not in channels]
+                if missing:
+                    channels = _with_empty(channels, first, missing)
+                if set(channels) != set(names):
+                    raise ChannelsChange(
                         f"channels change within the recording: {', '.join(names)}, then "
                         f"{', '.join(channels)}",
                         where=recording.path,
                         remedy="write HDF5 (.h5) instead",
                     )
-                count += _append(out, channels, recording.path)
+                ordered = {n: channels[n] for n in names}
+                count += _append(out, ordered, recording.path)
                 last = recording.start_ns
             if names:
                 out.seek(0)
@@ -57,6 +64,14 @@ class CsvWriter:
 
 
 WRITER = CsvWriter()
+
+
+def _with_empty(
+    channels: dict[str, Channel], first: dict[str, Channel], missing: list[str]
+) -> dict[str, Channel]:
+    """The channels, and no samples of those that this block lacks."""
+    empty = {n: replace(first[n], t=first[n].t[:0], values=first[n].values[:0]) for n in missing}
+    return {**channels, **empty}
 
 
 def _head(rows: int, start_ns: int | None) -> str:

@@ -50,7 +50,7 @@ def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], N
 
 
 def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> PositionTable:
-    return read_position_table(
+    table = read_position_table(
         files.table,
         files.columns,
         need_raw=need_raw,
@@ -58,6 +58,15 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
         need_direction=request.reference == "direction",
         mapping=files.mapping if files.recording is None else None,
     )
+    stated, zero = table.inclination_zero, request.settings.conventions.inclination_zero
+    if request.reference == "vector" and stated and stated != zero:
+        raise UsageError(
+            f"the heading '{table.names['inclination']}' counts inclination from the {stated}, and "
+            f"the run from the {zero}",
+            where=str(files.table),
+            remedy=f"add --inclination-zero {stated}, or correct the heading",
+        )
+    return table
 
 
 def _is_table(files: LabFiles) -> bool:

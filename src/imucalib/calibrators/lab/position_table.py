@@ -7,7 +7,6 @@ Columns are found by name or given; every cell that is used must be a number. Ro
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,45 +16,27 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.atomic_file import replaced_atomically
+from imucalib.calibrators.lab.headings import ROLES, bare, roles_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.csv.dialect import is_number
+from imucalib.readers.csv.spreadsheet import is_spreadsheet, sheet_cells
 from imucalib.readers.csv.table import table_cells
 from imucalib.readers.hdf5.table import table_columns
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import FieldMapping
 
-#: What a column can be, and the names under which it is found (without unit suffix, lower case).
-ROLES: dict[str, tuple[str, ...]] = {
-    "inclination": ("inclination", "incl", "inc"),
-    "tool_face": ("toolface", "tool_face", "tf", "gtf", "toolface_angle", "tool face"),
-    "x": ("x", "raw_x", "ax", "a_x", "acc_x", "accel_x", "rawx"),
-    "y": ("y", "raw_y", "ay", "a_y", "acc_y", "accel_y", "rawy"),
-    "z": ("z", "raw_z", "az", "a_z", "acc_z", "accel_z", "rawz"),
-    "temperature": ("temperature", "temp", "t_sensor"),
-    "time": ("time", "t"),
-    "inclination_approach": ("inclination_approach", "incl_approach"),
-    "tool_face_approach": ("tool_face_approach", "toolface_approach", "tf_approach"),
-    "inclination_setting": ("inclination_setting",),
-    "tool_face_setting": ("tool_face_setting", "toolface_setting"),
-    "samples": ("samples", "n"),
-    "ux": ("ux", "u_x"),
-    "uy": ("uy", "u_y"),
-    "uz": ("uz", "u_z"),
-}
 #: A column of words stands for the direction ux, uy, uz: the axis that reads +g in the position.
 _FACE_NAMES = ("face", "up", "face_up", "face up")
 _FACES = tuple(f"{sign}{letter}" for sign in "+-" for letter in "xyz")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_UNIT_SUFFIX = re.compile(
-    r"(?:[_\s]*[\[(]|[_\s]+|(?=°))(deg|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|lsb|counts|s)[\])]?$"
-)
 
 
 @dataclass(frozen=True)
 class PositionTable:
     """Columns by role, each (n,), as numbers in the table's own units.
 
-    unit : role -> unit that the heading states, when it does
+    unit : role -> unit that the heading states, when it does; inclination_zero : the same of
+    where inclination 0 is, "vertical" or "horizontal"
     names : role -> heading; row : (n,) row numbers from 1; sha256 : of the file
     """
 
@@ -65,6 +46,7 @@ class PositionTable:
     row: NDArray[np.intp]
     path: str
     sha256: str
+    inclination_zero: str = ""
 
     def __contains__(self, role: object) -> bool:
         return role in self.columns
@@ -87,7 +69,7 @@ def read_position_table(
     need_direction: bool = False,
     mapping: FieldMapping | None = None,
 ) -> PositionTable:
-    """Read a CSV or HDF5 table.
+    """Read a CSV, HDF5 or XLSX table.
 
     chosen : role (or "face") -> heading, overriding what is found by name
     mapping : of a CSV, lines to skip, delimiter and decimal mark
@@ -100,59 +82,26 @@ def read_position_table(
     if head_of(path).startswith(_HDF5):
         cells = table_columns(path)
     else:
-        cells = table_cells(path, mapping or FieldMapping())
+        cells = (sheet_cells if is_spreadsheet(path) else table_cells)(
+            path, mapping or FieldMapping()
+        )
     wanted = dict(chosen or {})
     face = _face_heading(list(cells), wanted.pop("face", ""), str(path)) if need_direction else ""
-    names = _roles(list(cells), wanted, str(path))
+    names = roles_of(list(cells), wanted, str(path))
     columns = {role: _numbers(cells[name], name, str(path)) for role, name in names.items()}
     if face:
         columns |= _directions(cells[face], face, str(path))
         names["face"] = face
     required = ("inclination", "tool_face") * need_angles + ("x", "y", "z") * need_raw
     _demand((*required, *("ux", "uy", "uz") * need_direction), columns, list(cells), str(path))
-    unit = {role: _stated_unit(name) for role, name in names.items() if _stated_unit(name)}
+    stated = {role: bare(name) for role, name in names.items()}
+    unit = {role: heading.unit for role, heading in stated.items() if heading.unit}
+    zero = stated["inclination"].zero if "inclination" in stated else ""
     count = len(next(iter(columns.values())))
     row = np.arange(1, count + 1)
-    return PositionTable(columns, names, unit, row, str(path), sha256_of(path))
-
-
-def _plain(name: str) -> str:
-    text = name.strip().lower()
-    return _UNIT_SUFFIX.sub("", text) if len(text) > 2 else text
-
-
-def _stated_unit(name: str) -> str:
-    match = _UNIT_SUFFIX.search(name.strip().lower()) if len(name.strip()) > 2 else None
-    return match.group(1) if match else ""
-
-
-def _roles(headings: list[str], chosen: Mapping[str, str], where: str) -> dict[str, str]:
-    names: dict[str, str] = {}
-    for role, heading in chosen.items():
-        if role not in ROLES:
-            raise UsageError(f"unknown column role '{role}'", remedy=f"use: {', '.join(ROLES)}")
-        if heading not in headings:
-            raise _no_column(heading, headings, where)
-        names[role] = heading
-    for role, known in ROLES.items():
-        if role in names:
-            continue
-        hits = [h for h in headings if (h.strip().lower() in known or _plain(h) in known)]
-        hits = [h for h in hits if h not in names.values()]
-        if len(hits) > 1:
-            raise UnreadableInput(
-                f"several columns could be {role}: {', '.join(hits)}",
-                where=where,
-                remedy=f"choose one with --columns {role}={hits[0]}",
-            )
-        if hits:
-            names[role] = hits[0]
-    return names
-
-
-def _no_column(name: str, headings: list[str], where: str) -> UsageError:
-    remedy = f"there are: {', '.join(headings)}"
-    return UsageError(f"no column is called '{name}'", where=where, remedy=remedy)
+    return PositionTable(
+        columns, names, unit, row, path=str(path), sha256=sha256_of(path), inclination_zero=zero
+    )
 
 
 def _demand(
@@ -189,7 +138,7 @@ def _numbers(cells: Array | list[str], name: str, where: str) -> Array:
 
 
 def _face_heading(headings: list[str], chosen: str, where: str) -> str:
-    """The heading of the column of faces, or nothing. Raises as `_roles` does."""
+    """The heading of the column of faces, or nothing. Raises as `roles_of` does."""
     hits = [chosen] if chosen else [h for h in headings if h.strip().lower() in _FACE_NAMES]
     if chosen and chosen not in headings:
         raise UsageError(

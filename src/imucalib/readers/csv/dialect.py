@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers.columns import understand
+from imucalib.readers.devices.catalogue import rows_of_heading
 from imucalib.recording.mapping import FieldMapping
+from imucalib.units import without_brackets
 
 BLANK = {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "?", "inf", "-inf", "+inf",
          "#value!", "#ref!", "#div/0!", "#num!", "#name?", "#null!"}  # fmt: skip
@@ -19,6 +21,8 @@ _NUMBER = {
     ",": re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?"),
 }
 _DELIMITERS = (",", ";", "\t", "|", " ")
+#: What some loggers write before the names of the columns.
+_BEFORE_NAMES = re.compile(r"^\s*;\s*(headers\s*,)?\s*", re.IGNORECASE)
 _COMMENT = re.compile(r"^\s*(#|//|%)+\s*")
 
 
@@ -162,13 +166,15 @@ def _with_header(shape: _Shape, lines: list[str], mapping: FieldMapping, where: 
         first += 1
     if first >= len(lines):
         raise UnreadableInput("no data row was found near the start", where=where)
+    rows = 0 if mapping.skip is not None or mapping.header else rows_of_heading(lines[first:])
+    first += rows
     above = [k for k in range(start, first) if lines[k].strip()]
     names = () if mapping.header is False else _names(lines, above, shape)
-    if mapping.skip is None:
+    if mapping.skip is None and not rows:
         while above and not mapping.header and _is_damaged_row(lines[above[-1]], shape):
             first = above.pop()
         names = () if mapping.header is False else _names(lines, above, shape)
-    if any(c < "\t" for name in names for c in name):
+    if any(c < " " for name in names for c in name):
         raise UnreadableInput(
             "the heading is damaged: it holds control characters",
             where=f"{where}: line {above[-1] + 1}",
@@ -207,17 +213,18 @@ def _names(lines: list[str], above: list[int], shape: _Shape) -> tuple[str, ...]
         upper = found[0]
         if any(c.quantity for c in understand(upper)):
             pairs = zip(upper, names, strict=True)
-            return tuple(f"{n} [{u.strip('[]() ')}]" if u else n for n, u in pairs)
+            return tuple(f"{n} [{without_brackets(u)}]" if u else n for n, u in pairs)
     return names
 
 
 def _split_names(line: str, shape: _Shape) -> tuple[str, ...]:
     bare, width = _COMMENT.sub("", line), shape.width
     for candidate in (shape.delimiter, ",", ";", "\t", " "):
-        names = cells_of(bare, candidate)
+        names = cells_of(bare if candidate == ";" else _BEFORE_NAMES.sub("", bare), candidate)
         if len(names) == width + 1 and not names[-1]:
             names = names[:-1]
-        if len(names) == width - 1 and shape.blank_tail:
+        merged = any(candidate in n or '"' in n for n in names)  # a lost quote joins two names
+        if len(names) == width - 1 and shape.blank_tail and not merged:
             names = [*names, ""]
         if len(names) == width and sum(any(ch.isalpha() for ch in n) for n in names) * 2 >= width:
             return tuple(names)

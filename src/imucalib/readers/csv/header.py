@@ -51,4 +51,4 @@ def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
     told = device.start(text) if device.start else Start(start)
     marks = corrections_of(_OWN_MARK.findall(text) if stated else ())
     notes += [*told.notes, *map(str, marks)]
-    return HeaderFacts(device, rate or None, told.start_ns, tuple(notes), rows, marks)
+    return HeaderFacts(device, rate or told.rate or None, told.start_ns, tuple(notes), rows, marks)

@@ -19,6 +19,7 @@ from imucalib.readers.csv.header import facts_of
 from imucalib.readers.csv.parse import Layout, Rows, parse
 from imucalib.readers.csv.select import Selection, Vector, select
 from imucalib.readers.csv.source import Lines, looks
+from imucalib.readers.devices.catalogue import Device
 from imucalib.readers.timebase import stepping
 from imucalib.recording.correction import Correction
 from imucalib.recording.mapping import FieldMapping
@@ -88,19 +89,19 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     ]
     if not any(v.quantity != "temperature" for v in used):
         raise UnreadableInput("the chosen columns hold no values", where=where)
-    signals = tuple(_signal(v, layout, parsed, mapping, clock=clock, where=where) for v in used)
-    notes += [s.conversion.note for s in signals if s.conversion.note]
-    resolved = _resolved(
-        mapping, dialect, selection, signals, clock=clock, device=facts.device.name
+    dev = facts.device
+    signals = tuple(
+        _signal(v, layout, parsed, mapping, clock=clock, device=dev, where=where) for v in used
     )
-    idle = facts.device.sleeps
+    notes += [s.conversion.note for s in signals if s.conversion.note]
+    resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=dev.name)
     unique = tuple(dict.fromkeys(notes))
     return Plan(
         dialect=dialect,
         layout=layout,
         clock=clock,
         signals=signals,
-        idle=idle,
+        idle=dev.sleeps,
         notes=unique,
         resolved=resolved,
         rows=facts.rows,
@@ -171,7 +172,7 @@ def _has_values(vector: Vector, layout: Layout, parsed: Sequence[Rows]) -> bool:
 
 def _signal(
     vector: Vector, layout: Layout, parsed: Sequence[Rows], mapping: FieldMapping, *,
-    clock: Clock, where: str,
+    clock: Clock, device: Device, where: str,
 ) -> Signal:  # fmt: skip
     raw = [_values(vector, layout, rows) for rows in parsed]
     known = [np.isfinite(v).all(axis=1) for v in raw]
@@ -182,7 +183,9 @@ def _signal(
     if vector.quantity == "acceleration":
         window = max(3, round(_REST_SECONDS * rate))
         rest = conversion.norms_at_rest([v[k] for v, k in zip(raw, known, strict=True)], window)
-        how = conversion.acceleration(mapping, vector.unit, rest, f"{where}: {vector.triad}")
+        whole = all((v[k] == np.rint(v[k])).all() for v, k in zip(raw, known, strict=True))
+        source = conversion.Source(vector.unit, device.scales, whole)
+        how = conversion.acceleration(mapping, source, rest, f"{where}: {vector.triad}")
     elif vector.quantity == "angular_rate":
         how = conversion.angular_rate(mapping, vector.unit, where)
     else:
@@ -198,6 +201,19 @@ def _signal(
         rate=rate,
         threshold=threshold,
     )
+
+
+def _triads(selection: Selection) -> tuple[str, ...]:
+    """Names in the order of the accelerometers, then of the gyroscopes if these differ."""
+    acc = [v.triad for v in selection.vectors if v.quantity == "acceleration"]
+    gyro = [v.triad for v in selection.vectors if v.quantity == "angular_rate"]
+    return tuple(acc if gyro == acc[: len(gyro)] else acc + gyro)
+
+
+def _scale_of(signals: Sequence[Signal]) -> tuple[float, ...]:
+    """Counts a g that the device was found to have."""
+    found = {s.conversion.counts_per_g for s in signals if s.conversion.counts_per_g}
+    return tuple(found) if len(found) == 1 else ()
 
 
 def _resolved(
@@ -224,7 +240,7 @@ def _resolved(
         gyro=addresses("angular_rate"),
         temperature=addresses("temperature"),
         time=address(selection.time) if clock.kind else "",
-        triads=tuple(dict.fromkeys(v.triad for v in selection.vectors)),
+        triads=_triads(selection),
         acc_unit=unit("acceleration"),
         gyro_unit=unit("angular_rate"),
         temperature_unit=unit("temperature"),
@@ -233,4 +249,5 @@ def _resolved(
         decimal=dialect.decimal,
         delimiter=dialect.delimiter,
         preset=mapping.preset or device,
+        lsb_per_g=mapping.lsb_per_g or _scale_of(signals),
     )

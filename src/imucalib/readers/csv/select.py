@@ -60,7 +60,7 @@ def select(dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, where: s
         time = guessed if time < 0 and not mapping.rate and not columns else time
     if not vectors:
         return Selection((), -1, "")
-    vectors = [_with_device_unit(v, facts.device) for v in vectors]
+    vectors = _beside([_with_device_unit(v, facts.device) for v in vectors])
     temperatures = _temperatures(mapping, columns, facts, dialect)
     return Selection((*vectors, *temperatures), time, time_unit, tuple(notes))
 
@@ -86,6 +86,17 @@ def _vectors(quantity: str, stated: Sequence[str], table: _Table, notes: list[st
         indices = tuple(axes[k].index for k in range(3))
         vectors.append(Vector(quantity, triad, indices, _common_unit(list(axes.values()))))
     return vectors
+
+
+def _beside(vectors: list[Vector]) -> list[Vector]:
+    """A gyroscope whose name begins that of one accelerometer only ("s1", "s1_ln") is with it."""
+    acc = [v.triad for v in vectors if v.quantity == "acceleration"]
+    out = []
+    for v in vectors:
+        fitting = [a for a in acc if a.startswith(f"{v.triad}_")]
+        lonely = v.quantity == "angular_rate" and v.triad not in acc and len(fitting) == 1
+        out.append(replace(v, triad=fitting[0]) if lonely else v)
+    return out
 
 
 def _with_device_unit(vector: Vector, device: Device) -> Vector:
@@ -117,8 +128,10 @@ def _stated(quantity: str, stated: Sequence[str], table: _Table) -> list[Vector]
             remedy="name three columns for each sensor",
         )  # fmt: skip
     vectors = []
+    before = len(mapping.acc) // 3 if quantity == "angular_rate" else 0
+    own = before if len(mapping.triads) >= before + len(stated) // 3 else 0
     for k in range(len(stated) // 3):
-        triad = mapping.triads[k] if k < len(mapping.triads) else f"imu{k}"
+        triad = mapping.triads[own + k] if own + k < len(mapping.triads) else f"imu{k}"
         indices = tuple(column_index(s, dialect, option) for s in stated[3 * k : 3 * k + 3])
         unit = _common_unit([columns[i] for i in indices]) if columns else ""
         vectors.append(Vector(quantity, triad, indices, unit))

@@ -20,6 +20,7 @@ _GZIP = b"\x1f\x8b"
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _PIECE = 1 << 16  # bytes of one look
 _LONGEST_LINE = 1 << 20
+_HEAD = 1 << 18  # unpacked bytes of the first look
 _LOOKS = 24  # looks spread over the file, so that some fall on a rest
 
 
@@ -41,7 +42,7 @@ def text_head(head: bytes) -> bytes:
     """The start of the text inside `head`, unpacked and as UTF-8; empty when it is not text."""
     if head.startswith(_GZIP):
         try:
-            head = zlib.decompressobj(31).decompress(head)
+            head = zlib.decompressobj(31).decompress(head, _HEAD)
         except zlib.error:
             return b""
     if head.startswith(_UTF16):

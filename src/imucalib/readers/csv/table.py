@@ -10,7 +10,7 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.dialect import cells_of, decoded, is_comment, is_number
 from imucalib.readers.csv.source import whole_text
 from imucalib.recording.mapping import FieldMapping
-from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical
+from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical, without_brackets
 
 _BINARY = re.compile(rb"[\0\xfe\xff]")  # in no text of UTF-8, and in no table of Windows-1252
 _FEWEST = 3  # cells of a heading
@@ -35,17 +35,25 @@ def table_cells(path: Path, mapping: FieldMapping) -> dict[str, list[str]]:
     at, first = lines[0]
     delimiter = mapping.delimiter or max(_DELIMITERS, key=first.count)
     heading, *rows = [cells_of(line, delimiter) for _, line in lines]
+    commas = mapping.decimal == "," or (not mapping.decimal and delimiter != ",")
+    return columns_of([heading, *rows], f"{where}, line {at}", where, commas=commas)
+
+
+def columns_of(
+    rows: list[list[str]], top: str, where: str, *, commas: bool
+) -> dict[str, list[str]]:
+    """Every column by its heading, the first row; `top` says where that is. Errors as above."""
+    heading, *rows = rows
     if rows and len(rows[0]) == len(heading) and _are_units(rows[0]):
         units = rows.pop(0)
         heading = [_with_unit(n, u) for n, u in zip(heading, units, strict=True)]
-    commas = mapping.decimal == "," or (not mapping.decimal and delimiter != ",")
     if all(is_number(cell) or (commas and is_number(cell, ",")) for cell in heading if cell):
         raise UnreadableInput(
-            "the first row is numbers, not headings", where=f"{where}, line {at}",
+            "the first row is numbers, not headings", where=top,
             remedy="add a heading line such as: inclination,tool_face,x,y,z",
         )  # fmt: skip
     if len(set(heading)) != len(heading):
-        raise UnreadableInput("two columns have the same heading", where=f"{where}, line {at}")
+        raise UnreadableInput("two columns have the same heading", where=top)
     for number, row in enumerate(rows, start=1):
         if len(row) != len(heading):
             raise UnreadableInput(
@@ -55,10 +63,7 @@ def table_cells(path: Path, mapping: FieldMapping) -> dict[str, list[str]]:
             )
     if not rows:
         raise UnreadableInput("a heading but no rows", where=where)
-    return {
-        name: [_with_point(row[k]) if commas else row[k] for row in rows]
-        for k, name in enumerate(heading)
-    }
+    return {name: [_plain_number(row[k], commas) for row in rows] for k, name in enumerate(heading)}
 
 
 def _without_titles(lines: list[tuple[int, str]], delimiter: str) -> list[tuple[int, str]]:
@@ -72,7 +77,7 @@ def _without_titles(lines: list[tuple[int, str]], delimiter: str) -> list[tuple[
 
 def _are_units(row: list[str]) -> bool:
     """Whether every cell is a unit, or nothing."""
-    texts = [cell.strip("[]() ") for cell in row if cell]
+    texts = [without_brackets(cell) for cell in row if cell]
     return bool(texts) and all(
         canonical(text) in _UNITS or text.lower() in _OTHER_UNITS for text in texts
     )
@@ -80,12 +85,16 @@ def _are_units(row: list[str]) -> bool:
 
 def _with_unit(name: str, cell: str) -> str:
     """The heading with the unit below it, unless it states one."""
-    unit = cell.strip("[]() ").replace("°", "deg")
+    unit = without_brackets(cell).replace("°", "deg")
     return name if not unit or name.endswith((")", "]")) else f"{name} [{unit}]"
 
 
-def _with_point(cell: str) -> str:
-    return cell.replace(",", ".") if is_number(cell, ",") else cell
+def _plain_number(cell: str, commas: bool) -> str:
+    """The cell with a point, without a degree sign and with the minus of a keyboard."""
+    text = cell.replace("\u2212", "-")
+    text = text.removesuffix("°").rstrip()
+    text = text.replace(",", ".") if commas and is_number(text, ",") else text
+    return text if is_number(text) else cell
 
 
 def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:

@@ -1,4 +1,4 @@
-"""Axivity AX3 and AX6: CSV exports of OmGui (their .cwa files are read by `worn_device`)."""
+"""Axivity AX3 and AX6: CSV exports of OmGui (their .cwa files are read by `cwa`)."""
 
 from imucalib.readers.devices.catalogue import Device
 from imucalib.recording.mapping import FieldMapping

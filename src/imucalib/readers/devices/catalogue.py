@@ -6,7 +6,7 @@ and units are where a file does not say, and what only its header tells.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -17,10 +17,14 @@ from imucalib.recording.mapping import FieldMapping
 
 @dataclass(frozen=True)
 class Start:
-    """start_ns : start of the recording as in Recording, or None; notes : what was supposed"""
+    """start_ns : start of the recording as in Recording, or None; notes : what was supposed
+
+    rate : Hz, where only the device's own form of the header tells it
+    """
 
     start_ns: int | None = None
     notes: tuple[str, ...] = ()
+    rate: float | None = None
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,10 @@ class Device:
     name : of the preset (`--preset`) and in what was resolved
     fields : columns and units of its tables; columns by number serve tables without headings
     words : any of these above a table, in lower case, names the device; none: never recognised
+    heading : how many of the first lines are a heading although they look like rows, which names
+        the device too
     start : the start time from the lines above the table; None where they do not tell it
+    scales : counts a g that its models have, where the files do not say which
     refuse : (those lines, where) -> raises UnreadableInput for exports that hold no raw data
     sleeps : rows of zeros, or the last reading repeated, mean "not recorded"
     """
@@ -38,7 +45,9 @@ class Device:
     name: str
     fields: FieldMapping = field(default_factory=FieldMapping)
     words: tuple[str, ...] = ()
+    heading: Callable[[Sequence[str]], int] = lambda lines: 0
     start: Callable[[str], Start] | None = None
+    scales: tuple[float, ...] = ()
     refuse: Callable[[str, str], None] = lambda text, where: None
     sleeps: bool = False
 
@@ -57,8 +66,14 @@ UNKNOWN = Device("")
 
 def device_named_in(text: str) -> Device:
     """The device that the lines above a table name, or `UNKNOWN`."""
-    lower = text.lower()
-    return next((d for d in devices().values() if any(w in lower for w in d.words)), UNKNOWN)
+    lower, lines = text.lower(), text.split("\n")
+    found = (d for d in devices().values() if any(w in lower for w in d.words) or d.heading(lines))
+    return next(found, UNKNOWN)
+
+
+def rows_of_heading(lines: Sequence[str]) -> int:
+    """How many of the first lines are some device's heading although they look like rows."""
+    return max(d.heading(lines) for d in devices().values())
 
 
 def with_preset(mapping: FieldMapping) -> FieldMapping:

@@ -1,4 +1,4 @@
-"""GENEActiv: CSV exports of its software (its .bin files are read by `worn_device`)."""
+"""GENEActiv: CSV exports of its software (its .bin files are read by `geneactiv_bin`)."""
 
 from imucalib.readers.devices.catalogue import Device
 from imucalib.recording.mapping import FieldMapping

@@ -26,11 +26,12 @@ from imucalib.recording.recording import Channel, Gap, Recording
 
 _PACKED, _WHOLE = 0, 26
 #: What a damaged archive raises, depending on where the damage is.
-_DAMAGED = (
+DAMAGED = (
     zipfile.BadZipFile, zlib.error, KeyError, EOFError, OSError, ValueError, NotImplementedError,
     RuntimeError, struct.error,
 )  # fmt: skip
 _HEAD = struct.Struct("<BBIH")
+_MOST_RATE = 10_000.0  # Hz
 #: What no device writes: a longer info.txt, a large log that packs better than this, more places
 #: that look like a record and are none.
 _INFO_BYTES, _LARGE, _RATIO, _MOST_BAD = 1 << 20, 16 << 20, 100, 100_000
@@ -57,7 +58,7 @@ class Gt3xReader:
         try:
             with zipfile.ZipFile(path) as archive:
                 return {"log.bin", "info.txt"} <= set(archive.namelist())
-        except _DAMAGED:
+        except DAMAGED:
             return path.suffix.lower() == ".gt3x"
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
@@ -68,8 +69,8 @@ class Gt3xReader:
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Read in blocks of whole seconds; seconds without samples are gaps (idle sleep)."""
-        info = _info(path)
-        rate, scale, zone = _facts(info, str(path))
+        info = info_of(path, "log.bin")
+        rate, scale, zone = facts_of(info, str(path))
         digest, origin, conversion, before = sha256_of(path), None, None, None
         lost: list[str] = []
         for seconds in _grouped(_seconds(path, strict, lost), block_samples):
@@ -106,13 +107,17 @@ class Gt3xReader:
 READER = Gt3xReader()
 
 
-def _info(path: Path) -> dict[str, str]:
+def info_of(path: Path, data: str) -> dict[str, str]:
+    """The lines of info.txt by name; `data` is the member that holds the samples.
+
+    Raises UnreadableInput for a damaged archive and for what no device writes.
+    """
     try:
         with zipfile.ZipFile(path) as archive:
             with archive.open("info.txt") as stream:
                 raw = stream.read(_INFO_BYTES + 1)
-            log = archive.getinfo("log.bin")
-    except _DAMAGED as error:
+            log = archive.getinfo(data)
+    except DAMAGED as error:
         remedy = "copy it from the device again"
         raise UnreadableInput(
             f"the archive cannot be opened: {error}", where=str(path), remedy=remedy
@@ -121,7 +126,7 @@ def _info(path: Path) -> dict[str, str]:
         raise UnreadableInput(f"info.txt is longer than {_INFO_BYTES} bytes", where=str(path))
     if log.file_size > max(_LARGE, _RATIO * log.compress_size):
         what = (
-            f"log.bin claims {log.file_size} bytes in {log.compress_size}: no recording is so even"
+            f"{data} claims {log.file_size} bytes in {log.compress_size}: no recording is so even"
         )
         raise UnreadableInput(what, where=str(path))
     text = raw.decode("utf-8-sig", errors="replace")
@@ -129,14 +134,14 @@ def _info(path: Path) -> dict[str, str]:
     return {name.strip(): value.strip() for name, value in pairs}
 
 
-def _facts(info: dict[str, str], where: str) -> tuple[float, float, int | None]:
+def facts_of(info: dict[str, str], where: str) -> tuple[float, float, int | None]:
     """Sample rate (Hz), counts a g, and the zone's offset from UTC (s)."""
     try:
         rate = float(info["Sample Rate"].replace(",", "."))
         scale = float(info.get("Acceleration Scale", "").replace(",", ".") or 341.0)
     except (KeyError, ValueError):
         raise UnreadableInput("info.txt states no sample rate or scale", where=where) from None
-    if not (rate > 0.0 and scale > 0.0):
+    if not (0.0 < rate <= _MOST_RATE and 0.0 < scale < np.inf):
         raise UnreadableInput(f"sample rate {rate:g} and scale {scale:g}", where=where)
     zone = info.get("TimeZone", "")
     try:
@@ -193,7 +198,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
         with zipfile.ZipFile(path) as archive, archive.open("log.bin") as log:
             while piece := log.read(1 << 20):
                 yield piece
-    except _DAMAGED:
+    except DAMAGED:
         return
 
 
@@ -201,6 +206,11 @@ def _counts(payload: bytes, kind: int) -> NDArray[np.int16]:
     """(k, 3) counts, axes x y z."""
     if kind == _WHOLE:
         return np.frombuffer(payload[: len(payload) // 6 * 6], "<i2").reshape(-1, 3)
+    return unpacked(payload)
+
+
+def unpacked(payload: bytes) -> NDArray[np.int16]:
+    """(k, 3) counts, axes x y z, of 12-bit numbers in the order y x z; an odd rest is left out."""
     raw = np.frombuffer(payload[: len(payload) // 9 * 9], np.uint8).reshape(-1, 3).astype(np.int16)
     numbers = np.empty((raw.shape[0], 2), np.int16)
     numbers[:, 0] = raw[:, 0] << 4 | raw[:, 1] >> 4

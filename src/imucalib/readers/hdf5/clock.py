@@ -30,7 +30,8 @@ class Found:
 
     parts : one place of (N, 3), or three of (N,); a temperature has one
     time : place of the stamps, or None; rate : of the attributes, when there are no stamps
-    scale : factor to `unit` that the file states, 1 when none
+    scale, offset : that the file states for its numbers to be in `unit`; 1 and 0 when none
+    epoch : ns since 1970 from which the stamps count, where their unit states it
     """
 
     quantity: str
@@ -43,6 +44,8 @@ class Found:
     time_unit: str = ""
     rate: float | None = None
     preset: str = ""
+    epoch: int | None = None
+    offset: float = 0.0
 
 
 def _words(path: str) -> list[str]:

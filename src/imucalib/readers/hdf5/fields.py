@@ -5,6 +5,7 @@ h5py is passed in as objects; this module does not import it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -33,7 +34,10 @@ _QUANTITY = {
 }  # fmt: skip
 _GENERIC = {"sensors", "data", "raw", "calibrated", "imu", "readings", "table", "", "value",
             "values", "processed", "x"}  # fmt: skip
+_SCALES = ("scale", "scale_factor", "Scale")
 _MOST = 4096  # datasets: each costs half a millisecond before it is read
+_DEEPEST = 32  # groups within groups
+_LARGE_CHUNK, _CHUNK_RATIO = 64 << 20, 100
 _LARGEST_RATIO = 2000  # logical over stored bytes; deflate cannot do more than about 1032
 
 
@@ -41,7 +45,12 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
     """Every numeric or compound dataset with rows, in the file's order."""
     found: list[Any] = []
 
-    def visit(_: str, node: Any) -> bool | None:
+    def visit(name: str, node: Any) -> bool | None:
+        if name.count("/") > _DEEPEST:
+            raise UnreadableInput(
+                f"the file nests more than {_DEEPEST} groups", where=where,
+                remedy="no recording does: copy it again",
+            )  # fmt: skip
         if hasattr(node, "shape") and node.shape and node.size:
             found.append(node)
         return True if len(found) > _MOST else None
@@ -60,7 +69,19 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
                 where=where,
                 remedy="the file's metadata is damaged: copy it again",
             )
+        _demand_small_chunks(node, stored, where)
         yield node
+
+
+def _demand_small_chunks(node: Any, stored: int, where: str) -> None:
+    """Refuse chunks that are large and nearly empty: each costs its size, whatever is read."""
+    chunk = math.prod(node.chunks or ()) * node.dtype.itemsize if node.chunks else 0
+    if chunk > _LARGE_CHUNK and chunk > _CHUNK_RATIO * stored:
+        raise UnreadableInput(
+            f"a chunk of {node.name} takes {chunk} bytes, and the file stores {stored}",
+            where=where,
+            remedy="write it in chunks of some thousand rows",
+        )
 
 
 def fields_of(file: Any, mapping: FieldMapping, where: str) -> list[Found]:
@@ -75,7 +96,14 @@ def fields_of(file: Any, mapping: FieldMapping, where: str) -> list[Found]:
     if mapping.temperature:
         found = [f for f in found if f.quantity != "temperature"]
         found += list(_stated_temperatures(nodes, mapping))
-    return [with_clock(with_device(f, file), nodes, file, mapping) for f in _unique(found)]
+    found = [_with_offset(f, nodes) for f in _unique(found)]
+    return [with_clock(with_device(f, file), nodes, file, mapping) for f in found]
+
+
+def _with_offset(found: Found, nodes: dict[str, Any]) -> Found:
+    """The field with the offset that netCDF's packed numbers have."""
+    node = nodes[found.parts[0].path]
+    return replace(found, offset=number_of(node, "add_offset") or 0.0)
 
 
 def _unique(found: list[Found]) -> list[Found]:
@@ -113,7 +141,7 @@ def _vectors(node: Any) -> Iterator[Found]:
     if not quantity or words_of(node.name)[-1].lower() in TIME_NAMES:
         return
     above, shape = words_of(node.name)[:at], node.shape
-    scale = number_of(node, "scale", "scale_factor", "Scale") or 1.0
+    scale = number_of(node, *_SCALES) or 1.0
     if quantity == "temperature":
         if len(shape) == 1 or (len(shape) == 2 and shape[1] == 1):
             place = Place(node.name)
@@ -152,7 +180,7 @@ def _single_axes(nodes: dict[str, Any]) -> Iterator[Found]:
             if len(three) == 3:
                 nodes3 = [three[k][1] for k in range(3)]
                 unit = unit_of(nodes3[0]) or three[0][2]
-                scale = number_of(nodes3[0], "scale") or 1.0
+                scale = number_of(nodes3[0], *_SCALES) or 1.0
                 parts = tuple(three[k][0] for k in range(3))
                 name = _triad_name(words_of(folder), -1) if triad == "imu0" else triad
                 yield Found(quantity, name, parts, nodes3[0].shape[0], unit, scale)
@@ -179,7 +207,7 @@ def _stated(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
 def _all_triads(node: Any, quantity: str) -> list[Found]:
     """The triads in one dataset, whatever its name says."""
     shape, unit = node.shape, unit_of(node)
-    scale = number_of(node, "scale", "scale_factor", "Scale") or 1.0
+    scale = number_of(node, *_SCALES) or 1.0
     if node.dtype.kind not in "iuf":
         return []
     if len(shape) == 3 and shape[2] == 3:

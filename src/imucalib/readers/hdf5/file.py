@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import ImucalError, UnreadableInput
+from imucalib.readers.hdf5.attributes import fills_of
 from imucalib.readers.hdf5.clock import Place
 from imucalib.readers.hdf5.held import held_rows, outside
 
@@ -32,6 +33,7 @@ class File:
     lost: list[str] = field(default_factory=list)
     external: bool = False
     nodes: dict[str, Any] = field(default_factory=dict)  # datasets in use: looking one up is slow
+    fills: dict[str, list[Any]] = field(default_factory=dict)
     held: dict[tuple[str, int], Rows | None] = field(default_factory=dict)  # None: all of them
 
     def rows(self, place: Place, start: int, stop: int) -> NDArray[np.generic]:
@@ -54,7 +56,7 @@ class File:
         known = self._known(node, 1 if place.transposed else 0)
         held = None if known is None or known[start:stop].all() else known[start:stop]
         try:
-            return _slice(node, place, start, stop), held
+            return self._filled(node, _slice(node, place, start, stop), held)
         except (OSError, RuntimeError) as error:
             if self.strict:
                 raise UnreadableInput(
@@ -62,6 +64,18 @@ class File:
                 ) from error
         values, whole = self._by_chunks(node, place, start, stop)
         return values, whole if held is None else whole & held
+
+    def _filled(
+        self, node: Any, values: NDArray[np.generic], held: Rows | None
+    ) -> tuple[NDArray[np.generic], Rows | None]:
+        """The values, and which rows of them hold none of the values that stand for nothing."""
+        if node.name not in self.fills:
+            self.fills[node.name] = fills_of(node)
+        for fill in self.fills[node.name]:
+            there = (values != fill).reshape(values.shape[0], -1).all(axis=1)
+            if not there.all():
+                held = there if held is None else held & there
+        return values, held
 
     def _known(self, node: Any, axis: int) -> Rows | None:
         key = (node.name, axis)

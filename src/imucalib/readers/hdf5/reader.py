@@ -47,14 +47,14 @@ class Hdf5Reader:
     ) -> Iterator[Recording]:
         """Yield the fields in blocks of about `block_samples` rows."""
         with opened(path, strict, bool(mapping.allow_external)) as file:
-            yield from _blocks(file, path, mapping, block_samples)
+            yield from blocks_of(file, path, mapping, block_samples)
 
     def stored_blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """The same blocks with the numbers as the file has them; see `readers.stored_blocks`."""
         with opened(path, strict, bool(mapping.allow_external)) as file:
-            yield from _blocks(file, path, mapping, block_samples, stored=True)
+            yield from blocks_of(file, path, mapping, block_samples, stored=True)
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
         """Read the whole file."""
@@ -64,9 +64,10 @@ class Hdf5Reader:
 READER = Hdf5Reader()
 
 
-def _blocks(
+def blocks_of(
     file: File, path: Path, mapping: FieldMapping, size: int, *, stored: bool = False
 ) -> Iterator[Recording]:
+    """The fields of an open file in blocks of about `size` rows; errors as in `Reader.blocks`."""
     found = fields_of(file.handle, mapping, file.where)
     if not any(f.quantity != "temperature" for f in found):
         held = contents_of(file.handle, file.where)

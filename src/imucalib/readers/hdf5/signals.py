@@ -12,7 +12,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
 from imucalib.readers.conversion import Conversion
-from imucalib.readers.hdf5.attributes import number_of
+from imucalib.readers.hdf5.attributes import clock_unit, number_of
 from imucalib.readers.hdf5.clock import Found
 from imucalib.readers.hdf5.file import File
 from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, start_of, stepping
@@ -20,9 +20,6 @@ from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 
 _LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
 _REST_SECONDS = 0.5
-_TIME_ALIASES = {"sec": "s", "seconds": "s", "second": "s", "µs": "us", "usec": "us",
-                 "microseconds": "us", "msec": "ms", "milliseconds": "ms", "nsec": "ns",
-                 "nanoseconds": "ns"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,9 @@ def stored_rows(file: File, found: Found, start: int, stop: int) -> NDArray[np.g
         values = parts[0].reshape(stop - start, -1)
     else:
         values = np.stack([p.reshape(-1) for p in parts], axis=1)
-    return values if found.scale == 1.0 else values.astype(np.float64) * found.scale
+    if found.scale == 1.0 and found.offset == 0.0:
+        return values
+    return values.astype(np.float64) * found.scale + found.offset
 
 
 def _looks(found: Found) -> list[tuple[int, int]]:
@@ -93,7 +92,10 @@ def signals_of(
         notes += [note] if note else []
         size = TIME_UNITS.get(clock.time_unit, 1.0)
         zero: float | int = 0
-        if first is not None and is_absolute(float(first) * size):
+        if first is not None and clock.epoch is not None:
+            zero = origin.setdefault(size, first)
+            start_ns = clock.epoch + round(zero * size * 1e9)
+        elif first is not None and is_absolute(float(first) * size):
             zero = origin.setdefault(size, first)
             start_ns = (
                 round(zero * size * 1e9) if isinstance(zero, float) else zero * round(size * 1e9)
@@ -126,8 +128,7 @@ def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
     looks = [file.rows(found.time, a, b).reshape(-1) for a, b in _looks(found)]
     known = [s[np.isfinite(s.astype(np.float64))] for s in looks]
     first = next((s[0].item() for s in known if s.size), None)
-    unit = _TIME_ALIASES.get(found.time_unit.lower(), found.time_unit)
-    note = ""
+    (unit, epoch), note = clock_unit(found.time_unit), ""
     if unit not in TIME_UNITS:
         steps = stepping([s.astype(np.float64) for s in known])
         if steps is None or first is None:
@@ -135,7 +136,7 @@ def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
                 "the time stamps never advance", where=f"{file.where}: {found.time.path}"
             )
         unit, note = guess_unit(float(first), steps.step, f"{file.where}: {found.time.path}")
-    return replace(found, time_unit=unit), first, note
+    return replace(found, time_unit=unit, epoch=epoch), first, note
 
 
 def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
@@ -143,7 +144,7 @@ def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
     found = signal.found
     raw_counts = found.quantity == "acceleration" and mapping.acc_unit == conversion.COUNTS
     raw_counts |= found.quantity == "angular_rate" and mapping.gyro_unit == conversion.COUNTS
-    found = replace(found, scale=1.0) if raw_counts else found
+    found = replace(found, scale=1.0, offset=0.0) if raw_counts else found
     looks = [raw_rows(file, found, a, b) for a, b in _looks(found)]
     stamps = [times(file, signal, a, b) for a, b in _looks(found)]
     good = [np.isfinite(v).all(axis=1) & np.isfinite(t) for v, t in zip(looks, stamps, strict=True)]

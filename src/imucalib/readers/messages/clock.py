@@ -14,7 +14,7 @@ from imucalib.readers.timebase import stepping
 from imucalib.recording.mapping import TIME_UNITS
 
 TWO_PERIODS = 1.75  # a longer step lacks a sample, even where jitter makes it no gap
-_MOST_LATE = 1_000_000_000  # ns: a stamp further back is a clock that jumped
+SET_BACK = 1_000_000_000  # ns: a stamp further back is a clock that jumped
 _YEAR_2000 = 946_684_800 * 10**9
 
 
@@ -76,7 +76,7 @@ def choose_clock(survey: Survey, *, scalar: bool, time_unit: str, rate: float | 
         why = "the stamp is always zero"
     elif stamp.low == stamp.high and stamp.count > 1:
         why = "the stamp never changes"
-    elif factor and stamp.late * factor > max(_MOST_LATE, int(log.late)):
+    elif factor and stamp.late * factor > max(SET_BACK, int(log.late)):
         late = float(stamp.late) * factor * 1e-9
         why = f"the stamp jumps back by up to {late:.6g} s"
     if rate:

@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.readers.messages.clock import TWO_PERIODS, Clock
+from imucalib.readers.messages.clock import SET_BACK, TWO_PERIODS, Clock
 from imucalib.readers.messages.survey import Stamps
+from imucalib.readers.timebase import SIDES, set_back
 from imucalib.recording.recording import Gap
+
+_MOST_PARTS = 100
 
 
 @dataclass
@@ -24,7 +27,7 @@ class Timeline:
     _row: int = 0
     _sent: int = 0
     _last: int | None = None
-    _peak: int | None = None
+    _tail: NDArray[np.int64] | None = None
     _held: tuple[NDArray[np.int64], list[Array]] | None = None
 
     def push(
@@ -36,9 +39,26 @@ class Timeline:
         """
         ns = self.clock.ns(stamps, log, self._row)
         self._row += log.size
-        if self.clock.late and ns.size:
-            ns, columns = self._ordered(ns, columns)
-        return self._finished(ns, columns, marks)
+        if not self.clock.late or not ns.size:
+            return self._finished(ns, columns, marks)
+        done, first = list[tuple[Array, list[Array], list[Gap]]](), 0
+        for row in [*self._set_back(ns), ns.size]:
+            part = self._ordered(ns[first:row], [c[first:row] for c in columns])
+            done.append(self._finished(*part, marks))
+            rest = self.flush(marks) if row < ns.size else None
+            done += [rest] if rest else []
+            first = row
+        t = np.concatenate([d[0] for d in done])
+        joined = [np.concatenate(c) for c in zip(*(d[1] for d in done), strict=True)]
+        return t, joined, [g for d in done for g in d[2]]
+
+    def _set_back(self, ns: NDArray[np.int64]) -> list[int]:
+        """Rows where the clock was set back; a message that comes late sets no clock."""
+        before = self._tail if self._tail is not None else ns[:0]
+        rows = set_back(ns, before, SET_BACK)
+        start = rows[-1] if rows else 0
+        self._tail = (ns[start:] if rows else np.concatenate([before, ns]))[-SIDES:]
+        return rows if len(rows) <= _MOST_PARTS else []
 
     def flush(self, marks: list[int]) -> tuple[Array, list[Array], list[Gap]] | None:
         """The samples that were held back for their order."""
@@ -79,9 +99,11 @@ class Timeline:
         long = steps > self.clock.longest
         self.missing += int(np.rint(steps[far & ~long] / period - 1).sum()) if far.any() else 0
         gaps = []
-        for i in np.flatnonzero((far & broken) | long).tolist():
+        back = steps < -SET_BACK
+        for i in np.flatnonzero((far & broken) | long | back).tolist():
             stop = int(ns[i])
             reason = "a damaged part of the file" if broken[i] else "no samples"
+            reason = "time steps back" if back[i] else reason
             edges = [(t - self.start_ns) * 1e-9 for t in (stop - int(steps[i]), stop)]
             gaps.append(Gap(edges[0], edges[1], f"{self.label}: {reason}"))
         return gaps

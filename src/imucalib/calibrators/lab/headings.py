@@ -1,0 +1,99 @@
+"""Headings of position tables: which column is what, in the words of the trade and in German."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from imucalib.errors import UnreadableInput, UsageError
+
+#: What a column can be, and the names under which it is found, as `bare` gives them.
+ROLES: dict[str, tuple[str, ...]] = {
+    "inclination": ("inclination", "incl", "inc", "inclinaison", "neigung", "neigungswinkel"),
+    "tool_face": ("toolface", "tool_face", "tf", "gtf", "toolface_angle", "tool_face_angle",
+                  "gravity_toolface", "gravity_tool_face", "high_side", "highside",
+                  "werkzeuglage", "werkzeugflaeche", "werkzeugfläche"),
+    "x": ("x", "raw_x", "ax", "a_x", "acc_x", "accel_x", "rawx", "gx", "g_x"),
+    "y": ("y", "raw_y", "ay", "a_y", "acc_y", "accel_y", "rawy", "gy", "g_y"),
+    "z": ("z", "raw_z", "az", "a_z", "acc_z", "accel_z", "rawz", "gz", "g_z"),
+    "temperature": ("temperature", "temp", "t_sensor", "temperatur"),
+    "time": ("time", "t", "zeit"),
+    "inclination_approach": ("inclination_approach", "incl_approach"),
+    "tool_face_approach": ("tool_face_approach", "toolface_approach", "tf_approach"),
+    "inclination_setting": ("inclination_setting",),
+    "tool_face_setting": ("tool_face_setting", "toolface_setting"),
+    "samples": ("samples", "n"),
+    "ux": ("ux", "u_x"),
+    "uy": ("uy", "u_y"),
+    "uz": ("uz", "u_z"),
+}  # fmt: skip
+_UNIT = re.compile(
+    r"(?:[_\s]*[\[(]\s*|[_\s]+|(?=°))(degrees|degree|deg|grad|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|"
+    r"lsb|counts|s)\s*[\])]?$"
+)
+_SPELLINGS = {"degrees": "deg", "degree": "deg"}
+#: Beginnings of German headings, where "Grad" is a degree; elsewhere it may be a gon.
+_GERMAN = ("neigung", "werkzeug")
+#: "(deg from vertical)": where the inclination's zero is.
+_ZERO = re.compile(
+    r"\s*\b(?:from|off|to|von|zur|gegen)\s+(?:the\s+|der\s+|die\s+)?"
+    r"(vertical|horizontal|vertikalen?|horizontalen?|senkrechten?|waagerechten?)\b"
+)
+_VERTICAL = ("vert", "senk")
+
+
+@dataclass(frozen=True)
+class Heading:
+    """name : bare and in lower case; unit : as stated; zero : "vertical", "horizontal" or "" """
+
+    name: str
+    unit: str
+    zero: str
+
+
+def bare(text: str) -> Heading:
+    """The parts of a heading such as "Inclination (deg from vertical)"."""
+    name, zero = text.strip().lower(), ""
+    found = _ZERO.search(name)
+    if found:
+        zero = "vertical" if found[1].startswith(_VERTICAL) else "horizontal"
+        name = (name[: found.start()] + name[found.end() :]).strip()
+        name = re.sub(r"[\[(]\s*[\])]$", "", name).strip()
+    unit = _UNIT.search(name) if len(name) > 2 else None
+    if unit:
+        name = name[: unit.start()]
+    name = re.sub(r"[\s\-.]+", "_", name.strip())
+    stated = unit.group(1) if unit else ""
+    if stated == "grad" and name.startswith(_GERMAN):
+        stated = "deg"
+    return Heading(name, _SPELLINGS.get(stated, stated), zero)
+
+
+def roles_of(headings: list[str], chosen: Mapping[str, str], where: str) -> dict[str, str]:
+    """Role -> heading: those chosen, then those found by name.
+
+    Raises UnreadableInput where several fit and UsageError for what is not there.
+    """
+    names: dict[str, str] = {}
+    for role, heading in chosen.items():
+        if role not in ROLES:
+            raise UsageError(f"unknown column role '{role}'", remedy=f"use: {', '.join(ROLES)}")
+        if heading not in headings:
+            remedy = f"there are: {', '.join(headings)}"
+            raise UsageError(f"no column is called '{heading}'", where=where, remedy=remedy)
+        names[role] = heading
+    for role, known in ROLES.items():
+        if role in names:
+            continue
+        hits = [h for h in headings if h.strip().lower() in known or bare(h).name in known]
+        hits = [h for h in hits if h not in names.values()]
+        if len(hits) > 1:
+            raise UnreadableInput(
+                f"several columns could be {role}: {', '.join(hits)}",
+                where=where,
+                remedy=f"choose one with --columns {role}={hits[0]}",
+            )
+        if hits:
+            names[role] = hits[0]
+    return names

@@ -1,0 +1,239 @@
+"""Axivity AX3 and AX6: .cwa files, plain or gzipped.
+
+A header of 1024 bytes ("MD"), then sectors of 512 bytes ("AX"), each with its own time stamp and a
+checksum: its 16-bit words add up to zero. Layout: Open Movement, Docs/ax3/cwa.h and
+ax3-technical.md. Sectors are told by their mark and checksum and ordered by the file, never by
+their counter, which restarts.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.arrays import Array
+from imucalib.errors import UnreadableInput
+from imucalib.readers.devices.packets import Log, Packets, recordings
+from imucalib.readers.joining import join
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Recording
+
+_HEAD, _SECTOR, _SAMPLES = 1024, 512, 120
+_MARK, _START = b"AX\xfc\x01", b"MD\xfc\x03"
+_GZIP = b"\x1f\x8b"
+#: Marks without a sector, and bytes without one, after which a file is no recording.
+_MOST_BAD, _MOST_WASTE = 100_000, 64 << 20
+_DRIFT = 0.15  # the accelerometer's own oscillator sets the pace
+_CODES = 4096  # candidates judged at a time
+_TYPE = np.dtype(
+    [
+        ("mark", "S4"), ("fraction", "<u2"), ("session", "<u4"), ("number", "<u4"),
+        ("stamp", "<u4"), ("scales", "<u2"), ("warm", "<u2"), ("events", "u1"), ("battery", "u1"),
+        ("rate", "u1"), ("axes", "u1"), ("at", "<i2"), ("count", "<u2"), ("data", "u1", 480),
+        ("checksum", "<u2"),
+    ]
+)  # fmt: skip
+Bytes = NDArray[np.uint8]
+
+
+class CwaReader:
+    """The reader of Axivity's own files."""
+
+    name = "cwa"
+    suffixes = (".cwa", ".cwa.gz")
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """The header's mark, or the first sector's where the header is damaged."""
+        if head.startswith(_GZIP):
+            try:
+                head = zlib.decompressobj(31).decompress(head, 2 * _HEAD)
+            except zlib.error:
+                return False
+        return head.startswith(_START) or head[_HEAD : _HEAD + 4] == _MARK
+
+    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
+        """Read all samples."""
+        return join(self.blocks(path, mapping, block_samples=1 << 18, strict=strict), str(path))
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """Read in blocks of whole sectors; damage costs its sector."""
+        with _opened(path) as stream:
+            head = _taken(stream, _HEAD)
+            lost: list[str] = []
+            size = _SECTOR * max(1, block_samples // _SAMPLES)
+            sectors = _sectors(stream, size, str(path), lost=lost, strict=strict)
+            packets = (_packets(found) for found in sectors)
+            log = Log(self.name, packets, _notes(head), lost, _DRIFT)
+            yield from recordings(log, path, mapping)
+
+
+READER = CwaReader()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    with path.open("rb") as raw:
+        packed = raw.read(2) == _GZIP
+        raw.seek(0)
+        yield cast(BinaryIO, gzip.GzipFile(fileobj=raw)) if packed else raw
+
+
+def _taken(stream: BinaryIO, size: int) -> bytes:
+    """The next bytes; fewer where the file or its packing breaks off."""
+    try:
+        return stream.read(size)
+    except (OSError, EOFError, zlib.error):
+        return b""
+
+
+def _notes(head: bytes) -> tuple[str, ...]:
+    kind = "AX6" if head[4:5] == b"\x64" else "AX3"
+    number = int.from_bytes(head[5:7], "little")
+    upper = int.from_bytes(head[11:13], "little")
+    number += 0 if upper == 0xFFFF else upper << 16
+    clock = "times are the device's own, without a zone: taken as UTC"
+    return (f"Axivity {kind} {number}", clock) if head.startswith(_START) else (clock,)
+
+
+def _sectors(
+    stream: BinaryIO, size: int, where: str, *, lost: list[str], strict: bool
+) -> Iterator[Bytes]:
+    """Sound sectors (n, 512) of about `size` bytes of the file at a time."""
+    rest, passed, waste, bad, good = b"", _HEAD, 0, 0, 0
+    while True:
+        piece = _taken(stream, max(size, _SECTOR))
+        data = rest + piece
+        keep = len(data) - (_SECTOR - 1 if piece else 0)  # a sector that begins later may go on
+        found, tried = _sound(data, keep)
+        end = max(int(found[-1]) + _SECTOR if found.size else 0, keep, 0)
+        end = min(end, len(data))
+        wasted = end - found.size * _SECTOR
+        if strict and wasted:
+            raise UnreadableInput(
+                "bytes of no whole sector", where=f"{where}, byte {passed} and later",
+                remedy="copy the file from the device again, or read what is left without --strict",
+            )  # fmt: skip
+        waste, bad, good = waste + wasted, bad + tried - found.size, good + found.size
+        if bad > _MOST_BAD or waste > max(_MOST_WASTE, 8 * good * _SECTOR):
+            raise UnreadableInput("this holds hardly any sound sectors", where=where)
+        if found.size:
+            codes = np.frombuffer(data, np.uint8)
+            yield np.lib.stride_tricks.sliding_window_view(codes, _SECTOR)[found]
+        rest, passed = data[end:], passed + end
+        if not piece:
+            break
+    if waste:
+        lost.append(f"{waste} bytes that belong to no sound sector were left out")
+
+
+def _sound(data: bytes, keep: int) -> tuple[NDArray[np.intp], int]:
+    """Where sound sectors begin, below `keep`, none in another; and how many marks were tried."""
+    last = min(keep, len(data) - _SECTOR + 1)
+    at = np.array([m.start() for m in re.finditer(re.escape(_MARK), data[: last + 3])], np.intp)
+    at = at[at < last]
+    if not at.size:
+        return at, 0
+    windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), _SECTOR)
+    sound = np.concatenate(
+        [_adds_up(windows[at[k : k + _CODES]]) for k in range(0, at.size, _CODES)]
+    )
+    found = at[sound]
+    while found.size and (overlap := np.diff(found) < _SECTOR).any():
+        found = np.delete(found, int(np.argmax(overlap)) + 1)
+    return found, at.size
+
+
+def _adds_up(sectors: Bytes) -> NDArray[np.bool_]:
+    """Checksum right, and no more samples than there is room for."""
+    fields = np.ascontiguousarray(sectors).view(_TYPE)[:, 0]
+    total = np.ascontiguousarray(sectors).view("<u2").sum(axis=1, dtype=np.uint32) & 0xFFFF
+    axes, packed = fields["axes"] >> 4, (fields["axes"] & 15) == 0
+    wide = np.where(packed, 4, 2 * axes)
+    known = packed & (axes == 3) | ((fields["axes"] & 15) == 2) & np.isin(axes, (3, 6, 9))
+    sound: NDArray[np.bool_] = (
+        (total == 0) & known & (fields["count"].astype(np.int64) * wide <= 480)
+    )
+    return sound
+
+
+def _packets(sectors: Bytes) -> Packets:
+    """The samples of sound sectors; those without a date or samples are left out."""
+    fields = np.ascontiguousarray(sectors).view(_TYPE)[:, 0]
+    stamp, dated = _stamps(fields["stamp"])
+    fields, stamp = fields[dated & (fields["count"] > 0)], stamp[dated & (fields["count"] > 0)]
+    rate = 3200.0 / (1 << (15 - (fields["rate"] & 15).astype(np.int64)))
+    fraction = np.where(fields["fraction"] & 0x8000, (fields["fraction"] & 0x7FFF) / 32768.0, 0.0)
+    count = fields["count"].astype(np.int64)
+    acc, gyro = _values(fields, count)
+    return Packets(
+        stamp=stamp * 1_000_000_000 + np.rint(fraction * 1e9).astype(np.int64),
+        # The device moves the index to the whole second: the fraction's samples belong to it again.
+        at=fields["at"].astype(np.int64) + np.floor(fraction * rate).astype(np.int64),
+        count=count,
+        rate=rate,
+        warm=np.where(
+            fields["warm"] & 1023, (fields["warm"] & 1023) * (75.0 / 256.0) - 50.0, np.nan
+        ),
+        acc=acc,
+        gyro=gyro,
+    )
+
+
+def _stamps(packed: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Seconds since 1970 of packed dates (year, month, day, hour, minute, second), and validity."""
+    bits = packed.astype(np.int64)
+    year, month, day = 2000 + (bits >> 26), bits >> 22 & 15, bits >> 17 & 31
+    hour, minute, second = bits >> 12 & 31, bits >> 6 & 63, bits & 63
+    good = (month >= 1) & (month <= 12) & (day >= 1) & (hour < 24) & (minute < 60) & (second < 60)
+    months = ((year - 1970) * 12 + np.where(good, month, 1) - 1).astype("M8[M]")
+    days = months.astype("M8[D]") + (np.where(good, day, 1) - 1).astype("m8[D]")
+    good &= days.astype("M8[M]") == months
+    return days.astype(np.int64) * 86_400 + hour * 3600 + minute * 60 + second, good
+
+
+def _values(fields: NDArray[np.void], count: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Acceleration (g) and angular rate (deg/s) of all samples, sector after sector."""
+    first, n = np.cumsum(count) - count, int(count.sum())
+    acc, gyro = np.empty((n, 3)), np.full((n, 3), np.nan)
+    for axes in np.unique(fields["axes"]).tolist():
+        some = np.flatnonzero(fields["axes"] == axes)
+        rows, inside = _rows(first[some], count[some])
+        data = np.ascontiguousarray(fields["data"][some])
+        if axes & 15 == 0:
+            acc[rows] = _unpacked(data.view("<u4"))[inside] / 256.0
+            continue
+        wide = axes >> 4
+        words = data[:, : 480 // (2 * wide) * 2 * wide].view("<i2").reshape(some.size, -1, wide)
+        scales = fields["scales"][some].astype(np.int64)
+        lsb = np.repeat(2.0 ** -(8 + (scales >> 13)), count[some])[:, None]
+        turn = np.repeat(8000.0 / 2.0 ** (scales >> 10 & 7) / 32768.0, count[some])[:, None]
+        samples = words[:, : inside.shape[1]][inside[:, : words.shape[1]]]
+        acc[rows] = samples[:, (0 if wide == 3 else 3) : (3 if wide == 3 else 6)] * lsb
+        if wide > 3:
+            gyro[rows] = samples[:, :3] * turn
+    return acc, gyro
+
+
+def _rows(
+    first: NDArray[np.int64], count: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The output's rows of these sectors' samples, and which of each sector's places they fill."""
+    inside = np.arange(_SAMPLES) < count[:, None]
+    return (first[:, None] + np.arange(_SAMPLES))[inside], inside
+
+
+def _unpacked(words: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """Three numbers of ten bits and a common exponent of two, (..., 3)."""
+    axes = np.stack([words >> shift & 1023 for shift in (0, 10, 20)], axis=-1).astype(np.int64)
+    signed = np.where(axes > 511, axes - 1024, axes)
+    return np.asarray(signed << (words >> 30).astype(np.int64)[..., None])

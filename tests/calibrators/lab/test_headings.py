@@ -1,0 +1,107 @@
+"""Position tables as the trade writes them: headings, units, degree signs, spreadsheets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from imucalib.calibrators.lab.headings import bare
+from imucalib.calibrators.lab.position_table import read_position_table
+from imucalib.cli import cli
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.recording.mapping import FieldMapping
+from worlds.places import ROOT
+
+ROWS = [(10.5, 90.0, 0.1, 0.97, 0.18), (-45.0, 180.25, -0.7, 0.02, -0.7), (0.0, 0.0, 0.0, 1, 0.0)]
+
+
+@pytest.mark.parametrize(
+    "heading",
+    [
+        "Inc,GTF,Gx,Gy,Gz",
+        "Inc (deg),Tool Face (°),Gx [g],Gy [g],Gz [g]",
+        "Inclination,Tool-Face,G_x,G_y,G_z",
+        "Neigung (Grad),Werkzeuglage (Grad),x,y,z",
+        "incl,high side,ax_g,ay_g,az_g",
+        "Inclination (deg from horizontal),Gravity Tool Face,x,y,z",
+    ],
+)
+def test_the_words_of_the_trade(heading: str, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(heading + "\n" + "".join(",".join(map(str, r)) + "\n" for r in ROWS), "utf-8")
+    table = read_position_table(path)
+    np.testing.assert_allclose(table.raw(), np.array(ROWS)[:, 2:])
+    np.testing.assert_allclose(table.columns["inclination"], np.array(ROWS)[:, 0])
+    np.testing.assert_allclose(table.columns["tool_face"], np.array(ROWS)[:, 1])
+    assert table.unit.get("inclination", "deg") in ("deg", "°")
+
+
+def test_an_azimuth_beside_them_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("Inc,Azi,GTF,Gx,Gy,Gz\n" + "1,2,3,0,0,1\n" * 3)
+    assert set(read_position_table(path).columns) == {"inclination", "tool_face", "x", "y", "z"}
+
+
+def test_degree_signs_minus_signs_and_lines_to_skip(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    head = "a,b,c,d,e\n1,2,3,4,5\n"
+    path.write_text(head + "inc,tf,x,y,z\n\u221210.5°,90 °,0,1,0\n" + "1°,2°,0,1,0\n" * 2, "utf-8")
+    table = read_position_table(path, mapping=FieldMapping(skip=2))
+    assert table.columns["inclination"].tolist() == [-10.5, 1.0, 1.0]
+    assert table.columns["tool_face"].tolist() == [90.0, 2.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "unit", "zero"),
+    [
+        ("Inclination (deg from vertical)", "inclination", "deg", "vertical"),
+        ("Inc from vertical [°]", "inc", "°", "vertical"),
+        ("Neigung zur Senkrechten (Grad)", "neigung", "deg", "vertical"),
+        ("inclination from the horizontal", "inclination", "", "horizontal"),
+        ("Inclination (grad)", "inclination", "grad", ""),
+        ("Tool-face (rad)", "tool_face", "rad", ""),
+    ],
+)
+def test_the_parts_of_a_heading(text: str, name: str, unit: str, zero: str) -> None:
+    found = bare(text)
+    assert (found.name, found.unit, found.zero) == (name, unit, zero)
+
+
+def test_inclination_from_the_vertical_is_asked_about(tmp_path: Path) -> None:
+    text = (ROOT / "sample_logs" / "bench.csv").read_text()
+    path = tmp_path / "t.csv"
+    line = next(row for row in text.split("\n") if "inclination" in row and "," in row)
+    new = line.replace("inclination", "Inclination (deg from vertical)", 1)
+    path.write_text(text.replace(line, new))
+    found = CliRunner().invoke(cli, ["lab", str(path), "--no-loop"])
+    assert isinstance(found.exception, UsageError)
+    assert "--inclination-zero vertical" in str(found.exception)
+
+
+def workbook(path: Path) -> Path:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    sheet = book.active
+    for row in [("Bench 7",), (), ("Inclination", "Tool-face", "Gx", "Gy", "Gz"),
+                ("deg", "deg", "g", "g", "g"), *ROWS]:  # fmt: skip
+        sheet.append(row)
+    book.save(path)
+    return path
+
+
+def test_a_spreadsheet_is_a_table(tmp_path: Path) -> None:
+    table = read_position_table(workbook(tmp_path / "t.xlsx"))
+    np.testing.assert_array_equal(table.raw(), np.array(ROWS)[:, 2:])
+    assert table.unit["x"] == "g"
+
+
+def test_a_damaged_spreadsheet_is_refused(tmp_path: Path) -> None:
+    path = workbook(tmp_path / "t.xlsx")
+    data = path.read_bytes()
+    for size in range(len(data) // 2, len(data) - 1, 97):
+        path.write_bytes(data[:size])
+        with pytest.raises(UnreadableInput):
+            read_position_table(path)

@@ -1,0 +1,165 @@
+"""Text exports as delivered, their headings as published; the numbers are synthetic.
+
+Shimmer: Consensys exports (`sep=` line, names, a row of units). Empatica E4: ACC.csv of E4 connect.
+AX6: omconvert's CSV. MbientLab: MetaBase. GCDC: X16-1C user manual. SensorLog for iOS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucalib.errors import UnreadableInput
+from imucalib.readers import read
+from imucalib.recording.mapping import FieldMapping, from_dict
+from imucalib.units import DEG, STANDARD_GRAVITY
+
+G = np.array([0.02, -0.01, 1.0]) + np.random.default_rng(0).normal(scale=0.003, size=(400, 3))
+TURN = np.array([0.1, -0.2, 0.3])
+
+
+def cells(values: np.ndarray, form: str = "%.6f") -> list[str]:
+    return [form % v for v in values]
+
+
+def table(head: str, row: Callable[[int], list[str]], mark: str = ",", end: str = "") -> str:
+    return head + "".join(mark.join(row(k)) + end + "\n" for k in range(len(G)))
+
+
+def shimmer() -> str:
+    names = [f"Shimmer_60F7_{n}_CAL" for n in ("Timestamp_FormattedUnix", *(
+        f"Accel_WR_{a}" for a in "XYZ"), *(f"Gyro_{a}" for a in "XYZ"))]  # fmt: skip
+    units = ["yyyy/mm/dd hh:mm:ss.000"] + 3 * ["m/(s^2)"] + 3 * ["deg/s"]
+    head = '"sep=\t"\n' + "\t".join(names) + "\t\n" + "\t".join(units) + "\t\n"
+    return table(
+        head,
+        lambda k: [
+            f"2017/03/08 12:57:{10 + k // 50:02d}.{k % 50 * 20:03d}",
+            *cells(STANDARD_GRAVITY * G[k]),
+            *cells(TURN),
+        ],
+        "\t",
+        "\t",
+    )
+
+
+def shimmer_unix() -> str:
+    names = ["S_Seat_Timestamp_Unix_CAL", *(f"S_Seat_Accel_LN_{a}_CAL" for a in "XYZ")]
+    head = '"sep=,"\n' + ",".join(names) + ",\nms,m/(s^2),m/(s^2),m/(s^2),\n"
+    return table(head, lambda k: [f"{1488977830000 + 20 * k}.0", *cells(STANDARD_GRAVITY * G[k])],
+                 end=",")  # fmt: skip
+
+
+def empatica() -> str:
+    head = "1544027337.500000, 1544027337.500000, 1544027337.500000\n"
+    head += "32.000000, 32.000000, 32.000000\n"
+    return table(head, lambda k: cells(np.rint(64 * G[k]), "%d"))
+
+
+def ax6() -> str:
+    head = "Time,Accel-X (g), Accel-Y (g), Accel-Z (g), Gyro-X (d/s), Gyro-Y (d/s), Gyro-Z (d/s)\n"
+    return table(
+        head,
+        lambda k: [
+            f"2020-03-01 12:00:{k // 50:02d}.{k % 50 * 20:03d}", *cells(G[k]), *cells(TURN),
+        ],
+    )  # fmt: skip
+
+
+def mbientlab(what: str) -> str:
+    unit, values = ("g", G) if what == "acc" else ("deg/s", np.tile(TURN, (400, 1)))
+    axes = ",".join(f"{a}-axis ({unit})" for a in "xyz")
+    return table(f"epoch (ms),time (-13:00),elapsed (s),{axes}\n", lambda k: [
+        f"{1544027337000 + 20 * k}", f"2018-12-05T08.28.{k // 50:02d}.{k % 50 * 20:03d}",
+        f"{k / 50:.3f}", *cells(values[k])])  # fmt: skip
+
+
+def gcdc(scale: float) -> str:
+    head = """;Title, http://www.gcdataconcepts.com, X16-1C
+;Version, 1409, Build num, 0x21E, Build date, 20120404 13:16:08,  SN:CCDC42011002237
+;Start_time, 2012-10-24, 03:29:25.409
+;Temperature, 35.00, deg C,  Vbat, 1681, mv
+;Gain, low
+;SampleRate, 50,Hz
+;Deadband, 0, counts
+;DeadbandTimeout, 1,sec
+;Headers, time,Ax,Ay,Az
+"""
+    return table(head, lambda k: [f"{0.266 + k / 50:.3f}", *cells(scale * G[k], "%d")])
+
+
+def sensorlog() -> str:
+    names = ["loggingTime(txt)", "locationSpeed(m/s)", "accelerometerTimestamp_sinceReboot(s)"]
+    names += [f"accelerometerAcceleration{a}(G)" for a in "XYZ"]
+    names += [f"motionUserAcceleration{a}(G)" for a in "XYZ"]
+    names += [f"motionGravity{a}(G)" for a in "XYZ"] + [f"gyroRotation{a}(rad/s)" for a in "XYZ"]
+    return table(",".join(names) + "\n", lambda k: [
+        f"2019-05-21 16:16:{k // 50:02d}.{k % 50 * 20:03d} +0200", "0.0", f"{62608 + k / 50:.6f}",
+        *cells(G[k]), *3 * ["0.001"], *3 * ["0.5"], *cells(DEG * TURN, "%.9f")])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "triad", "gyro", "start", "resolution"),
+    [
+        (shimmer(), "shimmer_60f7_wr", "shimmer_60f7_wr", 1_488_977_830.0, 1e-6),
+        (shimmer_unix(), "seat_ln", "", 1_488_977_830.0, 1e-6),
+        (empatica(), "imu0", "", 1_544_027_337.5, 0.0079),
+        (ax6(), "imu0", "imu0", 1_583_064_000.0, 1e-6),
+        (mbientlab("acc"), "imu0", "", 1_544_027_337.0, 1e-6),
+        (mbientlab("gyro"), "", "imu0", 1_544_027_337.0, 1e-6),
+        (gcdc(2048), "imu0", "", 1_351_049_365.409, 0.0005),
+        (gcdc(1024), "imu0", "", 1_351_049_365.409, 0.001),
+        (sensorlog(), "imu0", "imu0", None, 1e-6),
+    ],
+)
+def test_an_export_is_read_as_delivered(
+    text: str, triad: str, gyro: str, start: float | None, resolution: float, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text, encoding="utf-8")
+    found = read(path)
+    names = {f"{triad}/acceleration"} if triad else set()
+    names |= {f"{gyro}/angular_rate"} if gyro else set()
+    assert set(found.channels) == names
+    if triad:
+        acc = found.channels[f"{triad}/acceleration"]
+        np.testing.assert_allclose(acc.values / STANDARD_GRAVITY, G, atol=1.01 * resolution)
+        step = 1 / 32 if "32.000" in text else 1 / 50
+        np.testing.assert_allclose(np.diff(acc.t), step, atol=1e-6)
+    if gyro:
+        rate = found.channels[f"{gyro}/angular_rate"].values
+        np.testing.assert_allclose(rate, np.tile(DEG * TURN, (400, 1)), atol=1e-8)
+    assert found.start_ns == (None if start is None else pytest.approx(start * 1e9, abs=1000))
+    again = read(path, from_dict(found.mapping))
+    for name, channel in found.channels.items():
+        np.testing.assert_allclose(again.channels[name].values, channel.values, rtol=1e-12)
+
+
+def test_a_magnetometers_axes_are_no_acceleration(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(mbientlab("acc").replace("axis (g)", "axis (T)"), encoding="utf-8")
+    with pytest.raises(UnreadableInput, match="no acceleration columns"):
+        read(path)
+
+
+def test_counts_that_may_be_mg_are_asked_about(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(table("t [s],x,y,z\n", lambda k: [f"{k / 50}", *cells(1024 * G[k], "%d")]))
+    with pytest.raises(UnreadableInput, match="--lsb 1024"):
+        read(path)
+    for unit, scale in (("counts", (1024.0,)), ("mg", ())):
+        found = read(path, FieldMapping(acc_unit=unit, lsb_per_g=scale))
+        norm = np.median(np.linalg.norm(found.channels["imu0/acceleration"].values, axis=1))
+        assert norm / STANDARD_GRAVITY == pytest.approx(1.0 if scale else 1.024, rel=0.002)
+
+
+@pytest.mark.parametrize(
+    "text", ["[m/(s^2)]", "(m/(s^2))", "m/(s^2)", " ( m/s^2 ) ", "[m/s²]", "m/s/s"]
+)
+def test_a_unit_keeps_its_own_brackets(text: str) -> None:
+    from imucalib.units import canonical
+
+    assert canonical(text) == "m/s2"

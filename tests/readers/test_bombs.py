@@ -1,0 +1,110 @@
+"""Files made to cost: each ends in a clear error within 5 CPU seconds and 300 MB."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from worlds.logger_files import GENE_HEADER, ax_header
+from worlds.mcap_logs import SEPARATOR, write_log
+
+SECONDS, MEGABYTES = 5.0, 300
+CHILD = """
+import json, sys, time
+from imucalib.errors import UnreadableInput
+from imucalib.readers import blocks
+start = time.process_time()
+try:
+    for block in blocks(sys.argv[1]):
+        pass
+    said = ""
+except UnreadableInput as error:
+    said = str(error)
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(json.dumps([said, time.process_time() - start, int(peak.split()[1]) / 1024]))
+"""
+
+
+def ros(definition: str, payload: bytes = bytes(68)) -> Callable[[Path], None]:
+    def make(path: Path) -> None:
+        messages = [(1000 * k + 1, b"\0\1\0\0" + payload) for k in range(50)]
+        write_log(path, {"/imu": messages}, schema=("a/A", "ros2msg", definition.encode()))
+
+    return make
+
+
+def types(*bodies: str) -> str:
+    first, *others = bodies
+    named = (f"{SEPARATOR}\nMSG: a/B{k}\n{body}" for k, body in enumerate(others))
+    return first + "".join(named)
+
+
+def many_datasets(path: Path) -> None:
+    with h5py.File(path, "w", libver="latest") as file:
+        for k in range(20_000):
+            file[f"acc{k}"] = k
+
+
+def deep_groups(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        group: h5py.Group = file
+        for _ in range(3000):
+            group = group.create_group("g")
+        group["acc"] = np.zeros((5, 3))
+
+
+def one_chunk(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        shape = (1 << 23, 3)
+        held = file.create_dataset("acc", shape, "f8", chunks=shape, compression="gzip")
+        held[:10] = 1.0
+        held.attrs["sampling_rate"] = 100.0
+
+
+def zipped(content: bytes) -> Callable[[Path], None]:
+    return lambda path: (path.write_bytes(gzip.compress(content, 6)), None)[1]
+
+
+PAGES = GENE_HEADER.format(rate=50, zone="+01:00", pages=1).encode()
+FILES: dict[str, Callable[[Path], None]] = {
+    "self.mcap": ros(types("a/A child\nfloat64 x\n")),
+    "circle.mcap": ros(types("a/B0 b\n", "a/B1 c\n", "a/B0 d\nfloat64 x\n")),
+    "arrays.mcap": ros(types("a/B0 b\n", *(f"a/B{k}[4096] c\n" for k in range(1, 12)), "int8 z\n")),
+    "empty.mcap": ros(types("a/B0 b\n", *(f"a/B{k}[4096] c\n" for k in range(1, 12)), "")),
+    "wide.mcap": ros(
+        types("a/B0 b\n", *("".join(f"a/B{k} c{i}\n" for i in range(50)) for k in range(1, 9)),
+              "float64 x\n")
+    ),
+    "sequence.mcap": ros(types("a/B0[] b\n", "uint8[] c\n"), b"\xff" * 4 + bytes(64)),
+    "many.h5": many_datasets,
+    "deep.h5": deep_groups,
+    "chunk.h5": one_chunk,
+    "line.csv.gz": zipped(b"1," * (60 << 20)),
+    "columns.csv": lambda path: (path.write_text("x," * 200_000 + "\n" + "1," * 200_000), None)[1],
+    "zeros.cwa.gz": zipped(ax_header() + bytes(1 << 27)),
+    "pages.bin.gz": zipped(PAGES + b"Recorded Data\n" * (2 << 20)),
+    "header.bin.gz": zipped(b"Device Identity\n" + b"\n" * (1 << 26)),
+}  # fmt: skip
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="asks Linux for the memory")
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_made_to_cost_ends_soon(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    FILES[name](path)
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, str(path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-500:]
+    said, seconds, megabytes = json.loads(done.stdout)
+    assert said.startswith(str(path)), "no error"
+    assert seconds < SECONDS
+    assert megabytes < MEGABYTES
