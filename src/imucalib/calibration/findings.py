@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from imucalib.calibration.calibration import StoredParameter, stored_parameters
 from imucalib.core.fit import Fit
+from imucalib.effects import known
 from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import FitLoop, Step, Unexplained
@@ -33,7 +34,8 @@ class FoundStep:
 
     size : in words where there are many parameters; checks : errors that the choice has seen or
     not, as their metric says; held_out : nats that data gain which did not estimate it; curve :
-    what a correction without a name corrects, in words, or empty
+    what a correction without a name corrects, in words, or empty; formula : of a form that has no
+    cause, in words, or empty; certain : nothing else would do, and chance would not
     """
 
     effect: str
@@ -46,6 +48,8 @@ class FoundStep:
     size: str = ""
     held_out: tuple[float, ...] = ()
     curve: str = ""
+    formula: str = ""
+    certain: bool = False
 
 
 @dataclass(frozen=True)
@@ -174,6 +178,7 @@ def _step(step: Step, final: Fit) -> FoundStep:
         what, against = step.effect.removeprefix("curve@").split(":")[:2]
         curve = f"{what} against {against}".replace("_", "-")
     own = tuple(p for p in stored_parameters(final) if p.effect == step.effect)
+    form = known(step.effect) if step.effect.startswith("shape@") else None
     return FoundStep(
         effect=step.effect,
         p=step.p,
@@ -183,6 +188,8 @@ def _step(step: Step, final: Fit) -> FoundStep:
         aliases=step.aliases,
         parameters=own,
         curve=curve,
+        formula=f"{form.sentence.rstrip('.')}, {form.equation}" if form else "",
+        certain=step.certain,
     )
 
 

@@ -105,6 +105,8 @@ def _step(step: FoundStep) -> dict[str, Any]:
             for c in step.checks
         ],
         "aliases": list(step.aliases),
+        "certain": step.certain,
+        "formula": step.formula,
         "parameters": [_parameter(p) for p in step.parameters],
     }
 

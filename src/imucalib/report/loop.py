@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.loop.evidence import Score
+from imucalib.loop.power import hidden
 from imucalib.report.document import Block, Facts, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, probability
 from imucalib.units import MG
@@ -18,6 +19,8 @@ _HELD_OUT = {
     "finds; ω, dω/dt and s are every sample's own. MAD: median absolute deviation.",
     "": "Held out: each position predicted by a fit without it, or the test rows.",
 }
+#: Effects that could hide, as many as are told.
+_WEAK = 3
 _ANEW = (
     "Held out: a part at a time, predicted by a model that was searched for and fitted without "
     "it, or the test rows."
@@ -76,10 +79,26 @@ def loop_section(outcome: Outcome) -> Section:
     if limits:
         blocks.append(Text(f"The search was limited: {'; '.join(limits)}."))
     blocks += _steps(found)
+    blocks += _power(found)
     blocks += shown
     if found.facts:
         blocks.append(Facts(found.facts))
     return Section("Closed loop", tuple(blocks))
+
+
+def _power(found: Findings) -> list[Text]:
+    """What may be there unseen, and how large."""
+    every = hidden(found.scores, [s.effect for s in found.steps])
+    absorbed = [f"{h.name} ({h.size / MG:.2g} mg)" for h in every if h.absorbed]
+    weak = [f"{h.name} {h.size / MG:.2g} mg" for h in every if not h.absorbed][:_WEAK]
+    said = []
+    if absorbed:
+        text = "These data cannot show, whatever the size (rms at a typical one): "
+        said.append(Text(f"{text}{', '.join(absorbed)}.", "warning"))
+    if weak:
+        text = "What could hide, rms on a reading that four of five recordings would show: up to "
+        said.append(Text(f"{text}{', '.join(weak)}."))
+    return said
 
 
 def _records(found: Findings) -> list[Table]:
@@ -113,7 +132,7 @@ def _table(steps: Sequence[FoundStep]) -> Table:
             probability(s.p, s.draws),
             *((f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)) if nats else ()),
             *_changes(s),
-            ", ".join(s.aliases) or "-",
+            ", ".join(s.aliases) or ("nothing: certain" if s.certain else "-"),
         )
         for s in steps
     )
@@ -155,7 +174,9 @@ def _upper(text: str) -> str:
 
 def _verdict(found: Findings) -> Text:
     named = [s for s in found.steps if not s.curve]
-    names = ", ".join(" or ".join((s.effect, *s.aliases)).replace("_", " ") for s in named)
+    names = ", ".join(
+        s.formula or " or ".join((s.effect, *s.aliases)).replace("_", " ") for s in named
+    )
     records = ", ".join(r.where for r in found.records)
     cause = " and ".join(
         part for part in (f"a wrong record ({records})" if records else "", names) if part

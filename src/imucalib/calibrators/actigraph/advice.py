@@ -11,6 +11,7 @@ from imucalib.calibrators.actigraph.calibrate import ActigraphResult
 from imucalib.calibrators.actigraph.coverage import Coverage
 from imucalib.calibrators.actigraph.errors import mean_error
 from imucalib.calibrators.actigraph.weak import open_words
+from imucalib.loop.power import advice_of, hidden
 from imucalib.units import MG
 
 #: The field calls a calibration good below this error (mg); a tenth of it is well known.
@@ -75,6 +76,8 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
             f"{loop.steps[0].effect} cannot be told from {', '.join(loop.steps[0].aliases)}: "
             "both correct this recording alike; a longer one separates them."
         )
+    if loop:
+        found += advice_of(hidden(loop.scores, loop.final.model.names))
     return tuple(found)
 
 

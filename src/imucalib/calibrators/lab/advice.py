@@ -23,6 +23,7 @@ from imucalib.effects import catalogue
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.noise.doubts import beyond_declared
+from imucalib.loop.power import advice_of, hidden
 from imucalib.loop.record_errors import RecordError
 from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG
@@ -77,6 +78,8 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
     if isinstance(fit.observations.reference, KnownVector):
         found += _settings(fit)
     found += _positions(result)
+    if loop:
+        found += advice_of(hidden(loop.scores, loop.final.model.names))
     return tuple(found)
 
 

@@ -44,7 +44,10 @@ def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], N
     if request.reference == "norm" and not _is_table(files):
         recording, segments = _still(files.table, files, say)
         return _run(_rests(segments, recording), recording, request)
-    table = _table(files, request)
+    read = _table(files, request)
+    table = read.by_time
+    if not np.array_equal(table.row, read.row):
+        say("rows are taken in the order of their time, not of the file")
     say(f"read {table.n} positions from {files.table}")
     return run_lab(table, request)
 

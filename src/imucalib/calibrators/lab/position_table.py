@@ -8,7 +8,7 @@ Columns are found by name or given; every cell that is used must be a number. Ro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,13 @@ class PositionTable:
     @property
     def n(self) -> int:
         return len(self.row)
+
+    @property
+    def by_time(self) -> PositionTable:
+        """The rows in the order of their time column, or as they stand where there is none."""
+        order = np.argsort(self.columns["time"], kind="stable") if "time" in self else slice(None)
+        columns = {role: values[order] for role, values in self.columns.items()}
+        return replace(self, columns=columns, row=self.row[order])
 
     def raw(self) -> Array:
         """(n, 3) raw readings."""

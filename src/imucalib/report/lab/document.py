@@ -9,6 +9,7 @@ from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, r
 from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.errors import setting_noise, shared_noise
 from imucalib.calibrators.lab.run import LabRun
+from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import fitted
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text
@@ -109,6 +110,16 @@ def _spreads(errors: AttitudeErrors, known: bool) -> tuple[str, ...]:
     return tuple(spread((worst(v), rms(v))) for v in values)
 
 
+def _order_words(fit: Fit) -> str:
+    """Which order was taken for that of recording, and what follows from it."""
+    by = "by their time" if "time" in fit.observations.context else "of the file, taken as recorded"
+    reference = fit.observations.reference
+    if not isinstance(reference, KnownVector):
+        return by
+    counts = (reference.inclination_setting.max() + 1, reference.tool_face_setting.max() + 1)
+    return f"{by}: inclination set {counts[0]} times, tool-face {counts[1]} times"
+
+
 def _bench_section(run: LabRun) -> Section:
     fit = run.result.final
     noise = setting_noise(fit)
@@ -123,6 +134,7 @@ def _bench_section(run: LabRun) -> Section:
         rows.append(("noise that neighbours share", f"{own}, forgotten in {memory:.2g} positions"))
     rows += [("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})")]
     rows += [("raw unit", run.raw.sentence)]
+    rows += [("order of rows", _order_words(fit))]
     rows += [("condition number", f"{fit.condition:.0f}, parameters in typical sizes")]
     rows += [("left open", words) for words in fit.null_directions]
     rows += [("left out", text) for text in run.excluded]
