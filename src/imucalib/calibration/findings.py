@@ -12,6 +12,7 @@ from imucalib.effects import known
 from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import FitLoop, Step, Unexplained
+from imucalib.loop.power import hidden
 from imucalib.loop.record_errors import RecordError
 from imucalib.significant_digits import plus_minus
 from imucalib.units import MG
@@ -156,6 +157,11 @@ def findings_of(
         declared=tuple((name, _size(loop.final, name)) for name in declared),
         only=only,
         without=without,
+        not_testable=tuple(
+            Untestable(h.name, "a typical size", h.size / MG, "mg rms")
+            for h in hidden(loop.scores, loop.final.model.names)
+            if h.absorbed
+        ),
     )
 
 

@@ -59,7 +59,10 @@ def test_what_the_positions_cannot_show_is_told_everywhere(faces: Path) -> None:
     assert "What could hide" in text
     assert "Nothing to do" not in text
     report = json.loads(CliRunner().invoke(main, [*command, "--json", "--quiet"]).stdout)
-    assert any("cannot show cubic" in line for line in report["advice"])
+    assert any("cannot show cubic" in line for line in report["loop"]["advice"])
+    (absorbed,) = report["loop"]["not_testable"]
+    assert absorbed["effect"] == "cubic"
+    assert absorbed["shift"] == pytest.approx(3.0, rel=0.1)  # its typical 3 mg/g³ on these faces
 
 
 def test_the_floor_is_measured_or_unknown(faces: Path, tmp_path: Path) -> None:
