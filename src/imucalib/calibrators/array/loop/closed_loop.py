@@ -25,7 +25,7 @@ from imucalib.loop.thresholds import STRONG
 
 HALF_DRAWS = 99  # simulated data sets of a half's search: enough for the rate of false alarms
 _REFUSED = "motion that took no part in the search refuses it"
-ARRAY_RULES = LoopSettings(draws=499, most_effects=8)
+ARRAY_RULES = LoopSettings(draws=499, most_effects=8, curves=False)
 
 
 @dataclass(frozen=True, kw_only=True)
