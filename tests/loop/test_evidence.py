@@ -23,7 +23,7 @@ from imucalib.loop.candidates import (
     record_candidates,
 )
 from imucalib.loop.evidence import Candidate, Score, apart, score
-from imucalib.loop.held_out import errors, fitted, held_out
+from imucalib.loop.held_out import errors, fitted, held_out, left_out_sizes
 from imucalib.loop.noise import grid as evidence_grid
 from imucalib.loop.record_errors import diagnose
 from imucalib.units import MG
@@ -289,3 +289,11 @@ def test_p_values_without_a_family_are_caught() -> None:
         small += min(alone) <= 0.1
     # Above the 0.2 % bound of a Binomial(6, 0.1).
     assert small >= 4
+
+
+def test_left_out_sizes_are_those_of_refits() -> None:
+    """To first order: of the reading, which differs from the corrected one by the scale."""
+    for shared in (False, True):
+        base, data = base_model(), bench(5, 40, shared=shared)
+        fit = fit_model(base, draw(base, ordinary_theta(base, data, 5), data, 6))
+        np.testing.assert_allclose(left_out_sizes(fit), held_out(fit).size, rtol=0.05)

@@ -103,6 +103,41 @@ def held_out(fit: Fit, observations: Observations | None = None) -> Held:
     return Held(corrected, expected, error)
 
 
+def left_out_sizes(fit: Fit) -> Array:
+    """(n,) m/s², size of each observation's misfit under θ fitted without its group: `held_out` to
+    first order, for all groups at the cost of one fit.
+
+    With U = V⁻¹ [J r] the rest's products are those of all less U_g' ((V⁻¹)_gg)⁻¹ U_g, however V
+    couples the rows.
+    """
+    at = fit.at
+    white = whitener(at.settings, fit.noise.ratio)
+    u = both = np.column_stack([at.jacobian, at.residual])
+    root = None if white.lower is None else white(np.eye(at.residual.size))
+    if root is not None:
+        u = root.T @ (root @ both)
+    whole = both.T @ u
+    if fit.prior is not None:
+        away = fit.model.start(fit.observations.context) - fit.theta
+        prior = fit.noise.factor * np.column_stack([np.eye(away.size), away]) / fit.prior[:, None]
+        whole = whole + prior.T @ prior
+    scale = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
+    error = np.empty_like(at.residual)
+    keys = fit.observations.group[at.owner]
+    for key in np.unique(keys):
+        rows = np.flatnonzero(keys == key)
+        block = np.eye(rows.size) if root is None else root[:, rows].T @ root[:, rows]
+        rest = whole - u[rows].T @ np.linalg.solve(block, u[rows])
+        products = rest[:-1, :-1] / np.outer(scale, scale)
+        step = np.linalg.lstsq(products, rest[:-1, -1] / scale, rcond=1e-13)[0] / scale
+        error[rows] = at.residual[rows] - at.jacobian[rows] @ step
+    per_row = at.residual.size // fit.observations.n
+    same = per_row == at.sigma.shape[1]
+    unit = at.sigma.reshape(-1) if same else np.repeat(at.sigma[:, 0], per_row)
+    triads = at.sigma.shape[1] // 3
+    return np.asarray(np.linalg.norm((error * unit).reshape(-1, per_row), axis=1) / triads**0.5)
+
+
 def fitted(fit: Fit) -> Held:
     """The same errors on the data that was fitted: for residual tables, never for claims."""
     return errors(fit, without_records(fit, fit.theta), fit.observations)

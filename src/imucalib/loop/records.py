@@ -13,7 +13,7 @@ from imucalib.effects.record_error import is_record_error, record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import record_candidates
 from imucalib.loop.evidence import Score, score
-from imucalib.loop.held_out import held_out
+from imucalib.loop.held_out import left_out_sizes
 from imucalib.loop.record_errors import RecordError, diagnose
 from imucalib.units import MG
 
@@ -68,10 +68,10 @@ def _row_aside(name: str) -> int:
 
 
 def held_out_rms(fit: Fit) -> float:
-    """Held-out error (m/s², rms) over the records that are not set aside."""
-    aside = {_row_aside(name) for name in record_names(fit)}
-    rows = np.array([k for k in range(fit.observations.n) if k not in aside], dtype=np.intp)
-    return held_out(fit).rms(rows)
+    """Held-out error (m/s², rms) over the records that are not set aside, to first order."""
+    aside = [_row_aside(name) for name in record_names(fit)]
+    sizes = np.delete(left_out_sizes(fit), aside)
+    return float(np.sqrt(np.mean(sizes**2)))
 
 
 def extended(
