@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
+from imucalib.calibration.power import hidden
 from imucalib.loop.evidence import Score
-from imucalib.loop.power import hidden
 from imucalib.report.document import Block, Facts, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, probability
 from imucalib.units import MG

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucalib.calibrators.lab.advice import fixture_curve
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.dial import dial_of
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest, as_published
@@ -50,8 +50,8 @@ def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> Non
     assert [s.effect for s in loop.steps] == ["inclination_zero", "inclination_scale"]
     assert not loop.records
     assert not loop.unexplained
-    shift, _, half = fixture_curve(loop.final, np.array([50.0 * DEG]))
-    assert shift[0] - half[0] <= 1.37 <= shift[0] + half[0]
+    dial = dial_of(repaired.result, np.array([50.0 * DEG]))
+    assert dial.shift[0] - dial.half[0] <= 1.37 <= dial.shift[0] + dial.half[0]
     refused = {s.name: s.p for s in loop.scores}
     assert all(refused[name] > 0.2 for name in ("quadratic", "cubic", "bias_drift", "cross_axis"))
     assert any("Tool-face scatters by 0.40 deg" in a for a in repaired.outcome.advice)

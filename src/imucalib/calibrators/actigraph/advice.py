@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from imucalib.calibration.outcome import Limit
+from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult
 from imucalib.calibrators.actigraph.coverage import Coverage
 from imucalib.calibrators.actigraph.errors import mean_error
 from imucalib.calibrators.actigraph.weak import open_words
-from imucalib.loop.power import advice_of, hidden
 from imucalib.units import MG
 
 #: The field calls a calibration good below this error (mg); a tenth of it is well known.

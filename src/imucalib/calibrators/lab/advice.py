@@ -6,15 +6,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from imucalib.arrays import Array
 from imucalib.calibration.outcome import Limit
+from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibration.uncertainty import correcting
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
 from imucalib.calibrators.lab.design import judge
 from imucalib.calibrators.lab.errors import setting_noise
-from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
@@ -23,9 +22,7 @@ from imucalib.effects import catalogue
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.noise.doubts import beyond_declared
-from imucalib.loop.power import advice_of, hidden
 from imucalib.loop.record_errors import RecordError
-from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG, MG
 
 
@@ -129,34 +126,6 @@ def _positions(result: LabResult) -> list[str]:
     return [f"One more position at {where} would determine {first.parameter} {gain} better."]
 
 
-def fixture_curve(fit: Fit, inclination: Array) -> tuple[Array, Array, Array]:
-    """How far the true inclination is from the dial (deg), its sd, and the 95 % half width.
-
-    inclination : (m,) rad, dial settings at tool-face 0
-    """
-    context = fit.observations.context
-    slices = fit.model.slices(context)
-    m = len(inclination)
-    covariates = {name: np.full(m, float(np.median(v))) for name, v in context.covariates.items()}
-    covariates |= {"inclination": inclination, "tool_face": np.zeros(m)}
-    at = Context(m, covariates, context.triads, context.sweeps)
-    fixture = Model(tuple(e for e in fit.model.effects if e.stage == "fixture"))
-    own = fixture.slices(at)
-    theta = np.zeros(len(fixture.parameters(at)))
-    for name, part in own.items():
-        theta[part] = fit.theta[slices[name]]
-    truth = unit_vector(inclination, np.zeros(m))[:, None]
-    moved = fixture.predict(theta, truth, at)
-    along = unit_vector(inclination + np.pi / 2.0, np.zeros(m))
-    across = np.einsum("nj,nj->n", along, moved.reading[:, 0])
-    shift = np.arctan2(across, np.einsum("nj,nj->n", truth[:, 0], moved.reading[:, 0])) / DEG
-    rows = np.zeros((m, fit.theta.size))
-    for name, part in own.items():
-        rows[:, slices[name]] = np.einsum("nj,njp->np", along, moved.d_theta[:, 0][..., part]) / DEG
-    sd = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", rows, fit.covariance, rows), 0.0))
-    return shift, sd, np.array([fit.half_width(row) for row in rows])
-
-
 def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...]:
     """The user's limits against held-out errors."""
     if not result.splits and asked:
@@ -178,17 +147,3 @@ def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...
         }[name]
         found.append(Limit(f"{name}, {split.name}", value, limit, unit))
     return tuple(found)
-
-
-def curve_words(fit: Fit) -> str:
-    """The fixture's inclination error in one sentence, or nothing when none was found."""
-    if not any(name.startswith("inclination") for name in fit.model.names):
-        return ""
-    at = np.radians([0.0, 50.0, 90.0])
-    shift, sd, half = fixture_curve(fit, at)
-    parts = [
-        f"{plus_minus(float(s), float(d))} at {round(float(a / DEG))} "
-        f"(95 %: {s - h:.2f} to {s + h:.2f})"
-        for a, s, d, h in zip(at, shift, sd, half, strict=True)
-    ]
-    return "Inclination on this bench is the dial plus " + ", ".join(parts) + " deg."

@@ -34,6 +34,7 @@ from imucalib.loop.cross_fit import by_folds, cross_fitted, judged
 from imucalib.loop.design import folds_of
 from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.held_out import Held, fitted
+from imucalib.loop.rivals import Rival, rivals_of
 
 Objective = Literal["settings", "vector", "angles", "paper"]
 
@@ -75,6 +76,7 @@ class LabResult:
     observations : all rows; used : the rows that were fitted
     splits : leave-one-out, the folds of the design, and the test set of `train`, where they exist
     angles : the final fit's errors in degrees and mg on the fitted rows (KnownVector only)
+    rivals : for every effect that others would replace, the models with each of them
     """
 
     observations: Observations
@@ -86,6 +88,7 @@ class LabResult:
     splits: tuple[Split, ...]
     angles: AttitudeErrors | None
     settings: LabSettings
+    rivals: tuple[tuple[Rival, ...], ...] = ()
 
 
 def calibrate(
@@ -125,9 +128,8 @@ def calibrate(
     if not final.converged:
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
     splits = held_out_splits(base, final, observations, used, settings.objective, held)
-    gravity = gravity_of(data)
     known = isinstance(data.reference, KnownVector)
-    angles = attitude_errors(fitted(final), gravity) if known else None
+    angles = attitude_errors(fitted(final), gravity_of(data)) if known else None
     error = error_summary(base, final, data, splits, settings.sigma)
     return LabResult(
         observations=observations,
@@ -139,6 +141,7 @@ def calibrate(
         splits=splits,
         angles=angles,
         settings=settings,
+        rivals=rivals_of(loop, rng) if loop else (),
     )
 
 

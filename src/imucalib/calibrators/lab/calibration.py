@@ -10,10 +10,10 @@ import numpy as np
 
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome
-from imucalib.calibrators.lab.advice import fixture_curve
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
+from imucalib.calibrators.lab.dial import dial_of
 from imucalib.calibrators.lab.errors import setting_noise, shared_noise
 from imucalib.calibrators.lab.faults import Faults
 from imucalib.calibrators.lab.request import LabRequest
@@ -67,7 +67,7 @@ def lab_details(
         "faults": [asdict(fault) for fault in faults.slips],
     }
     if isinstance(result.observations.reference, KnownVector):
-        details["fixture"] = fixture_block(result.final)
+        details["fixture"] = fixture_block(result)
     return details
 
 
@@ -103,11 +103,12 @@ def held_out_block(result: LabResult) -> list[dict[str, Any]]:
     return rows
 
 
-def fixture_block(fit: Fit) -> dict[str, Any]:
+def fixture_block(result: LabResult) -> dict[str, Any]:
     """What the bench is off by: inclination against the dial with 95 % intervals."""
+    fit = result.final
     effects = [e.name for e in fit.model.effects if e.stage == "fixture"]
     at = np.radians([0.0, 30.0, 50.0, 60.0, 90.0])
-    shift, sd, half = fixture_curve(fit, at)
+    dial = dial_of(result, at)
     curve = [
         {
             "inclination_deg": round(float(a / DEG), 6),
@@ -116,7 +117,7 @@ def fixture_block(fit: Fit) -> dict[str, Any]:
             "low_95_deg": float(s - h),
             "high_95_deg": float(s + h),
         }
-        for a, s, d, h in zip(at, shift, sd, half, strict=True)
+        for a, s, d, h in zip(at, dial.shift, dial.sd, dial.half, strict=True)
     ]
     return {"effects": effects, "inclination": curve if effects else []}
 

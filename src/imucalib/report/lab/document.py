@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.calibrators.lab.advice import curve_words
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms, worst
 from imucalib.calibrators.lab.calibrate import gravity_of
+from imucalib.calibrators.lab.dial import bends, dial_words
 from imucalib.calibrators.lab.errors import setting_noise, shared_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.fit import Fit
@@ -83,7 +83,7 @@ def _angle_section(run: LabRun) -> Section:
     header = ("", "tool-face, deg", "inclination, deg", "|a|, mg") if known else ("", "|a|, mg")
     align = "l" + "r" * (len(header) - 1)
     note = "Largest / rms."
-    if curve_words(result.final):
+    if bends(result.final):
         note += " Inclination is compared after undoing the fixture error that was found."
     blocks: list[Block] = [Table("Errors on the positions", header, tuple(rows), align, note)]
     loop = result.loop
@@ -138,5 +138,5 @@ def _bench_section(run: LabRun) -> Section:
     rows += [("condition number", f"{fit.condition:.0f}, parameters in typical sizes")]
     rows += [("left open", words) for words in fit.null_directions]
     rows += [("left out", text) for text in run.excluded]
-    words = curve_words(fit)
+    words = dial_words(run.result)
     return Section("The bench", (Facts(tuple(rows)), *((Text(words),) if words else ())))

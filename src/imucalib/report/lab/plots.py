@@ -6,9 +6,9 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.uncertainty import angle_uncertainty
-from imucalib.calibrators.lab.advice import curve_words, fixture_curve
 from imucalib.calibrators.lab.attitude import attitude_errors, rms
 from imucalib.calibrators.lab.calibrate import gravity_of
+from imucalib.calibrators.lab.dial import bends, dial_of
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import fitted
@@ -18,11 +18,11 @@ from imucalib.units import DEG
 
 def dial_section(run: LabRun) -> Section:
     """What the bench's inclination dial is off by; empty when no such error was found."""
-    fit = run.result.final
-    if not curve_words(fit):
+    if not bends(run.result.final):
         return Section("The bench's inclination dial", ())
     at = np.linspace(0.0, np.pi / 2.0, 61)
-    shift, _, half = fixture_curve(fit, at)
+    dial = dial_of(run.result, at)
+    shift, half = dial.shift, dial.half
     band = Series("95 % band", at / DEG, shift, "band", shift - half, shift + half)
     line = Series("true inclination minus dial", at / DEG, shift, "line")
     caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."

@@ -1,0 +1,89 @@
+"""What a bench's inclination dial is off by, averaged over the effects that would do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibrators.lab.calibrate import LabResult
+from imucalib.core.context import Context
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.references import unit_vector
+from imucalib.significant_digits import plus_minus
+from imucalib.units import DEG
+
+_NORMAL = 1.96  # of the rivals' spread
+
+
+@dataclass(frozen=True)
+class Dial:
+    """(m,) deg: how far the true inclination is from the dial, its sd, and the 95 % half width."""
+
+    shift: Array
+    sd: Array
+    half: Array
+
+
+def bends(fit: Fit) -> bool:
+    """Whether anything was found that turns the bench's inclination."""
+    return any(name.startswith("inclination") for name in fit.model.names)
+
+
+def dial_of(result: LabResult, inclination: Array) -> Dial:
+    """The dial at settings (m,) in rad, at tool-face 0, with the doubt between rivals.
+
+    Of each effect that others would replace: the rivals' mean by evidence, and their spread in sd
+    and interval, beside those of the final model.
+    """
+    own = dial_of_fit(result.final, inclination)
+    shift, variance, half = own.shift, own.sd**2, own.half**2
+    for group in result.rivals:
+        each = [(r.weight, dial_of_fit(r.fit, inclination)) for r in group]
+        mean = sum((w * d.shift for w, d in each), np.zeros_like(shift))
+        apart = sum((w * (d.shift - mean) ** 2 for w, d in each), np.zeros_like(shift))
+        shift = shift + mean - own.shift
+        variance = variance + sum(w * d.sd**2 for w, d in each) - own.sd**2 + apart
+        half = half + sum(w * d.half**2 for w, d in each) - own.half**2 + _NORMAL**2 * apart
+    return Dial(shift, np.sqrt(np.maximum(variance, 0.0)), np.sqrt(np.maximum(half, 0.0)))
+
+
+def dial_of_fit(fit: Fit, inclination: Array) -> Dial:
+    """The same as one model has it."""
+    context = fit.observations.context
+    slices = fit.model.slices(context)
+    m = len(inclination)
+    covariates = {name: np.full(m, float(np.median(v))) for name, v in context.covariates.items()}
+    covariates |= {"inclination": inclination, "tool_face": np.zeros(m)}
+    at = Context(m, covariates, context.triads, context.sweeps)
+    fixture = Model(tuple(e for e in fit.model.effects if e.stage == "fixture"))
+    own = fixture.slices(at)
+    theta = np.zeros(len(fixture.parameters(at)))
+    for name, part in own.items():
+        theta[part] = fit.theta[slices[name]]
+    truth = unit_vector(inclination, np.zeros(m))[:, None]
+    moved = fixture.predict(theta, truth, at)
+    along = unit_vector(inclination + np.pi / 2.0, np.zeros(m))
+    across = np.einsum("nj,nj->n", along, moved.reading[:, 0])
+    shift = np.arctan2(across, np.einsum("nj,nj->n", truth[:, 0], moved.reading[:, 0])) / DEG
+    rows = np.zeros((m, fit.theta.size))
+    for name, part in own.items():
+        rows[:, slices[name]] = np.einsum("nj,njp->np", along, moved.d_theta[:, 0][..., part]) / DEG
+    sd = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", rows, fit.covariance, rows), 0.0))
+    return Dial(shift, sd, np.array([fit.half_width(row) for row in rows]))
+
+
+def dial_words(result: LabResult) -> str:
+    """The dial in one sentence, or nothing when it is not off."""
+    if not bends(result.final):
+        return ""
+    at = np.radians([0.0, 50.0, 90.0])
+    dial = dial_of(result, at)
+    parts = [
+        f"{plus_minus(float(s), float(d))} at {round(float(a / DEG))} "
+        f"(95 %: {s - h:.2f} to {s + h:.2f})"
+        for a, s, d, h in zip(at, dial.shift, dial.sd, dial.half, strict=True)
+    ]
+    return "Inclination on this bench is the dial plus " + ", ".join(parts) + " deg."
