@@ -104,8 +104,7 @@ def said(trial: Trial, loop: FitLoop | MotionLoop) -> Trial:
         trial,
         verdict=loop.verdict,
         sets=sets,
-        # A form with a formula says what the residual looks like, not where it comes from.
-        certain=tuple(n for s in loop.steps if s.certain and (n := plain(s.effect)) != "shape"),
+        certain=tuple(plain(s.effect) for s in loop.steps if s.certain),
         records=tuple(f"{r.row}:{r.channel}" for r in getattr(loop, "records", ())),
         unexplained=(
             *((u.kind, u.driver) for u in loop.unexplained),

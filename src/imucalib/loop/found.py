@@ -75,8 +75,10 @@ class Step:
 
     @property
     def certain(self) -> bool:
-        """Nothing else would do as well, and chance would not do it in a hundred searches."""
-        return not self.aliases and not self.curve and self.p <= CERTAIN
+        """Nothing else would do as well, and chance would not do it in a hundred searches; a form
+        with a formula has no cause to be certain of."""
+        caused = not self.curve and not self.effect.startswith("shape@")
+        return caused and not self.aliases and self.p <= CERTAIN
 
 
 @dataclass(frozen=True)

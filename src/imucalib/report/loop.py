@@ -175,7 +175,10 @@ def _upper(text: str) -> str:
 def _verdict(found: Findings) -> Text:
     named = [s for s in found.steps if not s.curve]
     names = ", ".join(
-        s.formula or " or ".join((s.effect, *s.aliases)).replace("_", " ") for s in named
+        f"a form without a known cause ({s.formula})"
+        if s.formula
+        else " or ".join((s.effect, *s.aliases)).replace("_", " ")
+        for s in named
     )
     records = ", ".join(r.where for r in found.records)
     cause = " and ".join(
