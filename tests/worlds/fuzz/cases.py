@@ -95,8 +95,9 @@ class Fuzzer:
 
 def _words(recording: Recording) -> frozenset[str]:
     """Notes without their numbers: another count is no new sentence, nor is a damaged name."""
-    told = (note for note in recording.notes if not _NAMES.search(note))
-    return frozenset(re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", note) for note in told)
+    told = (part for note in recording.notes for part in note.split("; "))
+    kept = (part for part in told if not _NAMES.search(part))
+    return frozenset(re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", part) for part in kept)
 
 
 def _judged(
