@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from imucalib import readers
+from imucalib.readers.conversion import norms_at_rest
 from imucalib.recording.recording import Recording
 from worlds.fuzz.cases import Fuzzer
 from worlds.fuzz.damage import KINDS, damaged
@@ -67,3 +69,12 @@ def _with(whole: Recording, t: np.ndarray, values: np.ndarray) -> Recording:
     name = "imu0/acceleration"
     channel = replace(whole.channels[name], t=t, values=values)
     return replace(whole, channels={**whole.channels, name: channel})
+
+
+def test_a_damaged_number_of_any_size_is_no_warning() -> None:
+    pieces = np.full((40, 3), 5.0) + np.arange(120).reshape(40, 3) % 7
+    pieces[3] = 1e300, np.inf, np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        norms = norms_at_rest([pieces], 10)
+    assert 8.0 < norms.max() < 20.0

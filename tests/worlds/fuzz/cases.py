@@ -10,6 +10,7 @@ from __future__ import annotations
 import random
 import re
 import signal
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -137,7 +138,7 @@ def failure(error: BaseException) -> tuple[str, str]:
 
 @contextmanager
 def limited(seconds: int) -> Iterator[None]:
-    """Raise TooLong in what takes longer."""
+    """Raise TooLong in what takes longer, and numpy's warnings, which nobody could act on."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         raise TooLong
@@ -145,7 +146,9 @@ def limited(seconds: int) -> Iterator[None]:
     before = signal.signal(signal.SIGALRM, stop)
     signal.alarm(seconds)
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            yield
     finally:
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
