@@ -386,5 +386,5 @@ def kinds() -> dict[str, Kind]:
         "bin.gz": Kind(".bin.gz", _gzipped(_gene), "all", True),
         "own mcap": Kind(".mcap", _own(".mcap"), "all", True),
         "own hdf5": Kind(".h5", _own(".h5"), "samples", True),
-        "own csv": Kind(".csv", _own(".csv"), "nothing", True),
+        "own csv": Kind(".csv", _own(".csv"), "all", True),
     }
