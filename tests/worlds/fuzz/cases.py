@@ -71,7 +71,7 @@ class Fuzzer:
                 outcome, detail = ("silent" if different else "right"), str(different)
             except BaseException as error:
                 outcome, detail = failure(error)
-            return Verdict(number, name, "nothing", outcome, f"{done}: {detail}")
+            return Verdict(number, name, "all", outcome, f"{done}: {detail}")
         kind = self._kinds[name]
         made, notes = self._undamaged(name, kind, rng.randrange(_VARIANTS))
         data, done = damaged(made.data, rng, made.edges)
