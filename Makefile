@@ -18,7 +18,7 @@ WHEEL = $(PYTHON) -m venv --clear $(VENV)/bare && \
 	$(VENV)/bare/bin/python -m pip install --quiet --disable-pip-version-check dist/imucalib-*.whl
 endif
 
-.PHONY: demo test check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array clean
+.PHONY: demo test check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz clean
 
 $(BIN)/imucal: pyproject.toml
 	test -x $(BIN)/python || $(CREATE)
@@ -62,6 +62,9 @@ benchmark-array: $(VENV)/.dev ## measure the array's sampler beside its peers, a
 		($(PYTHON) -m venv $(VENV)/peers && $(VENV)/peers/bin/python -m pip install --quiet 'jax[cpu]' numpyro pymc)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/array/peers.py --python $(VENV)/peers/bin/python
 	$(BIN)/python benchmarks/array/log.py
+
+fuzz: $(VENV)/.dev ## damage files of every format, compare what is read with what was written; FILES=300, SEED=1
+	$(BIN)/python benchmarks/readers/fuzz --files $(or $(FILES),3000) --seed $(or $(SEED),0)
 
 loop-benchmark: $(VENV)/.dev ## the acceptance benchmark of the closed loop; SCALE=0.1 for a quick look
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/closed_loop --scale $(or $(SCALE),1)

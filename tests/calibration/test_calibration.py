@@ -155,10 +155,12 @@ def test_bytes_and_absence_are_refused(tmp_path: Path) -> None:
         read(path)
 
 
-def test_a_truncated_file_is_refused_or_whole_in_its_numbers(tmp_path: Path) -> None:
-    """Only the facts for people, which come last, may be cut off unseen."""
+@pytest.mark.parametrize("summed", [True, False])
+def test_a_truncated_file_is_refused_or_whole_in_its_numbers(tmp_path: Path, summed: bool) -> None:
+    """Without the sum, the facts for people, which come last, may be cut off unseen."""
     calibration = replace(_linear(), valid={"temperature": (13.0, 37.0)})
     text, path = to_yaml(calibration), tmp_path / "cut.yaml"
+    text = text if summed else text.partition("\n")[2]
     end = text.index("provenance:")
     marks = [k for k in range(len(text)) if text[k] in "\n:,[" and k % 3 == 0]
     cuts = sorted({*marks[::12], *range(text.index("valid:"), end), len(text) - 3})
@@ -172,7 +174,20 @@ def test_a_truncated_file_is_refused_or_whole_in_its_numbers(tmp_path: Path) -> 
             continue
         read_whole += 1
         _same(replace(found, facts={}), replace(calibration, facts={}))
-    assert 0 < read_whole < len(cuts)
+    assert read_whole == 0 if summed else 0 < read_whole < len(cuts)
+
+
+def test_a_changed_digit_is_refused_until_the_sum_is_deleted(tmp_path: Path) -> None:
+    text, path = to_yaml(_linear()), tmp_path / "c.yaml"
+    at = text.index("value: ") + len("value: -0.0")
+    changed = text[:at] + ("7" if text[at] != "7" else "8") + text[at + 1 :]
+    path.write_text(changed, encoding="utf-8")
+    with pytest.raises(UnreadableInput, match=r"changed after it was written.*first line"):
+        read(path)
+    path.write_text(changed.partition("\n")[2], encoding="utf-8")
+    assert read(path).parameters[0].value != _linear().parameters[0].value
+    path.write_bytes(text.replace("\n", "\r\n").encode())
+    _same(read(path), _linear())
 
 
 @pytest.mark.parametrize("key", ["parameters", "covariance", "raw", "valid"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.errors import UsageError
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
-from imucalib.writers import write, write_blocks
+from imucalib.writers import ChannelsChange, write, write_blocks
 
 CALIBRATION = Calibration(
     calibrator="lab",
@@ -59,7 +60,7 @@ def test_block_by_block_is_the_same(
         np.testing.assert_allclose(back.channels[name].t, channel.t, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("suffix", [".h5", ".csv"])
+@pytest.mark.parametrize("suffix", [".h5", ".csv", ".mcap"])
 def test_memory_is_that_of_a_block(tmp_path: Path, suffix: str) -> None:
     def peak(blocks: int) -> int:
         tracemalloc.start()
@@ -74,15 +75,67 @@ def test_memory_is_that_of_a_block(tmp_path: Path, suffix: str) -> None:
     assert peak(24) < 1.1 * peak(6)
 
 
-def test_a_new_channel_does_not_fit_a_table_that_has_its_heading(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".csv", ".mcap"])
+def test_channels_that_change_do_not_fit_a_table(tmp_path: Path, suffix: str) -> None:
     one, two = recording(10), recording(10, 10)
-    name = "imu0/acceleration"
-    less = Recording({name: two.channels[name]}, "made", "made", "", start_ns=two.start_ns)
+    less = replace(one, channels={"imu0/acceleration": one.channels["imu0/acceleration"]})
     with pytest.raises(UsageError, match="channels change"):
-        write_blocks([less, one], tmp_path / "a.csv")
-    assert not (tmp_path / "a.csv").exists()
-    for suffix in (".h5", ".csv"):  # one that ends leaves cells or rows out
-        write_blocks([one, less], tmp_path / f"b{suffix}")
-        back = readers.read(tmp_path / f"b{suffix}").channels
-        assert back[name].t.size == 20
-        assert back["imu0/temperature"].t.size == 10
+        write_blocks([less, two], tmp_path / f"a{suffix}")
+    assert not (tmp_path / f"a{suffix}").exists()
+    for kind in (suffix, ".h5"):
+        write_blocks([one, replace(two, channels=less_of(two))], tmp_path / f"b{kind}")
+        back = readers.read(tmp_path / f"b{kind}")
+        assert back.channels["imu0/acceleration"].t.size == 20
+        assert back.channels["imu0/temperature"].t.size == 10
+
+
+def less_of(whole: Recording) -> dict[str, Channel]:
+    return {"imu0/acceleration": whole.channels["imu0/acceleration"]}
+
+
+def test_channels_that_come_together_keep_their_topics(tmp_path: Path) -> None:
+    """Two channels of a triad share a topic where their times agree, in every block."""
+    lates, path = (0.003, 0.0, 0.003), tmp_path / "a.mcap"
+    blocks = [with_rates(recording(10, 10 * k), late) for k, late in enumerate(lates)]
+    with pytest.raises(ChannelsChange):
+        write_blocks(blocks[1:], path)
+    write_blocks(blocks, path)
+    back = readers.read(path)
+    for name in ("imu0/acceleration", "imu0/angular_rate"):
+        want = np.concatenate([b.channels[name].t for b in blocks])
+        np.testing.assert_allclose(back.channels[name].t, want, rtol=0, atol=1e-9)
+        values = np.concatenate([b.channels[name].values for b in blocks])
+        np.testing.assert_array_equal(back.channels[name].values, values)
+
+
+def with_rates(whole: Recording, late: float) -> Recording:
+    channel = whole.channels["imu0/acceleration"]
+    rates = replace(
+        channel, t=channel.t + late, values=channel.values * 0.01, unit="rad/s",
+        quantity="angular_rate",
+    )  # fmt: skip
+    return replace(whole, channels={**whole.channels, "imu0/angular_rate": rates})
+
+
+def test_messages_are_numbered_on(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    write_blocks([recording(10), recording(10, 10)], tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("rb") as file:
+        found = make_reader(file).iter_messages(topics=["/imu0/imu"])
+        assert [message.sequence for _, _, message in found] == list(range(20))
+
+
+def test_a_correction_goes_on_where_channels_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = lambda path, mapping, strict: readers.blocks(  # noqa: E731
+        path, mapping, block_samples=10, strict=strict
+    )
+    monkeypatch.setattr(application, "blocks", small)
+    with_gyro = with_rates(recording(10, 10), 0.0)
+    write_blocks([recording(10), with_gyro], tmp_path / "a.h5")
+    correct_file(CALIBRATION, tmp_path / "a.h5", tmp_path / "b.mcap", FieldMapping())
+    back = readers.read(tmp_path / "b.mcap")
+    assert back.channels["imu0/acceleration"].t.size == 20
+    assert back.channels["imu0/angular_rate"].t.size == 10

@@ -21,7 +21,7 @@ from imucalib.rests.thermal_history import (
     thermometer_of,
     with_thermometer,
 )  # fmt: skip
-from imucalib.writers import write, write_blocks
+from imucalib.writers import ChannelsChange, write, write_blocks
 
 _OF_MESSAGES = ("mcap", "rosbag")
 
@@ -118,17 +118,15 @@ def correct_file(
     copied untouched. A lag of the temperature takes a first pass of its own. Options and errors as
     in `apply_to_recording`.
     """
-    kind = reader_for(source).name
-    if kind in _OF_MESSAGES:
+
+    def at_once() -> tuple[str, ...]:
         whole = read(source, mapping, strict=strict)
         corrected = apply_to_recording(calibration, whole, triad, use=use, again=again)
-        if kind == "mcap" and target.suffix.lower() == ".mcap":
-            from imucalib.writers.mcap.writer import write_with_topics_of
-
-            write_with_topics_of(corrected, source, target)
-        else:
-            write(corrected, target)
+        _write_whole(corrected, source, target)
         return corrected.notes
+
+    if reader_for(source).name in _OF_MESSAGES:
+        return at_once()
     notes: dict[str, None] = {}
     history, ready = None, None if calibration.triads else Correction(calibration, use)
     if ready is not None and ready.lags:
@@ -147,8 +145,20 @@ def correct_file(
             notes.update(dict.fromkeys(corrected.notes))
             yield corrected
 
-    write_blocks(corrected_blocks(), target)
+    try:
+        write_blocks(corrected_blocks(), target)
+    except ChannelsChange:  # the format must know its columns or topics first
+        return at_once()
     return (*notes, *(ready.notes if ready is not None else ()))
+
+
+def _write_whole(corrected: Recording, source: Path, target: Path) -> None:
+    if reader_for(source).name == "mcap" and target.suffix.lower() == ".mcap":
+        from imucalib.writers.mcap.writer import write_with_topics_of
+
+        write_with_topics_of(corrected, source, target)
+    else:
+        write(corrected, target)
 
 
 def _history(found: Iterator[Recording], triad: str | None) -> ThermalHistory | None:

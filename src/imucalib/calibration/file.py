@@ -1,5 +1,6 @@
 """Calibration files: YAML written, read back and checked.
 
+The first line, a comment, is the SHA-256 of all lines below: a changed digit is no calibration.
 Values in the file are in the units that the file names. The covariance covers all parameters in
 their order. `matrices` are derived from the effects for those who only need a = M raw + b; an array
 has `triads` in their place, one linear correction an IMU.
@@ -7,6 +8,7 @@ has `triads` in their place, one linear correction an IMU.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +38,7 @@ ARRAY_FORMULA = (
     "(reading - gyro_bias); force_k = s + (Ω(ω)² + Ω(dω/dt)) position_k. Found effects' linear "
     "parts are in the gains and biases; each effect adds what its equation says beyond."
 )
+_SUM = "# imucal calibration, sha256 of the lines below: "
 #: Keys that a file has; all others are facts for people.
 _KEYS = {
     "schema", "version", "calibrator", "status", "reasons", "formula", "raw", "gravity_m_per_s2",
@@ -44,8 +47,14 @@ _KEYS = {
 
 
 def to_yaml(calibration: Calibration) -> str:
-    """The YAML text, version `VERSION` of the schema `SCHEMA`."""
-    return dump(as_dict(calibration))
+    """The YAML text, version `VERSION` of the schema `SCHEMA`, below the line with its sum."""
+    text = dump(as_dict(calibration))
+    return f"{_SUM}{_sum_of(text.encode(errors='backslashreplace'))}\n{text}"
+
+
+def _sum_of(lines: bytes) -> str:
+    """Hash of the text, whichever its line ends."""
+    return hashlib.sha256(lines.replace(b"\r\n", b"\n")).hexdigest()
 
 
 def as_dict(calibration: Calibration) -> dict[str, Any]:
@@ -92,6 +101,13 @@ def read(path: Path) -> Calibration:
     """Read a calibration of any known version. Raises UnreadableInput with what is wrong where."""
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path))
+    first, _, lines = path.read_bytes().partition(b"\n")
+    if first.startswith(_SUM.encode()) and first.strip().decode("latin-1") != _SUM + _sum_of(lines):
+        raise UnreadableInput(
+            "it was changed after it was written, by damage or by hand",
+            where=str(path),
+            remedy="restore it, or delete its first line if the change is meant",
+        )
     return replace(from_dict(load(path), str(path)), sha256=sha256_of(path))
 
 

@@ -71,8 +71,10 @@ def norms_at_rest(pieces: Sequence[Array], window: int) -> Array:
         if count == 0:
             continue
         windows = piece[: count * width].reshape(count, width, 3)
-        means.append(windows.mean(axis=1))
-        spreads.append(windows.std(axis=1).sum(axis=1))
+        # A damaged number may be of any size: its window has no finite spread and is left out.
+        with np.errstate(over="ignore", invalid="ignore"):
+            means.append(windows.mean(axis=1))
+            spreads.append(windows.std(axis=1).sum(axis=1))
     if not means:
         return np.empty(0)
     mean, spread = np.concatenate(means), np.concatenate(spreads)

@@ -6,10 +6,11 @@ that gives the same float64. Channels with their own times get rows of their own
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -35,16 +36,18 @@ class CsvWriter:
     def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
         """Write block after block; memory holds one. Errors as in `write`, and UsageError for a
         channel that the first block does not have: the heading is written by then."""
-        count, head, first = 0, "", dict[str, Channel]()
+        count, first = 0, dict[str, Channel]()
         names: tuple[str, ...] = ()
-        with path.open("w", encoding="utf-8", newline="\n") as out:
+        with path.open("wb") as file:
+            out = _Summed(file)
             for recording in blocks:
                 channels = dict(recording.channels)
                 if not names:
                     first = channels
-                    names, head = tuple(channels), _head(0, recording.start_ns)
-                    head += "".join(f"# corrected: {c.to_text()}\n" for c in recording.corrections)
-                    out.write(head + ",".join(_names(channels)) + "\n")
+                    names = tuple(channels)
+                    file.write(_head(0, recording.start_ns, 0))
+                    marks = "".join(f"# corrected: {c.to_text()}\n" for c in recording.corrections)
+                    out.write(marks + ",".join(_names(channels)) + "\n")
                 missing = [n for n in names if n not in channels]
                 if missing:
                     channels = _with_empty(channels, first, missing)
@@ -59,8 +62,8 @@ class CsvWriter:
                 count += _append(out, ordered, recording.path)
                 last = recording.start_ns
             if names:
-                out.seek(0)
-                out.write(_head(count, last))
+                file.seek(0)
+                file.write(_head(count, last, out.crc))
 
 
 WRITER = CsvWriter()
@@ -74,13 +77,30 @@ def _with_empty(
     return {**channels, **empty}
 
 
-def _head(rows: int, start_ns: int | None) -> str:
-    """The first line; the number of rows has a fixed width, so that it can be filled in last."""
+class _Summed:
+    """Text on its way into a file as UTF-8, with the CRC-32 of all of it."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self.crc = file, 0
+
+    def write(self, text: str) -> None:
+        """Write on."""
+        data = text.encode()
+        self.crc = zlib.crc32(data, self.crc)
+        self._file.write(data)
+
+
+def _head(rows: int, start_ns: int | None, crc: int) -> bytes:
+    """The first line; what is known last has a fixed width, so that it can be filled in then.
+
+    crc : of the lines below; the line has that of these and of its own start
+    """
     start = "none" if start_ns is None else str(start_ns)
-    return f"# imucal recording, rows: {rows:012d}, start_ns: {start}\n"
+    stated = f"# imucal recording, rows: {rows:012d}, start_ns: {start}".encode()
+    return stated + f", crc32: {zlib.crc32(stated, crc):08x}\n".encode()
 
 
-def _append(out: TextIO, channels: dict[str, Channel], where: str) -> int:
+def _append(out: _Summed, channels: dict[str, Channel], where: str) -> int:
     t, rows = _union_of_times(channels, where)
     width = 1 + sum(c.values.shape[1] for c in channels.values())
     for first in range(0, t.size, _ROWS):

@@ -37,7 +37,8 @@ class Hdf5Writer:
             out = _Output(raw)
             try:
                 with h5py.File(out, "w") as file:
-                    file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+                    _put(file, "format", FORMAT)
+                    file.attrs["version"] = VERSION
                     for recording in blocks:
                         _write_block(file, recording)
                         if out.error is not None:
@@ -54,9 +55,9 @@ def _write_block(file: Any, recording: Recording) -> None:
     if recording.start_ns is not None:
         file.attrs["start_ns"] = recording.start_ns
     # A name of any bytes is kept as text.
-    file.attrs["source_path"] = recording.path.encode("utf-8", "backslashreplace").decode()
-    file.attrs["source_sha256"] = recording.sha256
-    file.attrs["corrections"] = "\n".join(c.to_text() for c in recording.corrections)
+    _put(file, "source_path", recording.path)
+    _put(file, "source_sha256", recording.sha256)
+    _put(file, "corrections", "\n".join(c.to_text() for c in recording.corrections))
     for name, channel in recording.channels.items():
         if name not in file:
             _define(file.create_group(name), channel)
@@ -76,10 +77,23 @@ def _define(group: Any, channel: Channel) -> None:
             dtype="f8",
             fletcher32=True,
         )
-    group["time"].attrs["units"] = "s"
-    values = group["values"].attrs
-    values["units"], values["quantity"] = channel.unit, channel.quantity
-    values["triad"], values["sampling_rate"] = channel.triad, channel.rate
+    _put(group["time"], "units", "s")
+    values = group["values"]
+    _put(values, "units", channel.unit)
+    _put(values, "quantity", channel.quantity)
+    _put(values, "triad", channel.triad)
+    values.attrs["sampling_rate"] = channel.rate
+
+
+def _put(node: Any, name: str, text: str) -> None:
+    """Write a text as an attribute of fixed length.
+
+    Others lie in a heap of their own, and a damaged heap can keep the library in a loop.
+    """
+    import h5py
+
+    data = text.encode("utf-8", "backslashreplace")
+    node.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
 
 
 def _append(dataset: Any, rows: Array) -> None:

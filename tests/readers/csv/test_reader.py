@@ -8,10 +8,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from imucalib import readers
+from imucalib import readers, writers
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Recording
+from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
 from worlds.places import DATA
 
@@ -564,3 +564,28 @@ def test_explicit_columns_keep_the_temperature(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time [s],p,q,r,temperature [degC]\n" + "\n".join(rows) + "\n")
     found = readers.read(tmp_path / "a.csv", FieldMapping(acc=("p", "q", "r")))
     assert set(found.channels) == {"imu0/acceleration", "imu0/temperature"}
+
+
+def test_our_own_table_is_held_against_its_sum(tmp_path: Path) -> None:
+    t = np.arange(300) / 100.0
+    values = at_rest(300) * G
+    channel = Channel(t, values, "m/s2", "acceleration", "imu0", 100.0)
+    whole = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=10**18)
+    path = tmp_path / "a.csv"
+    writers.write(whole, path)
+    data = path.read_bytes()
+    at = data.rindex(b".") + 1
+    other = b"1" if data[at : at + 1] == b"2" else b"2"
+    digit = data[:at] + other + data[at + 1 :]
+    day = data.replace(b"start_ns: 1000", b"start_ns: 1001")
+    for changed in (digit, day):
+        path.write_bytes(changed)
+        assert any("CRC-32" in note for note in readers.read(path).notes)
+        assert any("CRC-32" in note for note in [*readers.blocks(path, block_samples=50)][-1].notes)
+        with pytest.raises(UnreadableInput, match="CRC-32"):
+            readers.read(path, strict=True)
+    first, _, below = data.partition(b"\n")
+    old = first[: first.index(b", crc32")] + b"\n" + below
+    for fine in (data, data.replace(b"\n", b"\r\n"), gzip.compress(data), old):
+        path.write_bytes(fine)
+        assert readers.read(path, strict=True).notes == ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import zlib
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -153,3 +154,21 @@ def test_a_measured_file_holds_what_another_reader_found() -> None:
     assert raw[:3].tolist() == [[-24, -52, 244], [-16, -12, 236], [-20, -12, 252]]
     assert hashlib.sha256(raw.tobytes()).hexdigest().startswith("8dd389e60c36a418")
     assert acc.t[-1] == pytest.approx(298.105, abs=0.02)
+
+
+@pytest.mark.parametrize("harm", ["cut between sectors", "wrong checksum"])
+def test_a_packing_that_breaks_off_is_told(harm: str, tmp_path: Path) -> None:
+    data = ax_file(counts(1200).tolist(), START)
+    packed = bytearray(gzip.compress(data[: 1024 + 5 * 512]))
+    if harm == "wrong checksum":
+        packed[-6] ^= 1
+    else:  # a stream that ends at a sector, without the end mark of gzip
+        squeeze = zlib.compressobj(wbits=31)
+        packed = bytearray(squeeze.compress(data[: 1024 + 5 * 512]))
+        packed += squeeze.flush(zlib.Z_FULL_FLUSH)
+    path = saved(tmp_path, bytes(packed), "a.cwa.gz")
+    found = read(path)
+    assert found.channels["imu0/acceleration"].t.size >= 480
+    assert any("breaks off" in note for note in found.notes)
+    with pytest.raises(UnreadableInput, match="breaks off"):
+        read(path, strict=True)

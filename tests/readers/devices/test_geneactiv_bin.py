@@ -108,3 +108,15 @@ def test_a_measured_file_holds_what_another_reader_found() -> None:
     assert hashlib.sha256(raw.tobytes()).hexdigest().startswith("ad3c2a31de45c592")
     assert acc.t[[300, -1]].tolist() == pytest.approx([6.5, 18.48])
     assert found.channels["imu0/temperature"].values[[0, -1], 0].tolist() == [28.2, 29.1]
+
+
+def test_a_file_that_ends_too_early_is_told(tmp_path: Path) -> None:
+    data = gene_file(counts(1500).tolist(), START)
+    cut = data[: data.rindex(b"Recorded Data")]
+    packed = gzip.compress(data)
+    half = packed[: len(packed) // 2]
+    for some, words in ((cut, "states 5 pages, 4 were found"), (half, "breaks off")):
+        path = saved(tmp_path, some)
+        assert any(words in note for note in read(path).notes)
+        with pytest.raises(UnreadableInput, match=words):
+            read(path, strict=True)

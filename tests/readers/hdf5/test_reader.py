@@ -1,5 +1,7 @@
 """HDF5: layouts in use are found, damage is located, units are known or asked for."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -246,3 +248,29 @@ def test_a_flipped_byte_of_ours_costs_ten_seconds(tmp_path: Path) -> None:
     found = readers.read(path).channels["imu0/acceleration"]
     assert n - 1024 <= found.t.size < n
     np.testing.assert_array_equal(found.values, values[np.rint(found.t * 100).astype(int)])
+
+
+def test_a_heap_whose_walk_would_not_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["acceleration"] = TRUTH[:50]
+        file["acceleration"].attrs["units"] = "m/s2"  # of no fixed length: in a heap
+        file["acceleration"].attrs["sampling_rate"] = 100.0
+    data = path.read_bytes()
+    at = data.index(b"GCOL")
+    for first, size in ((at + 16, 16), (at + 40, 200)):
+        code = f"import imucalib.readers as r; r.read({str(path)!r})"
+        path.write_bytes(data[:first] + bytes(size) + data[first + size :])
+        run = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert f"byte {at}: a heap of texts is damaged" in run.stderr
+
+
+def test_our_own_files_need_no_heap(tmp_path: Path) -> None:
+    t = np.arange(20) / 100.0
+    channel = Channel(t, TRUTH[:20], "m/s2", "acceleration", "µ", 100.0)
+    path = tmp_path / "a.h5"
+    writers.write(Recording({"µ/acceleration": channel}, "made", "made", ""), path)
+    assert b"GCOL" not in path.read_bytes()
+    assert list(readers.read(path).channels) == ["µ/acceleration"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,23 +17,43 @@ _RATE = re.compile(
     rf"[^0-9\n]{{0,12}}){_NUMBER}\s*(?:hz\b|$|[,;\s])",
     re.IGNORECASE,
 )
-_OWN_ROWS = re.compile(r"# imucal recording, rows: (\d+)")
+_OWN_ROWS = re.compile(
+    r"(# imucal recording, rows: (\d+)[^\n]*?)(?:, crc32: ([^\n]*))?$", re.MULTILINE
+)
 _OWN_MARK = re.compile(r"^# corrected: (.*)$", re.MULTILINE)
 _OWN_START = re.compile(r"start_ns\s*[:=]\s*(-?\d+)")
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What our own first line says of the table: its rows and, where it has it, the CRC-32 of the
+    lines below followed by `line`, its own start."""
+
+    rows: int
+    line: str = ""
+    crc: int | None = None
+
+    def contradicted(self, rows: int, crc: int) -> list[str]:
+        """A sentence for what was found otherwise. crc : of the lines below"""
+        if rows != self.rows:
+            return [f"the header states {self.rows} rows, {rows} were found"]
+        if self.crc is not None and zlib.crc32(self.line.encode(), crc) != self.crc:
+            return ["the table is not what was written (CRC-32): numbers in it were changed"]
+        return []
 
 
 @dataclass(frozen=True)
 class HeaderFacts:
     """device : whose export it is; rate in Hz; start_ns as in Recording.
 
-    rows : how many rows the file says that it has, or None; corrections as in Recording
+    stated : what the file says of its rows, or None; corrections as in Recording
     """
 
     device: Device = UNKNOWN
     rate: float | None = None
     start_ns: int | None = None
     notes: tuple[str, ...] = ()
-    rows: int | None = None
+    stated: Stated | None = None
     corrections: tuple[Correction, ...] = ()
 
 
@@ -44,11 +65,20 @@ def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
     own = _OWN_START.search(text)
     notes: list[str] = []
     start = start_of(int(own.group(1)), notes) if own else None
-    stated = _OWN_ROWS.search(text)
-    rows = int(stated.group(1)) if stated else None
+    own_line = _OWN_ROWS.search(text)
+    stated = _stated(*own_line.groups()) if own_line else None
     device = device_named_in(text)
     device.refuse(text, where)
     told = device.start(text) if device.start else Start(start)
     marks = corrections_of(_OWN_MARK.findall(text) if stated else ())
     notes += [*told.notes, *map(str, marks)]
-    return HeaderFacts(device, rate or told.rate or None, told.start_ns, tuple(notes), rows, marks)
+    return HeaderFacts(
+        device, rate or told.rate or None, told.start_ns, tuple(notes), stated, marks
+    )
+
+
+def _stated(line: str, rows: str, crc: str | None) -> Stated:
+    try:
+        return Stated(int(rows), line, None if crc is None else int(crc, 16))
+    except ValueError:  # a damaged sum fits nothing
+        return Stated(int(rows), line, -1)

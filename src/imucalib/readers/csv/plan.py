@@ -15,7 +15,7 @@ from imucalib.readers.conversion import Conversion
 from imucalib.readers.csv.clock import Clock, Stamps, clock_of
 from imucalib.readers.csv.contents import nothing_found
 from imucalib.readers.csv.dialect import Dialect, cells_of, is_blank, sniff
-from imucalib.readers.csv.header import facts_of
+from imucalib.readers.csv.header import Stated, facts_of
 from imucalib.readers.csv.parse import Layout, Rows, parse
 from imucalib.readers.csv.select import Selection, Vector, select
 from imucalib.readers.csv.source import Lines, looks
@@ -47,7 +47,7 @@ class Signal:
 class Plan:
     """How to read one file.
 
-    idle : rows of zeros mean "not recorded"; rows : as many as the file says that it has
+    idle : rows of zeros mean "not recorded"; stated : of its rows, by our own first line
     corrections : as in Recording
     """
 
@@ -58,7 +58,7 @@ class Plan:
     idle: bool
     notes: tuple[str, ...]
     resolved: FieldMapping
-    rows: int | None = None
+    stated: Stated | None = None
     corrections: tuple[Correction, ...] = ()
 
 
@@ -104,7 +104,7 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         idle=dev.sleeps,
         notes=unique,
         resolved=resolved,
-        rows=facts.rows,
+        stated=facts.stated,
         corrections=facts.corrections,
     )
 

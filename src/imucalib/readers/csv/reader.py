@@ -6,6 +6,7 @@ The shape, the columns, the clock and the units are decided once, from looks all
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -81,8 +82,10 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
     position = Position()
     before: Recording | None = None
     lost: list[str] = []
+    crc = 0
     for lines in line_blocks(path, block_samples * _bytes_per_row(plan), strict=strict):
         lost += [lines.note] if lines.note else []
+        crc = zlib.crc32(_below_first(lines), crc) if plan.stated else 0
         block = _block(_data_lines(lines, plan), plan, position, str(path), flush=False)
         if block is None:
             continue
@@ -100,7 +103,7 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
         raise UnreadableInput("no row of the table could be read", where=str(path))
     if position.bad_rows:
         lost.append(f"{position.bad_rows} rows left out; {position.first_bad}")
-    lost += _short_of(plan, position)
+    lost += plan.stated.contradicted(position.row, crc) if plan.stated else []
     if strict and lost:
         raise UnreadableInput(lost[0], where=str(path), remedy="copy the file again")
     yield replace(before, notes=(*before.notes, *lost, *_left_out(plan, position)))
@@ -110,10 +113,9 @@ def _bytes_per_row(plan: Plan) -> int:
     return max(16, 10 * plan.layout.width)
 
 
-def _short_of(plan: Plan, position: Position) -> list[str]:
-    if plan.rows is None or position.row == plan.rows:
-        return []
-    return [f"the header states {plan.rows} rows, {position.row} were found"]
+def _below_first(lines: Lines) -> bytes:
+    """The lines without the file's first."""
+    return lines.data.partition(b"\n")[2] if lines.first_line == 1 else lines.data
 
 
 def _left_out(plan: Plan, position: Position) -> list[str]:

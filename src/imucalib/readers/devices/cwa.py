@@ -8,13 +8,9 @@ their counter, which restarts.
 
 from __future__ import annotations
 
-import gzip
 import re
-import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +18,13 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.packets import Log, Packets, recordings
+from imucalib.readers.devices.packing import Stream, head_unpacked, opened
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
 _HEAD, _SECTOR, _SAMPLES = 1024, 512, 120
 _MARK, _START = b"AX\xfc\x01", b"MD\xfc\x03"
-_GZIP = b"\x1f\x8b"
 #: Marks without a sector, and bytes without one, after which a file is no recording.
 _MOST_BAD, _MOST_WASTE = 100_000, 64 << 20
 _DRIFT = 0.15  # the accelerometer's own oscillator sets the pace
@@ -52,11 +48,7 @@ class CwaReader:
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The header's mark, or the first sector's where the header is damaged."""
-        if head.startswith(_GZIP):
-            try:
-                head = zlib.decompressobj(31).decompress(head, 2 * _HEAD)
-            except zlib.error:
-                return False
+        head = head_unpacked(head, 2 * _HEAD)
         return head.startswith(_START) or head[_HEAD : _HEAD + 4] == _MARK
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
@@ -67,9 +59,9 @@ class CwaReader:
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Read in blocks of whole sectors; damage costs its sector."""
-        with _opened(path) as stream:
-            head = _taken(stream, _HEAD)
-            lost: list[str] = []
+        lost: list[str] = []
+        with opened(path, strict=strict, lost=lost) as stream:
+            head = stream.read(_HEAD)
             size = _SECTOR * max(1, block_samples // _SAMPLES)
             sectors = _sectors(stream, size, str(path), lost=lost, strict=strict)
             packets = (_packets(found) for found in sectors)
@@ -78,22 +70,6 @@ class CwaReader:
 
 
 READER = CwaReader()
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
-    with path.open("rb") as raw:
-        packed = raw.read(2) == _GZIP
-        raw.seek(0)
-        yield cast(BinaryIO, gzip.GzipFile(fileobj=raw)) if packed else raw
-
-
-def _taken(stream: BinaryIO, size: int) -> bytes:
-    """The next bytes; fewer where the file or its packing breaks off."""
-    try:
-        return stream.read(size)
-    except (OSError, EOFError, zlib.error):
-        return b""
 
 
 def _notes(head: bytes) -> tuple[str, ...]:
@@ -106,12 +82,12 @@ def _notes(head: bytes) -> tuple[str, ...]:
 
 
 def _sectors(
-    stream: BinaryIO, size: int, where: str, *, lost: list[str], strict: bool
+    stream: Stream, size: int, where: str, *, lost: list[str], strict: bool
 ) -> Iterator[Bytes]:
     """Sound sectors (n, 512) of about `size` bytes of the file at a time."""
     rest, passed, waste, bad, good = b"", _HEAD, 0, 0, 0
     while True:
-        piece = _taken(stream, max(size, _SECTOR))
+        piece = stream.read(max(size, _SECTOR))
         data = rest + piece
         keep = len(data) - (_SECTOR - 1 if piece else 0)  # a sector that begins later may go on
         found, tried = _sound(data, keep)

@@ -8,14 +8,11 @@ instruction manual, appendix on the binary file. The format has no checksum.
 
 from __future__ import annotations
 
-import gzip
 import re
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +20,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.packets import Log, Packets, recordings
+from imucalib.readers.devices.packing import Stream, head_unpacked, opened
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -31,19 +29,21 @@ _FIRST, _PAGE = b"Device Identity", b"Recorded Data"
 _DIGITS, _PER_PAGE, _PAGE_BYTES = 3600, 300, 3900
 _MOST_BAD = 100_000  # damaged pages: more than 100 Hz of three days
 _DRIFT = 0.01  # a quartz sets the pace
-_GZIP = b"\x1f\x8b"
 #: Longest header, and bytes without a page after which the file is no recording.
 _MOST_HEADER, _MOST_WASTE = 1 << 16, 16 << 20
 
 
 @dataclass(frozen=True)
 class _Header:
-    """gain, offset : (3,) of the calibration; zone_s : of the clock, east of UTC, or None"""
+    """gain, offset : (3,) of the calibration; zone_s : of the clock, east of UTC, or None;
+    pages : that the file states, or None
+    """
 
     gain: Array
     offset: Array
     zone_s: int | None
     serial: str
+    pages: int | None
 
 
 @dataclass
@@ -64,10 +64,19 @@ class _Loss:
             raise UnreadableInput("hardly a page of it is whole", where=self.where)
         self.pages, self.why = self.pages + 1, self.why or f"page {number}: {why}"
 
-    def told(self) -> None:
-        """The sentence that the recording carries."""
+    def told(self, stated: int | None, found: int) -> None:
+        """The sentences that the recording carries; raises with `strict` where pages are missing.
+
+        A device that stopped by itself states its pages as it found them: fewer are a cut.
+        """
         if self.pages:
             self.lost.append(f"{self.pages} pages left out; {self.why}")
+        if stated is None or found >= stated:
+            return
+        what = f"the header states {stated} pages, {found} were found"
+        if self.strict:
+            raise UnreadableInput(what, where=self.where)
+        self.lost.append(what)
 
 
 class GeneactivReader:
@@ -78,12 +87,7 @@ class GeneactivReader:
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The header's first line."""
-        if head.startswith(_GZIP):
-            try:
-                head = zlib.decompressobj(31).decompress(head, 64)
-            except zlib.error:
-                return False
-        return head.startswith(_FIRST)
+        return head_unpacked(head, 64).startswith(_FIRST)
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
         """Read all samples."""
@@ -93,15 +97,12 @@ class GeneactivReader:
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Read in blocks of whole pages; damage costs its page."""
-        with path.open("rb") as raw:
-            packed = raw.read(2) == _GZIP
-            raw.seek(0)
-            stream = cast(BinaryIO, gzip.GzipFile(fileobj=raw)) if packed else raw
+        loss = _Loss(strict=strict, where=str(path))
+        with opened(path, strict=strict, lost=loss.lost) as stream:
             pages = _pages(stream, _PAGE_BYTES * max(1, block_samples // _PER_PAGE), str(path))
             header = _header(next(pages, [b""])[0], str(path))
             clock = "the time zone is not in the file: times are the wearer's"
             notes = (f"GENEActiv {header.serial}",) + (clock,) * (header.zone_s is None)
-            loss = _Loss(strict=strict, where=str(path))
             packets = _packets(pages, header, loss)
             log = Log(self.name, packets, notes, loss.lost, _DRIFT, header.zone_s or 0)
             yield from recordings(log, path, mapping)
@@ -110,14 +111,11 @@ class GeneactivReader:
 READER = GeneactivReader()
 
 
-def _pages(stream: BinaryIO, size: int, where: str) -> Iterator[list[bytes]]:
+def _pages(stream: Stream, size: int, where: str) -> Iterator[list[bytes]]:
     """First the header, then pages, as many at a time as `size` bytes hold."""
     rest, headed = b"", False
     while True:
-        try:
-            piece = stream.read(max(size, _PAGE_BYTES))
-        except (OSError, EOFError, zlib.error):
-            piece = b""
+        piece = stream.read(max(size, _PAGE_BYTES))
         found = (rest + piece).split(_PAGE)
         rest = found.pop() if piece else b""
         if not headed and found:
@@ -147,7 +145,11 @@ def _header(text: bytes, where: str) -> _Header:
     zone = re.search(r"([+-])(\d{1,2}):(\d{2})", facts.get("Time Zone", ""))
     size = 3600 * int(zone[2]) + 60 * int(zone[3]) if zone else None
     serial = facts.get("Device Unique Serial Code", "of unknown number")
-    return _Header(gain, offset, -size if size and zone and zone[1] == "-" else size, serial)
+    pages = facts.get("Number of Pages", "")
+    return _Header(
+        gain=gain, offset=offset, serial=serial, pages=int(pages) if pages.isdecimal() else None,
+        zone_s=-size if size and zone and zone[1] == "-" else size,
+    )  # fmt: skip
 
 
 def _facts(text: str) -> dict[str, str]:
@@ -183,7 +185,7 @@ def _packets(pages: Iterator[list[bytes]], header: _Header, loss: _Loss) -> Iter
                 rate=np.array(rates), warm=np.array(warm), acc=acc,
                 gyro=np.full(acc.shape, np.nan),
             )  # fmt: skip
-    loss.told()
+    loss.told(header.pages, number)
 
 
 def _number(text: str) -> float:

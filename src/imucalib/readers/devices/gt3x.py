@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,22 +18,21 @@ from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers.conversion import acceleration, norms_at_rest
+from imucalib.readers.devices.actigraph_archive import (
+    DAMAGED,
+    Loss,
+    facts_of,
+    info_of,
+    pieces_of,
+)
 from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
 
 _PACKED, _WHOLE = 0, 26
-#: What a damaged archive raises, depending on where the damage is.
-DAMAGED = (
-    zipfile.BadZipFile, zlib.error, KeyError, EOFError, OSError, ValueError, NotImplementedError,
-    RuntimeError, struct.error,
-)  # fmt: skip
 _HEAD = struct.Struct("<BBIH")
-_MOST_RATE = 10_000.0  # Hz
-#: What no device writes: a longer info.txt, a large log that packs better than this, more places
-#: that look like a record and are none.
-_INFO_BYTES, _LARGE, _RATIO, _MOST_BAD = 1 << 20, 16 << 20, 100, 100_000
+_MOST_BAD = 100_000  # places that look like a record and are none
 
 
 @dataclass(frozen=True)
@@ -72,8 +70,8 @@ class Gt3xReader:
         info = info_of(path, "log.bin")
         rate, scale, zone = facts_of(info, str(path))
         digest, origin, conversion, before = sha256_of(path), None, None, None
-        lost: list[str] = []
-        for seconds in _grouped(_seconds(path, strict, lost), block_samples):
+        loss = Loss(str(path), strict)
+        for seconds in _grouped(_seconds(path, loss), block_samples):
             counts = np.concatenate([s.counts for s in seconds]) / scale
             notes: list[str] = []
             if origin is None or conversion is None:
@@ -99,63 +97,21 @@ class Gt3xReader:
                 sha256=digest,
                 start_ns=(origin - (zone or 0)) * 1_000_000_000,
                 gaps=gaps,
-                notes=(*notes, *lost),
+                notes=(*notes, *loss.told),
                 mapping={"acc_unit": conversion.source_unit, "rate": rate},
             )
+        if origin is None:
+            what = "; ".join(["no samples in it", *loss.told])
+            raise UnreadableInput(what, where=str(path), remedy="copy it from the device again")
 
 
 READER = Gt3xReader()
 
 
-def info_of(path: Path, data: str) -> dict[str, str]:
-    """The lines of info.txt by name; `data` is the member that holds the samples.
-
-    Raises UnreadableInput for a damaged archive and for what no device writes.
-    """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            with archive.open("info.txt") as stream:
-                raw = stream.read(_INFO_BYTES + 1)
-            log = archive.getinfo(data)
-    except DAMAGED as error:
-        remedy = "copy it from the device again"
-        raise UnreadableInput(
-            f"the archive cannot be opened: {error}", where=str(path), remedy=remedy
-        ) from None
-    if len(raw) > _INFO_BYTES:
-        raise UnreadableInput(f"info.txt is longer than {_INFO_BYTES} bytes", where=str(path))
-    if log.file_size > max(_LARGE, _RATIO * log.compress_size):
-        what = (
-            f"{data} claims {log.file_size} bytes in {log.compress_size}: no recording is so even"
-        )
-        raise UnreadableInput(what, where=str(path))
-    text = raw.decode("utf-8-sig", errors="replace")
-    pairs = (line.split(": ", 1) for line in text.splitlines() if ": " in line)
-    return {name.strip(): value.strip() for name, value in pairs}
-
-
-def facts_of(info: dict[str, str], where: str) -> tuple[float, float, int | None]:
-    """Sample rate (Hz), counts a g, and the zone's offset from UTC (s)."""
-    try:
-        rate = float(info["Sample Rate"].replace(",", "."))
-        scale = float(info.get("Acceleration Scale", "").replace(",", ".") or 341.0)
-    except (KeyError, ValueError):
-        raise UnreadableInput("info.txt states no sample rate or scale", where=where) from None
-    if not (0.0 < rate <= _MOST_RATE and 0.0 < scale < np.inf):
-        raise UnreadableInput(f"sample rate {rate:g} and scale {scale:g}", where=where)
-    zone = info.get("TimeZone", "")
-    try:
-        hours, minutes, seconds = zone.lstrip("+-").split(":")
-        size = 3600 * int(hours) + 60 * int(minutes) + int(seconds)
-    except ValueError:
-        return rate, scale, None
-    return rate, scale, -size if zone.startswith("-") else size
-
-
-def _seconds(path: Path, strict: bool, lost: list[str]) -> Iterator[_Second]:
+def _seconds(path: Path, loss: Loss) -> Iterator[_Second]:
     """Walk the records; a damaged one costs itself, and the walk goes on at the next mark."""
-    bad, probes, stamp, passed, buffer = 0, 0, -1, 0, b""
-    pieces = _pieces(path)
+    probes, stamp, passed, buffer = 0, -1, 0, b""
+    pieces = pieces_of(path, loss)
     more = True
     while more or len(buffer) >= 9:
         at = 0
@@ -167,39 +123,26 @@ def _seconds(path: Path, strict: bool, lost: list[str]) -> Iterator[_Second]:
                 break  # the rest of the record is in the next piece
             sound = mark == 0x1E and end < len(buffer)
             if sound and (int(np.bitwise_xor.reduce(whole[at:end])) ^ 0xFF) == buffer[end]:
-                if kind in (_PACKED, _WHOLE) and size > 1 and time > stamp:
-                    stamp = time
-                    yield _Second(time, _counts(buffer[at + 8 : end], kind))
+                if kind in (_PACKED, _WHOLE) and size > 1:
+                    if time > stamp:
+                        stamp = time
+                        yield _Second(time, _counts(buffer[at + 8 : end], kind))
+                    else:
+                        loss.not_later(passed + at)
                 at = end + 1
                 continue
-            if strict:
-                where = f"{path}, byte {passed + at} of log.bin"
-                raise UnreadableInput("a record is damaged", where=where)
+            loss.refuse("a record is damaged", passed + at)
             probes += 1
             if probes > _MOST_BAD:
                 raise UnreadableInput("log.bin holds no records", where=str(path))
             following = buffer.find(b"\x1e", at + 1)
             following = following if following >= 0 else len(buffer)
-            bad, at = bad + following - at, following
+            loss.damaged, at = loss.damaged + following - at, following
         piece = next(pieces, b"")
         more = bool(piece)
         passed, buffer = passed + at, buffer[at:] + piece
-    bad += len(buffer)
-    if bad:
-        lost.append(f"{bad} damaged bytes of log.bin were left out")
-
-
-def _pieces(path: Path) -> Iterator[bytes]:
-    """log.bin, a megabyte at a time; what a damaged archive still gives.
-
-    A failure ends the pieces: the archive's checksum is over all, the records have their own.
-    """
-    try:
-        with zipfile.ZipFile(path) as archive, archive.open("log.bin") as log:
-            while piece := log.read(1 << 20):
-                yield piece
-    except DAMAGED:
-        return
+    loss.damaged += len(buffer)
+    loss.tell()
 
 
 def _counts(payload: bytes, kind: int) -> NDArray[np.int16]:
@@ -223,11 +166,11 @@ def _grouped(seconds: Iterator[_Second], samples: int) -> Iterator[list[_Second]
     group: list[_Second] = []
     held = 0
     for second in seconds:
-        group.append(second)
-        held += len(second.counts)
-        if held >= samples:
+        if held >= samples:  # not before more is there: the last group comes when all is told
             yield group
             group, held = [], 0
+        group.append(second)
+        held += len(second.counts)
     if group:
         yield group
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.gt3x import DAMAGED, facts_of, info_of, unpacked
+from imucalib.readers.devices.actigraph_archive import DAMAGED, facts_of, info_of
+from imucalib.readers.devices.gt3x import unpacked
 from imucalib.readers.devices.packets import Log, Packets, recordings
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping

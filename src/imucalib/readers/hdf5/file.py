@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers.hdf5.attributes import fills_of
 from imucalib.readers.hdf5.clock import Place
+from imucalib.readers.hdf5.heaps import demand_ends
 from imucalib.readers.hdf5.held import held_rows, outside
 
 Rows = NDArray[np.bool_]
@@ -149,6 +150,7 @@ def _slice(node: Any, place: Place, start: int, stop: int) -> NDArray[np.generic
 def opened(path: Path, strict: bool, external: bool = False) -> Iterator[File]:
     import h5py
 
+    demand_ends(path)
     try:
         handle, notes = h5py.File(path, "r"), []
     except Exception as first:  # cut, or not closed by its writer: the second way in tells which

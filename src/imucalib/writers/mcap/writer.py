@@ -6,6 +6,7 @@ when raw, the time origin), so that the reader gives back the same recording.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,15 +18,17 @@ from imucalib.readers.messages.records import Topic
 from imucalib.recording.mapping import from_dict
 from imucalib.recording.recording import Recording
 from imucalib.writers.mcap.copy import (
-    Contents,
     contents_of,
     copied,
     copy_extras,
     log_origin,
 )
 from imucalib.writers.mcap.file import McapFile
-from imucalib.writers.mcap.messages import SCHEMAS, SHORT_NAMES, Output, chunks_of, outputs_of
-from imucalib.writers.mcap.patch import Patch, patch_of
+from imucalib.writers.mcap.messages import SCHEMAS, Output, chunks_of
+from imucalib.writers.mcap.patch import patch_of
+from imucalib.writers.mcap.topics import SHORT_NAMES, following, outputs_of
+
+_LIBRARY = f"imucal {imucalib.__version__}"
 
 
 class McapWriter:
@@ -36,7 +39,26 @@ class McapWriter:
 
     def write(self, recording: Recording, path: Path) -> None:
         """Write all channels; UsageError for one that a sensor_msgs message cannot hold."""
-        _write(recording, path, None)
+        self.write_blocks([recording], path)
+
+    def write_blocks(self, blocks: Iterable[Recording], path: Path) -> None:
+        """Write block after block; memory holds one. Errors as in `write`, and ChannelsChange where
+        the topics of the first block do not fit a later one."""
+        file = McapFile(path, "ros2", _LIBRARY)
+        outputs: list[Output] = []
+        try:
+            for recording in blocks:
+                if outputs:
+                    outputs = following(outputs, recording)
+                elif recording.channels:
+                    outputs, base = _outputs(recording, None, {}, {})
+                    file.marks(recording.corrections)
+                    _define(file, outputs, {}, base)
+                for chunk in chunks_of(outputs):
+                    file.chunk(*chunk)
+            file.close()
+        finally:
+            file.abandon()
 
 
 def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None:
@@ -49,28 +71,26 @@ def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None
     """
     with replaced_atomically(path) as temporary:
         most = from_dict(recording.mapping).max_chunk
-        _write(recording, temporary, McapLog(source, most))
+        _write_over(recording, temporary, McapLog(source, most))
 
 
-def _write(recording: Recording, path: Path, source: McapLog | None) -> None:
-    contents = contents_of(source) if source else Contents({}, ())
-    patch = patch_of(recording, source) if source else Patch({}, frozenset())
+def _write_over(recording: Recording, path: Path, source: McapLog) -> None:
+    contents, patch = contents_of(source), patch_of(recording, source)
     held = {topic.name for topic in patch.topics.values()}
     replaced = _replaced(recording) - held
     kept = {n: t for n, t in contents.topics.items() if t.name not in replaced}
     left = {n: c for n, c in recording.channels.items() if n not in patch.channels}
     anew = replace(recording, channels=left)
-    file = McapFile(path, "ros2", f"imucal {imucalib.__version__}")
+    file = McapFile(path, "ros2", _LIBRARY)
     try:
         outputs, base = _outputs(anew, source, contents.topics, kept)
         file.marks(recording.corrections)
         _define(file, outputs, kept, base)
         for chunk in chunks_of(outputs):
             file.chunk(*chunk)
-        if source is not None:
-            for block in copied(source, kept, patch):
-                file.chunk(*block)
-            copy_extras(source, contents.extras, file)
+        for block in copied(source, kept, patch):
+            file.chunk(*block)
+        copy_extras(source, contents.extras, file)
         file.close()
     finally:
         file.abandon()

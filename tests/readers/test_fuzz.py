@@ -1,0 +1,80 @@
+"""A small part of the truth fuzzer: no sample that was not written, unsaid, and no traceback."""
+
+from __future__ import annotations
+
+import random
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucalib import readers
+from imucalib.readers.conversion import norms_at_rest
+from imucalib.recording.recording import Recording
+from worlds.fuzz.cases import Fuzzer
+from worlds.fuzz.damage import KINDS, damaged
+from worlds.fuzz.files import START, kinds
+from worlds.fuzz.truth import compare
+
+CASES = 108
+
+
+def test_damage_is_told(tmp_path: Path) -> None:
+    fuzzer = Fuzzer(tmp_path, 1)
+    bad = []
+    for number in range(CASES):
+        verdict = fuzzer.case(number)
+        untold = verdict.outcome == "silent" and verdict.checked == "all"
+        if untold or verdict.outcome in ("traceback", "hang", "memory"):
+            bad.append(verdict)
+    assert not bad
+
+
+def test_a_case_comes_again(tmp_path: Path) -> None:
+    one, two = (Fuzzer(tmp_path, 7).case(k) for k in (31, 31))
+    assert one == two
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_damage_damages(kind: str) -> None:
+    data = bytes(range(256)) * 20
+    changed = [KINDS[kind](data, random.Random(k), ())[0] != data for k in range(20)]
+    assert any(changed)
+    assert damaged(data, random.Random(3), range(0, 5121, 512))[0] != data
+
+
+def test_the_judge_sees_what_is_wrong(tmp_path: Path) -> None:
+    made = kinds()["own csv"].make(np.random.default_rng(0), tmp_path)
+    path = tmp_path / "a.csv"
+    path.write_bytes(made.data)
+    whole = readers.read(path)
+    channel = whole.channels["imu0/acceleration"]
+    assert compare(made.truth, whole).right == made.truth.samples
+    assert whole.start_ns == START
+    values, t = channel.values.copy(), channel.t.copy()
+    values[5, 1] = np.nextafter(values[5, 1], 1e3)
+    t[7] += 0.005
+    found = compare(made.truth, _with(whole, t, values))
+    assert (found.invented, found.moved, found.missing_inside) == (1, 1, 2)
+    found = compare(made.truth, _with(whole, t[20:-30], channel.values[20:-30]))
+    assert (found.wrong, found.missing_inside, found.missing_ends) == (0, 0, 50)
+    twice = np.r_[0:4, 3:300]
+    found = compare(made.truth, _with(whole, channel.t[twice], channel.values[twice]))
+    assert (found.wrong, found.right) == (1, made.truth.samples)
+
+
+def _with(whole: Recording, t: np.ndarray, values: np.ndarray) -> Recording:
+    name = "imu0/acceleration"
+    channel = replace(whole.channels[name], t=t, values=values)
+    return replace(whole, channels={**whole.channels, name: channel})
+
+
+def test_a_damaged_number_of_any_size_is_no_warning() -> None:
+    pieces = np.full((40, 3), 5.0) + np.arange(120).reshape(40, 3) % 7
+    pieces[3] = 1e300, np.inf, np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        norms = norms_at_rest([pieces], 10)
+    assert 8.0 < norms.max() < 20.0

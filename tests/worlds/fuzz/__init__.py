@@ -1,0 +1,1 @@
+"""Damage to recordings whose every sample is known, and the judge of what a reader makes of it."""

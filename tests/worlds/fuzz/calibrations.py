@@ -1,0 +1,50 @@
+"""A damaged calibration.yaml: what `apply`, `export` and `validate` take from it."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from imucalib.calibration import file
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from worlds.fuzz.damage import damaged
+
+NAME = "calibration.yaml"
+
+
+@cache
+def _whole() -> tuple[bytes, Calibration]:
+    rng = np.random.default_rng(3)
+    stated = [("bias", f"bias_{a}", "mg", 30.0) for a in "xyz"]
+    stated += [("scale", f"scale_{a}", "1", 0.01) for a in "xyz"]
+    parameters = tuple(
+        StoredParameter(name, effect, "sensor", float(rng.normal(scale=size)), 0.02 * size, unit)
+        for effect, name, unit, size in stated
+    )
+    sd = np.array([p.sd for p in parameters])
+    calibration = Calibration(
+        calibrator="lab", parameters=parameters, covariance=np.diag(sd**2), raw_unit="m/s2",
+        raw_to_si=1.0, gravity=9.81, status="ok", facts={"noise": {"sd_mg": 1.25}},
+    )  # fmt: skip
+    return file.to_yaml(calibration).encode(), calibration
+
+
+def put(path: Path, rng: random.Random) -> str:
+    """Write a damaged calibration and say what was done to it."""
+    data, _ = _whole()
+    edges = [0, *(k + 1 for k, byte in enumerate(data) if byte == 10)]
+    broken, done = damaged(data, rng, edges)
+    path.write_bytes(broken)
+    return done
+
+
+def different(path: Path) -> list[str]:
+    """The blocks that change a corrected number or its uncertainty, and are taken nevertheless."""
+    found, (_, whole) = file.read(path), _whole()
+    file.check(found, str(path))
+    read, want = (file.as_dict(replace(c, facts={}, reasons=(), sha256="")) for c in (found, whole))
+    return [key for key in want if read[key] != want[key] and key not in ("status", "calibrator")]
