@@ -105,7 +105,7 @@ def test_no_rests(recording: Recording) -> None:
     """Only the twisting was recorded."""
     start = 45 * 100
     cut = changed(recording, lambda _, c: replace(c, t=c.t[start:], values=c.values[start:]))
-    with pytest.raises(Undetermined, match=r"no still interval|1 rests") as caught:
+    with pytest.raises(Undetermined, match=r"no rest found|1 rests") as caught:
         calibrate(cut)
     assert "nine or more attitudes" in (caught.value.remedy or "")
 
