@@ -1,8 +1,10 @@
 """One way to write and to load YAML: what is written comes back, what is broken is refused."""
 
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 from imucalib.errors import UnreadableInput
 from imucalib.recording.yaml_text import dump, load
@@ -31,3 +33,13 @@ def test_what_is_not_yaml_is_refused(tmp_path: Path, text: str) -> None:
 def test_an_absent_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnreadableInput, match="cannot be read: No such file"):
         load(tmp_path / "gone.yaml")
+
+
+@pytest.mark.parametrize("form", ["{}", "a{}b", "a{}", "{}b", "a {} b", "a\n{} \nb"])
+@pytest.mark.parametrize("version", [(1, 2), (1, 1)])
+def test_every_sign_comes_back(version: tuple[int, int], form: str) -> None:
+    words = [form.format(chr(c)) for c in (*range(0x180), 0x2028, 0x2029, 0xFEFF, 0x1F600)]
+    content = {"alone": dict(enumerate(words)), "among": [[word, 1.0] for word in words]}
+    yaml = YAML(typ="safe", pure=True)
+    yaml.version = version
+    assert yaml.load(StringIO(dump(content))) == content

@@ -45,8 +45,9 @@ _OPTIONS = (
                  help="Python file with effects of your own."),
     click.option("--loop/--no-loop", default=True, show_default=True,
                  help="Search for what the model lacks."),
-    click.option("--curves/--no-curves", default=True, show_default=True,
-                 help="Correct structure without a name by a smooth curve, where that holds out."),
+    click.option("--curves/--no-curves", default=None,
+                 help="Correct structure without a name by a smooth curve, where that holds out; "
+                 "default yes, of an array no."),
     click.option("--draws", type=click.IntRange(min=1),
                  help="Simulated data sets behind each p-value; default 1000, of an array 499."),
     click.option("--max-error", type=float,
@@ -103,7 +104,7 @@ def calibrates(command: click.Command) -> bool:
 
 @dataclass(frozen=True)
 class Shared:
-    """What the shared options ask. draws : None for the calibrator's own number"""
+    """What the shared options ask. curves, draws : None for the calibrator's own default"""
 
     gravity: float
     gravity_source: str
@@ -111,7 +112,7 @@ class Shared:
     only: tuple[str, ...]
     without: tuple[str, ...]
     loop: bool
-    curves: bool
+    curves: bool | None
     draws: int | None
     extra_effects: Mapping[str, Effect]
     limits: Mapping[str, float]
@@ -123,7 +124,8 @@ class Shared:
         """The shared loop's settings."""
         from imucalib.loop.found import LoopSettings
 
-        return LoopSettings(draws=self.draws or LoopSettings.draws, curves=self.curves)
+        curves = LoopSettings.curves if self.curves is None else self.curves
+        return LoopSettings(draws=self.draws or LoopSettings.draws, curves=curves)
 
 
 def shared_of(options: Mapping[str, Any]) -> Shared:

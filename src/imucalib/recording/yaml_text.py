@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,9 @@ from imucalib.errors import UnreadableInput
 
 #: Words that YAML 1.1 takes for true or false: quoted, so that its readers keep them as text.
 _TRUE_OR_FALSE = {"y", "yes", "on", "true", "n", "no", "off", "false"}
+#: Marks of a key, which end a word in a list on one line, and a line break that only double quotes
+#: keep: others fold it to a blank.
+_MARKS = re.compile("[?\x85]|^:")
 
 
 def load(path: Path, remedy: str = "") -> Any:
@@ -47,8 +51,7 @@ def dump(content: dict[str, Any]) -> str:
 
     def text(self: RoundTripRepresenter, value: str) -> Any:
         value = value.encode("utf-8", "backslashreplace").decode()  # a file name may be any bytes
-        # "?" begins a key in a list on one line.
-        style = '"' if value.lower() in _TRUE_OR_FALSE or value.startswith("?") else None
+        style = '"' if value.lower() in _TRUE_OR_FALSE or _MARKS.search(value) else None
         return self.represent_scalar("tag:yaml.org,2002:str", value, style=style)
 
     def sequence(self: RoundTripRepresenter, value: list[Any]) -> Any:

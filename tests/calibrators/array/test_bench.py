@@ -45,6 +45,33 @@ def run(log: SimulatedLog) -> ArrayRun:
     return calibrate(log.recording)
 
 
+def test_heights_over_a_flat_drawing_are_found() -> None:
+    flat = replace(BOARD, positions=BOARD.positions * np.array([1.0, 1.0, 0.0]))
+    plan = replace(PLAN, scatter=3e-4)
+    log = simulated_log(flat, plan, np.random.default_rng(4))
+    run = calibrate(log.recording, board=flat)
+    truth, found = log.positions[1:], run.final.mean[1:]
+    left, _, right = np.linalg.svd(truth.T @ found)
+    z = (found - truth @ left @ right) / run.final.sd[1:]
+    assert np.sqrt(np.mean(z * z)) < 2.0
+    assert np.median(run.final.sd[1:, 2]) < 0.2 * plan.scatter
+
+
+def _drawn(path: Path, places: list[str]) -> Path:
+    lines = [f"  - {{name: m{k}, position: [{p}], axes: 'x,y,z'}}" for k, p in enumerate(places)]
+    path.write_text("\n".join(["imus:", *lines]), encoding="utf-8")
+    return path
+
+
+def test_a_flat_drawing_is_read_and_a_line_is_refused(tmp_path: Path) -> None:
+    corners = ["0, 0, 1", "20, 0, 1", "0, 20, 1", "20, 20, 1"]
+    assert read_board(_drawn(tmp_path / "flat.yaml", corners)).count == 4
+    for line in (["0, 0, 0", "5, 5, 5", "7, 7, 7", "9, 9, 9"], ["1, 2, 3"] * 4):
+        with pytest.raises(UnreadableInput, match="on a line or in a point") as caught:
+            read_board(_drawn(tmp_path / "line.yaml", line))
+        assert caught.value.remedy
+
+
 def changed(recording: Recording, **channels: Channel) -> Recording:
     return replace(recording, channels={**recording.channels, **channels})
 

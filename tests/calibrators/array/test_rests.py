@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -162,6 +164,48 @@ def test_attitudes_that_are_too_alike_are_refused() -> None:
     segments.mean[:] = one + SIGMA * np.random.default_rng(0).normal(size=one.shape)
     with pytest.raises(Undetermined, match="too alike"):
         fitted(segments, board, Asked(search=False))
+
+
+def _uneven(seed: int, between: float) -> tuple[Segments, Board, Array, Array]:
+    """Every fourth rest is 25 times shorter than the others; `between` in m/s²."""
+    rng = np.random.default_rng(1000 + seed)
+    segments, board, gain, offset = simulated(seed)
+    short = np.arange(segments.n) % 4 == 3
+    samples = np.where(short[:, None], 100, 2500) * np.ones((1, K), dtype=np.intp)
+    segments.mean[:] += np.where(short, 4.9 * SIGMA, 0.0)[:, None, None] * rng.normal(
+        size=segments.mean.shape
+    )  # 5 times SIGMA in all
+    segments.mean[:] += between * rng.normal(size=segments.mean.shape)
+    noise = np.full((K, 3), SIGMA * 50.0)
+    return replace(segments, samples=samples, noise=noise), board, gain, offset
+
+
+def test_a_short_rest_counts_less() -> None:
+    z, size = [], []
+    for seed in range(8):
+        segments, board, gain, _ = _uneven(seed, between=0.0)
+        found = fitted(segments, board, Asked(search=False))
+        z.append((found.gain - gain) / found.gain_sd)
+        size.append(found.residual)
+    assert 0.86 < np.sqrt(np.mean(np.square(z))) < 1.14  # 360 numbers that share frames
+    assert np.mean(size) == pytest.approx(SIGMA, rel=0.05)
+
+
+def test_short_rests_are_not_taken_for_something_missing() -> None:
+    for seed in range(3):
+        segments, board, _, _ = _uneven(seed, between=0.0)
+        loop = fitted(segments, board).loop
+        assert loop is not None
+        assert (loop.steps, loop.records, loop.unexplained) == ((), (), ())
+
+
+@pytest.mark.parametrize("between", [0.0, 1.0, 4.0, 20.0])
+def test_what_differs_from_rest_to_rest_is_estimated(between: float) -> None:
+    segments, board, _, _ = _uneven(5, between=between * SIGMA)
+    fit = fitted(segments, board, Asked(search=False)).fit
+    sigma = fit.noise.factor * fit.observations.sigma[:, 0, 0]
+    expected = SIGMA * np.hypot(np.where(np.arange(20) % 4 == 3, 5.0, 1.0), between)
+    assert np.abs(np.log(sigma / expected)).max() < 0.25  # the tried sizes are a factor 2 apart
 
 
 def test_only_and_without_hold_at_rest() -> None:

@@ -21,6 +21,7 @@ BOARDS = Path(__file__).parent / "boards"
 _KEYS = ("name", "prior_sd", "accelerometer_range", "gyroscope_range", "package", "outline", "imus")
 _IMU_KEYS = ("name", "position", "axes", "rotation", "accelerometer_axes", "gyro_axes")
 _SMALLEST = 1e-4  # m that an array extends at least
+_LINE = 1e-3  # extent across a line, as a share of that along it, that is none
 
 
 @dataclass(frozen=True)
@@ -112,11 +113,9 @@ def _board(content: Mapping[str, Any]) -> Board:
     names = tuple(str(imu["name"]) for imu in imus)
     if len(set(names)) < len(names) or len(names) < 4:
         raise UnreadableInput("an array has four or more IMUs of different names")
-    if not np.isfinite(positions).all() or np.linalg.matrix_rank(positions - positions[0]) < 3:
-        raise UnreadableInput(
-            "the nominal positions lie in a plane or on a line, or are not numbers",
-            remedy="an array needs extent in all three directions for its rotation to be seen",
-        )
+    if not np.isfinite(positions).all():
+        raise UnreadableInput("a nominal position is not a number", remedy="three numbers in mm")
+    _refuse_line(positions)
     extent = 1e-3 * float(np.ptp(positions, axis=0).max())
     if extent < _SMALLEST:
         raise UnreadableInput(
@@ -138,6 +137,17 @@ def _board(content: Mapping[str, Any]) -> Board:
         accelerometer_axes=np.array([_axes(imu, "accelerometer_axes") for imu in imus]),
         gyro_axes=np.array([_axes(imu, "gyro_axes") for imu in imus]),
     )
+
+
+def _refuse_line(positions: Array) -> None:
+    """A flat board is seen to turn about every axis, and its heights are unknowns with a prior like
+    all places. What lies on a line shows nothing of a rotation about that line."""
+    values = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
+    if values[1] <= _LINE * values[0]:
+        raise UnreadableInput(
+            "the nominal positions lie on a line or in a point",
+            remedy="an array needs extent in two directions for its rotation to be seen",
+        )
 
 
 def _refuse_unknown(content: Mapping[str, Any], known: tuple[str, ...], whose: str) -> None:

@@ -8,24 +8,30 @@ triads is the board's frame (paper 001, section IV-B, and its reference 18).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.frame import BASE, framed_misalignment, in_the_mean_frame
+from imucalib.calibrators.array.frame import BASE, in_the_mean_frame
 from imucalib.calibrators.array.gyros import gyro_drift
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
-from imucalib.core.context import Context
+from imucalib.calibrators.array.observations import (
+    base_model,
+    observations_of,
+    own_noise,
+    rest_context,
+    weighted,
+)
 from imucalib.core.effect import Effect, Response
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.core.truth import Truth
-from imucalib.effects import catalogue, families, named
+from imucalib.effects import catalogue, families
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.asked import searched
@@ -33,9 +39,7 @@ from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.thresholds import GROSS
 from imucalib.rests.segments import Segments
-from imucalib.units import MG
 
-FEWEST_POSES = 9
 #: Curves do not speak against a name, and an error below 10 mg makes no rest a wrong one: what a
 #: chip's offset does from rest to rest is noise.
 REST_RULES = LoopSettings(draws=499, margin=np.inf, gross=GROSS, most_effects=3)
@@ -81,14 +85,14 @@ class RestFit:
 
     @property
     def residual(self) -> float:
-        """m/s², rms of a component per degree of freedom."""
-        return self.fit.noise.factor * float(self.fit.observations.sigma[0, 0, 0])
+        """m/s², rms of a component per degree of freedom, in a rest of median length."""
+        return self.fit.noise.factor * float(np.median(self.fit.observations.sigma))
 
     @property
     def before(self) -> float:
         """The same of the model before the search."""
         plain = self.fit if self.loop is None else self.loop.plain
-        return plain.noise.factor * float(plain.observations.sigma[0, 0, 0])
+        return plain.noise.factor * float(np.median(plain.observations.sigma))
 
     @cached_property
     def gain_sd(self) -> Array:
@@ -148,14 +152,6 @@ class RestFit:
         return np.asarray(rate - np.einsum("no,oki->nki", self.powers(t), self.gyro_bias))
 
 
-def rest_context(t: Array, start: float, stop: float, triads: tuple[str, ...]) -> Context:
-    """What effects know at times (N,) s: the order runs from 0 at the first rest to 1 at the last,
-    and no further. No record is one of the rests'."""
-    order = np.clip((t - start) / max(stop - start, 1e-9), 0.0, 1.0)
-    covariates = {"order": order, "time": t, "record": np.full(len(t), -1.0)}
-    return Context(len(t), covariates, triads)
-
-
 def fit_rests(
     segments: Segments, board: Board, order: list[int], gravity: float, *,
     asked: Asked = NOTHING_ASKED, seed: int = 0,
@@ -165,8 +161,8 @@ def fit_rests(
     order : the board's IMUs in the segments' triads. Raises Undetermined when there are too few or
     too similar rests, NotConverged.
     """
-    data = _observations(segments, board, order, gravity)
-    model = Model((named("bias"), named("scale"), framed_misalignment()))
+    unweighted = observations_of(segments, board, order, gravity)
+    data, model = weighted(unweighted, own_noise(segments, order)), base_model()
     loop = _searched(model, data, asked, seed) if asked.search else None
     fit = fit_model(model, data) if loop is None else loop.final
     if (fit if loop is None else loop.plain).null_directions:
@@ -191,37 +187,6 @@ def fit_rests(
         rotations=board.rotations,
         start=float(middle[0]),
         stop=float(middle[-1]),
-    )
-
-
-def _observations(
-    segments: Segments, board: Board, order: list[int], gravity: float
-) -> Observations:
-    n = segments.n
-    if n < FEWEST_POSES:
-        raise Undetermined(
-            f"{n} rests found, at least {FEWEST_POSES} are needed to calibrate the accelerometers",
-            remedy="hold the board still in nine or more attitudes; `imucal inspect FILE --rests` "
-            "lists what counts as a rest and what was refused",
-        )
-    reading = segments.mean[:, order]
-    ratio = np.median(np.linalg.norm(reading, axis=2), axis=0) / gravity
-    worst = int(np.argmax(np.abs(np.log(np.maximum(ratio, 1e-9)))))
-    if not 0.5 < ratio[worst] < 2.0:  # offsets do not double or halve gravity
-        raise Undetermined(
-            f"{board.imus[worst]} reads {ratio[worst]:.2g} times gravity at rest",
-            remedy="its unit is not what the recording or its mapping says (g against m/s²: 9.81)",
-        )
-    middle = 0.5 * (segments.start + segments.stop)
-    known = rest_context(middle, float(middle[0]), float(middle[-1]), board.imus)
-    covariates = {**known.covariates, "record": np.arange(float(n))}
-    return Observations(
-        reading,
-        np.full(reading.shape, MG),
-        KnownNorm(n, gravity, board.rotations),
-        replace(known, covariates=covariates, attitude=board.rotations),
-        np.arange(n),
-        tuple(f"rest {k + 1} ({t:.0f} s)" for k, t in enumerate(middle)),
     )
 
 
