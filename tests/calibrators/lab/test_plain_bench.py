@@ -66,3 +66,20 @@ def test_a_planted_effect_is_fitted_to_nothing(name: str, tmp_path: Path) -> Non
         assert fit.theta[at[told]] == pytest.approx(bench.size[name], rel=2e-3, abs=2e-3)
     elif ":" not in name:
         assert np.abs(fit.theta[at[told]]) == pytest.approx(np.abs(bench.size[name]), rel=2e-3)
+
+
+@pytest.mark.parametrize("form", ["tool_face:tool_face:sine:72:1.1", "response:xyz:sine:0.37:0.5"])
+def test_a_form_that_is_too_fine_for_a_smooth_curve_is_found(form: str, tmp_path: Path) -> None:
+    """Five waves a turn of a dial passed for scatter of its settings; five waves of the response
+    were seen, but no curve of so many terms held out, and no form was tried."""
+    what, driver, kind, period, _ = form.split(":")
+    bench = plain_bench.Bench(plain_bench.Plan(1, ((form, 30.0),), n=60))
+    table = read_position_table(bench.write(tmp_path / "sheet.csv"))
+    run = run_lab(table, LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    steps = [s.effect for s in run.result.loop.steps]
+    assert len(steps) == 1
+    assert steps[0].startswith(f"shape@{what}:{driver}:{kind}:")
+    assert float(steps[0].split(":")[-1]) == pytest.approx(float(period), rel=0.02)
+    held = run.outcome.errors[0].held_out
+    assert held.final < 0.7 * held.base
