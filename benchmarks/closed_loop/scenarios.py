@@ -12,17 +12,26 @@ import numpy as np
 from trial import Job
 
 SIZES = (0.35, 1.0, 3.0)
-WORLDS = {"lab": "lab_world", "actigraph": "week_world", "array": "array_world"}
+WORLDS = {
+    "lab": "lab_world",
+    "actigraph": "week_world",
+    "array": "array_world",
+    "sheets": "sheet_world",
+}
 
 
 def world(calibrator: str) -> ModuleType:
     """The generator of a calibrator: effects(), OUTSIDE, NOISE, FAULTS, CONFOUNDED, trial(job);
-    where it matters sizes(effect), in typical ones, and ABSORBED, what must be listed as such."""
+    where it matters sizes(effect), in typical ones, and ABSORBED, what must be listed as such.
+    One that has jobs(scale) and rows(trials) brings its own scenarios and marks."""
     return import_module(WORLDS[calibrator])
 
 
 def jobs(calibrator: str, scale: float) -> Iterator[Job]:
     """All trials of a calibrator; `scale` multiplies their number (1 is the full benchmark)."""
+    if hasattr(world(calibrator), "jobs"):
+        yield from world(calibrator).jobs(scale)
+        return
     seeds = count(1_000_000 * (1 + list(WORLDS).index(calibrator)))
     for scenario, number, recipes in _recipes(world(calibrator)):
         for recipe in recipes:

@@ -10,6 +10,8 @@ from trial import Trial
 
 Trials = Sequence[Trial]
 Test = Callable[[Trial], bool]
+#: What was measured, of how many trials, the measure, and its mark.
+Row = tuple[str, int, str, str]
 
 
 def share(trials: Trials, test: Test) -> str:
@@ -36,7 +38,15 @@ def _ratio(trials: Trials, below: str) -> list[float]:
 
 def table(calibrator: str, trials: Trials) -> str:
     """One Markdown table."""
-    rows = [
+    own = getattr(world(calibrator), "rows", None)
+    rows = own(trials) if own else _rows(calibrator, trials)
+    lines = [f"| {calibrator} | trials | measured | mark |", "|---|---|---|---|"]
+    lines += [f"| {a} | {b} | {c} | {d} |" for a, b, c, d in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _rows(calibrator: str, trials: Trials) -> list[Row]:
+    return [
         *_clean(trials),
         *_noise(trials),
         *_one(trials),
@@ -47,12 +57,6 @@ def table(calibrator: str, trials: Trials) -> str:
         *_absorbed(calibrator, trials),
         *_rest(trials),
     ]
-    lines = [f"| {calibrator} | trials | measured | mark |", "|---|---|---|---|"]
-    lines += [f"| {a} | {b} | {c} | {d} |" for a, b, c, d in rows]
-    return "\n".join(lines) + "\n"
-
-
-Row = tuple[str, int, str, str]
 
 
 def _clean(trials: Trials) -> list[Row]:

@@ -24,7 +24,8 @@ BASE = ("bias", "scale")  # effects whose intervals are counted
 @dataclass(frozen=True)
 class Job:
     """What to simulate. effects : (name, size in typical sizes); outside : the same for effects
-    that no catalogue holds; noise : kind; fault : of a record or a label; layout : of a bench"""
+    that no catalogue holds; noise : kind; fault : of a record or a label; layout : of a bench;
+    junk : effects that are declared and are not there"""
 
     calibrator: str
     scenario: str
@@ -34,6 +35,7 @@ class Job:
     noise: str = "gaussian"
     fault: str = ""
     layout: str = ""
+    junk: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class Trial:
     before, after, oracle : true error of the base calibration, of the final one and of one that
         knows the planted effects; covered : of `intervals` 95 % intervals
     refused : the error that the command stopped with, if it did
+    names : of every step, itself and its aliases, in full
+    told : change of the error that is reported as held out; new : the same on data made anew
     """
 
     job: Job
@@ -63,6 +67,9 @@ class Trial:
     intervals: int = 0
     seconds: float = 0.0
     refused: str = ""
+    names: tuple[str, ...] = ()
+    told: float = 0.0
+    new: float = 0.0
 
     @property
     def alarm(self) -> bool:

@@ -20,6 +20,8 @@ _CURVE_MG, _CURVE_DEG, _RECORD_MG, _RECORD_DEG = 1.0, 0.1, 50.0, 2.0
 #: Name of an error that all triads of one rigid body share.
 ALL_TRIADS = "all"
 _TERMS, _MOST_TERMS = 8, 32
+#: Of a dial, whose teeth and rollers repeat up to six times a turn: as many as a curve can have.
+_LOBES = 12
 #: Beyond so many observations, noise in time is looked for in this many stretches.
 _EXACT_NOISE, _STRETCHES = 400, 48
 
@@ -112,8 +114,8 @@ def probes(fit: Fit) -> tuple[Candidate, ...]:
     for name in ("order", "temperature", "inclination", "tool_face"):
         if name not in context or np.ptp(context[name]) <= 0.0:
             continue
-        terms = min(_TERMS, max(2, len(np.unique(context[name])) - 1))
         periodic = name == "tool_face"
+        terms = min(_LOBES if periodic else _TERMS, max(2, len(np.unique(context[name])) - 1))
         curves = (_harmonics if periodic else _cosines)(context[name], terms)
         words = name.replace("_", "-")
         block = np.einsum("nt,ij->nijt", curves, np.eye(3))[:, None]

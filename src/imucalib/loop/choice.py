@@ -112,22 +112,22 @@ def curve_of(
     if found is None:
         return None
     smooth = _smoothed(current, found, options)
-    if smooth is None:
-        return None
     formed = _formed(current, found, smooth, options)
-    if formed is None and last:
+    if formed is None and last and smooth:
         one = _formed(reduced(current, (last,)), found, smooth, options)
         formed = one and replace(one, drops=(last,))
     return formed or smooth
 
 
-def _formed(current: Fit, found: Score, smooth: Decided, options: Options) -> Decided | None:
-    """A form with a formula in place of a curve, where it predicts about as well."""
+def _formed(current: Fit, found: Score, smooth: Decided | None, options: Options) -> Decided | None:
+    """A form with a formula in place of a curve, where it predicts about as well. Where no curve
+    holds out, which spends many terms, a form has to gain what a curve must."""
     form = form_of(current, found, options.rng)
     if form is None or form.effect.missing(current.observations.context):
         return None
     trial = options.extended(current, form.effect)
-    if objection(current, trial) or _leads(smooth.fit, trial, current):
+    bar = () if smooth else (CURVE_NATS, CURVE_RMS)
+    if objection(current, trial, *bar) or (smooth and _leads(smooth.fit, trial, current)):
         return None
     return Decided(form.score, trial, curve=False, rivals=form.rivals)
 

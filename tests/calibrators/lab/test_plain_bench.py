@@ -1,0 +1,85 @@
+"""Two writings of the printed equations agree: a sheet without noise from the plain-numpy world
+is fitted to nothing by the calibrator that is told what was planted."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.position_table import read_position_table
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.run import run_lab
+from imucalib.effects import catalogue, named
+from worlds import plain_bench, plain_defects
+
+OUTSIDE = {
+    "third_harmonic", "slip", "local_sine", "thermal_lag", "random_walk", "shock", "late_reading",
+    "pick_up", "soft_saturation",
+}  # fmt: skip
+EVERY = [*plain_defects.DIALS, *plain_defects.AXES, *plain_defects.SENSOR]
+PLANTED = [name for name in EVERY if name not in OUTSIDE]
+FORMS = [
+    "bias:order:exponential:0.2:0", "bias:temperature:kink:26", "response:xyz:saturation:0.6",
+    "response:y:power:5:0:1", "response:xyz:saw_tooth:0.3:0.2",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("module", [plain_bench, plain_defects])
+def test_the_world_knows_nothing_of_the_code(module: object) -> None:
+    tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))  # type: ignore[attr-defined]
+    found = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    found |= {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    allowed = {"__future__", "dataclasses", "pathlib", "collections.abc", "numpy", "numpy.typing"}
+    assert found <= allowed | {"worlds.plain_defects"}
+
+
+def test_every_effect_that_a_sheet_can_show_is_planted() -> None:
+    known = {e.name for e in catalogue().values() if e.stage in ("fixture", "sensor")}
+    assert set(PLANTED) - {"bias_step"} <= known | {"bias_step"}
+    assert len(PLANTED) == 20
+
+
+@pytest.mark.parametrize("name", [*PLANTED, *FORMS])
+def test_a_planted_effect_is_fitted_to_nothing(name: str, tmp_path: Path) -> None:
+    plan = plain_bench.Plan(7, ((name, 10.0),), sigma=1e-7, scatter=1e-7, n=40)
+    bench = plain_bench.Bench(plan)
+    # λ is in units of the noise: bring it to that of a usual bench.
+    bench.size = {name: 1e6 * p for name, p in bench.size.items()}
+    bench.reading = bench.noted(bench.conditions, np.random.default_rng(0))
+    told = f"shape@{name}" if ":" in name else name
+    told = f"bias_step@record{bench.conditions.at + 1}" if name == "bias_step" else told
+    settings = LabSettings(loop=False, declare=(told,))
+    request = LabRequest(unit="mg", settings=settings)
+    result = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), request).result
+    fit = result.final
+    assert result.error.final < 0.05
+    at = fit.model.slices(fit.observations.context)
+    assert fit.theta[at["bias"]] == pytest.approx(bench.bias, abs=2e-2)
+    assert fit.theta[at["scale"]] == pytest.approx(bench.scale, abs=2e-5)
+    assert fit.theta[at["non_orthogonality"]] == pytest.approx(bench.cross, abs=2e-5)
+    assert fit.theta[at["mounting"]] == pytest.approx(bench.mounting, abs=2e-3)
+    if named(told).stage != "fixture" and ":" not in name:
+        assert fit.theta[at[told]] == pytest.approx(bench.size[name], rel=2e-3, abs=2e-3)
+    elif ":" not in name:
+        assert np.abs(fit.theta[at[told]]) == pytest.approx(np.abs(bench.size[name]), rel=2e-3)
+
+
+@pytest.mark.parametrize("form", ["tool_face:tool_face:sine:72:1.1", "response:xyz:sine:0.37:0.5"])
+def test_a_form_that_is_too_fine_for_a_smooth_curve_is_found(form: str, tmp_path: Path) -> None:
+    """Five waves a turn of a dial passed for scatter of its settings; five waves of the response
+    were seen, but no curve of so many terms held out, and no form was tried."""
+    what, driver, kind, period, _ = form.split(":")
+    bench = plain_bench.Bench(plain_bench.Plan(1, ((form, 30.0),), n=60))
+    table = read_position_table(bench.write(tmp_path / "sheet.csv"))
+    run = run_lab(table, LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    steps = [s.effect for s in run.result.loop.steps]
+    assert len(steps) == 1
+    assert steps[0].startswith(f"shape@{what}:{driver}:{kind}:")
+    assert float(steps[0].split(":")[-1]) == pytest.approx(float(period), rel=0.02)
+    held = run.outcome.errors[0].held_out
+    assert held.final < 0.7 * held.base
