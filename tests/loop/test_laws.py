@@ -310,3 +310,19 @@ def test_noise_that_neighbours_share_is_part_of_the_model() -> None:
     assert [s.effect for s in found.named] == ["quadratic"]
     size = found.final.noise.sd[-1]
     assert 0.5 * 0.0375 < size < 2.0 * 0.0375  # 0.03 / sqrt(1 - 0.36)
+
+
+def test_an_effect_that_noise_imitates_is_told_beside_it() -> None:
+    base, data = base_model(), bench(5, 40)
+    drawn = draw(base, ordinary_theta(base, data, 5), data, 6)
+    rise = 0.02 * data.context["order"][:, None, None] * np.array([1.0, -0.5, 0.8])
+    wiggle = np.zeros((40, 3))
+    rng = np.random.default_rng(8)
+    for k in range(1, 40):
+        wiggle[k] = 0.9 * wiggle[k - 1] + 0.008 * rng.standard_normal(3)
+    mixed = drawn.with_reading(drawn.reading + rise + wiggle[:, None])
+    effects = {"bias_drift": named("bias_drift")}
+    loop = close_loop(base, mixed, effects, np.random.default_rng(0), replace(RULES, curves=False))
+    words = " ".join(u.name for u in loop.unexplained)
+    rivals = [name for s in loop.steps for name in s.aliases]
+    assert "bias_drift would do as well" in words or "wandering_bias" in rivals

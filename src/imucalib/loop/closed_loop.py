@@ -88,7 +88,7 @@ def close_loop(
         rejected=tuple(end.rejected.items()),
         unexplained=(
             *unexplained(end.last.scores, rules),
-            *noise_doubts(final, rng, rules, shared=not state.steps),
+            *noise_doubts(final, rng, rules, shared=not state.steps, scores=end.last.scores),
         ),
         scores=end.last.scores,
         first_scores=end.first.scores,

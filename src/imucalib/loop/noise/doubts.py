@@ -8,6 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
+from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings, Unexplained
 from imucalib.loop.noise.shared import shared_evidence
 from imucalib.units import MG
@@ -16,11 +17,17 @@ _MOST_DRAWN = 2000  # numbers on which tails are judged by simulation
 
 
 def noise_doubts(
-    fit: Fit, rng: np.random.Generator, rules: LoopSettings, *, shared: bool = False
+    fit: Fit,
+    rng: np.random.Generator,
+    rules: LoopSettings,
+    *,
+    shared: bool = False,
+    scores: tuple[Score, ...] = (),
 ) -> tuple[Unexplained, ...]:
     """What speaks against the noise model, most serious first; no effect is claimed by it.
 
     shared : whether noise that neighbours share counts as structure: where nothing else was found
+    scores : of the last search; effects that explain at least as much as that noise stand beside it
     """
     found = []
     nats = shared_evidence(fit) if shared else 0.0
@@ -29,6 +36,10 @@ def noise_doubts(
         size = fit.noise.sd[-1] / MG
         memory = fit.observations.shared[-1].memory
         name = f"noise that neighbours share, {size:.2g} mg, forgotten in {memory:.2g} positions"
+        own = [s for s in scores if s.candidate.kind == "effect" and s.evidence > 0.0]
+        likely = [s.name for s in own if s.evidence > 0.5 * own[0].evidence]
+        if likely:
+            name += f" ({' or '.join(likely[:2])} would do as well)"
         found.append(Unexplained(name, "order", "noise", p, nats, 0.0))
     if rules.declared and (p := beyond_declared(fit)) < rules.noise_alpha:
         name = f"scatter {fit.noise.factor:.2g} times the declared noise"
