@@ -32,7 +32,7 @@ from imucalib.loop.held_out import Held, errors
 from imucalib.loop.noise import grid as evidence_grid
 from imucalib.loop.noise.doubts import beyond_declared, heavy_tails, noise_doubts
 from imucalib.loop.records import extended
-from worlds.bench import base_model, bench, draw, ordinary_theta
+from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
 Array = NDArray[np.float64]
 RULES = LoopSettings(draws=59, alpha=0.1)
@@ -326,3 +326,20 @@ def test_an_effect_that_noise_imitates_is_told_beside_it() -> None:
     words = " ".join(u.name for u in loop.unexplained)
     rivals = [name for s in loop.steps for name in s.aliases]
     assert "bias_drift would do as well" in words or "wandering_bias" in rivals
+
+
+def test_a_name_is_not_certain_where_a_form_explains_more() -> None:
+    """Readings that stop growing at 0.6 g look like a cubic response."""
+    base, data = base_model(), bench(5, 60)
+    drawn = draw(base, ordinary_theta(base, data, 5), data, 6)
+    u = data.reference.truth(np.zeros(data.reference.eta_size)) / GRAVITY
+    limit = -0.1 * np.sign(u) * np.maximum(np.abs(u) - 0.6, 0.0) / 0.4
+    effects = {"cubic": named("cubic")}
+    bent = drawn.with_reading(drawn.reading + limit)
+    loop = close_loop(base, bent, effects, np.random.default_rng(0), RULES)
+    assert loop.steps
+    assert not any(step.certain for step in loop.steps)
+    told = " ".join(name for s in loop.steps for name in (s.effect, *s.aliases))
+    assert "saturation" in told
+    right = searched(planted("cubic", 3.0, n=60), ("cubic",))
+    assert [(s.effect, s.aliases) for s in right.steps] == [("cubic", ())]

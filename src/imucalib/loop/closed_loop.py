@@ -44,6 +44,7 @@ from imucalib.loop.search import (
     search,
     unexplained,
 )
+from imucalib.loop.shapes import better_form
 from imucalib.loop.subject import Refused, Searched, close
 from imucalib.loop.thresholds import KEEP, SUSPECTS
 
@@ -185,6 +186,9 @@ class _State:
         rivals = decided.rivals
         if chosen.name in {s.name for s in scores} or chosen.candidate.family:
             rivals = aliases(self.fit, self.effects, chosen, scores, self.rules)
+        if not (curve or rivals or chosen.name.startswith("shape@")):
+            named = effect_named(self.effects, chosen.name)
+            rivals = better_form(self.fit, named, chosen, self.rng)
         if not curve and lead_over_a_walk(self.fit, chosen.evidence) < self.rules.margin:
             rivals = (*rivals, WANDERING)
         step = Step(

@@ -13,7 +13,7 @@ from imucalib.effects import known
 from imucalib.loop.candidates import correlated_noise, effect_candidates, family_candidates, probes
 from imucalib.loop.evidence import Candidate, Score, apart, score
 from imucalib.loop.found import LoopSettings, Unexplained
-from imucalib.loop.held_out import log_predictive
+from imucalib.loop.held_out import fitted, log_predictive
 from imucalib.loop.records import held_out_rms
 from imucalib.loop.subject import Searched
 from imucalib.loop.thresholds import (
@@ -21,6 +21,7 @@ from imucalib.loop.thresholds import (
     HELD_OUT_NATS,
     HELD_OUT_RMS,
     MARGIN,
+    WORSE,
 )
 
 
@@ -167,7 +168,10 @@ def objection(
     gain = log_predictive(after) - log_predictive(before)
     if gain < least_nats or held_out_rms(after) >= most_rms * held_out_rms(before):
         return f"it does not hold out: {gain:+.1f} nats on data that it was not fitted to"
-    return ""
+    # The correction itself, as a user will apply it, and not only the model run forwards.
+    times = fitted(after).rms() / fitted(before).rms()
+    worse = f"it does not hold out: corrected readings are {times:.2g} times as far off"
+    return worse if times > WORSE else ""
 
 
 def aliases(

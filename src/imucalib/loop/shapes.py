@@ -61,6 +61,23 @@ def form_of(fit: Fit, curve: Score, rng: np.random.Generator) -> Formed | None:
     return Formed(replace(curve, candidate=named, evidence=of_kind[best]), effect, rivals)
 
 
+def better_form(
+    fit: Fit, effect: Effect, named: Score, rng: np.random.Generator
+) -> tuple[str, ...]:
+    """The form that explains more than a named effect of the sensor with the same driver, if one
+    does: then the name is not certain."""
+    context = fit.observations.context
+    if effect.stage != "sensor" or len(effect.needs) > 1:
+        return ()
+    if effect.needs and effect.needs[0] not in context.covariates:
+        return ()
+    driver = f"bias:{effect.needs[0]}" if effect.needs else "response:xyz"
+    form = form_of(fit, replace(named, candidate=replace(named.candidate, curve=driver)), rng)
+    if form is None or form.score.evidence <= named.evidence:
+        return ()
+    return (form.effect.name,)
+
+
 def _of_scan(members: list[Score]) -> float:
     nats = np.array([m.evidence for m in members])
     return float(nats.max() + np.log(np.mean(np.exp(nats - nats.max()))))

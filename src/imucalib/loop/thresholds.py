@@ -25,6 +25,9 @@ MARGIN = 3.0
 #: error that may be left, here and for a curve, which has nothing but the data to speak for it.
 HELD_OUT_NATS, HELD_OUT_RMS = 1.0, 1.0
 CURVE_NATS, CURVE_RMS = 5.0, 0.97
+#: Times that the corrected readings, fitted, may be as far off as before: a model that weighs
+#: settings gives up a little of them, a correction of the wrong sign doubles them.
+WORSE = 1.2
 #: Terms of a curve that are tried.
 CURVE_TERMS = (3, 6, 12)
 #: Nats from which on an effect that data refuse which took no part is structure without a name, not
