@@ -15,26 +15,32 @@ from imucalib.errors import UnreadableInput
 _MARK, _SIZE = b"GCOL\x01\0\0\0", struct.Struct("<Q")
 _OBJECT = struct.Struct("<HHIQ")  # number (0: free space), uses, nothing, size
 #: Bytes searched at each end of a file: where writers put what they write before and after data.
-_SPAN = 32 << 20
+_SPAN, _PIECE = 32 << 20, 4 << 20  # and how many are held at a time
 _LARGEST = 1 << 20  # of a heap; the library makes them of 4 KiB, or as large as one text needs
 
 
 def demand_ends(path: Path) -> None:
     """Raise UnreadableInput for a heap whose walk would not end."""
     size = path.stat().st_size
+    spans = ((0, min(_SPAN, size)), (max(_SPAN, size - _SPAN), size))
     with path.open("rb") as file:
-        for start in sorted({0, max(0, size - _SPAN)}):
-            file.seek(start)
-            data = file.read(_SPAN)
-            at = data.find(_MARK)
-            while at >= 0:
-                if not _ends(data, at):
-                    raise UnreadableInput(
-                        "a heap of texts is damaged",
-                        where=f"{path}, byte {start + at}",
-                        remedy="copy it again from its source",
-                    )
-                at = data.find(_MARK, at + 1)
+        for first, last in spans:
+            for start in range(first, last, _PIECE):
+                file.seek(start)
+                _demand_ends_in(file.read(_PIECE + _LARGEST), start, path)
+
+
+def _demand_ends_in(data: bytes, start: int, path: Path) -> None:
+    """Of the heaps that begin in the first piece of some bytes; what follows lets them end."""
+    at = data.find(_MARK, 0, _PIECE + len(_MARK) - 1)
+    while at >= 0:
+        if not _ends(data, at):
+            raise UnreadableInput(
+                "a heap of texts is damaged",
+                where=f"{path}, byte {start + at}",
+                remedy="copy it again from its source",
+            )
+        at = data.find(_MARK, at + 1, _PIECE + len(_MARK) - 1)
 
 
 def _ends(data: bytes, start: int) -> bool:
