@@ -184,7 +184,7 @@ def _step(step: Step, final: Fit) -> FoundStep:
         what, against = step.effect.removeprefix("curve@").split(":")[:2]
         curve = f"{what} against {against}".replace("_", "-")
     own = tuple(p for p in stored_parameters(final) if p.effect == step.effect)
-    form = known(step.effect) if step.effect.startswith("shape@") else None
+    form = known(step.effect) if step.formed else None
     return FoundStep(
         effect=step.effect,
         p=step.p,

@@ -61,6 +61,12 @@ class Balanced:
     sigma: Array
     free: int = 0
 
+    @property
+    def unit(self) -> Array:
+        """(N,) m/s², the declared noise of each number."""
+        whole = self.keep.shape[2] == self.sigma.shape[1]
+        return self.sigma.reshape(-1) if whole else self.sigma[self.owner, 0]
+
     def columns(self, block: Array) -> Array:
         """Bring columns (n, K, 3, m) of a candidate effect, m/s² per unit, to the balance."""
         n, k, _, m = block.shape

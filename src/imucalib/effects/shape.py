@@ -117,6 +117,11 @@ def shape(value: str) -> Effect:
     return bent(words, what, against, form)
 
 
+def is_form(name: str) -> bool:
+    """Whether an effect's name is that of a form."""
+    return name.startswith("shape@")
+
+
 FAMILIES = (
     Family(
         "shape",

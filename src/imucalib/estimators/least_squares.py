@@ -130,7 +130,7 @@ def _solve(
         return _with_eta(model, observations, State(state.theta + step, state.eta), noise)
 
     first = _with_eta(model, observations, start, noise)
-    if _has_settings(observations, start.eta):
+    if _has_settings(observations, noise):
         # A gross error looks like a gross setting error until θ has had its say: start from
         # whichever comes out better, η settled before the first step of θ or after it.
         residual, jacobian = linearise(start)
@@ -147,7 +147,7 @@ def _with_eta(model: Model, observations: Observations, state: State, noise: Noi
     Large setting errors bend the linearisation: unless η is settled, the cost depends on the path
     and a step cannot be judged by it.
     """
-    if _has_settings(observations, state.eta):
+    if _has_settings(observations, noise):
         for _ in range(6):
             at = balance(model, state.theta, state.eta, observations)
             eta = setting_errors(at, noise, at.residual)
@@ -166,8 +166,9 @@ def _has_flat(observations: Observations, eta: Array) -> bool:
     return None in observations.reference.directions(eta).component
 
 
-def _has_settings(observations: Observations, eta: Array) -> bool:
-    return any(observations.reference.directions(eta).component)
+def _has_settings(observations: Observations, noise: Noise) -> bool:
+    """Whether a component is a setting's: those that observations share stand behind them."""
+    return len(noise.component) > len(observations.shared)
 
 
 def _flat_step(model: Model, observations: Observations, state: State) -> Array:

@@ -83,9 +83,10 @@ def decided(
 
 def _leads(curve: Fit, name: Fit, before: Fit) -> bool:
     """Whether a curve predicts what was left out clearly better than a name does."""
-    lead = log_predictives(curve) - log_predictives(name)
+    own = log_predictives(curve)
+    lead = own - log_predictives(name)
     total, spread = float(lead.sum()), float(np.std(lead, ddof=1)) * lead.size**0.5
-    gained = log_predictive(curve) - log_predictive(before)
+    gained = float(own.sum()) - log_predictive(before)
     return total > CURVE_LEAD * spread and total > CURVE_SHARE * gained
 
 

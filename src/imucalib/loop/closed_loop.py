@@ -20,6 +20,7 @@ from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
+from imucalib.effects.shape import is_form
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.choice import Decided, Options, curve_of, decided
@@ -186,7 +187,7 @@ class _State:
         rivals = decided.rivals
         if chosen.name in {s.name for s in scores} or chosen.candidate.family:
             rivals = aliases(self.fit, self.effects, chosen, scores, self.rules)
-        if not (curve or rivals or chosen.name.startswith("shape@")):
+        if not (curve or rivals or is_form(chosen.name)):
             named = effect_named(self.effects, chosen.name)
             rivals = better_form(self.fit, named, chosen, self.rng)
         if not curve and lead_over_a_walk(self.fit, chosen.evidence) < self.rules.margin:

@@ -149,9 +149,8 @@ def _score_few(
 
 
 def _size(fit: Fit, candidate: Candidate) -> float:
-    at = fit.at
-    scale = at.sigma.reshape(-1) if at.keep.shape[2] == at.sigma.shape[1] else at.sigma[at.owner, 0]
-    return float(np.linalg.norm(candidate.columns * scale[:, None]) / fit.observations.n**0.5)
+    sized = candidate.columns * fit.at.unit[:, None]
+    return float(np.linalg.norm(sized) / fit.observations.n**0.5)
 
 
 def _bar(null: Array, alpha: float) -> float:

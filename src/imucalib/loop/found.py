@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from imucalib.core.fit import Fit
+from imucalib.effects.shape import is_form
 from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.record_errors import RecordError
@@ -74,10 +75,15 @@ class Step:
     curve: bool = False
 
     @property
+    def formed(self) -> bool:
+        """Whether it is a form with a formula, which has no known cause."""
+        return is_form(self.effect)
+
+    @property
     def certain(self) -> bool:
         """Nothing else would do as well, and chance would not do it in a hundred searches; a form
         with a formula has no cause to be certain of."""
-        caused = not self.curve and not self.effect.startswith("shape@")
+        caused = not self.curve and not self.formed
         return caused and not self.aliases and self.p <= CERTAIN
 
 

@@ -131,11 +131,9 @@ def left_out_sizes(fit: Fit) -> Array:
         products = rest[:-1, :-1] / np.outer(scale, scale)
         step = np.linalg.lstsq(products, rest[:-1, -1] / scale, rcond=1e-13)[0] / scale
         error[rows] = at.residual[rows] - at.jacobian[rows] @ step
-    per_row = at.residual.size // fit.observations.n
-    same = per_row == at.sigma.shape[1]
-    unit = at.sigma.reshape(-1) if same else np.repeat(at.sigma[:, 0], per_row)
     triads = at.sigma.shape[1] // 3
-    return np.asarray(np.linalg.norm((error * unit).reshape(-1, per_row), axis=1) / triads**0.5)
+    each = (error * at.unit).reshape(fit.observations.n, -1)
+    return np.asarray(np.linalg.norm(each, axis=1) / triads**0.5)
 
 
 def fitted(fit: Fit) -> Held:

@@ -27,18 +27,20 @@ class Rival:
     fit: Fit
 
 
-def rivals_of(loop: FitLoop, rng: np.random.Generator) -> tuple[tuple[Rival, ...], ...]:
+def rivals_of(loop: FitLoop) -> tuple[tuple[Rival, ...], ...]:
     """For every named effect with others beside it, itself and these."""
-    return tuple(found for step in loop.named if len(found := _of_step(loop, step, rng)) > 1)
+    return tuple(found for step in loop.named if len(found := _of_step(loop, step)) > 1)
 
 
-def _of_step(loop: FitLoop, step: Step, rng: np.random.Generator) -> tuple[Rival, ...]:
+def _of_step(loop: FitLoop, step: Step) -> tuple[Rival, ...]:
     effects = [e for name in (step.effect, *step.aliases) if (e := known(name)) is not None]
     if len(effects) < 2 or step.effect not in loop.final.model.names:
         return ()
     without = reduced(loop.final, (step.effect,))
     candidates, _ = effect_candidates(without, effects)
-    nats = {s.name: s.evidence for s in score(without, candidates, rng, draws=0)}
+    nothing_drawn = np.random.default_rng(0)
+    scores = score(without, candidates, nothing_drawn, draws=0)
+    nats = {s.name: s.evidence for s in scores}
     best = max(nats.values())
     found = []
     for effect in effects:

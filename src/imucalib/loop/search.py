@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,10 +61,14 @@ def _one_a_scan(scores: tuple[Score, ...]) -> tuple[Score, ...]:
         of.setdefault(found.candidate.family, []).append(found)
     best = of.pop("", [])
     for members in of.values():
-        nats = np.array([m.evidence for m in members])
-        mean = float(nats.max() + np.log(np.mean(np.exp(nats - nats.max()))))
-        best.append(replace(members[0], evidence=max(mean, 0.0)))
+        best.append(replace(members[0], evidence=max(scan_evidence(members), 0.0)))
     return tuple(sorted(best, key=lambda s: -s.evidence))
+
+
+def scan_evidence(members: Sequence[Score]) -> float:
+    """Nats of a whole scan: the log of the mean likelihood over its values."""
+    nats = np.array([m.evidence for m in members])
+    return float(nats.max() + np.log(np.mean(np.exp(nats - nats.max()))))
 
 
 def thinned(fit: Fit, most: int) -> Fit:

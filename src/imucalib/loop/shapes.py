@@ -17,6 +17,7 @@ from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.loop.candidates import effect_candidates, fitted_prediction
 from imucalib.loop.evidence import Score, score
+from imucalib.loop.search import scan_evidence
 from imucalib.loop.thresholds import MARGIN
 from imucalib.units import DEG, STANDARD_GRAVITY
 
@@ -44,7 +45,7 @@ def form_of(fit: Fit, curve: Score, rng: np.random.Generator) -> Formed | None:
     found = _scored(fit, what, against, every, rng)
     if not found:
         return None
-    of_kind = {kind: _of_scan(members) for kind, members in found.items()}
+    of_kind = {kind: scan_evidence(members) for kind, members in found.items()}
     best = max(of_kind, key=lambda kind: of_kind[kind])
     top = max(found[best], key=lambda s: s.evidence)
     near = _between(every[best], _numbers_of(top.name))
@@ -76,11 +77,6 @@ def better_form(
     if form is None or form.score.evidence <= named.evidence:
         return ()
     return (form.effect.name,)
-
-
-def _of_scan(members: list[Score]) -> float:
-    nats = np.array([m.evidence for m in members])
-    return float(nats.max() + np.log(np.mean(np.exp(nats - nats.max()))))
 
 
 def _scored(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -76,7 +77,6 @@ class LabResult:
     observations : all rows; used : the rows that were fitted
     splits : leave-one-out, the folds of the design, and the test set of `train`, where they exist
     angles : the final fit's errors in degrees and mg on the fitted rows (KnownVector only)
-    rivals : for every effect that others would replace, the models with each of them
     """
 
     observations: Observations
@@ -88,7 +88,11 @@ class LabResult:
     splits: tuple[Split, ...]
     angles: AttitudeErrors | None
     settings: LabSettings
-    rivals: tuple[tuple[Rival, ...], ...] = ()
+
+    @cached_property
+    def rivals(self) -> tuple[tuple[Rival, ...], ...]:
+        """For every effect that others would replace, the models with each of them."""
+        return rivals_of(self.loop) if self.loop else ()
 
 
 def calibrate(
@@ -141,7 +145,6 @@ def calibrate(
         splits=splits,
         angles=angles,
         settings=settings,
-        rivals=rivals_of(loop, rng) if loop else (),
     )
 
 

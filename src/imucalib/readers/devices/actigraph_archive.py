@@ -61,6 +61,18 @@ class Loss:
         )
 
 
+def members_of(path: Path, head: bytes) -> frozenset[str] | None:
+    """Names of an archive's members: none where the head is no archive's, None where it is
+    damaged."""
+    if not head.startswith(b"PK\x03\x04"):
+        return frozenset()
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return frozenset(archive.namelist())
+    except DAMAGED:
+        return None
+
+
 def info_of(path: Path, data: str) -> dict[str, str]:
     """The lines of info.txt by name; `data` is the member that holds the samples.
 

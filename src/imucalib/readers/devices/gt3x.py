@@ -8,7 +8,6 @@ y x z (type 0), or in int16, axes x y z (type 26). Layout: ActiGraph's public GT
 from __future__ import annotations
 
 import struct
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +18,10 @@ from numpy.typing import NDArray
 from imucalib.errors import UnreadableInput
 from imucalib.readers.conversion import acceleration, norms_at_rest
 from imucalib.readers.devices.actigraph_archive import (
-    DAMAGED,
     Loss,
     facts_of,
     info_of,
+    members_of,
     pieces_of,
 )
 from imucalib.readers.joining import join
@@ -51,13 +50,10 @@ class Gt3xReader:
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """A zip archive that holds log.bin and info.txt."""
-        if not head.startswith(b"PK\x03\x04"):
-            return False
-        try:
-            with zipfile.ZipFile(path) as archive:
-                return {"log.bin", "info.txt"} <= set(archive.namelist())
-        except DAMAGED:
+        names = members_of(path, head)
+        if names is None:
             return path.suffix.lower() == ".gt3x"
+        return {"log.bin", "info.txt"} <= names
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
         """Read all samples."""

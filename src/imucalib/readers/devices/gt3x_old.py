@@ -16,7 +16,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.actigraph_archive import DAMAGED, facts_of, info_of
+from imucalib.readers.devices.actigraph_archive import DAMAGED, facts_of, info_of, members_of
 from imucalib.readers.devices.gt3x import unpacked
 from imucalib.readers.devices.packets import Log, Packets, recordings
 from imucalib.readers.joining import join
@@ -46,13 +46,7 @@ class OldGt3xReader:
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """A zip archive that holds activity.bin and info.txt, and no log.bin."""
-        if not head.startswith(b"PK\x03\x04"):
-            return False
-        try:
-            with zipfile.ZipFile(path) as archive:
-                names = set(archive.namelist())
-        except DAMAGED:
-            return False
+        names = members_of(path, head) or frozenset()
         return {_DATA, "info.txt"} <= names and "log.bin" not in names
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
