@@ -7,15 +7,13 @@ is what would be found in an HDF5 file with the same names.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.hdf5.file import File
-from imucalib.readers.hdf5.reader import blocks_of
+from imucalib.readers.hdf5.in_memory import blocks_in_memory
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -42,15 +40,11 @@ class MatlabReader:
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Yield the fields in blocks of about `block_samples` rows."""
-        import h5py
-
         variables = _variables(path)
-        with h5py.File(f"{path.name}-in-memory", "w", driver="core", backing_store=False) as held:
-            _store(held, variables, 0)
-            del variables
-            file = File(held, str(path), strict)
-            for block in blocks_of(file, path, mapping, block_samples):
-                yield replace(block, format=self.name)
+        yield from blocks_in_memory(
+            lambda held: _store(held, variables, 0), path, mapping,
+            block_samples=block_samples, strict=strict, name=self.name,
+        )  # fmt: skip
 
 
 READER = MatlabReader()

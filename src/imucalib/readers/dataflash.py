@@ -1,0 +1,190 @@
+"""ArduPilot's DataFlash logs (.bin): IMU, ACC and GYR messages, by the log's own FMT messages.
+
+A message is A3 95, a type, and fields; type 128 (FMT) states type, length, name, one letter a field
+and the fields' names. Letters and units: ArduPilot, libraries/AP_Logger/README.md and
+LogStructure.h (accelerations m/s², rates rad/s, T in °C, TimeUS and SampleUS µs since boot).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.arrays import Index
+from imucalib.errors import UnreadableInput
+from imucalib.readers.hdf5.in_memory import blocks_in_memory, put_channel
+from imucalib.readers.joining import join
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Recording
+
+_MAGIC, _FMT, _FMT_SIZE = b"\xa3\x95", 128, 89
+_LETTERS = {
+    "a": "(32,)<i2", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4",
+    "f": "<f4", "d": "<f8", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4",
+    "E": "<u4", "L": "<i4", "M": "u1", "q": "<i8", "Q": "<u8", "g": "<f2",
+}  # fmt: skip
+#: Names of messages, best first: samples as they came from the sensor, then those that were fused.
+_ACCELERATION = (("ACC", ("AccX", "AccY", "AccZ")), ("IMU", ("AccX", "AccY", "AccZ")))
+_RATE = (("GYR", ("GyrX", "GyrY", "GyrZ")), ("IMU", ("GyrX", "GyrY", "GyrZ")))
+_US = 1e-6
+
+
+@dataclass(frozen=True)
+class _Messages:
+    """rows : structured messages of each name; lost : bytes that belong to no message"""
+
+    rows: Mapping[str, NDArray[Any]]
+    lost: int
+
+
+class DataflashReader:
+    """Reader of DataFlash logs; see `imucalib.readers.Reader`."""
+
+    name = "dataflash"
+    suffixes = (".bin",)
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """A first message that states the format of format messages."""
+        return head.startswith(_MAGIC + bytes([_FMT, _FMT, _FMT_SIZE]) + b"FMT\0")
+
+    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
+        """Read all inertial sensors."""
+        return join(self.blocks(path, mapping, block_samples=1 << 20, strict=strict), str(path))
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """Yield blocks of about `block_samples` rows; the log is held in memory."""
+        found = _messages(np.fromfile(path, dtype=np.uint8))
+        notes: tuple[str, ...] = ()
+        if found.lost:
+            notes = (f"{found.lost} bytes belong to no message: what they held is missing",)
+            if strict:
+                raise UnreadableInput(notes[0], where=str(path), remedy="read it without --strict")
+        blocks = blocks_in_memory(
+            lambda held: _fill(held, found.rows, path), path, mapping,
+            block_samples=block_samples, strict=strict, name=self.name,
+        )  # fmt: skip
+        for block in blocks:
+            yield replace(block, notes=(*notes, *block.notes))
+            notes = ()
+
+
+READER = DataflashReader()
+
+
+def _messages(data: NDArray[np.uint8]) -> _Messages:
+    """Every inertial message, by jumping from header to header; what does not fit is passed over
+    up to the next header that does."""
+    header = np.flatnonzero((data[:-2] == _MAGIC[0]) & (data[1:-1] == _MAGIC[1]))
+    layouts = _layouts(data, header)
+    size = np.zeros(256, dtype=np.intp)
+    for kind, (_, dtype) in layouts.items():
+        size[kind] = dtype.itemsize
+    header = header[size[data[header + 2]] > 0]
+    length = size[data[header + 2]]
+    # A message is one where another begins at its end: what lost bytes is not taken for a sample.
+    closed = np.isin(header + length, np.append(header, data.size))
+    header, length = header[closed], length[closed]
+    keep = _chained(header, length)
+    header, length = header[keep], length[keep]
+    kinds = data[header + 2]
+    rows = {}
+    for kind, (name, dtype) in layouts.items():
+        at = header[kinds == kind]
+        if at.size and name.rstrip("123") in {"IMU", "ACC", "GYR"}:
+            packed = data[at[:, None] + np.arange(dtype.itemsize)]
+            rows[name] = np.ascontiguousarray(packed).view(dtype)[:, 0]
+    return _Messages(rows, int(data.size - length.sum()))
+
+
+def _chained(header: Index, length: Index) -> NDArray[np.bool_]:
+    """Which headers are no bytes inside a message before them. Only those that overlap are walked:
+    two bytes in 65,536 look like a header by chance."""
+    keep = np.ones(header.size, dtype=bool)
+    for k in np.flatnonzero(header[1:] < header[:-1] + length[:-1]):
+        if not keep[k]:
+            continue
+        end = header[k] + length[k]
+        inside = slice(k + 1, int(np.searchsorted(header, end)))
+        keep[inside] = False
+    return keep
+
+
+def _layouts(data: NDArray[np.uint8], header: Index) -> dict[int, tuple[str, np.dtype[Any]]]:
+    """Name and fields of each type; types whose letters do not fill the length are left out."""
+    out: dict[int, tuple[str, np.dtype[Any]]] = {}
+    for at in header[data[header + 2] == _FMT]:
+        text = data[at + 3 : at + _FMT_SIZE].tobytes()
+        if len(text) < _FMT_SIZE - 3:
+            continue
+        kind, size = text[0], text[1]
+        name, letters, names = (_text(text[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
+        fields = names.split(",") if names else []
+        if len(fields) != len(letters) or not set(letters) <= set(_LETTERS):
+            continue
+        if len(set(fields)) != len(fields) or not all(fields):
+            continue
+        dtype = np.dtype([("_header", "V3"), *zip(fields, map(_LETTERS.get, letters), strict=True)])
+        if dtype.itemsize == size:
+            out.setdefault(kind, (name, dtype))
+    return out
+
+
+def _text(raw: bytes) -> str:
+    return raw.split(b"\0")[0].decode("ascii", "replace")
+
+
+def _fill(held: Any, rows: Mapping[str, NDArray[Any]], path: Path) -> None:
+    found = 0
+    for quantity, names, unit in (
+        ("acceleration", _ACCELERATION, "m/s2"), ("angular_rate", _RATE, "rad/s"),
+    ):  # fmt: skip
+        for kind, axes in names:
+            for name, triad, some in _sensors(rows, kind):
+                channel = f"{triad}/{quantity}"
+                if channel not in held and set(axes) <= set(some.dtype.names or ()):
+                    values = np.column_stack([some[a] for a in axes]).astype(np.float64)
+                    put_channel(held, channel, _seconds(some), values, unit)
+                    found += 1
+                if name.startswith("IMU") and f"{triad}/temperature" not in held:
+                    _put_temperature(held, triad, some)
+    if not found:
+        raise UnreadableInput(
+            "the log has no IMU, ACC or GYR messages", where=str(path),
+            remedy="set LOG_BITMASK so that IMU or raw IMU messages are logged",
+        )  # fmt: skip
+
+
+def _put_temperature(held: Any, triad: str, some: NDArray[Any]) -> None:
+    for name in ("T", "Temp"):
+        if name in (some.dtype.names or ()):
+            warm = some[name].astype(np.float64)
+            put_channel(held, f"{triad}/temperature", _seconds(some), warm, "degC")
+
+
+def _sensors(
+    rows: Mapping[str, NDArray[Any]], kind: str
+) -> Iterator[tuple[str, str, NDArray[Any]]]:
+    """Messages sensor by sensor: numbered by a field `I`, or in older logs by their name."""
+    for name in sorted(n for n in rows if n.rstrip("123") == kind):
+        some = rows[name]
+        if "I" in (some.dtype.names or ()):
+            for number in np.unique(some["I"]):
+                yield name, f"imu{number}", some[some["I"] == number]
+        else:
+            yield name, f"imu{int(name[len(kind) :] or 1) - 1}", some
+
+
+def _seconds(some: NDArray[Any]) -> NDArray[np.float64]:
+    """When a sample was taken, where the message says so, else when it was logged."""
+    names = some.dtype.names or ()
+    for name, unit in (("SampleUS", _US), ("TimeUS", _US), ("TimeMS", 1e-3)):
+        if name in names and np.any(some[name]):
+            return np.asarray(some[name].astype(np.float64) * unit)
+    return np.arange(len(some), dtype=np.float64)

@@ -1,0 +1,129 @@
+"""PX4 logs (.ulg), through the package pyulog: raw sensors first, else what the filter was fed.
+
+Topics and fields by PX4's message definitions: sensor_accel (x, y, z in m/s²), sensor_gyro (rad/s),
+one instance a sensor; sensor_combined (accelerometer_m_s2, gyro_rad). Stamps are µs since boot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.hdf5.in_memory import blocks_in_memory, put_channel
+from imucalib.readers.joining import join
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Recording
+
+_MAGIC = b"ULog\x01\x12\x35"
+_US = 1e-6
+#: Topic, quantity, its three fields, its unit.
+_TOPICS = (
+    ("sensor_accel", "acceleration", ("x", "y", "z"), "m/s2"),
+    ("sensor_gyro", "angular_rate", ("x", "y", "z"), "rad/s"),
+)
+_FILTERED = (
+    ("acceleration", tuple(f"accelerometer_m_s2[{k}]" for k in range(3)), "m/s2"),
+    ("angular_rate", tuple(f"gyro_rad[{k}]" for k in range(3)), "rad/s"),
+)
+
+
+class UlogReader:
+    """Reader of PX4 logs; needs the extra `px4`. See `imucalib.readers.Reader`."""
+
+    name = "ulog"
+    suffixes = (".ulg",)
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """The seven bytes that every such log begins with."""
+        return head.startswith(_MAGIC)
+
+    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
+        """Read all sensors."""
+        return join(self.blocks(path, mapping, block_samples=1 << 20, strict=strict), str(path))
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """Yield blocks of about `block_samples` rows; the log's sensors are held in memory."""
+        log = _log(path)
+        notes = _damage(log, path, strict=strict)
+        blocks = blocks_in_memory(
+            lambda held: _fill(held, log.data_list, path), path, mapping,
+            block_samples=block_samples, strict=strict, name=self.name,
+        )  # fmt: skip
+        for block in blocks:
+            yield replace(block, notes=(*notes, *block.notes))
+            notes = ()
+
+
+READER = UlogReader()
+
+
+def _log(path: Path) -> Any:
+    try:
+        from pyulog import ULog
+    except ImportError as error:
+        raise UsageError(
+            "PX4 logs need the package pyulog, which is not installed",
+            where=str(path),
+            remedy="install the extra: pip install 'imucalib[px4]'",
+        ) from error
+    try:
+        return ULog(str(path), ["sensor_accel", "sensor_gyro", "sensor_combined"])
+    except Exception as error:  # what the package raises on damage depends on where the damage is
+        raise UnreadableInput(
+            f"the log cannot be read: {error}", where=str(path), remedy="download it again"
+        ) from error
+
+
+def _damage(log: Any, path: Path, *, strict: bool) -> tuple[str, ...]:
+    notes = []
+    if log.file_corruption:
+        notes.append("parts of the log are damaged: what they held is missing")
+    if log.dropouts:
+        lost = sum(d.duration for d in log.dropouts) / 1e3
+        notes.append(f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s in all")
+    if strict and notes:
+        raise UnreadableInput(notes[0], where=str(path), remedy="read it without --strict")
+    return tuple(notes)
+
+
+def _fill(held: Any, topics: Sequence[Any], path: Path) -> None:
+    found = 0
+    for topic, quantity, axes, unit in _TOPICS:
+        for one in (d for d in topics if d.name == topic):
+            found += _put(held, f"imu{one.multi_id}/{quantity}", one, axes, unit)
+            if quantity == "acceleration" and "temperature" in one.data:
+                _put(held, f"imu{one.multi_id}/temperature", one, ("temperature",), "degC")
+    if not found:
+        for one in (d for d in topics if d.name == "sensor_combined"):
+            for quantity, fields, unit in _FILTERED:
+                found += _put(held, f"imu{one.multi_id}/{quantity}", one, fields, unit)
+    if not found:
+        raise UnreadableInput(
+            "the log has no samples of sensor_accel, sensor_gyro or sensor_combined",
+            where=str(path),
+            remedy="log raw sensors: set the parameter SDLOG_PROFILE so that it includes them",
+        )
+
+
+def _put(held: Any, name: str, one: Any, fields: Sequence[str], unit: str) -> bool:
+    if name in held or not set(fields) <= set(one.data):
+        return False
+    values = np.column_stack([one.data[f] for f in fields]).astype(np.float64)
+    put_channel(held, name, _seconds(one.data), values if len(fields) > 1 else values[:, 0], unit)
+    return True
+
+
+def _seconds(data: Any) -> Array:
+    """When the sensor was sampled, where the log says so, else when the message was published."""
+    stamps = data.get("timestamp_sample")
+    if stamps is None or not np.all(stamps > 0):
+        stamps = data["timestamp"]
+    return np.asarray(stamps.astype(np.float64) * _US)
