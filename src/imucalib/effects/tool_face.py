@@ -65,7 +65,7 @@ EFFECTS = (
     Rotation(
         "tool_face_zero_per_sweep",
         "The tool-face zero moved where a new sweep began.",
-        "t = t_dial + d_sweep",
+        "t = t_dial + d_sweep, none in the first",
         "0.3 deg, practice",
         "Repeat a tool-face of the first sweep in the later ones.",
         ("tool_face", "sweep"),
