@@ -18,7 +18,7 @@ WHEEL = $(PYTHON) -m venv --clear $(VENV)/bare && \
 	$(VENV)/bare/bin/python -m pip install --quiet --disable-pip-version-check dist/imucalib-*.whl
 endif
 
-.PHONY: demo test check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz clean
+.PHONY: demo test check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz mutants clean
 
 $(BIN)/imucal: pyproject.toml
 	test -x $(BIN)/python || $(CREATE)
@@ -71,6 +71,9 @@ loop-benchmark: $(VENV)/.dev ## the acceptance benchmark of the closed loop; SCA
 
 stories: $(VENV)/.dev ## run the command on recorded data and write docs/closed_loop.md's stories
 	$(BIN)/python docs/stories.py
+
+mutants: $(VENV)/.dev ## plant faults one at a time and list those that no test notices
+	$(BIN)/python tests/mutants --count $(or $(COUNT),10)
 
 clean:
 	rm -rf $(VENV) demo dist .pytest_cache .mypy_cache .ruff_cache

@@ -31,11 +31,12 @@ _TOKEN = re.compile(r"\s*(\d+\.?\d*|[A-Za-zα-ωΑ-Ω]\w*'?|\*\*|[-+*/()\[\]>Σ]
 
 @dataclass(frozen=True)
 class Entry:
-    """One effect as the page prints it. parameters : name -> unit."""
+    """One effect as the page prints it. parameters : name -> unit; typical : their sizes."""
 
     name: str
     equation: str
     parameters: Mapping[str, str]
+    typical: tuple[float, ...] = ()
 
 
 def page(path: Path = PAGE) -> dict[str, Entry]:
@@ -47,8 +48,9 @@ def page(path: Path = PAGE) -> dict[str, Entry]:
         listed = re.search(r"^- Parameters: (.*)$", part, re.M)
         if equation is None or listed is None:
             continue
-        found = re.findall(r"`(\w+)` typical [-+.\de]+ ?([^;]*)", listed[1])
-        out[name] = Entry(name, equation[1], {n: unit.strip() for n, unit in found})
+        found = re.findall(r"`(\w+)` typical ([-+.\de]+) ?([^;]*)", listed[1])
+        units = {n: unit.strip() for n, _, unit in found}
+        out[name] = Entry(name, equation[1], units, tuple(float(size) for _, size, _ in found))
     return out
 
 

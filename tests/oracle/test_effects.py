@@ -81,6 +81,14 @@ def test_the_code_does_what_the_page_prints(name: str, seed: int) -> None:
     np.testing.assert_allclose(got, expected(effect, theta, known), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", sorted(set(catalogue()) - {"tool_face_zero_per_sweep"}))
+def test_sizes_and_names_are_those_of_the_page(name: str) -> None:
+    parameters = catalogue()[name].parameters(world(0)[2])
+    assert tuple(p.name for p in parameters) == tuple(PAGE[name].parameters)
+    assert tuple(p.unit for p in parameters) == tuple(PAGE[name].parameters.values())
+    np.testing.assert_allclose([p.typical for p in parameters], PAGE[name].typical)
+
+
 def test_the_page_has_every_effect() -> None:
     assert set(PAGE) >= set(catalogue())
 

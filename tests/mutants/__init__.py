@@ -1,0 +1,1 @@
+"""Faults planted into the code one at a time, to see whether a test notices."""
