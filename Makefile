@@ -29,8 +29,8 @@ $(VENV)/.dev: pyproject.toml $(BIN)/imucal
 	$(INSTALL) -e '.[dev]'
 	@touch $@
 
-demo: $(BIN)/imucal ## calibrate the sample logs; says where the reports are
-	@$(PYTHON) sample_logs/demo.py $(BIN)/imucal demo
+demo: $(BIN)/imucal ## calibrate the sample logs: errors before and after, and where the reports are
+	@$(BIN)/python sample_logs/demo.py $(BIN)/imucal demo
 
 test: $(VENV)/.dev ## run all tests
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
