@@ -104,8 +104,8 @@ def compared(raw: Path, corrected: Path) -> None:
     low, high = np.percentile(means[0] - means[1], [2.5, 97.5])
     first, last = np.sqrt(squares.mean(axis=1))
     print(
-        f"error:  |a| raw {first:.3g}, corrected {last:.3g} mg rms at {squares.shape[1]} rests that "
-        f"the calibration has not seen\n        (gain {first - last:.3g}, 95 % {low:.3g} to "
+        f"error:  |a| raw {first:.3g}, corrected {last:.3g} mg rms at {squares.shape[1]} rests "
+        f"that the calibration has not seen\n        (gain {first - last:.3g}, 95 % {low:.3g} to "
         f"{high:.3g})"
     )
 
