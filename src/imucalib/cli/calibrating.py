@@ -53,6 +53,7 @@ _OPTIONS = (
     click.option("--max-error", type=float,
                  help="Limit: held-out error, in the report's unit (mg; array: m/s²); exit 1 "
                  "beyond."),
+    click.option("--full", is_flag=True, help="Print every section, not one page."),
     click.option("--export", multiple=True, type=EXPORT_FORM,
                  help="Write the coefficients for another program, too."),
 )  # fmt: skip
@@ -190,7 +191,7 @@ def finish(
         emit_json({"logs": contents, together.name: together.content} if together else contents[0])
     elif not quiet:
         for report in reports:
-            show(report.document)
+            show(report.document, full=options["full"])
         if together:
             show(together.document)
     return max(report.run.outcome.exit_code for report in reports)
@@ -209,8 +210,8 @@ def _write(report: Report, folder: Path, forms: tuple[str, ...], quiet: bool) ->
             note(f"{one.file} lacks {text}", quiet)
 
 
-def show(document: Document) -> None:
-    """A document as text on stdout."""
+def show(document: Document, *, full: bool = False) -> None:
+    """A document as text on stdout; one page of it unless `full`."""
     from imucalib.report.render.text import render_text
 
-    click.echo(render_text(document, width(), color=color()), nl=False)
+    click.echo(render_text(document, width(), color=color(), full=full), nl=False)

@@ -117,14 +117,16 @@ def _steps(found: Findings) -> list[Table]:
     """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
     kinds = dict.fromkeys(tuple(c.metric for c in s.checks) for s in found.steps)
     return [
-        _table([s for s in found.steps if tuple(c.metric for c in s.checks) == kind])
+        _table([s for s in found.steps if tuple(c.metric for c in s.checks) == kind], found)
         for kind in kinds
     ]
 
 
-def _table(steps: Sequence[FoundStep]) -> Table:
+def _table(steps: Sequence[FoundStep], found: Findings) -> Table:
     checks = steps[0].checks
     sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
+    # What held-out data do not prove is not certain, whatever else would not do.
+    alone = "nothing" if found.verdict == "suspected" else "nothing: certain"
     rows = tuple(
         (
             s.effect,
@@ -132,7 +134,7 @@ def _table(steps: Sequence[FoundStep]) -> Table:
             probability(s.p, s.draws),
             *((f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)) if nats else ()),
             *_changes(s),
-            ", ".join(s.aliases) or ("nothing: certain" if s.certain else "-"),
+            ", ".join(s.aliases) or (alone if s.certain else "-"),
         )
         for s in steps
     )
@@ -256,4 +258,4 @@ def candidate_section(found: Findings) -> Section:
 def advice_section(outcome: Outcome) -> Section:
     """What to do next."""
     lines = tuple(Text(sentence) for sentence in outcome.advice)
-    return Section("Advice", lines or (Text("Nothing to do."),))
+    return Section("Advice", lines or (Text("Nothing to do."),), brief=False)

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.outcome import Outcome, Run, Status
+from imucalib.report.card import card_of, error_worth
 from imucalib.report.document import Document, Facts, Section, Table, Text, Tone
 from imucalib.report.loop import advice_section, candidate_section, floor_words, loop_section
+from imucalib.report.terms import TERMS
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import MG
 
@@ -31,7 +33,10 @@ def standard_document(run: Run) -> Document:
         sections.append(sensor_section(calibration))
     sections += closing_sections(outcome)
     title = f"Calibration of {outcome.provenance.path} by {outcome.calibrator}"
-    return Document(title, verdict(outcome, head), tuple(sections), outcome.provenance.footer)
+    card = card_of(outcome, (error_worth(error, error.metric),))
+    return Document(
+        title, verdict(outcome, head), tuple(sections), outcome.provenance.footer, card, TERMS
+    )
 
 
 def verdict(outcome: Outcome, head: str, beside: Sequence[str] = ()) -> Text:

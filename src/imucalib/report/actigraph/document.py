@@ -7,11 +7,13 @@ from pathlib import Path
 from imucalib.calibrators.actigraph.coverage import Coverage
 from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.weak import from_data
+from imucalib.report.actigraph.card import actigraph_card
 from imucalib.report.actigraph.plots import residual_plots, sphere_blocks
 from imucalib.report.actigraph.series import series_section
 from imucalib.report.document import Document, Facts, Section, Table, Text
 from imucalib.report.loop import advice_section, candidate_section, loop_section
 from imucalib.report.sections import sensor_section, verdict
+from imucalib.report.terms import TERMS
 from imucalib.significant_digits import with_sd
 
 _MOST_ROWS = 12  # parameters of one effect that are shown in full
@@ -38,6 +40,8 @@ def actigraph_document(run: ActigraphRun) -> Document:
         _verdict(run),
         tuple(sections),
         run.outcome.provenance.footer,
+        actigraph_card(run),
+        TERMS,
     )
 
 

@@ -21,7 +21,7 @@ body{margin:0;background:var(--paper);color:var(--ink);
 font:16px/1.55 Charter,"Bitstream Charter","Sitka Text",Cambria,"Source Serif 4",Georgia,
 "Liberation Serif",serif;text-rendering:optimizeLegibility;hanging-punctuation:first}
 .sheet{max-width:46rem;margin:0 auto;padding:3rem 1.5rem 4rem}
-h1,h2,nav,table,.facts,.verdict b,figcaption,caption,footer,svg,.kicker,.tag{
+h1,h2,h3,nav,table,.tiles,.facts,.verdict b,figcaption,caption,footer,svg,.kicker,.tag{
 font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue","Noto Sans",
 "Liberation Sans",Arial,sans-serif}
 .kicker{margin:0;color:var(--soft);font-size:.75rem;letter-spacing:.09em;text-transform:uppercase}
@@ -37,6 +37,22 @@ background:var(--tint);font-size:1.08rem;line-height:1.45;
 print-color-adjust:exact;-webkit-print-color-adjust:exact}
 .verdict b{display:block;margin-bottom:.15rem;color:var(--accent);font-size:.78rem;
 letter-spacing:.07em;text-transform:uppercase}
+.card{margin:0 0 1.8rem;padding:.2rem 1.1rem .9rem;border:1px solid var(--rule);border-radius:6px;
+break-inside:avoid-page}
+.card h3{margin:1rem 0 .35rem;color:var(--soft);font-size:.75rem;font-weight:600;
+letter-spacing:.07em;text-transform:uppercase}
+.card p{margin:.3rem 0;font-size:.95rem;line-height:1.45}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(11rem,1fr));gap:.9rem 1.4rem;
+margin:0}
+.tiles dt{color:var(--soft);font-size:.8125rem}.tiles dd{margin:0}
+.tiles b{display:block;font-size:1.5rem;line-height:1.25;font-weight:650;letter-spacing:-.01em;
+font-variant-numeric:tabular-nums}
+.tiles span{display:block;color:var(--soft);font-size:.78rem;line-height:1.4}
+.steps{margin:0;padding-left:1.3rem;font-size:.95rem;line-height:1.45}.steps li{margin:.2rem 0}
+code,.command{font-family:ui-monospace,SFMono-Regular,Menlo,Consolas,"Liberation Mono",monospace;
+font-size:.82em;overflow-wrap:anywhere}
+.command{margin:0;padding:.5rem .7rem;background:var(--tint);white-space:pre-wrap;font-size:.78rem}
+.terms h2{font-size:1rem}.terms .facts{font-size:.8125rem}
 .ok{--tone:var(--ok);--tone-tint:var(--ok-tint)}
 .warning{--tone:var(--warning);--tone-tint:var(--warning-tint)}
 .bad{--tone:var(--bad);--tone-tint:var(--bad-tint)}
