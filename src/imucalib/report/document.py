@@ -12,7 +12,7 @@ from typing import Literal
 from imucalib.arrays import Array
 
 Cell = str | float | int | None
-Mark = Literal["line", "points", "bars", "band", "step"]
+Mark = Literal["line", "points", "rings", "bars", "band", "step"]
 Tone = Literal["ok", "warning", "bad", "plain"]
 
 
@@ -71,6 +71,7 @@ class Plot:
     caption: str = ""
     equal: bool = False  # one scale on both axes (board drawings, maps)
     log_y: bool = False
+    bare: bool = False  # no ticks: a map, whose coordinates mean nothing
 
 
 Block = Text | Facts | Table | Plot

@@ -11,6 +11,7 @@ from imucalib.report.actigraph.card import actigraph_card
 from imucalib.report.actigraph.plots import residual_plots, sphere_blocks
 from imucalib.report.actigraph.series import series_section
 from imucalib.report.document import Document, Facts, Section, Table, Text
+from imucalib.report.gain import gain_plot
 from imucalib.report.loop import advice_section, candidate_section, loop_section
 from imucalib.report.sections import sensor_section, verdict
 from imucalib.report.terms import TERMS
@@ -27,7 +28,11 @@ def actigraph_document(run: ActigraphRun) -> Document:
         _parameters(run),
         _coverage(run),
         advice_section(outcome),
-        Section("Residual before and after", residual_plots(run), brief=False),
+        Section(
+            "Residual before and after",
+            (*gain_plot(outcome.findings), *residual_plots(run)),
+            brief=False,
+        ),
         Section("Error over the sphere", sphere_blocks(run), brief=False),
         sensor_section(run.calibration),
     ]

@@ -11,7 +11,9 @@ from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.array.card import array_card
 from imucalib.report.array.growth import growth_plot
 from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
+from imucalib.report.array.residuals import residual_plots
 from imucalib.report.document import Document, Facts, Section, Table, Text
+from imucalib.report.gain import gain_plot
 from imucalib.report.loop import loop_section
 from imucalib.report.sections import closing_sections, verdict
 from imucalib.report.terms import TERMS
@@ -26,6 +28,11 @@ def array_document(run: ArrayRun) -> Document:
         Section("Positions", (_position_table(run), _size(run))),
         _board_section(run),
         loop_section(run.outcome),
+        Section(
+            "Residual before and after",
+            (*gain_plot(run.outcome.findings), *residual_plots(run)),
+            brief=False,
+        ),
         _motion_section(run),
         _rests_section(run),
         Section("Observability", observability),

@@ -100,7 +100,7 @@ tr .sign{color:var(--tone);font-weight:700;margin-right:.35em}
 "Noto Sans","Liberation Sans",Arial,sans-serif}
 .note{margin:.45rem 0 0;color:var(--soft);font-size:.845rem;line-height:1.45}
 figure{margin:1.6rem 0 1.9rem;break-inside:avoid}
-figure svg{display:block;width:100%;height:auto;max-width:680px}
+figure svg{display:block;width:100%;height:auto;max-width:600px}
 figure svg .axis{fill:var(--soft)}
 figcaption{margin-top:.5rem;font-size:.845rem;line-height:1.45;max-width:42rem}
 figcaption b{font-weight:600}
@@ -120,9 +120,11 @@ figure svg{font-size:14px}}
 --warning-tint:#fdf3df;--bad:#a61b1b;--bad-tint:#fbeaea;
 --series-0:#0072b2;--series-1:#d55e00;--series-2:#009e73;--series-3:#b8608f;--series-4:#c98a00;
 --series-5:#3a9bd0;--series-6:#000}
-@page{size:A4;margin:18mm 17mm 20mm}
+@page{size:A4;margin:18mm 17mm 20mm;@bottom-right{content:counter(page) " / " counter(pages);
+font:8pt sans-serif;color:#444}}
 html{font-size:14px}body{font-size:10.5pt;line-height:1.45}.sheet{max-width:none;padding:0}
 nav{display:none}a{color:inherit}.scroll{overflow:visible;width:auto;max-width:none;position:static;transform:none}
 h2{margin-top:1.8rem}tr,.verdict,.facts dd{break-inside:avoid}thead{display:table-header-group}
-figure svg{max-width:150mm;font-size:12.5px}p{orphans:3;widows:3}}
+figure{margin:.7rem 0 1rem}figure svg{max-width:118mm;font-size:12.5px}
+.card{break-inside:auto}p{orphans:3;widows:3}}
 """
