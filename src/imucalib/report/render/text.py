@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from io import StringIO
 
 from rich.cells import cell_len
@@ -35,12 +36,18 @@ def render_text(document: Document, width: int, *, color: bool, full: bool = Fal
     if document.card is None or full:
         shown = [rows for _, rows in sections]
     else:
+        document = replace(document, footer=_command(document))
         room = PAGE - len(lines) - len(_foot(document, width, [s.title for s in document.sections]))
         shown, left = _fitting(sections, room)
         hidden = [s.title for s in document.sections if s.title in {*left, *hidden}]
     lines += [line for rows in shown for line in rows]
     lines += _foot(document, width, hidden)
     return _printed(lines, width, color)
+
+
+def _command(document: Document) -> tuple[tuple[str, str], ...]:
+    """Of the footer what one page holds."""
+    return tuple(row for row in document.footer if row[0] in ("input", "command"))
 
 
 def _fitting(
