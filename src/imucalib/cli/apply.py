@@ -9,6 +9,7 @@ import click
 
 from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
 from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
+from imucalib.cli.working import working
 
 
 @click.command("apply", short_help="Correct a recording with a calibration.")
@@ -76,10 +77,11 @@ def command(
             f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
             options["quiet"],
         )
-    notes = correct_file(
-        loaded, recording, output, mapping_of(options), triad=triad, strict=strict, use=use,
-        again=again,
-    )  # fmt: skip
+    with working("correcting", quiet=options["quiet"]):
+        notes = correct_file(
+            loaded, recording, output, mapping_of(options), triad=triad, strict=strict, use=use,
+            again=again,
+        )  # fmt: skip
     for text in notes:
         note(text, options["quiet"])
     if options["as_json"]:

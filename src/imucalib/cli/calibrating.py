@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from imucalib.cli.output import (
     width,
 )
 from imucalib.cli.recording_options import force_option, recording_options
+from imucalib.cli.working import Say, verbose_option, working
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect
@@ -76,7 +78,7 @@ def calibrating(command: Command) -> Command:
 
     checked.calibrates = True  # type: ignore[attr-defined]
     whole: Any = checked
-    for option in (quiet_option, json_option, seed_option, force_option):
+    for option in (quiet_option, verbose_option, json_option, seed_option, force_option):
         whole = option(whole)
     whole = recording_options(whole)
     for option in reversed(_OPTIONS):
@@ -101,6 +103,11 @@ def _demand_folders(folder: Path, options: Mapping[str, Any]) -> None:
 def calibrates(command: click.Command) -> bool:
     """Whether a command is a calibrating one."""
     return bool(getattr(command.callback, "calibrates", False))
+
+
+def calibrating_of(options: Mapping[str, Any]) -> AbstractContextManager[Say]:
+    """The work of a calibration: yields what says a line about it."""
+    return working("calibrating", quiet=options["quiet"], verbose=options["verbose"])
 
 
 @dataclass(frozen=True)
