@@ -24,4 +24,14 @@ def actigraph_card(run: ActigraphRun) -> Card:
         f"95 %, with gravity along {towards}; {1.96 * sd.mean():.2g} mg on average over all",
     )
     first = error_worth(run.outcome.error, "|a| at rest", "time")
-    return card_of(run.outcome, (first, worst))
+    return card_of(run.outcome, (first, worst, *_night(run)))
+
+
+def _night(run: ActigraphRun) -> tuple[Worth, ...]:
+    """What the calibration does to ENMO, where night can be told from day."""
+    enmo = run.activity.enmo if run.activity else {}
+    if "night" not in enmo or "day" not in enmo:
+        return ()
+    (raw, now), (by_day, now_by_day) = enmo["night"], enmo["day"]
+    detail = f"raw reading {raw:.2g}; by day {by_day:.2g} raw, {now_by_day:.2g} corrected"
+    return (Worth("ENMO at night", f"{now:.2g} mg", detail),)

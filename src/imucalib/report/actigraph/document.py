@@ -7,6 +7,7 @@ from pathlib import Path
 from imucalib.calibrators.actigraph.coverage import Coverage
 from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.weak import from_data
+from imucalib.report.actigraph.activity import activity_section, rule_section
 from imucalib.report.actigraph.card import actigraph_card
 from imucalib.report.actigraph.plots import residual_plots, sphere_blocks
 from imucalib.report.actigraph.series import series_section
@@ -24,6 +25,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
     outcome = run.outcome
     sections = [
+        activity_section(run),
         loop_section(outcome),
         _parameters(run),
         _coverage(run),
@@ -34,16 +36,17 @@ def actigraph_document(run: ActigraphRun) -> Document:
             brief=False,
         ),
         Section("Error over the sphere", sphere_blocks(run), brief=False),
+        rule_section(run),
         sensor_section(run.calibration),
     ]
     if run.series:
-        sections.insert(1, series_section(run.series))
+        sections.insert(2, series_section(run.series))
     if outcome.findings:
         sections.append(candidate_section(outcome.findings))
     return Document(
         f"Calibration of {Path(run.scanned.path).name} by gravity",
         _verdict(run),
-        tuple(sections),
+        tuple(s for s in sections if s.blocks),
         run.outcome.provenance.footer,
         actigraph_card(run),
         TERMS,
