@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 #: How readers begin the note that names a device.
-_DEVICE = re.compile(r"(?:ActiGraph|GENEActiv|Axivity) (?!of unknown)([\w-]+)")
+_DEVICE = re.compile(r"(?:ActiGraph|GENEActiv|Axivity AX\d) (?!of unknown)([\w-]+)")
 
 
 def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
