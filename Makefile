@@ -18,7 +18,7 @@ WHEEL = $(PYTHON) -m venv --clear $(VENV)/bare && \
 	$(VENV)/bare/bin/python -m pip install --quiet --disable-pip-version-check dist/imucalib-*.whl
 endif
 
-.PHONY: demo test check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz mutants clean
+.PHONY: demo test slow check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz mutants clean
 
 $(BIN)/imucal: pyproject.toml
 	test -x $(BIN)/python || $(CREATE)
@@ -29,11 +29,14 @@ $(VENV)/.dev: pyproject.toml $(BIN)/imucal
 	$(INSTALL) -e '.[dev]'
 	@touch $@
 
-demo: $(BIN)/imucal ## calibrate the sample logs; says where the reports are
-	@$(PYTHON) sample_logs/demo.py $(BIN)/imucal demo
+demo: $(BIN)/imucal ## calibrate the sample logs: errors before and after, and where the reports are
+	@$(BIN)/python sample_logs/demo.py $(BIN)/imucal demo
 
 test: $(VENV)/.dev ## run all tests
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+
+slow: $(VENV)/.dev ## run the tests that `make test` leaves out: the pages' long commands
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m slow
 
 check: $(VENV)/.dev ## style, types and generated pages, as CI runs them
 	$(BIN)/ruff check src tests benchmarks sample_logs docs
@@ -46,8 +49,9 @@ wheel: ## the wheel without extras, in an environment of its own, runs the core 
 	$(WHEEL)
 	.ci/wheel $(VENV)/bare
 
-docs: $(VENV)/.dev ## write the pages that are generated from the code
-	$(BIN)/python docs/generate.py
+docs: $(VENV)/.dev ## write the pages that are generated from the code, and the outputs that pages show
+	$(BIN)/python docs/generate.py --outputs
+	command -v chromium >/dev/null && $(BIN)/python docs/picture.py || true
 
 benchmark: $(VENV)/.dev ## measure the marks of docs/lab.md on simulated benches and on real data
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/lab/benches.py

@@ -1,8 +1,12 @@
-"""Write the pages that come from the code, or with --check say which are stale."""
+"""Write the pages that come from the code, or with --check say which are stale.
+
+--outputs also runs the commands whose output a page shows (a minute), and fills it in.
+"""
 
 from __future__ import annotations
 
 import sys
+import tempfile
 from pathlib import Path
 
 from imucalib.effects import catalogue
@@ -18,18 +22,32 @@ PAGES = {
 
 def main() -> int:
     """Write or compare; the exit code says whether anything is stale."""
+    made = {HERE / name: make().rstrip() + "\n" for name, make in PAGES.items()}
+    if "--outputs" in sys.argv:
+        made |= outputs()
     stale = []
-    for name, make in PAGES.items():
-        text = make().rstrip() + "\n"
-        page = HERE / name
+    for page, text in made.items():
         if "--check" in sys.argv:
             if not page.is_file() or page.read_text(encoding="utf-8") != text:
-                stale.append(name)
+                stale.append(page.name)
         else:
             page.write_text(text, encoding="utf-8")
     if stale:
         print(f"stale: {', '.join(stale)}; run make docs", file=sys.stderr)
     return 1 if stale else 0
+
+
+def outputs() -> dict[Path, str]:
+    """Every page that shows what the program prints."""
+    from examples import PAGES as SHOWING
+    from examples import examples, filled
+
+    made = {}
+    for page in SHOWING:
+        if any(e.shown is not None for e in examples(page.read_text(encoding="utf-8"))):
+            with tempfile.TemporaryDirectory() as folder:
+                made[page] = filled(page, Path(folder))
+    return made
 
 
 if __name__ == "__main__":

@@ -13,14 +13,12 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 ROOT = Path(__file__).parents[1]
+SAMPLES = ROOT / "sample_logs"
 PAGE = ROOT / "docs" / "closed_loop.md"
 START, END = "<!-- stories: written by docs/stories.py -->", "<!-- end of the stories -->"
 Report = dict[str, Any]
@@ -92,9 +90,9 @@ def by_split(report: Report) -> str:
     return f"{', '.join(said)} rms ({last})"
 
 
-def lab(data: Path) -> Iterator[str]:
+def lab(_: Path) -> Iterator[str]:
     """Table 1 of paper 004, as printed, with nothing declared."""
-    table, gravity = str(data / "lab_table" / "table1_as_printed.csv"), ("--gravity", "9.8061")
+    table, gravity = str(SAMPLES / "paper_table_1.csv"), ("--gravity", "9.8061")
     swapped = run("lab", table, "--swap-angles", *gravity)
     printed, repaired = (
         run("lab", table, *gravity),
@@ -120,14 +118,10 @@ def lab(data: Path) -> Iterator[str]:
 
 def instruments(data: Path) -> Iterator[str]:
     """Cave instruments and hand-turned inertial sensors, by gravity alone."""
-    with tempfile.TemporaryDirectory() as folder:
-        for name in ("ab", "ai"):
-            shots = json.loads((data / "cave_accel" / f"{name}.json").read_text())["shots"]["grav"]
-            path = Path(folder) / f"{name}.csv"
-            rows = np.array(shots[:72]).reshape(24, 3)
-            np.savetxt(path, rows, delimiter=",", header="x,y,z", comments="")
-            report = run("lab", str(path), "--reference", "norm")
-            yield story(f"Cave instrument {name}, 24 shots", told(report, by_split(report)))
+    for path in sorted(SAMPLES.glob("cave_*.csv")):
+        name = path.stem.removeprefix("cave_")
+        report = run("lab", str(path), "--reference", "norm")
+        yield story(f"Cave instrument {name}, 24 shots", told(report, by_split(report)))
     columns = ("--acc", "1,2,3", "--unit", "m/s2", "--rate", "100")
     for name in ("imu0", "imu1"):
         path = str(data / "mpu9150_tumble" / f"{name}.log")

@@ -1,52 +1,133 @@
-"""Run the main jobs on the sample logs and say where the reports are."""
+"""Run the main jobs on the sample logs: what was found, the error before and after, the reports.
+
+python sample_logs/demo.py COMMAND FOLDER
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import resource
+import shlex
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-HERE = Path(__file__).parent
+import numpy as np
+
+from imucalib.readers import read
+from imucalib.rests.segments import still_segments
+from imucalib.units import MG
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+#: Nothing before this second (s) of the board's log is in its part; local gravity there, m/s².
+UNSEEN, GRAVITY = 193.0, 9.8189
 
 
-def main(command: str, folder: str) -> int:
-    """Run each job; a job's exit code must be the one that its data deserve."""
-    out = Path(folder)
-    bench, rests = str(HERE / "bench.csv"), str(HERE / "rests.mcap")
-    calibration = str(out / "rests" / "calibration.yaml")
-    jobs = [
-        (
-            "A bench table with a wrong record: found, and left to the user (exit 5)",
-            5,
-            ["lab", bench, "-o", str(out / "bench_as_recorded")],
-        ),
-        (
-            "The same with the record repaired: the bench's dial error is found (exit 0)",
-            0,
-            ["lab", bench, "--fix", "10:y=-45.86119676", "-o", str(out / "bench")],
-        ),
-        (
-            "A recording at rest in 24 positions: the sensor's squares are found (exit 0)",
-            0,
-            ["lab", str(HERE / "positions.csv"), "--recording", rests, "-o", str(out / "rests")],
-        ),
-        (
-            "The recording corrected, as MCAP",
-            0,
-            ["apply", calibration, rests, "-o", str(out / "corrected.mcap"), "--force"],
-        ),
-    ]
-    for title, expected, arguments in jobs:
-        print(f"\n== {title}\n$ imucal {' '.join(arguments)}\n", flush=True)
-        code = subprocess.run([command, *arguments], check=False).returncode
-        if code != expected:
-            print(f"demo failed: exit code {code} instead of {expected}", file=sys.stderr)
-            return 1
-    print("\nReports:")
-    for page in sorted(out.glob("*/report.html")):
-        print(f"  {page.resolve()}")
-    return 0
+@dataclass(frozen=True)
+class Job:
+    """A calibration: the folder of its results, a title, arguments, and the exit code that its
+    data deserve."""
+
+    name: str
+    title: str
+    arguments: tuple[str, ...]
+    code: int
+
+
+def jobs() -> tuple[Job, ...]:
+    """The quick ones first."""
+    table = ("lab", "sample_logs/paper_table_1.csv", "--gravity", "9.8061")
+    return (
+        Job("bench_as_printed", "A bench's table as printed (measured): one of 32 rows is wrong",
+            table, 5),
+        Job("bench", "The same with that row repaired", (*table, "--fix", "10:y=-58593"), 0),
+        Job("rests", "24 positions at rest (generated, with an effect that no file declares)",
+            ("lab", "sample_logs/positions.csv", "--recording", "sample_logs/rests.mcap"), 0),
+        Job("wrist", "A day on the wrist (measured)",
+            ("actigraph", "sample_logs/wrist_day.csv.gz"), 5),
+        Job("board", "Eight sensors of a board, turned by hand (measured; 12 rests and 65 s of "
+            "motion out of 10 min, to take half the time)",
+            ("array", "sample_logs/board_part.mcap", "--board", "mimu4444_corners",
+             "--gravity", str(GRAVITY)), 5),
+    )  # fmt: skip
+
+
+def imucal(command: str, arguments: list[str], expected: int) -> None:
+    """One run, its line shown; ends the demo where the exit code is not the expected one."""
+    print(f"$ imucal {shlex.join(arguments)}", flush=True)
+    code = subprocess.run([command, *arguments, "--quiet", "--force"], check=False).returncode
+    if code != expected:
+        sys.exit(f"demo failed: exit code {code} instead of {expected}")
+
+
+def told(report: dict[str, Any]) -> None:
+    """What a report says was found, and the error on data that took no part."""
+    loop = report["loop"]
+    records = [f"wrong record: {r['where']}, {r['channel']} is {r['size']:.0f} ± {r['sd']:.0f} "
+               f"{r['unit']} off ({r['likely']})" for r in loop["record_errors"]]  # fmt: skip
+    named = [" or ".join([s["effect"], *s["aliases"]]) for s in loop["steps"]]
+    left = [u["name"] for u in loop["unexplained"]]
+    print(f"found:  {'; '.join(records + named) or 'nothing missing'} ({loop['verdict']})")
+    if left:
+        print(f"left:   {'; '.join(left[:2])}" + (f" and {len(left) - 2} more" * (len(left) > 2)))
+    gain = loop["gain"]
+    raw = [e["held_out"]["raw"] for e in loop["errors"] if e["unit"] == gain["unit"]][:1]
+    first = f"raw reading {raw[0]:.3g}, " if raw and raw[0] is not None else ""
+    dense = ""
+    if gain["nats"] is not None:
+        dense = f"; log density {gain['nats']:+.1f} nats, at least {gain['nats_low']:+.1f}"
+    print(
+        f"error:  {first}calibrated {gain['before']:.3g}, with what was found {gain['after']:.3g} "
+        f"{gain['unit']}, held out\n        (gain {gain['before'] - gain['after']:.2g}, 95 % "
+        f"{gain['low']:.2g} to {gain['high']:.2g}{dense})"
+    )
+
+
+def compared(raw: Path, corrected: Path) -> None:
+    """|a| against g at the rests of the board's log that its calibration has not seen."""
+    before, after = read(raw), read(corrected)
+    rests = still_segments(before)
+    errors = []
+    for recording in (before, after):
+        triads = [c for c in recording.channels.values() if c.quantity == "acceleration"]
+        errors.append([
+            [np.linalg.norm(c.values[(c.t > a) & (c.t < b)].mean(axis=0)) - GRAVITY for c in triads]
+            for a, b in zip(rests.start, rests.stop, strict=True) if b < UNSEEN
+        ])  # fmt: skip
+    squares = np.mean(np.square(np.array(errors) / MG), axis=2)  # (2, rests)
+    draws = np.random.default_rng(0).integers(squares.shape[1], size=(2000, squares.shape[1]))
+    means = np.sqrt(squares[:, draws].mean(axis=2))
+    low, high = np.percentile(means[0] - means[1], [2.5, 97.5])
+    first, last = np.sqrt(squares.mean(axis=1))
+    print(
+        f"error:  |a| raw {first:.3g}, corrected {last:.3g} mg rms at {squares.shape[1]} rests "
+        f"that the calibration has not seen\n        (gain {first - last:.3g}, 95 % {low:.3g} to "
+        f"{high:.3g})"
+    )
+
+
+def main(command: str, folder: str) -> None:
+    """Run everything; results go below `folder`."""
+    command, out = os.path.abspath(command), Path(folder)
+    os.chdir(ROOT)
+    for job in jobs():
+        print(f"\n== {job.title}")
+        imucal(command, [*job.arguments, "-o", str(out / job.name)], job.code)
+        told(json.loads((out / job.name / "report.json").read_text(encoding="utf-8")))
+        print(f"report: {out / job.name / 'report.html'}")
+    print("\n== The board's whole log, corrected with what its part has taught")
+    raw, corrected = Path("sample_logs/board.h5"), out / "board.h5"
+    calibration = str(out / "board" / "calibration.yaml")
+    imucal(command, ["apply", calibration, str(raw), "-o", str(corrected)], 0)
+    compared(raw, corrected)
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    spent = sum(u.ru_utime + u.ru_stime for u in used)
+    print(f"\nAll reports are below {out.resolve()} ({spent:.0f} s of CPU time).")
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    main(*sys.argv[1:])

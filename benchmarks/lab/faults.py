@@ -43,7 +43,7 @@ from imucalib.cli.lab_options import request_of
 from imucalib.errors import ImucalError
 from worlds import sheets
 
-TABLE_1 = Path(__file__).parents[2] / "tests" / "goldens" / "paper_table_1.csv"
+TABLE_1 = Path(__file__).parents[2] / "sample_logs" / "paper_table_1.csv"
 
 
 @dataclass(frozen=True)

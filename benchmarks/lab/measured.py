@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
+ROOT = Path(__file__).parents[2]
+SAMPLES = ROOT / "sample_logs"
 REPAIR = ("--fix", "10:y=-58593")
 
 
@@ -24,7 +25,7 @@ def lab(*arguments: str) -> dict:
 
 def measured(data: Path) -> None:
     """Print the tables."""
-    table = str(data / "lab_table" / "table1_as_printed.csv")
+    table = str(SAMPLES / "paper_table_1.csv")
     common = (table, *REPAIR, "--gravity", "9.8061")
     rows = [
         ("paper, Table 2 (`--as-published`)", lab(table, *REPAIR, "--as-published")),
@@ -47,8 +48,8 @@ def measured(data: Path) -> None:
                 for key in ("tool_face_deg", "inclination_deg", "norm_mg")
             ]
             print(f"| {name} | {split['split']} | {' | '.join(cells)} |")
-    path = data / "lab_table" / "table2_as_printed.csv"
-    printed = np.genfromtxt(path, delimiter=",", skip_header=1)
+    path = ROOT / "tests" / "goldens" / "paper_table_2.csv"
+    printed = np.genfromtxt(path, delimiter=",", skip_header=2)
     ours = np.array([p["corrected_m_per_s2"] for p in rows[0][1]["positions"]])
     away = np.abs(ours - printed[:, :3]).max()
     print(f"\nLargest difference to the printed Table 2: {away:.5f} m/s²")
@@ -76,13 +77,8 @@ def _instruments(data: Path) -> None:
     print("\n| at rest, by the norm | raw, mg | held out base -> final, mg rms | found |")
     print("|---|---|---|---|")
     runs = []
-    with tempfile.TemporaryDirectory() as folder:
-        for name in ("ab", "ai"):
-            shots = json.loads((data / "cave_accel" / f"{name}.json").read_text())["shots"]["grav"]
-            rests = np.array(shots[:72]).reshape(24, 3)
-            path = Path(folder) / f"{name}.csv"
-            np.savetxt(path, rests, delimiter=",", header="x,y,z", comments="")
-            runs.append((f"cave instrument {name}", lab(str(path), "--reference", "norm")))
+    for path in sorted(SAMPLES.glob("cave_*.csv")):
+        runs.append((path.stem.replace("_", " instrument "), lab(str(path), "--reference", "norm")))
     for k in (0, 1):
         log = data / "mpu9150_tumble" / f"imu{k}.log"
         options = ("--reference", "norm", "--acc", "1,2,3", "--unit", "m/s2", "--rate", "100")

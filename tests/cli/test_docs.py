@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -12,6 +14,13 @@ from click.testing import CliRunner
 from imucalib import cli
 from imucalib.effects import catalogue
 from worlds.places import ROOT
+
+_SPEC = importlib.util.spec_from_file_location("examples", ROOT / "docs" / "examples.py")
+assert _SPEC is not None
+assert _SPEC.loader is not None
+shown = importlib.util.module_from_spec(_SPEC)
+sys.modules["examples"] = shown
+_SPEC.loader.exec_module(shown)
 
 
 def test_generated_pages_are_current() -> None:
@@ -35,12 +44,34 @@ def test_every_help_shows_an_example(name: str) -> None:
     assert re.search(r"Examples?:\s+imucal " + name, result.output)
 
 
-def test_the_readmes_output_is_real() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    shown = readme.split("$ imucal lab sample_logs/bench.csv -o out\n")[1].split("```")[0]
-    arguments = ["lab", str(ROOT / "sample_logs" / "bench.csv")]
-    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
-    assert shown in result.stdout
+def _ran(page: Path, folder: Path, *, slow: bool) -> int:
+    """Run a page's commands in their order, and compare the outputs that it shows."""
+    ran = 0
+    with shown.bench(folder, page):
+        for example in shown.examples(page.read_text(encoding="utf-8")):
+            if example.slow == slow:
+                code, output = shown.run(example)
+                assert code in example.codes, f"{example.line}: exit {code}\n{output}"
+                if example.shown is not None:
+                    assert output == example.shown, f"{example.line}: stale, run make docs"
+                ran += 1
+    return ran
+
+
+@pytest.mark.parametrize("page", shown.PAGES, ids=lambda p: p.name)
+def test_the_commands_of_every_page_run(page: Path, tmp_path: Path) -> None:
+    _ran(page, tmp_path, slow=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", shown.PAGES, ids=lambda p: p.name)
+def test_the_slow_commands_of_every_page_run(page: Path, tmp_path: Path) -> None:
+    _ran(page, tmp_path, slow=True)
+
+
+def test_every_calibrator_is_shown_with_its_output() -> None:
+    readme = shown.examples((ROOT / "README.md").read_text(encoding="utf-8"))
+    assert {"lab", "actigraph", "array"} <= {e.arguments[0] for e in readme if e.shown}
 
 
 def test_links_lead_somewhere() -> None:

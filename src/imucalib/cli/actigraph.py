@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.calibrating import calibrating, finish, shared_of
-from imucalib.cli.output import note
+from imucalib.cli.calibrating import calibrating, calibrating_of, finish, shared_of
 from imucalib.cli.recording_options import mapping_of
 
 if TYPE_CHECKING:
@@ -41,20 +40,18 @@ def command(recording: Path, **options: Any) -> int:
     from imucalib.report.files import Report
 
     request, mapping = request_of(options), mapping_of(options)
-
-    def say(text: str) -> None:
-        note(text, options["quiet"])
-
     if request.as_published:
         from imucalib.calibrators.actigraph.published import calibrate_as_published
         from imucalib.report.actigraph.published import published_document
 
-        published = calibrate_as_published(recording, mapping, request, say)
+        with calibrating_of(options) as say:
+            published = calibrate_as_published(recording, mapping, request, say)
         return finish([Report(published, published_document(published))], options)
     from imucalib.calibrators.actigraph.run import calibrate_recording
     from imucalib.report.actigraph.document import actigraph_document
 
-    run = calibrate_recording(recording, mapping, request, say)
+    with calibrating_of(options) as say:
+        run = calibrate_recording(recording, mapping, request, say)
     return finish([Report(run, actigraph_document(run))], options)
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
 from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
+from imucalib.cli.working import working
+
+if TYPE_CHECKING:
+    from imucalib.calibration.calibration import Calibration
 
 
 @click.command("apply", short_help="Correct a recording with a calibration.")
@@ -37,6 +41,10 @@ from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, 
     flag_value="parts",
     help="Each sample by the part valid at its time (--every).",
 )
+@click.option("--angles", type=click.Path(path_type=Path, dir_okay=False),
+              help="Also write inclination and tool-face with their sd, as CSV.")  # fmt: skip
+@click.option("--each", type=click.Choice(["rest", "sample"]), default="rest", show_default=True,
+              help="A row of --angles for each rest, or for each sample.")  # fmt: skip
 @click.option("--again", is_flag=True, help="Correct a recording that is corrected already.")
 @click.option("--whole", "use", flag_value="whole", help="One calibration for all, whatever parts.")
 @force_option
@@ -51,13 +59,17 @@ def command(
     triad: str | None,
     use: str | None,
     again: bool,
+    angles: Path | None,
+    each: str,
     force: bool,
     **options: Any,
 ) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 
     \b
-    Example: imucal apply out/calibration.yaml run.mcap -o corrected.mcap
+    Examples:
+      imucal apply out/calibration.yaml run.mcap -o corrected.mcap
+      imucal apply out/calibration.yaml run.mcap -o corrected.mcap --angles angles.csv
     """
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.apply import correct_file
@@ -66,7 +78,9 @@ def command(
     from imucalib.writers import writer_for
 
     writer_for(output)
-    demand_output(output, inputs_of(options, calibration, recording), force=force)
+    for made in (output, angles):
+        if made is not None:
+            demand_output(made, inputs_of(options, calibration, recording), force=force)
     if options["effects_file"] is not None:
         load_file(options["effects_file"])
     loaded = read(calibration)
@@ -76,14 +90,45 @@ def command(
             f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
             options["quiet"],
         )
-    notes = correct_file(
-        loaded, recording, output, mapping_of(options), triad=triad, strict=strict, use=use,
-        again=again,
-    )  # fmt: skip
-    for text in notes:
+    with working("correcting", quiet=options["quiet"]):
+        notes = correct_file(
+            loaded, recording, output, mapping_of(options), triad=triad, strict=strict, use=use,
+            again=again,
+        )  # fmt: skip
+        told = _angles(loaded, output, angles, triad, each) if angles is not None else ""
+    for text in (*notes, *filter(None, [told])):
         note(text, options["quiet"])
     if options["as_json"]:
         emit_json({"output": str(output), "notes": list(notes)})
     elif not options["quiet"]:
         say(f"wrote {output}")
     return 0
+
+
+def _angles(
+    calibration: Calibration, corrected: Path, path: Path, triad: str | None, each: str
+) -> str:
+    """Write the angles of the corrected recording; what must be said of their frame."""
+    from imucalib.calibration.angles import angles_at_rests, angles_of_samples
+    from imucalib.calibrators.lab.conventions import Conventions
+    from imucalib.errors import UsageError
+    from imucalib.readers import read
+    from imucalib.report.angles import write_angles
+    from imucalib.rests.segments import still_segments
+
+    if calibration.triads:
+        raise UsageError("--angles is of one accelerometer, this calibration is of an array")
+    recording = read(corrected)
+    rests = still_segments(recording)
+    found = [c for c in recording.channels.values() if c.quantity == "acceleration"]
+    channel = next(c for c in found if triad is None or c.triad == triad)
+    k = rests.triads.index(channel.triad)
+    if each == "rest":
+        angles = angles_at_rests(calibration, channel.values, rests, k)
+    else:
+        angles = angles_of_samples(calibration, channel.values, channel.t, rests, k)
+    stated = calibration.facts.get("conventions")
+    write_angles(angles, Conventions(**stated) if stated else Conventions(), path)
+    if stated:
+        return ""
+    return "angles are in the sensor's own axes: no bench has tied them to a tool"

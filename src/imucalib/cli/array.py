@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.calibrating import Together, calibrating, finish, shared_of
+from imucalib.cli.calibrating import Together, calibrating, calibrating_of, finish, shared_of
 from imucalib.cli.output import note
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
 
@@ -71,9 +71,8 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     runs: list[ArrayRun] = []
     for log in logs:
         note(f"{log}", quiet)
-        runs.append(
-            calibrate_array(read(log, mapping), request, lambda text: note(f"  {text}", quiet))
-        )
+        with calibrating_of(options) as say:
+            runs.append(calibrate_array(read(log, mapping), request, say))
         if options["save_draws"] is not None:
             target = options["save_draws"]
             path = target if len(logs) == 1 else target.with_stem(f"{target.stem}_{log.stem}")

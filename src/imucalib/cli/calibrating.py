@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from imucalib.cli.output import (
     width,
 )
 from imucalib.cli.recording_options import force_option, recording_options
+from imucalib.cli.working import Say, verbose_option, working
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect
@@ -53,6 +55,7 @@ _OPTIONS = (
     click.option("--max-error", type=float,
                  help="Limit: held-out error, in the report's unit (mg; array: m/s²); exit 1 "
                  "beyond."),
+    click.option("--full", is_flag=True, help="Print every section, not one page."),
     click.option("--export", multiple=True, type=EXPORT_FORM,
                  help="Write the coefficients for another program, too."),
 )  # fmt: skip
@@ -75,7 +78,7 @@ def calibrating(command: Command) -> Command:
 
     checked.calibrates = True  # type: ignore[attr-defined]
     whole: Any = checked
-    for option in (quiet_option, json_option, seed_option, force_option):
+    for option in (quiet_option, verbose_option, json_option, seed_option, force_option):
         whole = option(whole)
     whole = recording_options(whole)
     for option in reversed(_OPTIONS):
@@ -100,6 +103,11 @@ def _demand_folders(folder: Path, options: Mapping[str, Any]) -> None:
 def calibrates(command: click.Command) -> bool:
     """Whether a command is a calibrating one."""
     return bool(getattr(command.callback, "calibrates", False))
+
+
+def calibrating_of(options: Mapping[str, Any]) -> AbstractContextManager[Say]:
+    """The work of a calibration: yields what says a line about it."""
+    return working("calibrating", quiet=options["quiet"], verbose=options["verbose"])
 
 
 @dataclass(frozen=True)
@@ -190,7 +198,7 @@ def finish(
         emit_json({"logs": contents, together.name: together.content} if together else contents[0])
     elif not quiet:
         for report in reports:
-            show(report.document)
+            show(report.document, full=options["full"])
         if together:
             show(together.document)
     return max(report.run.outcome.exit_code for report in reports)
@@ -209,8 +217,8 @@ def _write(report: Report, folder: Path, forms: tuple[str, ...], quiet: bool) ->
             note(f"{one.file} lacks {text}", quiet)
 
 
-def show(document: Document) -> None:
-    """A document as text on stdout."""
+def show(document: Document, *, full: bool = False) -> None:
+    """A document as text on stdout; one page of it unless `full`."""
     from imucalib.report.render.text import render_text
 
-    click.echo(render_text(document, width(), color=color()), nl=False)
+    click.echo(render_text(document, width(), color=color(), full=full), nl=False)

@@ -9,6 +9,7 @@ import click
 
 from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
 from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
+from imucalib.cli.working import working
 
 
 @click.command("convert", short_help="Rewrite a recording in another format.")
@@ -35,12 +36,13 @@ def command(source: Path, target: Path, strict: bool, force: bool, **options: An
     demand_output(target, inputs_of(options, source), force=force)
     mapping = mapping_of(options)
     told = Told(blocks(source, mapping, strict=strict))
-    try:
-        write_blocks(told, target)
-    except ChannelsChange:  # a table must know its columns first: then all of it is held
-        recording = read(source, mapping, strict=strict)
-        told = Told([recording])
-        write(next(iter(told)), target)
+    with working("converting", quiet=options["quiet"]):
+        try:
+            write_blocks(told, target)
+        except ChannelsChange:  # a table must know its columns first: then all of it is held
+            recording = read(source, mapping, strict=strict)
+            told = Told([recording])
+            write(next(iter(told)), target)
     for text in told.notes:
         note(text, options["quiet"])
     if options["as_json"]:

@@ -16,6 +16,7 @@ from imucalib.cli.recording_options import (
     shortest_rest_option,
     still_of,
 )
+from imucalib.cli.working import working
 
 
 @click.command("inspect", short_help="Say what a recording holds.")
@@ -65,7 +66,8 @@ def command(
         if output is not None:
             demand_output(output, inputs_of(options, file), force=force)
     settings = still_of(options)
-    found = inspect_recording(blocks(file, mapping_of(options), strict=strict), settings)
+    with working("reading", quiet=options["quiet"]):
+        found = inspect_recording(blocks(file, mapping_of(options), strict=strict), settings)
     document = inspection_document(found, rests=rests)
     if save_mapping is not None:
         save(from_dict(found.mapping), save_mapping)

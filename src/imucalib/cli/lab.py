@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
-from imucalib.cli.calibrating import calibrating, finish
+from imucalib.cli.calibrating import calibrating, calibrating_of, finish
 from imucalib.cli.lab_options import lab_options, request_of
-from imucalib.cli.output import note, pairs
+from imucalib.cli.output import pairs
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
 
 
@@ -38,5 +38,6 @@ def command(table: Path, **options: Any) -> int:
         table, options["recording"], pairs(options["columns"], "--columns"), mapping_of(options),
         still_of(options),
     )  # fmt: skip
-    run = calibrate_files(files, request_of(options), lambda text: note(text, options["quiet"]))
+    with calibrating_of(options) as say:
+        run = calibrate_files(files, request_of(options), say)
     return finish([Report(run, lab_document(run))], options)

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from imucalib.atomic_file import replaced_atomically
+from imucalib.cohort.quality import quality_of
 from imucalib.errors import UnreadableInput, UsageError
 
 
@@ -136,6 +137,7 @@ def _told(stdout: str) -> tuple[dict[str, Any] | None, str]:
     except ValueError:
         return None, ""
     if "error" not in content:
+        content.pop("figures", None)  # most of a report's length, and no part of a table
         return content, ""
     failure = content["error"]
     return None, ". ".join(failure[key] for key in ("message", "remedy") if failure[key])
@@ -187,7 +189,7 @@ def _digest(path: str) -> str:
 
 
 def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
-    """One flat row a recording: status, errors before and after, parameters with sd."""
+    """One flat row a recording: status, quality, errors before and after, parameters with sd."""
     table = []
     for entry in sorted(entries, key=lambda e: e.recording):
         row: dict[str, Any] = {
@@ -197,7 +199,7 @@ def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
             "reasons": "; ".join(entry.report["reasons"]) if entry.report else entry.error,
         }
         if entry.report:
-            row |= _numbers(entry.report)
+            row |= quality_of(entry.report) | _numbers(entry.report)
         table.append(row)
     return tuple(table)
 

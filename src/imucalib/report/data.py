@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import StoredParameter
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import Run
 from imucalib.calibration.plain import plain
 from imucalib.loop.evidence import Score
+from imucalib.report.card import card_dict
+from imucalib.report.document import Document, Plot, Series
 
 SCHEMA = "imucal/report/1"
 
@@ -44,6 +47,36 @@ def report_dict(run: Run) -> dict[str, Any]:
         **run.details,
     })  # fmt: skip
     return content
+
+
+def shown_dict(document: Document) -> dict[str, Any]:
+    """What only the document holds: its card, and its figures as series, five digits each."""
+    plots = [(s.title, b) for s in document.sections for b in s.blocks if isinstance(b, Plot)]
+    content: dict[str, Any] = plain({
+        "card": card_dict(document.card) if document.card else None,
+        "figures": [
+            {"section": section, "title": plot.title, "x": plot.x_label, "y": plot.y_label,
+             "caption": plot.caption, "series": [_series(s) for s in plot.series]}
+            for section, plot in plots
+        ],
+    })  # fmt: skip
+    return content
+
+
+def _series(series: Series) -> dict[str, Any]:
+    """Values (n,), the edges of bands and bars, and the names of points, where they exist."""
+    edges = {"low": series.low, "high": series.high}
+    return {
+        "label": series.label,
+        "x": _rounded(series.x),
+        "y": _rounded(series.y),
+        **{name: _rounded(edge) for name, edge in edges.items() if edge is not None},
+        **({"names": list(series.names)} if series.names else {}),
+    }
+
+
+def _rounded(values: Array) -> list[float]:
+    return [float(f"{v:.5g}") for v in values]
 
 
 def _parameter(p: StoredParameter) -> dict[str, Any]:

@@ -6,13 +6,13 @@ A block says what is shown, not how: `report.text` and `report.html` decide the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from imucalib.arrays import Array
 
 Cell = str | float | int | None
-Mark = Literal["line", "points", "bars", "band", "step"]
+Mark = Literal["line", "points", "rings", "bars", "band", "step"]
 Tone = Literal["ok", "warning", "bad", "plain"]
 
 
@@ -71,6 +71,7 @@ class Plot:
     caption: str = ""
     equal: bool = False  # one scale on both axes (board drawings, maps)
     log_y: bool = False
+    bare: bool = False  # no ticks: a map, whose coordinates mean nothing
 
 
 Block = Text | Facts | Table | Plot
@@ -86,10 +87,53 @@ class Section:
 
 
 @dataclass(frozen=True)
+class Worth:
+    """What a sensor is good to in one quantity: "inclination", "± 0.21 deg", and on what data or
+    at which attitude."""
+
+    quantity: str
+    value: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a reader takes away: the sensor's worth, what was found, what to do, the command."""
+
+    good_to: tuple[Worth, ...]
+    found: tuple[Text, ...]
+    to_do: tuple[str, ...]
+    command: str = ""
+
+
+@dataclass(frozen=True)
 class Document:
-    """A whole report: headline, one-sentence verdict with its tone, sections, provenance."""
+    """A whole report: headline, one-sentence verdict with its tone, the card, sections, provenance.
+
+    terms : words of the report and what they mean
+    """
 
     title: str
     verdict: Text
     sections: tuple[Section, ...]
     footer: tuple[tuple[str, str], ...] = ()
+    card: Card | None = None
+    terms: tuple[tuple[str, str], ...] = ()
+
+    def calm(self) -> Document:
+        """The same, without a tick beside a verdict that is none."""
+        if self.verdict.tone not in ("warning", "bad"):
+            return self
+        sections = tuple(replace(s, blocks=tuple(map(_unticked, s.blocks))) for s in self.sections)
+        card = self.card and replace(
+            self.card, found=tuple(t if t.tone != "ok" else Text(t.text) for t in self.card.found)
+        )
+        return replace(self, sections=sections, card=card)
+
+
+def _unticked(block: Block) -> Block:
+    if isinstance(block, Text) and block.tone == "ok":
+        return Text(block.text)
+    if isinstance(block, Table) and "ok" in block.tones.values():
+        return replace(block, tones={k: t for k, t in block.tones.items() if t != "ok"})
+    return block

@@ -15,7 +15,7 @@ from imucalib.calibration.outcome import Run
 from imucalib.errors import ImucalError, UsageError
 from imucalib.exports import Exported
 from imucalib.recording.yaml_text import load
-from imucalib.report.data import report_dict
+from imucalib.report.data import report_dict, shown_dict
 from imucalib.report.document import Document
 from imucalib.report.render.html import render_html
 
@@ -29,7 +29,7 @@ class Report:
 
     @cached_property
     def content(self) -> dict[str, Any]:
-        return report_dict(self.run)
+        return {**report_dict(self.run), **shown_dict(self.document)}
 
 
 def demand_folder(folder: Path, inputs: Sequence[Path]) -> None:

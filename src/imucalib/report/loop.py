@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from imucalib.calibration.findings import Findings, FoundStep
+from imucalib.calibration.findings import Findings
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.calibration.power import hidden
 from imucalib.loop.evidence import Score
 from imucalib.report.document import Block, Facts, Section, Table, Text, Tone
+from imucalib.report.steps import step_tables
 from imucalib.significant_digits import plus_minus, probability
 from imucalib.units import MG
 
@@ -78,7 +79,7 @@ def loop_section(outcome: Outcome) -> Section:
     ]  # fmt: skip
     if limits:
         blocks.append(Text(f"The search was limited: {'; '.join(limits)}."))
-    blocks += _steps(found)
+    blocks += step_tables(found)
     blocks += _power(found)
     blocks += shown
     if found.facts:
@@ -111,65 +112,6 @@ def _records(found: Findings) -> list[Table]:
     header = ("record", "channel", "off by", "p", "likely")
     tones: dict[int, Tone] = dict.fromkeys(range(len(rows)), "bad")
     return [Table("Records that do not belong to the rest", header, rows, "lllll", tones=tones)]
-
-
-def _steps(found: Findings) -> list[Table]:
-    """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
-    kinds = dict.fromkeys(tuple(c.metric for c in s.checks) for s in found.steps)
-    return [
-        _table([s for s in found.steps if tuple(c.metric for c in s.checks) == kind])
-        for kind in kinds
-    ]
-
-
-def _table(steps: Sequence[FoundStep]) -> Table:
-    checks = steps[0].checks
-    sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
-    rows = tuple(
-        (
-            s.effect,
-            *((s.size,) if sized else ()),
-            probability(s.p, s.draws),
-            *((f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)) if nats else ()),
-            *_changes(s),
-            ", ".join(s.aliases) or ("nothing: certain" if s.certain else "-"),
-        )
-        for s in steps
-    )
-    errors = (
-        ("before", "after") if len(checks) == 1 else tuple(f"{c.metric}, {c.unit}" for c in checks)
-    )
-    header = (
-        "effect added",
-        *(("size",) if sized else ()),
-        "p",
-        *(("nats", "held out, nats") if nats else ()),
-        *errors,
-        "cannot be told from",
-    )
-    align = "l" + "l" * sized + "r" * (len(header) - 2 - sized) + "l"
-    if len(checks) == 1:
-        note = (
-            f"{_upper(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, which took "
-            "part in the choice; p is the chance in the whole search."
-        )
-    else:
-        note = (
-            "p is the chance in the whole search. Held out: what each half of the data gains by "
-            "the effect as the other half has it. Residuals: median absolute deviation, held out."
-        )
-    return Table("Steps of the loop", header, rows, align, note)
-
-
-def _changes(step: FoundStep) -> tuple[str, ...]:
-    if len(step.checks) == 1:
-        (check,) = step.checks
-        return f"{check.before:.{check.digits}f}", f"{check.after:.{check.digits}f}"
-    return tuple(f"{c.before:.{c.digits}f} -> {c.after:.{c.digits}f}" for c in step.checks)
-
-
-def _upper(text: str) -> str:
-    return text[0].upper() + text[1:]
 
 
 def _verdict(found: Findings) -> Text:
@@ -256,4 +198,4 @@ def candidate_section(found: Findings) -> Section:
 def advice_section(outcome: Outcome) -> Section:
     """What to do next."""
     lines = tuple(Text(sentence) for sentence in outcome.advice)
-    return Section("Advice", lines or (Text("Nothing to do."),))
+    return Section("Advice", lines or (Text("Nothing to do."),), brief=False)

@@ -6,11 +6,15 @@ from collections.abc import Sequence
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.outcome import Outcome, Run, Status
+from imucalib.report.card import card_of, error_worth
 from imucalib.report.document import Document, Facts, Section, Table, Text, Tone
 from imucalib.report.loop import advice_section, candidate_section, floor_words, loop_section
+from imucalib.report.terms import TERMS
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import MG
 
+#: How reasons begin that the card tells in full.
+_LEFT = ("unexplained structure", "structure that no effect")
 _TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
 
 
@@ -31,7 +35,10 @@ def standard_document(run: Run) -> Document:
         sections.append(sensor_section(calibration))
     sections += closing_sections(outcome)
     title = f"Calibration of {outcome.provenance.path} by {outcome.calibrator}"
-    return Document(title, verdict(outcome, head), tuple(sections), outcome.provenance.footer)
+    card = card_of(outcome, (error_worth(error, error.metric),))
+    return Document(
+        title, verdict(outcome, head), tuple(sections), outcome.provenance.footer, card, TERMS
+    )
 
 
 def verdict(outcome: Outcome, head: str, beside: Sequence[str] = ()) -> Text:
@@ -39,8 +46,11 @@ def verdict(outcome: Outcome, head: str, beside: Sequence[str] = ()) -> Text:
 
     beside : sentences of the calibrator's own, after the reasons
     """
-    # A wrong record is told by what is undecided about it.
-    told = [r for r in outcome.reasons if not (outcome.undecided and r.startswith("record errors"))]
+    # A wrong record is told by what is undecided about it, what stays by the card.
+    known = ("record errors",) * bool(outcome.undecided) + _LEFT
+    told = [r for r in outcome.reasons if not r.startswith(known)]
+    if len(told) < len(outcome.reasons) and not outcome.undecided:
+        told.append("what stays has no name yet")
     why = [f"{r[0].upper()}{r[1:]}" for r in (*told, *beside)]
     text = " ".join([head, *(f"{t}." for t in (*outcome.broken, *outcome.undecided, *why))])
     return Text(text, _TONE[outcome.status])

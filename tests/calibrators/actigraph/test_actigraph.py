@@ -37,12 +37,10 @@ from imucalib.exports.ggir import nearest_row
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY
-from worlds.places import DATA
+from worlds.places import SAMPLES
 
 Array = NDArray[np.float64]
-FOLDER = DATA / "actigraph"
-WRIST = FOLDER / "paat_example_day.csv.gz"
-needs_data = pytest.mark.skipif(not FOLDER.is_dir(), reason="real recordings are not here")
+WRIST = SAMPLES / "wrist_day.csv.gz"
 G = STANDARD_GRAVITY
 
 
@@ -232,8 +230,6 @@ def test_series_finds_a_change_and_nothing_without_one() -> None:
 
 @pytest.fixture(scope="module")
 def wrist(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
-    if not FOLDER.is_dir():
-        pytest.skip("real recordings are not here")
     out = tmp_path_factory.mktemp("wrist")
     arguments = ["actigraph", str(WRIST), "-o", str(out), "-q"]
     result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
@@ -241,7 +237,6 @@ def wrist(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     return out, result.return_value
 
 
-@needs_data
 def test_the_wrist_recording_reaches_its_marks(wrist: tuple[Path, int]) -> None:
     out, code = wrist
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
@@ -262,7 +257,6 @@ def test_the_wrist_recording_reaches_its_marks(wrist: tuple[Path, int]) -> None:
     assert "held-out density" in page
 
 
-@needs_data
 def test_the_wrist_calibration_and_its_exports_agree(tmp_path: Path) -> None:
     out = tmp_path
     arguments = ["actigraph", str(WRIST), "-o", str(out), "-q", "--no-loop", "--export",

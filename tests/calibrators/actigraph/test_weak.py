@@ -174,7 +174,7 @@ def test_a_coarse_resolution_is_said_so() -> None:
     run = run_of(runs, week.scanned, ActigraphRequest(), lambda text: None)
     assert run.outcome.findings is not None
     assert "3.5 mg" in run.outcome.findings.missing["quantisation"]
-    words = " ".join(render_text(actigraph_document(run), 200, color=False).split())
+    words = " ".join(render_text(actigraph_document(run), 200, color=False, full=True).split())
     assert "the smallest step, 12 mg, does not average out: 3.5 mg a posture" in words
     fine = replace(runs, noise=np.full(3, 0.6 * step))
     assert quantisation(fine) == 0.0

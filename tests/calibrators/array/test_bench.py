@@ -23,11 +23,10 @@ from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
 from imucalib.report.array.draws import write_draws
 from imucalib.writers import write
-from worlds.places import DATA
+from worlds.places import SAMPLES
 
 BOARD = read_board("mimu4444_corners")
 PLAN = LogPlan(poses=14, pose_seconds=3.0, seconds=25.0, gyro_gain=0.0)
-FOLDER = DATA / "mimu4444"
 
 
 def calibrate(recording: Recording, **options: object) -> ArrayRun:
@@ -228,10 +227,9 @@ def test_the_command_writes_its_files(log: SimulatedLog, tmp_path: Path) -> None
     }  # fmt: skip
 
 
-@pytest.mark.skipif(not FOLDER.exists(), reason="real data folder absent")
 def test_a_measured_board() -> None:
     """Underside accelerometers lie half a millimetre off the packages' middle, as published."""
-    run = calibrate(read(FOLDER / "exp_1.h5"), gravity=9.8189, samples=400)
+    run = calibrate(read(SAMPLES / "board.h5"), gravity=9.8189, samples=400)
     off = 1e3 * (run.final.mean - BOARD.drawn)
     under = off[1::2].mean(axis=0)
     assert under == pytest.approx([-0.55, -0.45, -0.18], abs=0.15)

@@ -33,9 +33,7 @@ from imucalib.report.render.text import render_text
 from imucalib.units import DEG
 from worlds.array import corners, skew
 from worlds.array_stories import BOARD, PLAN, STORIES, closed, named, planted_log, positions_z
-from worlds.places import DATA, ROOT
-
-FOLDER = DATA / "mimu4444"
+from worlds.places import ROOT, SAMPLES
 
 
 @pytest.fixture(scope="module")
@@ -228,12 +226,11 @@ def test_a_plain_noise_is_plain() -> None:
     assert not replace(noise, freedom=4.0).plain
 
 
-@pytest.mark.skipif(not FOLDER.exists(), reason="real data folder absent")
 def test_a_measured_boards_clocks_delay_and_elements() -> None:
     from imucalib.readers import read
     from worlds.array_stories import moving_of
 
-    moving, rests = moving_of(read(FOLDER / "exp_1.h5"))
+    moving, rests = moving_of(read(SAMPLES / "board.h5"))
     setup = array_setup(moving, BOARD, 240, robust=True)
     assert setup is not None
     found = close_array_loop(setup, rest_terms(rests), moving, np.random.default_rng(0))

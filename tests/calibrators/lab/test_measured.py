@@ -1,10 +1,8 @@
-"""`imucal lab` on measured data: paper 004's table, instruments at rest. Skipped where absent."""
+"""`imucal lab` on measured data: paper 004's table, instruments at rest."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,14 +16,13 @@ from imucalib.calibrators.lab.request import LabRequest, as_published
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG, MG
-from worlds.places import DATA
+from worlds.places import DATA, ROOT, SAMPLES
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the measured data are not here")
 REPAIR = ((10, "y", -58593.0),)
 
 
 def paper(request: LabRequest) -> LabRun:
-    return run_lab(read_position_table(DATA / "lab_table" / "table1_as_printed.csv"), request)
+    return run_lab(read_position_table(SAMPLES / "paper_table_1.csv"), request)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +78,7 @@ def test_the_papers_split() -> None:
 def test_as_published_is_the_printed_table_2() -> None:
     run = paper(as_published(LabRequest(fixes=REPAIR)))
     printed = np.genfromtxt(
-        DATA / "lab_table" / "table2_as_printed.csv", delimiter=",", skip_header=1
+        ROOT / "tests" / "goldens" / "paper_table_2.csv", delimiter=",", skip_header=2
     )
     fit, whole = run.result.final, run.result.observations
     corrected = fit.model.correct(fit.theta, whole.reading, whole.context)[:, 0]
@@ -93,20 +90,16 @@ def test_swapped_headings_are_said_not_swapped() -> None:
     from imucalib.errors import UsageError
 
     columns = {"inclination": "toolface_deg", "tool_face": "inclination_deg"}
-    table = read_position_table(DATA / "lab_table" / "table1_as_printed.csv", columns)
+    table = read_position_table(SAMPLES / "paper_table_1.csv", columns)
     with pytest.raises(UsageError, match="--swap-angles"):
         run_lab(table, LabRequest(gravity=9.8061))
 
 
 @pytest.mark.parametrize("name", ["ab", "ai"])
-def test_cave_instruments_at_rest(tmp_path: Path, name: str) -> None:
+def test_cave_instruments_at_rest(name: str) -> None:
     """Leave-one-out took part in the choice and flatters it: 24 shots prove less than it says."""
-    shots = json.loads((DATA / "cave_accel" / f"{name}.json").read_text())["shots"]["grav"]
-    path = tmp_path / f"{name}.csv"
-    np.savetxt(
-        path, np.array(shots[:72]).reshape(24, 3), delimiter=",", header="x,y,z", comments=""
-    )
-    run = calibrate_files(LabFiles(path), LabRequest(reference="norm"), lambda text: None)
+    files = LabFiles(SAMPLES / f"cave_{name}.csv")
+    run = calibrate_files(files, LabRequest(reference="norm"), lambda text: None)
     error = run.outcome.error.held_out
     assert run.result.loop is not None
     assert run.result.loop.steps
@@ -119,6 +112,7 @@ def test_cave_instruments_at_rest(tmp_path: Path, name: str) -> None:
     assert error.final < error.base < 0.1 * error.raw
 
 
+@pytest.mark.skipif(not DATA.is_dir(), reason="the measured data are not here")
 @pytest.mark.parametrize("name", ["imu0.log", "imu1.log"])
 def test_nothing_is_found_where_nothing_holds_out(name: str) -> None:
     mapping = FieldMapping(acc=("1", "2", "3"), acc_unit="m/s2", rate=100.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -16,8 +14,9 @@ from imucalib.loop.faults.readings import exchanges
 from imucalib.loop.faults.search import row_faults
 from imucalib.loop.faults.sheet import Sheet, in_order
 from worlds import sheets
+from worlds.places import SAMPLES
 
-TABLE_1 = Path(__file__).parents[2] / "goldens" / "paper_table_1.csv"
+TABLE_1 = SAMPLES / "paper_table_1.csv"
 ROWS = ("exchange", "angle", "sign", "factor ten", "cells", "move", "shift")
 
 

@@ -14,7 +14,7 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
 from imucalib.units import DEG, STANDARD_GRAVITY
-from worlds.places import DATA
+from worlds.places import SAMPLES
 
 N = 4000
 TRUTH = np.array([0.1, -0.2, 9.75]) + np.random.default_rng(0).normal(scale=0.02, size=(N, 3))
@@ -208,12 +208,10 @@ def test_channels_with_clocks_of_their_own_stream_in_step(tmp_path: Path) -> Non
         np.testing.assert_array_equal(whole.channels[name].t, channel.t)
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="real data folder absent")
-@pytest.mark.parametrize("name", ["exp_1.h5"])
-def test_the_real_array_board(name: str) -> None:
-    found = readers.read(DATA / "mimu4444" / name)
+def test_the_real_array_board() -> None:
+    found = readers.read(SAMPLES / "board.h5")
     assert len(found.channels) == 16
-    with h5py.File(DATA / "mimu4444" / name) as f:
+    with h5py.File(SAMPLES / "board.h5") as f:
         counts, scale = f["gyroscope_counts"][:, 3], f["gyroscope_counts"].attrs["scale"]
     np.testing.assert_allclose(
         found.channels["imu3/angular_rate"].values, counts * scale * DEG, rtol=1e-13

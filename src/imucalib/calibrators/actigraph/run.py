@@ -10,17 +10,28 @@ import numpy as np
 
 from imucalib.calibration.findings import Findings, findings_of
 from imucalib.calibration.outcome import Outcome, Run, quality_of
+from imucalib.calibration.plain import plain
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.actigraph.advice import advice, limits_of, reasons
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.calibration import actigraph_calibration, actigraph_details
+from imucalib.calibrators.actigraph.closest_point import ClosestPoint, closest_point
 from imucalib.calibrators.actigraph.coverage import Coverage, coverage_of
+from imucalib.calibrators.actigraph.errors import raw_errors
 from imucalib.calibrators.actigraph.exchange import Exchange, exchange_in, refuse_exchange
 from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import Series, series, without_found
+from imucalib.calibrators.actigraph.wear import (
+    Activity,
+    Minutes,
+    Wear,
+    activity_of,
+    minutes_of,
+    wear_of,
+)
 from imucalib.loop.found import FitLoop
-from imucalib.readers import stored_blocks
+from imucalib.readers import blocks, stored_blocks
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import WORN, PostureRuns, Scan, posture_runs, scan
 from imucalib.units import MG
@@ -35,6 +46,8 @@ class ActigraphRun(Run):
     scanned: Scan
     request: ActigraphRequest
     series: Series | None = None
+    activity: Activity | None = None
+    rule: ClosestPoint | None = None
 
     @property
     def runs(self) -> PostureRuns:
@@ -47,8 +60,21 @@ def calibrate_recording(
     """Read in blocks and calibrate; `say` gets a line for each thing worth knowing on the way."""
     scanned = scan(stored_blocks(path, mapping), request.window, request.triad)
     runs = posture_runs(scanned, WORN)
-    scanned = scanned.without_windows()
-    return run_of(runs, scanned, request, say)
+    wear, rule = wear_of(scanned), closest_point(scanned)
+    run = run_of(runs, scanned.without_windows(), request, say)
+    minutes = minutes_of(blocks(path, mapping), scanned.triad, run.result.final)
+    return with_activity(run, minutes, wear, rule)
+
+
+def with_activity(
+    run: ActigraphRun, minutes: Minutes, wear: Wear, rule: ClosestPoint | None
+) -> ActigraphRun:
+    """The run with what its calibration does to wear and activity, beside the field's rule."""
+    errors = [h.error[:, 0, 0] for h in (raw_errors(run.result.base), run.result.final_held)]
+    start = (run.scanned.start_ns or 0) / 1e9 % 86400.0
+    activity = activity_of(minutes, wear, start, (errors[0], errors[1]), run.runs.time)
+    block = plain({"activity": activity.as_dict(), "ggir_rule": rule and rule.as_dict()})
+    return replace(run, activity=activity, rule=rule, details={**run.details, **block})
 
 
 def run_of(

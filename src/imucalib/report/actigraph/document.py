@@ -7,11 +7,15 @@ from pathlib import Path
 from imucalib.calibrators.actigraph.coverage import Coverage
 from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.weak import from_data
+from imucalib.report.actigraph.activity import activity_section, rule_section
+from imucalib.report.actigraph.card import actigraph_card
 from imucalib.report.actigraph.plots import residual_plots, sphere_blocks
 from imucalib.report.actigraph.series import series_section
 from imucalib.report.document import Document, Facts, Section, Table, Text
+from imucalib.report.gain import gain_plot
 from imucalib.report.loop import advice_section, candidate_section, loop_section
 from imucalib.report.sections import sensor_section, verdict
+from imucalib.report.terms import TERMS
 from imucalib.significant_digits import with_sd
 
 _MOST_ROWS = 12  # parameters of one effect that are shown in full
@@ -21,23 +25,31 @@ def actigraph_document(run: ActigraphRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
     outcome = run.outcome
     sections = [
+        activity_section(run),
         loop_section(outcome),
         _parameters(run),
         _coverage(run),
         advice_section(outcome),
-        Section("Residual before and after", residual_plots(run), brief=False),
+        Section(
+            "Residual before and after",
+            (*gain_plot(outcome.findings), *residual_plots(run)),
+            brief=False,
+        ),
         Section("Error over the sphere", sphere_blocks(run), brief=False),
+        rule_section(run),
         sensor_section(run.calibration),
     ]
     if run.series:
-        sections.insert(1, series_section(run.series))
+        sections.insert(2, series_section(run.series))
     if outcome.findings:
         sections.append(candidate_section(outcome.findings))
     return Document(
         f"Calibration of {Path(run.scanned.path).name} by gravity",
         _verdict(run),
-        tuple(sections),
+        tuple(s for s in sections if s.blocks),
         run.outcome.provenance.footer,
+        actigraph_card(run),
+        TERMS,
     )
 
 

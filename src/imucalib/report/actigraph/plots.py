@@ -5,22 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.actigraph.errors import raw_errors, sphere_cells
+from imucalib.calibrators.actigraph.errors import norm_sd, raw_errors, sphere_cells
 from imucalib.calibrators.actigraph.run import ActigraphRun
-from imucalib.loop.held_out import fitted
+from imucalib.core.sphere import even_directions
 from imucalib.report.document import Block, Plot, Series, Table
-from imucalib.units import DEG, MG
+from imucalib.report.sphere import sphere_map
+from imucalib.units import MG
 
-_BANDS = ((1.0, "below 1 mg"), (3.0, "1 to 3 mg"), (np.inf, "above 3 mg"))
 _BINS = 60
+#: Two standard deviations of noise whose mean size is one.
+_NOISE = 2.0 * float(np.sqrt(np.pi / 2.0))
 
 
 def residual_plots(run: ActigraphRun) -> tuple[Plot, ...]:
-    """Error of |a| of every posture run, raw, and before and after the search."""
-    result = run.result
-    before = fitted(result.base).error[:, 0, 0] / MG if result.loop and result.added else None
-    after = run.result.fitted.error[:, 0, 0] / MG
-    runs = run.runs
+    """Error of |a| of every posture run, raw, and before and after the search, held out."""
+    result, runs = run.result, run.runs
+    before = result.base_held.error[:, 0, 0] / MG if result.loop and result.added else None
+    after = result.final_held.error[:, 0, 0] / MG
     unit, seconds = ("d", 86400.0) if runs.time[-1] > 3.0 * 86400.0 else ("h", 3600.0)
     when = runs.time / seconds
     drivers = [("time", f"time ({unit})", when)]
@@ -34,23 +35,36 @@ def residual_plots(run: ActigraphRun) -> tuple[Plot, ...]:
     first = Plot(
         "Error of |a| raw and corrected",
         f"time ({unit})",
-        "mg",
-        (Series("raw reading", when, raw, "points"), Series("final model", when, after, "points")),
+        "error of |a| (mg)",
+        (Series("raw reading", when, raw, "points"), Series("corrected", when, after, "points")),
         "One point a posture run; the figures below show the corrected ones alone.",
     )
-    return (first, *(_residuals(name, label, x, before, after) for name, label, x in drivers))
+    noise = _NOISE * result.error.floor
+    return (
+        first,
+        *(_residuals(name, label, x, before, after, noise) for name, label, x in drivers),
+    )
 
 
-def _residuals(name: str, label: str, x: Array, before: Array | None, after: Array) -> Plot:
+def _residuals(
+    name: str, label: str, x: Array, before: Array | None, after: Array, noise: float
+) -> Plot:
     centre, mean = _binned(x, after)
+    ends, zero = np.array([np.nanmin(x), np.nanmax(x)]), np.zeros(2)
+    band = Series("noise alone, ± 2 sd", ends, zero, "band", zero - noise, zero + noise)
     series: tuple[Series, ...] = (
-        Series("final model", x, after, "points"),
-        Series("mean of the final error", centre, mean, "line"),
+        Series("after", x, after, "points"),
+        Series("mean after", centre, mean, "line"),
     )
     if before is not None:
-        series = (Series("nine parameters", x, before, "points"), *series)
-    caption = "One point a posture run; a line that leaves zero is what no effect explains."
-    return Plot(f"Error of |a| against {name}", label, "mg", series, caption)
+        series = (Series("before", x, before, "points"), *series)
+    if np.isfinite(noise):
+        series = (band, *series)
+    caption = (
+        "One point a posture run, predicted without its block of time; a line that leaves zero is "
+        "what no effect explains."
+    )
+    return Plot(f"Error of |a| against {name}", label, "error of |a| (mg)", series, caption)
 
 
 def _binned(x: Array, y: Array) -> tuple[Array, Array]:
@@ -63,22 +77,15 @@ def sphere_blocks(run: ActigraphRun) -> tuple[Block, ...]:
     """The error over the sphere as a map of the runs and as a table of its parts."""
     held = run.result.final_held
     direction = run.result.fitted.corrected[:, 0]
-    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    azimuth = np.arctan2(direction[:, 1], direction[:, 0]) / DEG
-    height = np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)) / DEG
-    size = np.abs(held.error[:, 0, 0]) / MG
-    series, low = [], 0.0
-    for high, words in _BANDS:
-        inside = (size >= low) & (size < high)
-        series.append(Series(words, azimuth[inside], height[inside], "points"))
-        low = high
-    map_ = Plot(
-        "Held-out error over the sphere",
-        "azimuth of gravity, from x to y (deg)",
-        "elevation to z (deg)",
-        tuple(s for s in series if s.x.size),
-        "One point a posture run, predicted without its block of time.",
-    )
+    directions = even_directions(600)
+    sd = norm_sd(run.result.final, directions) / MG
+    bar = max(1.0, float(np.quantile(sd, 0.8)))
+    map_ = sphere_map(
+        "Attitudes seen and the error left", direction, held.error[:, 0, 0] / MG, "mg",
+        "Equal areas of the map are equal parts of the sphere. One point a posture run, predicted "
+        "without its block of time.",
+        poor=directions[sd > bar], poor_words=f"|a| known to worse than {bar:.2g} mg (sd)",
+    )  # fmt: skip
     rows = tuple(
         (c.name, str(c.runs), *(_number(v) for v in (c.raw, c.base, c.final, c.held_out, c.sd)))
         for c in sphere_cells(run.result.base, run.result.final, held)

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.calibrators.actigraph.published import PublishedRun
+from imucalib.report.card import card_of, error_worth
 from imucalib.report.document import Document, Section, Table
 from imucalib.report.sections import parameter_table, verdict
+from imucalib.report.terms import TERMS
 
 
 def published_document(run: PublishedRun) -> Document:
@@ -44,6 +46,8 @@ def published_document(run: PublishedRun) -> Document:
                     brief=False),
         ),
         run.outcome.provenance.footer,
+        card_of(run.outcome, (error_worth(error, "|a| at rest", "points"),)),
+        TERMS,
     )  # fmt: skip
 
 

@@ -49,7 +49,7 @@ def series_section(found: Calibrations) -> Section:
         for k in range(3)
     )
     plot = Plot(
-        "Bias over time", "day", "mg", curves,
+        "Bias over time", "time (d)", "change of bias (mg)", curves,
         "Change from what all parts have in common; whiskers: two standard deviations.",
     )  # fmt: skip
     blocks: tuple[Block, ...] = (

@@ -8,24 +8,34 @@ import numpy as np
 
 from imucalib.calibrators.array.logs import Repeatability
 from imucalib.calibrators.array.run import ArrayRun
+from imucalib.report.array.card import array_card
 from imucalib.report.array.growth import growth_plot
 from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
+from imucalib.report.array.residuals import residual_plots
 from imucalib.report.document import Document, Facts, Section, Table, Text
+from imucalib.report.gain import gain_plot
 from imucalib.report.loop import loop_section
 from imucalib.report.sections import closing_sections, verdict
+from imucalib.report.terms import TERMS
 from imucalib.significant_digits import plus_minus, with_sd
 from imucalib.units import DEG
 
 
 def array_document(run: ArrayRun) -> Document:
     """Everything that a reader of the positions must know, headline first."""
+    observability = _observability(run)
     sections = (
         Section("Positions", (_position_table(run), _size(run))),
         _board_section(run),
         loop_section(run.outcome),
+        Section(
+            "Residual before and after",
+            (*gain_plot(run.outcome.findings), *residual_plots(run)),
+            brief=False,
+        ),
         _motion_section(run),
         _rests_section(run),
-        Section("Observability", _observability(run)),
+        Section("Observability", observability),
         *closing_sections(run.outcome),
         _chain_section(run),
     )
@@ -34,6 +44,8 @@ def array_document(run: ArrayRun) -> Document:
         _verdict(run),
         tuple(s for s in sections if s.blocks),
         run.outcome.provenance.footer,
+        array_card(run, observability),
+        TERMS,
     )
 
 

@@ -34,7 +34,7 @@ def growth_plot(run: ArrayRun) -> tuple[Plot, ...]:
         "samples, scaled to end at what is stated. Twice the precision takes four times the motion."
     )
     title = "Standard deviation against the samples used"
-    return (Plot(title, "T, samples", "mm", tuple(series), caption, log_y=True),)
+    return (Plot(title, "samples used", "sd (mm)", tuple(series), caption, log_y=True),)
 
 
 def _median_sd(run: ArrayRun, count: int) -> Array | None:

@@ -110,7 +110,7 @@ def deviation_plot(run: ArrayRun) -> Plot:
         for k, axis in enumerate("xyz")
     )
     caption = f"Position minus drawing, relative to {run.board.imus[0]}, 95 % intervals."
-    return Plot("Deviation from the drawing", "IMU", "mm", series, caption)
+    return Plot("Deviation from the drawing", "IMU", "deviation (mm)", series, caption)
 
 
 def chain_plots(run: ArrayRun) -> tuple[Plot, ...]:
@@ -136,7 +136,21 @@ def chain_plots(run: ArrayRun) -> tuple[Plot, ...]:
     rho = autocorrelation(draws.T)[:lags]
     series = tuple(Series(f"chain {c + 1}", x[:lags], rho[:, c], "line") for c in shown)
     return (
-        Plot(f"Trace of {name}", "draw", "mm", trace, "The coordinate with the least ESS."),
-        Plot(f"Ranks of {name}", "rank", "draws", (*counts, even), "Flat where the chains agree."),
-        Plot(f"Autocorrelation of {name}", "lag", "", series, "Falls to zero within a few draws."),
+        Plot(
+            f"Trace of {name}", "draw", "position (mm)", trace, "The coordinate with the least ESS."
+        ),
+        Plot(
+            f"Ranks of {name}",
+            "rank",
+            "number of draws",
+            (*counts, even),
+            "Flat where the chains agree.",
+        ),
+        Plot(
+            f"Autocorrelation of {name}",
+            "lag (draws)",
+            "autocorrelation",
+            series,
+            "Falls to zero within a few draws.",
+        ),
     )

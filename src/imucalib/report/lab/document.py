@@ -13,10 +13,14 @@ from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import fitted
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text
-from imucalib.report.lab.plots import dial_section, residual_plots, uncertainty_section
+from imucalib.report.gain import gain_plot
+from imucalib.report.lab.card import lab_card
+from imucalib.report.lab.plots import dial_section, uncertainty_section
+from imucalib.report.lab.residuals import attitude_map, residual_plots
 from imucalib.report.lab.tables import iscwsa_table, position_table, published_table, training_note
 from imucalib.report.loop import advice_section, candidate_section, floor_words, loop_section
 from imucalib.report.sections import parameter_table, sensor_section, verdict
+from imucalib.report.terms import TERMS
 from imucalib.significant_digits import plus_minus, spread
 from imucalib.units import DEG, MG
 
@@ -26,7 +30,11 @@ def lab_document(run: LabRun) -> Document:
     outcome = run.outcome
     sections = [
         loop_section(outcome),
-        Section("Residual before and after", residual_plots(run), brief=False),
+        Section(
+            "Residual before and after",
+            (*gain_plot(outcome.findings), *residual_plots(run), attitude_map(run)),
+            brief=False,
+        ),
         _angle_section(run),
         _parameter_section(run),
         _bench_section(run),
@@ -45,6 +53,8 @@ def lab_document(run: LabRun) -> Document:
         _verdict(run),
         tuple(s for s in sections if s.blocks),
         run.outcome.provenance.footer,
+        lab_card(run),
+        TERMS,
     )
 
 

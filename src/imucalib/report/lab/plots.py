@@ -1,4 +1,4 @@
-"""Curves of the lab report: the bench's dial, the angles' uncertainty, errors by position."""
+"""Curves of the lab report: the bench's dial and the angles' uncertainty."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.uncertainty import angle_uncertainty
-from imucalib.calibrators.lab.attitude import attitude_errors, rms
-from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.dial import bends, dial_of
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector
-from imucalib.loop.held_out import fitted
 from imucalib.report.document import Plot, Section, Series, Table
 from imucalib.units import DEG
 
@@ -26,7 +23,13 @@ def dial_section(run: LabRun) -> Section:
     band = Series("95 % band", at / DEG, shift, "band", shift - half, shift + half)
     line = Series("true inclination minus dial", at / DEG, shift, "line")
     caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."
-    plot = Plot("True inclination minus dial", "inclination (deg)", "deg", (band, line), caption)
+    plot = Plot(
+        "True inclination minus dial",
+        "inclination (deg)",
+        "dial's error (deg)",
+        (band, line),
+        caption,
+    )
     return Section("The bench's inclination dial", (plot,), brief=False)
 
 
@@ -73,30 +76,6 @@ def _half_width(title: str, x: Array, y: Array) -> Plot:
     caption = (
         "Half width of 95 % intervals, worst of four tool-faces; one reading's noise comes on top."
     )
-    return Plot(title, "inclination (deg)", "deg", (Series("95 %", x, y, "line"),), caption)
-
-
-def residual_plots(run: LabRun) -> tuple[Plot, ...]:
-    """Errors of the fitted rows before and after the loop, first the one that gained most."""
-    result = run.result
-    gravity = gravity_of(result.observations)
-    x = (result.used + 1).astype(np.float64)
-    before = attitude_errors(fitted(result.base), gravity)
-    after = attitude_errors(fitted(result.final), gravity)
-    names = result.final.observations.label
-    plots = []
-    quantities = [("|a| error", "mg", before.norm, after.norm)]
-    if isinstance(result.observations.reference, KnownVector):
-        quantities += [
-            ("Inclination error", "deg", before.inclination, after.inclination),
-            ("Tool-face error", "deg", before.tool_face, after.tool_face),
-        ]
-    quantities.sort(key=lambda q: rms(q[3]) / max(rms(q[2]), 1e-12))
-    for title, unit, old, new in quantities:
-        series = (
-            Series("base model", x, old, "points", names=names),
-            Series("final model", x, new, "points", names=names),
-        )
-        caption = "Before and after the loop, fitted rows."
-        plots.append(Plot(f"{title} by position", "row", unit, series, caption))
-    return tuple(plots)
+    return Plot(
+        title, "inclination (deg)", "half width (deg)", (Series("95 %", x, y, "line"),), caption
+    )

@@ -135,7 +135,7 @@ def _log_label(exponent: float) -> str:
     return text if mantissa == 1 else f"{mantissa}·{text}"
 
 
-def limits(parts: Iterable[Array], *, log: bool = False, pad: float = 0.04) -> tuple[float, float]:
+def limits(parts: Iterable[Array], *, log: bool = False, pad: float = 0.07) -> tuple[float, float]:
     """Low and high of all drawable values, padded; a window around constant data, 0..1 if none."""
     shown = [drawable(part, log) for part in parts]
     values = np.concatenate([part[~np.isnan(part)] for part in shown] or [np.empty(0)])
@@ -162,7 +162,7 @@ def y_parts(plot: Plot) -> list[Array]:
 
 def plot_limits(plot: Plot) -> tuple[tuple[float, float], tuple[float, float]]:
     """Limits of x and of y (log10 where logarithmic), before scales are made equal."""
-    x_low, x_high = limits([s.x for s in plot.series], pad=0.03)
+    x_low, x_high = limits([s.x for s in plot.series], pad=0.04)
     y_low, y_high = limits(y_parts(plot), log=plot.log_y)
     slot = bar_slot(plot)
     if slot and not plot.log_y:

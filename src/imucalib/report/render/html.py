@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from imucalib.report.document import Block, Document, Facts, Plot, Section, Table, Text, Tone
+from imucalib.report.document import Block, Card, Document, Facts, Plot, Section, Table, Text, Tone
 from imucalib.report.render.columns import column_pads, squared
 from imucalib.report.render.html_style import STYLE
 from imucalib.report.render.markup import escape
@@ -28,7 +28,7 @@ class _Numbering:
 
 def render_html(document: Document) -> str:
     """The whole report, sections of every detail, as one self-contained HTML page."""
-    numbering = _Numbering()
+    document, numbering = document.calm(), _Numbering()
     sections = [_section(i, s, numbering) for i, s in enumerate(document.sections, start=1)]
     title = escape(document.title)
     return "\n".join(
@@ -40,9 +40,10 @@ def render_html(document: Document) -> str:
             f"<title>{title}</title><style>{STYLE}</style></head>",
             '<body><main class="sheet">',
             f'<header><p class="kicker">Calibration report</p><h1>{title}</h1>',
-            f"{_verdict(document.verdict)}</header>",
+            f"{_verdict(document.verdict)}{_card(document.card)}</header>",
             _contents(document.sections),
             *sections,
+            _terms(document.terms),
             _footer(document.footer),
             "</main></body></html>\n",
         ]
@@ -55,6 +56,39 @@ def _verdict(verdict: Text) -> str:
         f'<div class="verdict {verdict.tone}" role="status"><b>{heading}</b>'
         f"{escape(verdict.text)}</div>"
     )
+
+
+def _card(card: Card | None) -> str:
+    """Worth as tiles, then what was found, what to do, and the command."""
+    if card is None:
+        return ""
+    tiles = "".join(
+        f"<div><dt>{escape(w.quantity)}</dt><dd><b>{escape(w.value)}</b>"
+        f"<span>{escape(w.detail)}</span></dd></div>"
+        for w in card.good_to
+    )
+    found = "".join(_paragraph(text) for text in card.found)
+    steps = "".join(f"<li>{_code(step)}</li>" for step in card.to_do)
+    again = ""
+    if card.command:
+        again = f'<h3>Run it again</h3><pre class="command">{escape(card.command)}</pre>'
+    return (
+        f'<div class="card"><h3>Good to</h3><dl class="tiles">{tiles}</dl>'
+        f'<h3>Found</h3>{found}<h3>What to do next</h3><ol class="steps">{steps}</ol>'
+        f"{again}</div>"
+    )
+
+
+def _code(text: str) -> str:
+    """Text in which what stands between backticks is code."""
+    parts = escape(text).split("`")
+    return "".join(f"<code>{p}</code>" if i % 2 else p for i, p in enumerate(parts))
+
+
+def _terms(terms: Sequence[tuple[str, str]]) -> str:
+    if not terms:
+        return ""
+    return f'<section class="terms"><h2>Words of this report</h2>{_facts(terms)}</section>'
 
 
 def _contents(sections: Sequence[Section]) -> str:

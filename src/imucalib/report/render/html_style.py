@@ -21,7 +21,7 @@ body{margin:0;background:var(--paper);color:var(--ink);
 font:16px/1.55 Charter,"Bitstream Charter","Sitka Text",Cambria,"Source Serif 4",Georgia,
 "Liberation Serif",serif;text-rendering:optimizeLegibility;hanging-punctuation:first}
 .sheet{max-width:46rem;margin:0 auto;padding:3rem 1.5rem 4rem}
-h1,h2,nav,table,.facts,.verdict b,figcaption,caption,footer,svg,.kicker,.tag{
+h1,h2,h3,nav,table,.tiles,.facts,.verdict b,figcaption,caption,footer,svg,.kicker,.tag{
 font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue","Noto Sans",
 "Liberation Sans",Arial,sans-serif}
 .kicker{margin:0;color:var(--soft);font-size:.75rem;letter-spacing:.09em;text-transform:uppercase}
@@ -37,6 +37,22 @@ background:var(--tint);font-size:1.08rem;line-height:1.45;
 print-color-adjust:exact;-webkit-print-color-adjust:exact}
 .verdict b{display:block;margin-bottom:.15rem;color:var(--accent);font-size:.78rem;
 letter-spacing:.07em;text-transform:uppercase}
+.card{margin:0 0 1.8rem;padding:.2rem 1.1rem .9rem;border:1px solid var(--rule);border-radius:6px;
+break-inside:avoid-page}
+.card h3{margin:1rem 0 .35rem;color:var(--soft);font-size:.75rem;font-weight:600;
+letter-spacing:.07em;text-transform:uppercase}
+.card p{margin:.3rem 0;font-size:.95rem;line-height:1.45}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(11rem,1fr));gap:.9rem 1.4rem;
+margin:0}
+.tiles dt{color:var(--soft);font-size:.8125rem}.tiles dd{margin:0}
+.tiles b{display:block;font-size:1.5rem;line-height:1.25;font-weight:650;letter-spacing:-.01em;
+font-variant-numeric:tabular-nums}
+.tiles span{display:block;color:var(--soft);font-size:.78rem;line-height:1.4}
+.steps{margin:0;padding-left:1.3rem;font-size:.95rem;line-height:1.45}.steps li{margin:.2rem 0}
+code,.command{font-family:ui-monospace,SFMono-Regular,Menlo,Consolas,"Liberation Mono",monospace;
+font-size:.82em;overflow-wrap:anywhere}
+.command{margin:0;padding:.5rem .7rem;background:var(--tint);white-space:pre-wrap;font-size:.78rem}
+.terms h2{font-size:1rem}.terms .facts{font-size:.8125rem}
 .ok{--tone:var(--ok);--tone-tint:var(--ok-tint)}
 .warning{--tone:var(--warning);--tone-tint:var(--warning-tint)}
 .bad{--tone:var(--bad);--tone-tint:var(--bad-tint)}
@@ -84,7 +100,7 @@ tr .sign{color:var(--tone);font-weight:700;margin-right:.35em}
 "Noto Sans","Liberation Sans",Arial,sans-serif}
 .note{margin:.45rem 0 0;color:var(--soft);font-size:.845rem;line-height:1.45}
 figure{margin:1.6rem 0 1.9rem;break-inside:avoid}
-figure svg{display:block;width:100%;height:auto;max-width:680px}
+figure svg{display:block;width:100%;height:auto;max-width:600px}
 figure svg .axis{fill:var(--soft)}
 figcaption{margin-top:.5rem;font-size:.845rem;line-height:1.45;max-width:42rem}
 figcaption b{font-weight:600}
@@ -104,9 +120,11 @@ figure svg{font-size:14px}}
 --warning-tint:#fdf3df;--bad:#a61b1b;--bad-tint:#fbeaea;
 --series-0:#0072b2;--series-1:#d55e00;--series-2:#009e73;--series-3:#b8608f;--series-4:#c98a00;
 --series-5:#3a9bd0;--series-6:#000}
-@page{size:A4;margin:18mm 17mm 20mm}
+@page{size:A4;margin:18mm 17mm 20mm;@bottom-right{content:counter(page) " / " counter(pages);
+font:8pt sans-serif;color:#444}}
 html{font-size:14px}body{font-size:10.5pt;line-height:1.45}.sheet{max-width:none;padding:0}
 nav{display:none}a{color:inherit}.scroll{overflow:visible;width:auto;max-width:none;position:static;transform:none}
 h2{margin-top:1.8rem}tr,.verdict,.facts dd{break-inside:avoid}thead{display:table-header-group}
-figure svg{max-width:150mm;font-size:12.5px}p{orphans:3;widows:3}}
+figure{margin:.7rem 0 1rem}figure svg{max-width:118mm;font-size:12.5px}
+.card{break-inside:auto}p{orphans:3;widows:3}}
 """

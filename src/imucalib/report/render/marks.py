@@ -12,9 +12,10 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.report.render.markup import escape, points, short
-from imucalib.report.render.thinning import LONGEST, Indices, runs, thinned
+from imucalib.report.render.thinning import Indices, runs, thinned
 
 NAMED = 600  # points that carry a hover title
+CROWDED = 300  # points that are drawn as dots
 
 MARKERS: tuple[Callable[[float, float], str], ...] = (
     lambda x, y: f"M{short(x - 3)},{short(y)}a3,3 0 1,0 6,0a3,3 0 1,0 -6,0",  # circle
@@ -87,7 +88,7 @@ def scatter(placed: Placed, marker: int) -> str:
     """Markers; few points are separate shapes with a hover title, very many are dots."""
     keep = thinned(placed.x, placed.y)
     draw = MARKERS[marker % len(MARKERS)]
-    if keep.size > LONGEST / 2:
+    if keep.size > CROWDED:
         keep = _one_per_pixel(placed)
         d = "".join(f"M{pair}h0" for pair in points(placed.x[keep], placed.y[keep]))
         return f'<path class="dots" d="{d}"/>' if d else ""
@@ -98,6 +99,14 @@ def scatter(placed: Placed, marker: int) -> str:
             for i, d in zip(keep, shapes, strict=True)
         )
     return f'<path class="mark" d="{"".join(shapes)}"/>' if shapes else ""
+
+
+def rings(placed: Placed) -> str:
+    """Open circles around points that a reader must not miss."""
+    keep = thinned(placed.x, placed.y)
+    ends = zip(placed.x[keep].tolist(), placed.y[keep].tolist(), strict=True)
+    d = "".join(f"M{short(x - 7)},{short(y)}a7,7 0 1,0 14,0a7,7 0 1,0 -14,0" for x, y in ends)
+    return f'<path class="line" d="{d}"/>' if d else ""
 
 
 def _one_per_pixel(placed: Placed) -> Indices:

@@ -26,7 +26,7 @@ from imucalib.report.render.axes import (
 from imucalib.report.render.markup import clipped, escape, short, text_width
 from imucalib.report.render.svg_style import FONT, coloured, dash_of, shaped
 
-WIDTH, HEIGHT = 680, 340
+WIDTH, HEIGHT = 500, 300
 LEGEND_ROW = 20.0
 SWATCH = 26.0
 
@@ -67,7 +67,8 @@ def render_svg(plot: Plot, width: int = WIDTH, height: int = HEIGHT) -> str:
     frame = _frame(plot, width, height, legend_height)
     total = frame.top + frame.height + (46 if plot.x_label or frame.x.note else 26)
     label = escape(f"{plot.title}. {plot.caption}".strip(". "))
-    body = "".join([legend, _grid(frame), _x_axis(plot, frame), _series(plot, frame)])
+    axes = _x_label(plot, frame, 18.0) if plot.bare else _grid(frame) + _x_axis(plot, frame)
+    body = "".join([legend, axes, _series(plot, frame)])
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="plot" role="img" aria-label="{label}"'
         f' viewBox="0 0 {width} {short(total)}" width="{width}" height="{short(total)}"'
@@ -81,11 +82,12 @@ def _frame(plot: Plot, width: int, height: int, legend_height: float) -> Frame:
     tall = max(height - top - 46, 60.0)
     if plot.equal:
         tall = _equal_height(plot, width - 90.0, 1.25 * height)
-    counts = (max(2, width // 90), max(2, round(tall / 42)))
+    counts = (max(2, width // 80), max(2, round(tall / 42)))
     y_axis = plot_axes(plot, (width - 90.0, tall), counts)[1]
     widest = max((text_width(text, FONT) for text in y_axis.labels), default=0)
     left = min(14 + 1.1 * widest + (24 if plot.y_label or y_axis.note else 0), width / 2)
-    shape = (width - left - 16, tall)
+    left = 8.0 if plot.bare else left
+    shape = (width - left - (8 if plot.bare else 16), tall)
     x_axis, y_axis = plot_axes(plot, shape, counts)
     return Frame(left, top, *shape, _categories(plot, x_axis, shape[0]), y_axis)
 
@@ -124,7 +126,7 @@ def _ticks(axis: Axis, place: Callable[[float], float]) -> list[tuple[float, str
 
 
 def _x_axis(plot: Plot, frame: Frame) -> str:
-    bottom, middle = frame.top + frame.height, frame.left + frame.width / 2
+    bottom = frame.top + frame.height
     parts = [
         f'<path d="M{short(frame.left)},{short(bottom)}h{short(frame.width)}"'
         ' stroke="currentColor" stroke-opacity="0.7"/>'
@@ -145,13 +147,16 @@ def _x_axis(plot: Plot, frame: Frame) -> str:
             f'<text x="{short(x)}" y="{short(bottom + 18)}" text-anchor="middle">'
             f"{escape(label)}</text>"
         )
-    label = clipped(frame.x.titled(plot.x_label), FONT, frame.width)
-    if label:
-        parts.append(
-            f'<text class="axis" x="{short(middle)}" y="{short(bottom + 39)}"'
-            f' text-anchor="middle">{escape(label)}</text>'
-        )
-    return f'<g class="x">{"".join(parts)}</g>'
+    return f'<g class="x">{"".join(parts)}{_x_label(plot, frame, 39.0)}</g>'
+
+
+def _x_label(plot: Plot, frame: Frame, below: float) -> str:
+    """The label, `below` pixels under the axes."""
+    label = clipped(plot.x_label if plot.bare else frame.x.titled(plot.x_label), FONT, frame.width)
+    if not label:
+        return ""
+    x, y = short(frame.left + frame.width / 2), short(frame.top + frame.height + below)
+    return f'<text class="axis" x="{x}" y="{y}" text-anchor="middle">{escape(label)}</text>'
 
 
 def _y_label(plot: Plot, frame: Frame) -> str:
@@ -194,6 +199,8 @@ def _mark(plot: Plot, i: int, placed: marks.Placed, foot: float, wide: float) ->
     series = plot.series[i]
     if series.mark == "points":
         return marks.error_bars(placed) + marks.scatter(placed, i)
+    if series.mark == "rings":
+        return marks.rings(placed)
     if series.mark == "bars":
         return marks.bars(placed, foot, wide)
     return marks.band(placed) + marks.line(placed, dash_of(plot, i), series.mark == "step")
@@ -205,7 +212,7 @@ def _legend(plot: Plot, width: int) -> tuple[str, float]:
         return "", 0.0
     x, y, drawn = 4.0, 12.0, []
     for i, series in enumerate(plot.series):
-        swatch = 14.0 if series.mark in ("points", "bars") else SWATCH
+        swatch = 14.0 if series.mark in ("points", "bars", "rings") else SWATCH
         label = clipped(series.label, FONT, width - SWATCH - 40)
         needed = swatch + text_width(label, FONT) + 26
         if x + needed > width and x > 4:
@@ -220,6 +227,8 @@ def _swatch(plot: Plot, i: int, x: float, y: float) -> str:
     series, dash = plot.series[i], dash_of(plot, i)
     if series.mark == "points":
         return f'<path class="mark" d="{marks.MARKERS[i % len(marks.MARKERS)](x + 7, y)}"/>'
+    if series.mark == "rings":
+        return f'<path class="line" d="M{short(x)},{short(y)}a6,6 0 1,0 12,0a6,6 0 1,0 -12,0"/>'
     if series.mark == "bars":
         return f'<rect class="bar" x="{short(x)}" y="{short(y - 5)}" width="14" height="10"/>'
     area = f'<path class="band" d="M{short(x)},{short(y - 5)}h{SWATCH:g}v10h-{SWATCH:g}z"/>'

@@ -1,0 +1,193 @@
+"""When a worn sensor was worn, and what its activity measure is before and after calibration.
+
+Non-wear: an hour, in steps of a quarter, in which two of three axes scatter by less than 13 mg and
+span less than 50 mg (van Hees et al. 2013, PLoS ONE 8(4) e61691, Methods, "Accelerometer data
+processing"). ENMO: the mean of max(|a| - 1 g, 0) over samples (the same paper). Night: the five
+hours of the mean day with the least ENMO (L5; Witting et al. 1990, Biol Psychiatry 27, 563-572).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags
+from imucalib.calibration.uncertainty import corrected_by
+from imucalib.core.fit import Fit
+from imucalib.recording.recording import Recording
+from imucalib.rests.runs import Scan
+from imucalib.units import MG, STANDARD_GRAVITY
+
+_HOUR, _STEP, _DAY = 3600.0, 900.0, 86400.0
+_SCATTER, _SPAN = 13.0 * MG, 50.0 * MG
+_NIGHT = 5 * 60  # minutes
+#: Share of the day that must have been seen for a night to be named.
+_SEEN = 0.8
+
+
+@dataclass(frozen=True)
+class Wear:
+    """hours : recorded, gaps left out; worn : hours of these; off : (k, 2) s, stretches without
+    wear, in order"""
+
+    hours: float
+    worn: float
+    off: Array
+
+    def worn_at(self, t: Array) -> Flags:
+        """(n,) whether the sensor was worn at times (n,) s."""
+        inside = np.zeros(t.size, np.bool_)
+        for start, stop in self.off:
+            inside |= (t >= start) & (t < stop)
+        return ~inside
+
+
+def wear_of(scanned: Scan) -> Wear:
+    """From the windows of one pass."""
+    w = scanned.windows
+    length = float(np.median(w.stop - w.start)) + 1.0 / scanned.rate
+    middle = 0.5 * (w.start + w.stop)
+    off = []
+    for start in np.arange(0.0, max(scanned.stop - _HOUR, 0.0) + _STEP, _STEP):
+        rows = slice(*np.searchsorted(middle, [start, start + _HOUR]))
+        if middle[rows].size * length < 0.5 * _HOUR:
+            continue
+        scatter = np.sqrt(w.variance[rows].mean(axis=0) + w.mean[rows].var(axis=0))
+        span = w.high[rows].max(axis=0) - w.low[rows].min(axis=0)
+        if np.sum((scatter < _SCATTER) & (span < _SPAN)) >= 2:
+            off.append((start, min(start + _HOUR, scanned.stop)))
+    joined = _joined(off)
+    hours = middle.size * length / 3600.0
+    lost = sum(float(np.sum((middle >= a) & (middle < b))) * length for a, b in joined)
+    return Wear(hours, hours - lost / 3600.0, np.array(joined).reshape(-1, 2))
+
+
+def _joined(stretches: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    found: list[tuple[float, float]] = []
+    for start, stop in stretches:
+        if found and start <= found[-1][1]:
+            found[-1] = (found[-1][0], stop)
+        else:
+            found.append((start, stop))
+    return found
+
+
+@dataclass(frozen=True)
+class Minutes:
+    """ENMO of every minute, m/s². minute : (n,) since the start; count : (n,) samples"""
+
+    minute: Array
+    count: Array
+    raw: Array
+    corrected: Array
+
+
+@dataclass(frozen=True)
+class Activity:
+    """What a calibration does to what is made of the recording.
+
+    night : (start, stop) s of the recording's clock, or None where no night can be named
+    enmo : (raw, corrected) mg of the worn time by "day", "night" and "all"; absent where unknown
+    night_error : (raw, corrected) mg, mean error of |a| at rest at night; night_runs : how many
+    profile : (24, 2) mg, raw and corrected ENMO by the clock's hour, NaN where not worn
+    """
+
+    wear: Wear
+    night: tuple[float, float] | None
+    enmo: dict[str, tuple[float, float]]
+    night_error: tuple[float, float]
+    night_runs: int
+    profile: Array
+
+    def as_dict(self) -> dict[str, Any]:
+        """The block of report.json."""
+        return {
+            "hours_recorded": self.wear.hours,
+            "hours_worn": self.wear.worn,
+            "not_worn_s": self.wear.off.tolist(),
+            "night_s_of_day": None if self.night is None else list(self.night),
+            "enmo_mg": {k: {"raw": a, "corrected": b} for k, (a, b) in self.enmo.items()},
+            "night_error_mg": dict(zip(("raw", "corrected"), self.night_error, strict=True)),
+            "night_posture_runs": self.night_runs,
+            "enmo_by_hour_mg": self.profile.tolist(),
+        }
+
+
+def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
+    """One pass over the samples. Each is corrected by the linear part; what the rest of the
+    correction does to |a| is taken at the mean of its block's minute."""
+    origin = corrected_by(fit, np.zeros((1, 3)))[0]
+    slope = (corrected_by(fit, np.eye(3) * STANDARD_GRAVITY) - origin).T / STANDARD_GRAVITY
+    parts = []
+    for block in blocks:
+        for channel in block.channels.values():
+            if channel.quantity == "acceleration" and channel.triad == triad and channel.t.size:
+                parts.append(_summed(channel.t, channel.values, slope, origin, fit))
+    rows = np.concatenate(parts) if parts else np.empty((0, 4))
+    minute, place = np.unique(rows[:, 0], return_inverse=True)
+    sums = (np.bincount(place, rows[:, k]).astype(np.float64) for k in (1, 2, 3))
+    count, raw, corrected = sums
+    return Minutes(minute, count, raw / count, corrected / count)
+
+
+def _summed(t: Array, values: Array, slope: Array, origin: Array, fit: Fit) -> Array:
+    """(m, 4) minute, samples, and the sums of ENMO raw and corrected."""
+    minute, place = np.unique(np.floor(t / 60.0), return_inverse=True)
+    count = np.bincount(place)
+    mean = np.stack([np.bincount(place, v) for v in values.T], axis=1) / count[:, None]
+    known = np.linalg.norm(mean @ slope.T + origin, axis=1)
+    shift = np.linalg.norm(corrected_by(fit, mean), axis=1) - known
+    size = np.linalg.norm(values @ slope.T + origin, axis=1) + shift[place]
+    over = [np.maximum(s - STANDARD_GRAVITY, 0.0) for s in (np.linalg.norm(values, axis=1), size)]
+    return np.column_stack([minute, count, *(np.bincount(place, v) for v in over)])
+
+
+def activity_of(
+    minutes: Minutes, wear: Wear, start: float, errors: tuple[Array, Array], at: Array
+) -> Activity:
+    """start : s of the day at which the recording's time is zero; errors : (n,), (n,) m/s², of |a|
+    raw and corrected at the posture runs of times `at` (n,) s"""
+    worn = wear.worn_at(60.0 * minutes.minute + 30.0)
+    clock = np.mod(60.0 * minutes.minute + 30.0 + start, _DAY)
+    raw, corrected = minutes.raw / MG, minutes.corrected / MG
+    night = _night(clock[worn], corrected[worn])
+
+    def pair(rows: Flags) -> tuple[float, float]:
+        weight = minutes.count[rows]
+        found = (float(np.average(v[rows], weights=weight)) for v in (raw, corrected))
+        return next(found), next(found)
+
+    enmo = {"all": pair(worn)} if worn.any() else {}
+    asleep = np.zeros(at.size, np.bool_)
+    if night is not None:
+        dark = _between(clock, night)
+        parts = {"day": worn & ~dark, "night": worn & dark}
+        enmo |= {name: pair(rows) for name, rows in parts.items() if rows.any()}
+        asleep = _between(np.mod(at + start, _DAY), night) & wear.worn_at(at)
+    means = [float(np.mean(np.abs(e[asleep]))) / MG if asleep.any() else np.nan for e in errors]
+    hour = np.floor(clock / _HOUR)
+    profile = np.array([pair(r) if (r := worn & (hour == h)).any() else (np.nan, np.nan)
+                        for h in range(24)])  # fmt: skip
+    return Activity(wear, night, enmo, (means[0], means[1]), int(asleep.sum()), profile)
+
+
+def _between(clock: Array, night: tuple[float, float]) -> Flags:
+    return np.asarray(np.mod(clock - night[0], _DAY) < np.mod(night[1] - night[0], _DAY))
+
+
+def _night(clock: Array, enmo: Array) -> tuple[float, float] | None:
+    """The least active five hours of the mean day; None where too little of a day was seen."""
+    place = np.floor(clock / 60.0).astype(np.intp)
+    count = np.bincount(place, minlength=1440)
+    if (count > 0).mean() < _SEEN:
+        return None
+    total = np.bincount(place, enmo, minlength=1440)
+    turned = [np.concatenate([v, v[:_NIGHT]]).cumsum() for v in (total, count)]
+    sums, seen = (v[_NIGHT:] - v[:-_NIGHT] for v in turned)
+    # Entry k covers minutes k + 1 to k + 300.
+    mean = np.where(seen > _SEEN * seen.max(), sums / np.maximum(seen, 1), np.inf)
+    first = 60.0 * float(np.mod(int(np.argmin(mean)) + 1, 1440))
+    return first, float(np.mod(first + 60.0 * _NIGHT, _DAY))

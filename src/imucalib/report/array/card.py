@@ -1,0 +1,25 @@
+"""What an array's calibration is good to: positions, gyros and accelerometers in motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.calibrators.array.run import ArrayRun
+from imucalib.report.card import card_of, error_worth
+from imucalib.report.document import Card, Text, Worth
+
+
+def array_card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
+    """The card of an array; observability : what the motion did not determine, in words."""
+    sd = 1e3 * run.final.sd[1:]
+    k, axis = np.unravel_index(int(np.argmax(sd)), sd.shape)
+    positions = Worth(
+        "positions",
+        f"± {1.96 * np.median(sd):.2g} mm",
+        f"95 %, the median of {sd.size} coordinates; worst {run.board.imus[1 + int(k)]} "
+        f"{'xyz'[int(axis)]}, ± {1.96 * sd.max():.2g} mm; the array's common size aside",
+    )
+    names = ("accelerometers in motion", "gyros in motion")
+    errors = zip(run.outcome.errors, names, strict=False)
+    worths = (positions, *(error_worth(e, n, "motion") for e, n in errors))
+    return card_of(run.outcome, worths, *(t.text for t in observability if t.tone == "warning"))

@@ -1,0 +1,107 @@
+"""The card at the head of every calibration's report: worth, what was found, what to do next."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from imucalib.calibration.findings import Findings, FoundStep
+from imucalib.calibration.outcome import ErrorSummary, Outcome
+from imucalib.report.document import Card, Text, Worth
+from imucalib.significant_digits import plus_minus
+
+#: Parameters of one effect that a card names, steps of advice that it gives, names left open.
+_PARAMETERS, _STEPS, _LEFT = 3, 4, 3
+_USE = (
+    "Use it: `imucal apply calibration.yaml RECORDING -o corrected.mcap`, or "
+    "`imucal export calibration.yaml --to c-header`."
+)
+
+
+def card_of(outcome: Outcome, good_to: tuple[Worth, ...], *more: str) -> Card:
+    """The card of a run.
+
+    good_to : what the calibrator can promise; more : advice of the calibrator's own, told last
+    """
+    found = tuple(Text(f"{text}.", "bad") for text in outcome.undecided)
+    found += _found(outcome.findings or Findings("not run"))
+    return Card(good_to, found, _to_do(outcome, more), outcome.provenance.command)
+
+
+def error_worth(error: ErrorSummary, quantity: str, of: str = "data") -> Worth:
+    """A held-out error as worth, with what it was before; the fitted one where none was held out.
+
+    of : what was held out, for example "positions"
+    """
+    held = error.held_out
+    final, base, raw = held.final, held.base, held.raw
+    if math.isnan(final):
+        return Worth(quantity, f"{error.final:.2g} {error.unit}", "fitted; nothing was held out")
+    before = [] if math.isnan(raw) else [f"raw reading {raw:.2g}"]
+    if not math.isnan(base):
+        before.append(f"before the search {base:.2g}")
+    detail = f"{error.metric.rpartition(', ')[2]} on {of} held out; {', '.join(before)}"
+    return Worth(quantity, f"{final:.2g} {error.unit}", detail.rstrip("; "))
+
+
+def _found(found: Findings) -> tuple[Text, ...]:
+    """In the order in which a reader must know it."""
+    lines = [
+        Text(f"{_sized(step)}{_doubt(step, found)}.", "ok" if found.verdict == "explained" else
+             "warning" if found.verdict == "suspected" else "plain")
+        for step in found.steps
+    ]  # fmt: skip
+    if found.gain is not None and found.steps:
+        g = found.gain
+        lines.append(Text(
+            f"On held-out data {g.before:.3g} -> {g.after:.3g} {g.unit}: gain "
+            f"{g.before - g.after:.2g}, 95 % {g.low:.2g} to {g.high:.2g}."
+        ))  # fmt: skip
+    left = [f"{u.name} (driven by {u.driver})" if u.driver else u.name for u in found.unexplained]
+    if left:
+        more = f", and {len(left) - _LEFT} more" if len(left) > _LEFT else ""
+        lines.append(Text(f"Left without a name: {'; '.join(left[:_LEFT])}{more}.", "warning"))
+    if found.verdict == "not run":
+        lines.append(Text("What the model lacks was not searched for."))
+    elif not (lines or found.records):
+        lines.append(Text("Nothing is missing from the model, as far as these data show.", "ok"))
+    return tuple(lines)
+
+
+def _sized(step: FoundStep) -> str:
+    """An effect and its size in words."""
+    if step.curve:
+        return f"A curve without a name, {step.curve}"
+    name = step.formula or step.effect.replace("_", " ")
+    own = step.parameters
+    words = ", ".join(plus_minus(p.value, p.sd, p.unit) for p in own[:_PARAMETERS])
+    size = step.size or (words if len(own) <= _PARAMETERS else f"{len(own)} parameters")
+    return f"{name[0].upper()}{name[1:]}" + (f": {size}" if size else "")
+
+
+def _doubt(step: FoundStep, found: Findings) -> str:
+    """What else it may be, and whether data that took no part prove it."""
+    doubts = []
+    if step.aliases:
+        doubts.append(f"or {' or '.join(step.aliases)}".replace("_", " "))
+    if found.verdict == "suspected":
+        doubts.append("not proved by held-out data, yet corrected")
+    return f" ({'; '.join(doubts)})" if doubts else ""
+
+
+def _to_do(outcome: Outcome, more: tuple[str, ...]) -> tuple[str, ...]:
+    """The next steps; that the result can be used where nothing forbids it."""
+    steps = [*(f"{text}." for text in outcome.broken), *outcome.advice, *more][:_STEPS]
+    if outcome.status in ("ok", "marginal") and not outcome.undecided:
+        steps.append(_USE)
+    return tuple(steps) or ("Nothing to do.",)
+
+
+def card_dict(card: Card) -> dict[str, Any]:
+    """Plain types, ready for JSON."""
+    return {
+        "good_to": [vars(worth) for worth in card.good_to],
+        "found": [text.text for text in card.found],
+        "to_do": list(card.to_do),
+        "command": card.command,
+    }

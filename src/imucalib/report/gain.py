@@ -1,0 +1,24 @@
+"""The held-out difference as a picture: before, after, and the gain with its interval."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.calibration.findings import Findings
+from imucalib.report.document import Plot, Series
+
+
+def gain_plot(found: Findings | None) -> tuple[Plot, ...]:
+    """One plot where held-out data say what a step is worth; empty where they do not."""
+    gain = found.gain if found else None
+    if gain is None:
+        return ()
+    known = np.full(2, np.nan)
+    bars = Series(
+        "held out", np.arange(3.0), np.array([gain.before, gain.after, gain.before - gain.after]),
+        "bars", np.append(known, gain.low), np.append(known, gain.high),
+        names=("before", "after", "gain, 95 %"),
+    )  # fmt: skip
+    words = "excludes" if gain.proved else "includes"
+    caption = f"On data that took no part in any choice. The interval of the gain {words} zero."
+    return (Plot("What the search is worth", "", f"error ({gain.unit})", (bars,), caption),)

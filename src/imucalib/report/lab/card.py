@@ -1,0 +1,59 @@
+"""What a bench's calibration is good to: errors on positions left out, angles at the worst
+attitude."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.uncertainty import angle_uncertainty
+from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
+from imucalib.calibrators.lab.calibrate import gravity_of
+from imucalib.calibrators.lab.run import LabRun
+from imucalib.core.references import KnownVector
+from imucalib.report.card import card_of, error_worth
+from imucalib.report.document import Card, Worth
+from imucalib.units import DEG
+
+#: Steepest inclination (deg) for which a tool-face is promised: it has no meaning at the vertical.
+_STEEPEST = 60.0
+_NORMAL_95 = 1.96
+
+
+def lab_card(run: LabRun) -> Card:
+    """The card of a bench."""
+    reference = run.result.observations.reference
+    known = isinstance(reference, KnownVector)
+    metric = "vector" if known else run.outcome.error.metric.partition(",")[0]
+    good = (error_worth(run.outcome.error, metric, "positions"),)
+    return card_of(run.outcome, (*good, *(_angles(run) if known else ())))
+
+
+def _angles(run: LabRun) -> tuple[Worth, ...]:
+    """Of one corrected reading, 95 %, at the worst attitude; and on positions left out."""
+    result, fit = run.result, run.result.final
+    i, t = (g.ravel() for g in np.meshgrid(np.arange(-85.0, 86.0, 5.0), np.arange(0, 360, 15.0)))
+    sigma = fit.noise.factor * float(np.median(fit.at.sigma))
+    found = angle_uncertainty(fit, i * DEG, t * DEG, run.request.gravity, sigma)
+    held = result.splits[-1] if result.splits else None
+    left = attitude_errors(held.final, gravity_of(result.observations)) if held else None
+    every = np.ones(i.size, np.bool_)
+    flat = np.abs(i) <= _STEEPEST
+
+    def worth(name: str, own: Array, reading: Array, used: Array, left_out: Array | None) -> Worth:
+        half = np.where(used, np.hypot(own, _NORMAL_95 * reading), 0.0)
+        k = int(np.argmax(half))
+        at = f"one reading, 95 %, worst attitude (inclination {i[k]:.0f}, tool-face {t[k]:.0f} deg)"
+        if left_out is not None:
+            at += (
+                f"; positions left out, with how they were set: {rms(left_out):.2f} rms, "
+                f"{worst(left_out):.2f} largest"
+            )
+        return Worth(name, f"± {half[k]:.2f} deg", at)
+
+    return (
+        worth("inclination", found.inclination_95, found.inclination_reading, every,
+              left.inclination if left else None),
+        worth(f"tool-face up to {_STEEPEST:.0f} deg", found.tool_face_95, found.tool_face_reading,
+              flat, left.tool_face if left else None),
+    )  # fmt: skip

@@ -1,0 +1,141 @@
+"""Errors of the positions against what drives them, before and after, with the noise band."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.uncertainty import angle_uncertainty
+from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms
+from imucalib.calibrators.lab.calibrate import gravity_of
+from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.run import LabRun
+from imucalib.core.references import KnownVector, angles_of
+from imucalib.loop.held_out import Held, fitted
+from imucalib.report.document import Plot, Series
+from imucalib.report.sphere import sphere_map
+from imucalib.units import DEG, MG
+
+#: Words in the name of an effect and the quantity that drives it.
+_DRIVERS = (
+    ("inclination", "inclination"), ("tool_face", "tool-face"), ("temperature", "temperature"),
+    ("thermal", "temperature"), ("drift", "row"), ("step", "row"), ("warm", "row"),
+)  # fmt: skip
+
+
+def residual_plots(run: LabRun) -> tuple[Plot, ...]:
+    """The quantity that gained most against every driver of what was found, the others by row."""
+    before, after, left_out = _errors(run)
+    quantities = [("|a|", "mg", before.norm, after.norm, _bands(run)["norm"])]
+    if isinstance(run.result.observations.reference, KnownVector):
+        quantities += [
+            ("inclination", "deg", before.inclination, after.inclination, _bands(run)["incl"]),
+            ("tool-face", "deg", before.tool_face, after.tool_face, _bands(run)["tf"]),
+        ]
+    quantities.sort(key=lambda q: rms(q[3]) / max(rms(q[2]), 1e-12))
+    axes, drivers = _axes(run), _drivers(run)
+    wanted = [(quantities[0], name) for name in drivers if name in axes]
+    wanted += [(q, "row") for q in quantities if (q, "row") not in wanted]
+    caption = "Each row predicted without it" if left_out else "The fitted rows"
+    return tuple(
+        _plot(run, quantity, name, axes[name], f"{caption}, before and after the search.")
+        for quantity, name in wanted
+    )
+
+
+def _errors(run: LabRun) -> tuple[AttitudeErrors, AttitudeErrors, bool]:
+    """Before and after of the used rows, held out where each of them was; and whether they were."""
+    gravity = gravity_of(run.result.observations)
+
+    def of(held: Held) -> AttitudeErrors:
+        return attitude_errors(held, gravity)
+
+    every = [s for s in run.result.splits if len(s.rows) == len(run.result.used)]
+    if every:
+        return of(every[-1].base), of(every[-1].final), True
+    return of(fitted(run.result.base)), of(fitted(run.result.final)), False
+
+
+def _plot(
+    run: LabRun, quantity: tuple[str, str, Array, Array, float], name: str, x: Array, caption: str
+) -> Plot:
+    what, unit, old, new, half = quantity
+    names = run.result.final.observations.label
+    ends = np.array([np.nanmin(x), np.nanmax(x)])
+    zero = np.zeros(2)
+    series = [
+        Series("noise and setting, ± 2 sd", ends, zero, "band", zero - half,
+               zero + half),
+        Series("before", x, old, "points", names=names),
+        Series("after", x, new, "points", names=names),
+    ]  # fmt: skip
+    wrong = [r.row for r in run.result.loop.records] if run.result.loop else []
+    if wrong:
+        at = np.array(wrong)
+        series.append(Series("wrong record", x[at], old[at], "rings"))
+    unit_of_x = {"row": "", "temperature": " (°C)"}.get(
+        name, " (g)" if len(name) == 1 else " (deg)"
+    )
+    return Plot(
+        f"Error of {what} against {name}", f"{name}{unit_of_x}", f"error of {what} ({unit})",
+        tuple(series), caption,
+    )  # fmt: skip
+
+
+def _axes(run: LabRun) -> dict[str, Array]:
+    """What can drive an error, (n,) of each used row."""
+    data = run.result.final.observations
+    found = {"row": (run.result.used + 1).astype(np.float64)}
+    reading = data.reading[:, 0] / gravity_of(run.result.observations)
+    found |= {axis: reading[:, k] for k, axis in enumerate("xyz")}
+    if isinstance(data.reference, KnownVector):
+        inclination, tool_face = angles_of(fitted(run.result.final).expected[:, 0])
+        found |= {"inclination": inclination / DEG, "tool-face": np.mod(tool_face / DEG, 360.0)}
+    warm = data.context.covariates.get("temperature")
+    return found if warm is None else {**found, "temperature": warm}
+
+
+def _drivers(run: LabRun) -> tuple[str, ...]:
+    """What drives the effects that were found, or what stays, first found first."""
+    loop = run.result.loop
+    effects = [s.effect for s in loop.steps] if loop else []
+    named = [d for e in effects for word, d in _DRIVERS if word in e]
+    # A sensor's own curve acts on the axis: all three are shown.
+    own = [a for e in effects if not any(word in e for word, _ in _DRIVERS) for a in "xyz"]
+    left = [u.driver for u in loop.unexplained] if loop else []
+    return tuple(dict.fromkeys((*named, *own, *left)))
+
+
+def _bands(run: LabRun) -> dict[str, float]:
+    """Two standard deviations of a reading's noise and of a setting, mg and deg."""
+    fit = run.result.final
+    sigma = fit.noise.factor * float(np.median(fit.at.sigma))
+    bands = {"norm": 2.0 * sigma / MG}
+    if isinstance(fit.observations.reference, KnownVector):
+        i, t = angles_of(fitted(fit).expected[:, 0])
+        found = angle_uncertainty(fit, i, t, run.request.gravity, sigma)
+        settings = setting_noise(fit)
+        for key, name, own in (
+            ("incl", "inclination", found.inclination_reading),
+            ("tf", "tool-face", found.tool_face_reading),
+        ):
+            set_sd = next((v for n, v in settings.items() if n.startswith(name)), 0.0) / DEG
+            bands[key] = 2.0 * float(np.hypot(np.median(own), set_sd))
+    return bands
+
+
+def attitude_map(run: LabRun) -> Plot:
+    """Attitudes that were seen and the error left at each."""
+    data, gravity = run.result.final.observations, gravity_of(run.result.observations)
+    every = [s for s in run.result.splits if len(s.rows) == len(run.result.used)]
+    held = every[-1].final if every else fitted(run.result.final)
+    error = np.linalg.norm(held.error[:, 0], axis=-1) / MG
+    caption = (
+        "Equal areas of the map are equal parts of the sphere. "
+        + ("Each row predicted without it." if every else "The fitted rows.")
+        + f" Local gravity {gravity:.4f} m/s²."
+    )
+    return sphere_map(
+        "Attitudes seen and the error left", held.expected[:, 0], error, "mg", caption,
+        names=data.label,
+    )  # fmt: skip

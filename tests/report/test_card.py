@@ -1,0 +1,93 @@
+"""The card: worth, findings and steps first, one page of a terminal, no tick beside a caution."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError
+from imucalib.report.card import error_worth
+from imucalib.report.data import shown_dict
+from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
+from imucalib.report.render.html import render_html
+from imucalib.report.render.text import PAGE, render_text
+from imucalib.report.sphere import projected
+from worlds.report_demo import demo_document
+
+CARD = Card(
+    (Worth("inclination", "± 0.42 deg", "one reading, worst attitude"),),
+    (Text("Inclination zero: 1.96 ± 0.16 deg.", "ok"),),
+    ("Check the bench.", "Use it: `imucal apply calibration.yaml LOG`."),
+    "imucal lab table.csv",
+)
+
+
+def document(tone: Tone, rows: int = 3) -> Document:
+    cells = tuple((str(k), "x") for k in range(rows))
+    table = Table("t", ("a", "b"), cells, "rl", tones={1: "ok"})
+    sections = (Section("Long", (table, Text("found", "ok"))), Section("Short", (Text("s", "ok"),)))
+    return Document("d", Text("v", tone), sections, card=CARD, terms=(("mg", "a thousandth"),))
+
+
+@pytest.mark.parametrize("tone", ["warning", "bad"])
+def test_no_tick_stands_beside_a_caution(tone: Tone) -> None:
+    for shown in (render_html(document(tone)), render_text(document(tone), 80, color=False)):
+        assert "✓" not in shown
+    assert "✓" in render_html(document("ok"))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 200), st.integers(60, 160))
+def test_a_report_with_a_card_is_one_page(rows: int, width: int) -> None:
+    text = render_text(document("ok", rows), width, color=False)
+    assert len(text.splitlines()) <= PAGE
+    assert ("Not shown here" in text) == ("Long ─" not in text or "Short ─" not in text)
+    whole = render_text(document("ok", rows), width, color=False, full=True)
+    assert "Long ─" in whole
+    assert "Short ─" in whole
+
+
+def test_the_card_says_worth_findings_and_steps_before_the_sections() -> None:
+    for shown in (render_html(document("ok")), render_text(document("ok"), 80, color=False)):
+        order = ["± 0.42 deg", "Inclination zero", "Check the bench", "found"]
+        places = [shown.index(text) for text in order]
+        assert places == sorted(places)
+    assert "<code>imucal apply calibration.yaml LOG</code>" in render_html(document("ok"))
+    assert "a thousandth" in render_html(document("ok"))
+
+
+def test_json_carries_the_card_and_the_figures() -> None:
+    values = np.array([1.0, np.nan, 2.000001234])
+    plot = Plot("p", "row", "mg", (Series("s", values, values, "points", names=("a", "b", "c")),))
+    content = shown_dict(replace(document("ok"), sections=(Section("S", (plot,)),)))
+    assert content["card"]["good_to"][0]["value"] == "± 0.42 deg"
+    (figure,) = content["figures"]
+    assert figure["series"][0]["y"] == [1.0, None, 2.0]
+    assert figure["series"][0]["names"] == ["a", "b", "c"]
+    assert len(shown_dict(demo_document())["figures"]) > 0
+
+
+def test_worth_says_when_nothing_was_held_out() -> None:
+    nan = float("nan")
+    error = ErrorSummary("error, rms", "mg", 9.0, 2.0, 1.0, nan, HeldOutError(nan, nan, nan))
+    assert error_worth(error, "x").value == "1 mg"
+    assert "nothing was held out" in error_worth(error, "x").detail
+    held = replace(error, held_out=HeldOutError(9.0, 3.0, 1.5))
+    assert error_worth(held, "x", "positions").detail == (
+        "rms on positions held out; raw reading 9, before the search 3"
+    )
+
+
+def test_the_map_keeps_areas() -> None:
+    """Equal numbers of evenly spread directions fall on equal areas of the map."""
+    rng = np.random.default_rng(0)
+    v = rng.standard_normal((40_000, 3))
+    x, y = projected(v / np.linalg.norm(v, axis=1, keepdims=True))
+    r2 = (x + np.where(x < 0, 1.55, -1.55)) ** 2 + y**2
+    assert r2.max() <= 2.0 + 1e-9
+    share = np.histogram(r2, np.linspace(0.0, 2.0, 9))[0] / len(v)
+    assert np.abs(share - 0.125).max() < 0.006
