@@ -41,6 +41,7 @@ EFFECTS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
     "quadratic": lambda x, t, u, c: c * x**2,
     "cubic": lambda x, t, u, c: c * x**3,
     "converter": lambda x, t, u, c: c * np.sin(2 * np.pi * x / 0.45 + 1.0),
+    "dead_band": lambda x, t, u, c: c * np.clip(x / 0.05, -1.0, 1.0),
 }
 
 
@@ -158,8 +159,8 @@ class Case:
 
     def oracle_name(self) -> str:
         at = 0.57 * SPAN
-        return {"bias_step": f"bias_step@{at:.10g}s", "converter": "converter@xyz"}.get(
-            self.effect, self.effect)  # fmt: skip
+        curved = {"converter": "converter@xyz", "dead_band": "converter@xyz"}
+        return {"bias_step": f"bias_step@{at:.10g}s", **curved}.get(self.effect, self.effect)
 
 
 def clean(count: int) -> None:
@@ -195,7 +196,7 @@ def planted(count: int, aims: tuple[float, ...] = (10.0, 15.0)) -> None:
                     assert told.loop is not None
                     step = result.loop.steps[:1]
                     names = [n.partition("@")[0] for s in step for n in (s.effect, *s.aliases)]
-                    hit = effect in names
+                    hit = case.oracle_name().partition("@")[0] in names
                     named += hit
                     other += [] if hit else [(names or ["-"])[0]]
                     before, after = case.error(result.base), case.error(result.final)

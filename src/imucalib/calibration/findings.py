@@ -166,11 +166,8 @@ def findings_of(
 
 
 def _facts(loop: FitLoop) -> tuple[tuple[str, str], ...]:
-    """What held-out data say beside the error, and the walk that the noise holds."""
+    """The walk that the noise holds."""
     found = []
-    if (nats := loop.density) is not None:
-        words = f"{nats.gain:+.3f} nats a posture run, 95 % {nats.low:+.3f} to {nats.high:+.3f}"
-        found.append(("gain in held-out density", words))
     if loop.wander is not None and loop.wander.counts:
         found.append(("noise", f"{loop.wander.words}; all standard deviations include it"))
     return tuple(found)

@@ -15,7 +15,7 @@ from imucalib.units import MG, STANDARD_GRAVITY
 
 TERMS = 32
 _REACH = 1.06  # g
-_FEWEST = 400  # observations: fewer cannot carry the curve of one axis
+_FEWEST = 100  # observations: fewer cannot carry the curve of one axis
 _ORDER = np.arange(2, TERMS + 2)
 
 

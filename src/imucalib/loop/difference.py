@@ -26,7 +26,7 @@ class Difference:
     """Held-out error before and after, in the errors' unit.
 
     gain : before - after; low, high : its 95 % interval, widened for the training data that the
-    folds share; plain_low : the lower edge without that, which decides the word "explained"
+    folds share; plain_low : the lower edge without that
     parts : numbers that the interval rests on
     nats, nats_low : what the log density of the rows that were left out has gained, and the lower
         edge of its plain interval over the folds; NaN where it was not computed
@@ -47,10 +47,16 @@ class Difference:
 
     @property
     def proved(self) -> bool:
-        """Whether the plain interval of the error or of the density lies above zero, the other not
-        being worse."""
+        """Whether the interval of the error or of the density lies above zero, the other not being
+        worse: the word "explained" follows from what is printed."""
         dense = self.nats_low > 0.0 and self.gain > 0.0
-        return dense or (self.plain_low > 0.0 and not self.nats < 0.0)
+        return dense or (self.low > 0.0 and not self.nats < 0.0)
+
+    @property
+    def likely(self) -> bool:
+        """Whether the parts as they are gained, in error or in density: enough to correct, not to
+        call it explained."""
+        return self.plain_low > 0.0 or self.nats_low > 0.0
 
     @property
     def holds(self) -> bool:

@@ -114,12 +114,17 @@ def block_evidence(
 def directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array]]:
     """Squared sizes (M,) of each block's singular directions, and the matrices (m, m) that turn
     its columns into those directions at unit length."""
-    sizes, turns = [], []
-    for block in blocks:
-        values, vectors = np.linalg.eigh(gram[np.ix_(block, block)])
-        use = values > _OPEN * max(float(values[-1]), 1e-300)
-        sizes.append(np.where(use, values, 0.0))
-        turns.append(vectors * np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0))
+    sizes, turns = [np.zeros(0)] * len(blocks), [np.zeros((0, 0))] * len(blocks)
+    width = np.array([len(block) for block in blocks])
+    for m in np.unique(width):  # blocks of one width at once: a scan has hundreds
+        same = np.flatnonzero(width == m)
+        rows = np.stack([blocks[int(k)] for k in same])
+        values, vectors = np.linalg.eigh(gram[rows[:, :, None], rows[:, None, :]])
+        use = values > _OPEN * np.maximum(values[:, -1:], 1e-300)
+        kept = np.where(use, values, 0.0)
+        unit = np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
+        for k, size, turn in zip(same, kept, vectors * unit[:, None], strict=True):
+            sizes[k], turns[k] = size, turn
     return np.concatenate(sizes), turns
 
 

@@ -134,8 +134,8 @@ class Loop(Generic[S]):
     records : that do not belong to the rest; scores, first_scores : of the last search, and of the
         last one before any step; missing : why effects could not be tested
     unexplained : structure that no effect carries, also where a curve corrects it
-    difference : of the errors on data that took no part in the whole search, before and after;
-        density : the same of the log density, in nats an observation; wander : of the noise
+    difference : of the errors on data that took no part in the whole search, before and after
+    wander : of the noise
     """
 
     base: S
@@ -148,7 +148,6 @@ class Loop(Generic[S]):
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
     difference: Difference | None = None
-    density: Difference | None = None
     wander: Wander | None = None
 
     @property

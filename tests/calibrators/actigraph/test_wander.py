@@ -48,7 +48,13 @@ def test_an_effect_under_a_walk_is_named(worn: ModuleType, effect: str, noise: s
     assert case.error(result.final) <= 1.3 * case.error(told.loop.base)
     assert case.error(result.final) < 0.8 * case.error(result.base)
     assert loop.difference.gain > 0.0
-    assert loop.density.proved
+    assert loop.difference.proved
+
+
+def test_a_form_that_a_name_only_resembles_is_not_certain(worn: ModuleType) -> None:
+    loop = worn.Case("white", "dead_band", 40.0, 7).solved(WANTED).loop
+    assert any(s.effect.startswith("converter@") for s in loop.steps)
+    assert not any(s.certain for s in loop.steps if not s.effect.startswith("converter@"))
 
 
 @pytest.mark.parametrize("noise", ["white", "walk 10 min", "walk 2 h", "walk 12 h", "t3"])

@@ -27,16 +27,16 @@ def confirmed(
     bars: Sequence[Array],
     base: Terms,
     each: Predicted,
-    gains: tuple[Difference, Difference],
+    gained: Difference,
 ) -> Search:
     """The search without the effects that there is a reason to doubt.
 
     steps : of the search, with their aliases; bars : of its rounds, (2,) each
-    gains : in mg and in density
+    gained : on the blocks
     """
     kept, names = list[Taken](), list[tuple[str, str]]()
     for taken, step, bar in zip(search.taken, steps, bars, strict=False):
-        if why := _doubt(taken, step, float(bar[0]), each, gains):
+        if why := _doubt(taken, step, float(bar[0]), each, gained):
             names.append((step.effect, why))
         else:
             kept.append(taken)
@@ -51,19 +51,16 @@ def confirmed(
     return replace(search, terms=terms, level=level, taken=tuple(kept), refused=refused)
 
 
-def _doubt(
-    taken: Taken, step: Step, bar: float, each: Predicted, gains: tuple[Difference, Difference]
-) -> str:
+def _doubt(taken: Taken, step: Step, bar: float, each: Predicted, gained: Difference) -> str:
     own = {name.partition("@")[0] for name in (step.effect, *step.aliases)}
     again = sum(bool(own & one) for one in each.found)
     need = _AGAIN_IN_TIME if taken.found.entry.timed else _AGAIN
     if again < need * len(each.found):
         return f"found again in {again} of {len(each.found)} searches without a block of time"
-    mg, nats = gains
     clear = not taken.found.entry.timed and taken.found.evidence >= _CLEAR * bar
-    if mg.proved or nats.proved or clear:
+    if gained.likely or clear:
         return ""
     return (
-        f"the search without each block of time gains {nats.gain:+.3f} nats an observation there, "
-        f"from {nats.low:+.3f} to {nats.high:+.3f}"
+        f"the search without each block of time gains {gained.nats:+.1f} nats there, "
+        f"at least {gained.nats_low:+.1f}"
     )

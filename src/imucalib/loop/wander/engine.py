@@ -21,7 +21,7 @@ from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
-from imucalib.loop.wander.report import held_differences, predicted
+from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
 from imucalib.loop.wander.words import scores_of, steps_of, unexplained
 
@@ -147,11 +147,11 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
         same_tau=True,
     )
     each = predicted(problem, folds, rules)
-    mg, nats = held_differences(each, folds)
+    gained = held_difference(each, folds)
     first = found.search.first
     if found.search.taken:
         steps = steps_of(problem, found.search, found.chances)
-        left = confirmed(found.search, steps, bars, problem.terms, each, (mg, nats))
+        left = confirmed(found.search, steps, bars, problem.terms, each, gained)
         found = replace(found, search=left)
     if found.search.taken:
         final, precision = _final(found)
@@ -173,8 +173,7 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
         first_scores=scores_of(problem, first, found.chances[0], bars[0]),
         missing=problem.missing,
         bar=float(bars[0][0]),
-        difference=mg,
-        density=nats,
+        difference=gained,
         wander=wander,
     )
     return Closed(loop, each.before, each.after if loop.steps else each.before, last.light)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.loop.design import Fold
-from imucalib.loop.difference import Difference, difference
+from imucalib.loop.difference import Difference, difference, with_density
 from imucalib.loop.held_out import Held, errors
 from imucalib.loop.wander.choice import Rules, Taken, search
 from imucalib.loop.wander.held_blocks import judged, solved
@@ -21,13 +21,11 @@ from imucalib.loop.wander.problem import Problem
 @dataclass(frozen=True)
 class Predicted:
     """Every row predicted without its block, before and after; gains : (k,) nats that each block's
-    density gains, rows : (k,) of the block that are scored; found : names or scans that the search
-    without each block took"""
+    density gains; found : names or scans that the search without each block took"""
 
     before: Held
     after: Held
     gains: Array
-    rows: Array
     found: tuple[frozenset[str], ...]
 
 
@@ -35,7 +33,7 @@ def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicte
     """Steps of the whole search, without one block and its gap at a time."""
     bank, data = problem.bank, problem.fit.observations
     parts: list[tuple[Held, Held]] = []
-    gains, rows, names = list[float](), list[float](), list[frozenset[str]]()
+    gains, names = list[float](), list[frozenset[str]]()
     for k, (fold, split) in enumerate(zip(folds, problem.splits, strict=True)):
         others = [s for j, s in enumerate(problem.splits) if j != k]
         found = search(bank, problem.terms, problem.entries, others, split.train, rules)
@@ -58,31 +56,22 @@ def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicte
         parts.append((before, after))
         gains.append(gain)
         names.append(frozenset(t.found.entry.name.partition("@")[0] for t in found.taken))
-        rows.append(float(bank.count[split.test].sum()))
     order = np.argsort(np.concatenate([fold.rows for fold in folds]))
     return Predicted(
         _joined([a for a, _ in parts], order),
         _joined([b for _, b in parts], order),
         np.array(gains),
-        np.array(rows),
         tuple(names),
     )
 
 
-def held_differences(each: Predicted, folds: Sequence[Fold]) -> tuple[Difference, Difference]:
-    """The difference of the mean errors in mg, and of the log density in nats a row; its
-    "before" is zero, so that its gain is what the search adds."""
+def held_difference(each: Predicted, folds: Sequence[Fold]) -> Difference:
+    """The difference of the mean errors in m/s², with what the log density of the blocks gains."""
     part = np.empty(sum(fold.rows.size for fold in folds), dtype=np.intp)
     for k, fold in enumerate(folds):
         part[fold.rows] = k
-    sizes = [np.abs(held.error[:, 0, 0]) for held in (each.before, each.after)]
-    count = each.rows.astype(int)
-    blocks = np.repeat(np.arange(count.size), count)
-    gain = np.repeat(each.gains / np.maximum(each.rows, 1.0), count)
-    return (
-        difference(sizes[0], sizes[1], part, len(folds), "mean"),
-        difference(np.zeros(gain.size), -gain, blocks, len(folds), "mean"),
-    )
+    before, after = (np.abs(held.error[:, 0, 0]) for held in (each.before, each.after))
+    return with_density(difference(before, after, part, len(folds), "mean"), each.gains)
 
 
 def _joined(parts: list[Held], order: NDArray[np.intp]) -> Held:

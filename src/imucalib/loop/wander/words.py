@@ -61,6 +61,7 @@ def scores_of(
 def steps_of(problem: Problem, found: Search, chances: Sequence[Array]) -> tuple[Step, ...]:
     steps, terms = list[Step](), problem.terms
     unit = problem.noise.scatter * MG
+    curves = tuple(t.found.entry.name for t in found.taken if t.found.entry.kind == "curve")
     for taken, chance in zip(found.taken, chances, strict=False):
         checked = Checked("error", "m/s2", taken.before * unit, taken.after * unit)
         steps.append(
@@ -70,12 +71,17 @@ def steps_of(problem: Problem, found: Search, chances: Sequence[Array]) -> tuple
                 chance.shape[1],
                 taken.found.evidence,
                 (checked,),
-                aliases(found.bank, terms, taken),
+                # A response that needs a curve beside its name has another form than the name's.
+                (*aliases(found.bank, terms, taken), *(curves if _bends(taken) else ())),
                 gains=tuple(float(g) for g in taken.gains),
             )
         )
         terms = terms.plus(taken.found.entry.columns, taken.size)
     return tuple(steps)
+
+
+def _bends(taken: Taken) -> bool:
+    return taken.found.entry.kind == "shape"
 
 
 def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
