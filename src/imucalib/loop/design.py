@@ -13,8 +13,9 @@ import numpy as np
 from imucalib.arrays import Index
 from imucalib.core.observations import Observations
 
-#: Folds of single positions; of stretches of time there are as many as the calibrator made.
-_FOLDS = 10
+#: Folds of single positions, and groups up to which each is left out by itself, so that no shuffle
+#: decides; of stretches of time there are as many as the calibrator made.
+_FOLDS, _ALONE = 10, 30
 #: Share of a stretch's rows on either side of it that train nothing when it is left out.
 _GAP = 0.03
 #: Observations for each group from which on groups are stretches of time.
@@ -35,18 +36,29 @@ def folds_of(data: Observations) -> tuple[Fold, ...]:
     """The design of some observations.
 
     Stretches of time (groups of many observations in order) are left out one by one, with a gap on
-    both sides. Single positions, or groups of a few that share a setting, are dealt to ten folds in
-    a fixed shuffle: dealt in turn, a fold would take whole rings of a bench that repeats itself.
+    both sides. Single positions, or groups of a few that share a setting, are left out one by one
+    where they are few, else dealt to ten folds in a fixed shuffle: dealt in turn, a fold would take
+    whole rings of a bench that repeats itself. The shuffle starts from what was read, not from the
+    order of the rows.
     """
     groups, group = np.unique(data.group, return_inverse=True)
     every = np.arange(data.n)
     if data.n >= _STRETCH * groups.size:
         gap = int(np.ceil(_GAP * data.n / groups.size))
         return tuple(_stretch(np.flatnonzero(group == k), every, gap) for k in range(groups.size))
-    count = min(groups.size, _FOLDS)
+    count = groups.size if groups.size <= _ALONE else _FOLDS
     dealt = np.random.default_rng(groups.size).permutation(np.arange(groups.size) % count)
-    key = dealt[group]
+    key = dealt[_rank(data, group)]
     return tuple(Fold(every[key == k], every[key != k]) for k in range(count))
+
+
+def _rank(data: Observations, group: Index) -> Index:
+    """(n,) the place of each row's group among all, by the groups' mean readings."""
+    reading = data.reading.reshape(data.n, -1)
+    mean = np.stack([np.bincount(group, weights=c) for c in reading.T]) / np.bincount(group)
+    place = np.empty(mean.shape[1], dtype=np.intp)
+    place[np.lexsort(mean)] = np.arange(place.size)
+    return place[group]
 
 
 def _stretch(rows: Index, every: Index, gap: int) -> Fold:

@@ -1,6 +1,6 @@
 """CPU seconds and peak memory of reading IMU logs from MCAP, beside other readers.
 
-    python benchmarks/readers/mcap.py [--folder DIR] [--single SECONDS] [--array SECONDS]
+    python benchmarks/readers/logs.py [--folder DIR] [--single SECONDS] [--array SECONDS]
                                    [--long SECONDS]
 
 Two logs are generated (one IMU, and 32 IMUs, 1 kHz, sensor_msgs/Imu, zstd, values quantised like
