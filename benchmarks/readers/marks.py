@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import hashlib
+import re
 import resource
 import subprocess
 import sys
@@ -99,7 +100,9 @@ def measured(work: str, path: Path, small: Path) -> None:
     WORK[work](path)
     after = resource.getrusage(resource.RUSAGE_SELF)
     used = (after.ru_utime - before.ru_utime) + (after.ru_stime - before.ru_stime)
-    print(used, after.ru_maxrss / 1e3)
+    # Not ru_maxrss, which begins at what the parent had.
+    peak = re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())
+    print(used, int(peak[1]) / 1e3 if peak else float("nan"))
 
 
 def table(path: Path, rows: int) -> None:
