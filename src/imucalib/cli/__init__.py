@@ -36,7 +36,24 @@ class LazyGroup(click.Group):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         ctx.meta["imucal.arguments"] = tuple(args)  # the line that provenance keeps
-        return super().parse_args(ctx, args)
+        rest = super().parse_args(ctx, args)
+        if not ctx.resilient_parsing:
+            ctx.default_map = self._stated(args)
+        return rest
+
+    def _stated(self, args: Sequence[str]) -> dict[str, Any]:
+        """What imucal.toml says of the command that was called."""
+        from pathlib import Path
+
+        from imucalib.cli.bench_file import NAME, defaults, sections
+
+        found = sections(Path.cwd())
+        unknown = [name for name in found if name not in COMMANDS]
+        if unknown:
+            raise click.UsageError(f"{NAME}: no command '{unknown[0]}'")
+        name = next((word for word in args if not word.startswith("-")), "")
+        command = self.get_command(click.Context(self), name) if name in found else None
+        return {name: defaults(command, found[name])} if command else {}
 
     def main(self, args: Sequence[str] | None = None, *others: Any, **options: Any) -> Any:
         """As click has it; a failure is told as JSON where JSON was asked for."""
