@@ -7,11 +7,15 @@ from typing import Any
 
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
-from imucalib.report.document import Card, Text, Worth
+from imucalib.effects import known
+from imucalib.report.document import Card, Text, Tone, Worth
 from imucalib.significant_digits import plus_minus
+from imucalib.units import MG
 
 #: Parameters of one effect that a card names, steps of advice that it gives, names left open.
 _PARAMETERS, _STEPS, _LEFT = 3, 4, 3
+#: Effects whose meaning is told: of more the names must do.
+_TOLD = 3
 _USE = (
     "Use it: `imucal apply calibration.yaml RECORDING -o corrected.mcap`, or "
     "`imucal export calibration.yaml --to c-header`."
@@ -23,8 +27,7 @@ def card_of(outcome: Outcome, good_to: tuple[Worth, ...], *more: str) -> Card:
 
     good_to : what the calibrator can promise; more : advice of the calibrator's own, told last
     """
-    found = tuple(Text(f"{text}.", "bad") for text in outcome.undecided)
-    found += _found(outcome.findings or Findings("not run"))
+    found = _found(outcome.findings or Findings("not run"))
     return Card(good_to, found, _to_do(outcome, more), outcome.provenance.command)
 
 
@@ -33,24 +36,36 @@ def error_worth(error: ErrorSummary, quantity: str, of: str = "data") -> Worth:
 
     of : what was held out, for example "positions"
     """
-    held = error.held_out
-    final, base, raw = held.final, held.base, held.raw
+    held, unit, size = error.held_out, error.unit, 1.0
+    if unit == "m/s²":  # people read accelerations in mg
+        unit, size = "mg", MG
+    final, base, raw = (v / size for v in (held.final, held.base, held.raw))
     if math.isnan(final):
-        return Worth(quantity, f"{error.final:.2g} {error.unit}", "fitted; nothing was held out")
+        return Worth(quantity, f"{error.final / size:.2g} {unit}", "fitted; nothing was held out")
     before = [] if math.isnan(raw) else [f"raw reading {raw:.2g}"]
     if not math.isnan(base):
         before.append(f"before the search {base:.2g}")
     detail = f"{error.metric.rpartition(', ')[2]} on {of} held out; {', '.join(before)}"
-    return Worth(quantity, f"{final:.2g} {error.unit}", detail.rstrip("; "))
+    return Worth(quantity, f"{final:.2g} {unit}", detail.rstrip("; "))
 
 
 def _found(found: Findings) -> tuple[Text, ...]:
     """In the order in which a reader must know it."""
+    tones: dict[str, Tone] = {"explained": "ok", "suspected": "warning"}
+    few = len(found.steps) <= _TOLD
     lines = [
-        Text(f"{_sized(step)}{_doubt(step, found)}.", "ok" if found.verdict == "explained" else
-             "warning" if found.verdict == "suspected" else "plain")
+        Text(
+            f"{r.where}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off ({r.likely}).", "bad"
+        )
+        for r in found.records
+    ]
+    lines += [
+        Text(
+            f"{_sized(step)}{_doubt(step, found)}.{_meaning(step) if few else ''}",
+            tones.get(found.verdict, "plain"),
+        )
         for step in found.steps
-    ]  # fmt: skip
+    ]
     if found.gain is not None and found.steps:
         g = found.gain
         lines.append(Text(
@@ -77,6 +92,14 @@ def _sized(step: FoundStep) -> str:
     words = ", ".join(plus_minus(p.value, p.sd, p.unit) for p in own[:_PARAMETERS])
     size = step.size or (words if len(own) <= _PARAMETERS else f"{len(own)} parameters")
     return f"{name[0].upper()}{name[1:]}" + (f": {size}" if size else "")
+
+
+def _meaning(step: FoundStep) -> str:
+    """What the effect is, in one sentence; of the bench's own the steps to take say it."""
+    effect = known(step.effect)
+    if effect is None or effect.stage == "fixture" or step.curve or step.formula:
+        return ""
+    return f" {effect.sentence}"
 
 
 def _doubt(step: FoundStep, found: Findings) -> str:
