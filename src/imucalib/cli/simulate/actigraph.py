@@ -15,6 +15,7 @@ from imucalib.cli.simulate.planting import (
     tell,
     write_recording,
 )
+from imucalib.cli.working import working
 
 
 @click.command("actigraph", short_help="Days on a wrist.")
@@ -52,5 +53,6 @@ def command(recording: Path, seed: int, **options: Any) -> int:
         plant=plant,
         temperature=options["temperature"],
     )
-    write_recording(join(worn_blocks(plan, seed), "simulated"), recording, options["fault"])
+    with working("simulating", quiet=options["quiet"]):
+        write_recording(join(worn_blocks(plan, seed), "simulated"), recording, options["fault"])
     return tell([recording], plant, options, sensor={k: list(v) for k, v in plan.sensor.items()})

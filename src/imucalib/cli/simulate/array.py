@@ -15,6 +15,7 @@ from imucalib.cli.simulate.planting import (
     tell,
     write_recording,
 )
+from imucalib.cli.working import working
 
 
 @click.command("array", short_help="A board's bench log.")
@@ -63,6 +64,7 @@ def command(recording: Path, seed: int, **options: Any) -> int:
         planted={name: values[0] for name, values in plant.items()},
     )
     board = read_board(options["board"])
-    made = simulated_log(board, plan, np.random.default_rng(seed))
-    write_recording(made.recording, recording, options["fault"])
+    with working("simulating", quiet=options["quiet"]):
+        made = simulated_log(board, plan, np.random.default_rng(seed))
+        write_recording(made.recording, recording, options["fault"])
     return tell([recording], plant, options, positions_mm=(1e3 * made.positions).tolist())
