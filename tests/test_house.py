@@ -37,6 +37,7 @@ FLOORS: dict[str, int] = {
     "calibrators": 7,
     "cohort": 8,
     "report": 9,
+    "api": 10,
     "cli": 10,
     "__main__": 11,
 }

@@ -34,3 +34,8 @@ def probability(p: float, draws: int) -> str:
 def spread(values: tuple[float, float], places: int = 2) -> str:
     """Largest and rms value: "0.84 / 0.36"."""
     return f"{values[0]:.{places}f} / {values[1]:.{places}f}"
+
+
+def two_digits(value: float) -> str:
+    """Two significant digits, and all before the point: "0.83", "6.5", "419"."""
+    return f"{value:.0f}" if abs(value) >= 99.5 else f"{value:.2g}"

@@ -25,11 +25,13 @@ def test_a_row_tells_a_manager_what_to_know() -> None:
     assert found["error_after"] < found["error_before"]
     assert found["enmo_after_mg"] < found["enmo_before_mg"]
     assert found["worst_direction"] in {c["name"] for c in report["sphere"]}
-    assert found["what_to_do"] == report["card"]["to_do"][0]
     assert found["serial"] is None
     report["notes"].append("GENEActiv 012345")
     assert quality_of(report)["serial"] == "012345"
     (row,) = rows((Entry("a", "k", done.return_value or 0, 1.0, "", report),))
+    assert row["what_to_do"] == report["card"]["to_do"][0]
+    (lost,) = rows((Entry("b", "k", 4, 1.0, "no rest. wear it through a night", None),))
+    assert (lost["status"], lost["what_to_do"]) == ("undetermined", "wear it through a night")
     assert {"status", "hours_worn", "what_to_do", "bias_x", "held_out_final"} <= set(row)
 
 
@@ -40,4 +42,3 @@ def test_a_report_of_another_calibrator_leaves_columns_empty() -> None:
     assert found["error_before"] is None
     assert found["error_after"] == 1.0
     assert found["hours_worn"] is None
-    assert found["what_to_do"] == "a"

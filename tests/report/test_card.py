@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucalib.calibration.outcome import ErrorSummary, HeldOutError
-from imucalib.report.card import error_worth
+from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Outcome
+from imucalib.calibration.provenance import provenance_of
+from imucalib.report.card import card_of, error_worth
 from imucalib.report.data import shown_dict
 from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
 from imucalib.report.render.html import render_html
@@ -91,3 +92,16 @@ def test_the_map_keeps_areas() -> None:
     assert r2.max() <= 2.0 + 1e-9
     share = np.histogram(r2, np.linspace(0.0, 2.0, 9))[0] / len(v)
     assert np.abs(share - 0.125).max() < 0.006
+
+
+def test_a_slip_is_decided_before_anything_else() -> None:
+    """Until rows that were exchanged are put back, other advice is about no sensor."""
+    slip = "rows 3 and 15: their readings are exchanged; decide with --swap 3,15"
+    made = provenance_of(path="t", sha256="", samples=3, mapping={}, settings={})
+    error = ErrorSummary("error, rms", "mg", 400.0, 410.0, 410.0, 1.0, HeldOutError(4e2, 4e2, 4e2))
+    outcome = Outcome("lab", (error,), made, undecided=(slip,), advice=("Add a position.",))
+    card = card_of(outcome, (error_worth(error, "vector", "positions"),))
+    assert card.found == (Text("rows 3 and 15: their readings are exchanged.", "bad"),)
+    assert "--swap 3,15" in card.to_do[0]
+    assert not any("Add a position" in step or "Use it" in step for step in card.to_do)
+    assert card.good_to[0].value == "400 mg"

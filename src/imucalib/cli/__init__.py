@@ -25,7 +25,7 @@ COMMANDS = {
     "convert": "Rewrite a recording in another format.",
     "batch": "Calibrate a cohort, one recording a task.",
     "collect": "Make one table of a cohort's entries.",
-    "simulate": "Make a bench table or recording with planted effects.",
+    "simulate": "Make a table or recording with planted effects and faults.",
     "effects": "List the catalogue of effects.",
     "validate": "Check a calibration file.",
 }
@@ -36,7 +36,24 @@ class LazyGroup(click.Group):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         ctx.meta["imucal.arguments"] = tuple(args)  # the line that provenance keeps
-        return super().parse_args(ctx, args)
+        rest = super().parse_args(ctx, args)
+        if not ctx.resilient_parsing:
+            ctx.default_map = self._stated(args)
+        return rest
+
+    def _stated(self, args: Sequence[str]) -> dict[str, Any]:
+        """What imucal.toml says of the command that was called."""
+        from pathlib import Path
+
+        from imucalib.cli.bench_file import NAME, defaults, sections
+
+        found = sections(Path.cwd())
+        unknown = [name for name in found if name not in COMMANDS]
+        if unknown:
+            raise click.UsageError(f"{NAME}: no command '{unknown[0]}'")
+        name = next((word for word in args if not word.startswith("-")), "")
+        command = self.get_command(click.Context(self), name) if name in found else None
+        return {name: defaults(command, found[name])} if command else {}
 
     def main(self, args: Sequence[str] | None = None, *others: Any, **options: Any) -> Any:
         """As click has it; a failure is told as JSON where JSON was asked for."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imucalib.cli.bench_file import taken
 from imucalib.cli.gravity_options import gravity_of, gravity_options
 from imucalib.cli.output import (
     EXPORT_FORM,
@@ -166,9 +167,9 @@ def shared_of(options: Mapping[str, Any]) -> Shared:
 
 
 def command_line() -> str:
-    """The line that was typed, ready to be pasted."""
-    arguments = click.get_current_context().meta.get(ARGUMENTS, ())
-    return shlex.join(["imucal", *arguments])
+    """The line that was typed, with what imucal.toml added, ready to be pasted."""
+    ctx = click.get_current_context()
+    return shlex.join(["imucal", *ctx.meta.get(ARGUMENTS, ()), *taken(ctx)])
 
 
 @dataclass(frozen=True)

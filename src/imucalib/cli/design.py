@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from imucalib.cli.output import color, emit_json, json_option, pairs, quiet_option, width
+from imucalib.cli.output import color, emit_json, json_option, note, pairs, quiet_option, width
+from imucalib.cli.recording_options import force_option
+
+if TYPE_CHECKING:
+    from imucalib.calibrators.lab.design import Plan
 
 
 @click.command("design", short_help="Judge a set of positions.")
@@ -36,6 +41,9 @@ from imucalib.cli.output import color, emit_json, json_option, pairs, quiet_opti
     show_default=True,
     help="Angles: paper, drilling-gravity or drilling-force.",
 )
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
+              help="Write the positions as a table (CSV) for `design` and `lab`.")  # fmt: skip
+@force_option
 @json_option
 @quiet_option
 def command(
@@ -44,6 +52,8 @@ def command(
     axes: str,
     columns: tuple[str, ...],
     convention: str,
+    output: Path | None,
+    force: bool,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -52,7 +62,7 @@ def command(
     \b
     Examples:
       imucal design positions.csv
-      imucal design --recommend 24 > plan.txt
+      imucal design --recommend 24 -o plan.csv
     """
     from imucalib.calibrators.lab.conventions import preset
     from imucalib.calibrators.lab.design import design_of, recommended
@@ -68,8 +78,22 @@ def command(
         plan = design_of(positions.columns["inclination"], positions.columns["tool_face"], angles)
     else:
         plan = recommended(count or 0, int(axes), angles)
+    if output is not None:
+        _write(plan, output, [table] if table else [], force)
+        note(f"wrote {output}", quiet)
     if as_json:
         emit_json(design_dict(plan))
     elif not quiet:
         click.echo(render_text(design_document(plan), width(), color=color()), nl=False)
     return 4 if plan.vector.open_directions else 0
+
+
+def _write(plan: Plan, path: Path, read: list[Path], force: bool) -> None:
+    """The positions, degrees in the plan's conventions."""
+    from imucalib.atomic_file import demand_output, replaced_atomically
+
+    demand_output(path, read, force=force)
+    rows = zip(plan.inclination.tolist(), plan.tool_face.tolist(), strict=True)
+    text = "".join(f"{i:.1f},{t:.1f}\n" for i, t in rows)
+    with replaced_atomically(path) as temporary:
+        temporary.write_text(f"inclination,tool_face\n{text}", encoding="utf-8")

@@ -24,6 +24,9 @@ from imucalib.atomic_file import replaced_atomically
 from imucalib.cohort.quality import quality_of
 from imucalib.errors import UnreadableInput, UsageError
 
+#: What a recording without a report is, by the command's exit code.
+_FAILED = {3: "unreadable", 4: "undetermined"}
+
 
 @dataclass(frozen=True)
 class Task:
@@ -195,7 +198,11 @@ def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
         row: dict[str, Any] = {
             "recording": entry.recording,
             "exit_code": entry.exit_code,
-            "status": entry.report["status"] if entry.report else "unreadable",
+            "status": entry.report["status"]
+            if entry.report
+            else _FAILED.get(entry.exit_code, "failed"),
+            "verdict": entry.report["loop"]["verdict"] if entry.report else None,
+            "what_to_do": _next(entry),
             "reasons": "; ".join(entry.report["reasons"]) if entry.report else entry.error,
         }
         if entry.report:
@@ -204,12 +211,20 @@ def rows(entries: tuple[Entry, ...]) -> tuple[dict[str, Any], ...]:
     return tuple(table)
 
 
+def _next(entry: Entry) -> str:
+    """The first step that the report advises, or how to mend what failed."""
+    if entry.report is None:
+        return entry.error.rpartition(". ")[2]
+    card = entry.report.get("card")
+    steps = card["to_do"] if card else entry.report["loop"]["advice"]
+    return str(steps[0]) if steps else ""
+
+
 def _numbers(report: Mapping[str, Any]) -> dict[str, Any]:
     error = report["loop"]["errors"][0]
     found: dict[str, Any] = {
         "sha256": report["provenance"]["sha256"],
         "samples": report["provenance"]["samples"],
-        "verdict": report["loop"]["verdict"],
         "effects_added": " ".join(s["effect"] for s in report["loop"]["steps"]),
         "error_unit": error["unit"],
         "error_raw": error["raw"],

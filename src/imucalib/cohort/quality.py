@@ -1,4 +1,4 @@
-"""What a study's manager asks of one recording: device, how much of it, how good, what to do."""
+"""What a study's manager asks of one recording: which device, how much of it, how good."""
 
 from __future__ import annotations
 
@@ -41,7 +41,6 @@ def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
         "worst_direction_error_mg": _rounded(size),
         "enmo_before_mg": _rounded(enmo.get("raw")),
         "enmo_after_mg": _rounded(enmo.get("corrected")),
-        "what_to_do": _to_do(report),
     }
 
 
@@ -57,12 +56,6 @@ def _worst(cells: Any) -> tuple[str | None, float | None]:
 def _both_ways(span: Mapping[str, Any]) -> str:
     """Axes that gravity has pulled by 0.5 g both ways: "xyz", or those that it has not left out."""
     return "".join(a for a, (low, high) in span.items() if low < -0.5 and high > 0.5) or "none"
-
-
-def _to_do(report: Mapping[str, Any]) -> str:
-    card = report.get("card")
-    steps = card["to_do"] if card else report["loop"]["advice"]
-    return str(steps[0]) if steps else ""
 
 
 def _rounded(value: Any) -> float | None:

@@ -7,11 +7,17 @@ from typing import Any
 
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
-from imucalib.report.document import Card, Text, Worth
-from imucalib.significant_digits import plus_minus
+from imucalib.effects import known
+from imucalib.report.document import Card, Text, Tone, Worth
+from imucalib.significant_digits import plus_minus, two_digits
+from imucalib.units import MG
 
 #: Parameters of one effect that a card names, steps of advice that it gives, names left open.
 _PARAMETERS, _STEPS, _LEFT = 3, 4, 3
+#: Effects whose meaning is told: of more the names must do.
+_TOLD = 3
+#: What stands between a slip and the option that repairs it.
+_DECIDE = "; decide with"
 _USE = (
     "Use it: `imucal apply calibration.yaml RECORDING -o corrected.mcap`, or "
     "`imucal export calibration.yaml --to c-header`."
@@ -23,9 +29,17 @@ def card_of(outcome: Outcome, good_to: tuple[Worth, ...], *more: str) -> Card:
 
     good_to : what the calibrator can promise; more : advice of the calibrator's own, told last
     """
-    found = tuple(Text(f"{text}.", "bad") for text in outcome.undecided)
-    found += _found(outcome.findings or Findings("not run"))
-    return Card(good_to, found, _to_do(outcome, more), outcome.provenance.command)
+    slips = _slips(outcome)
+    told = [Text(f"{text.partition(_DECIDE)[0]}.", "bad") for text in slips]
+    searched = not slips or bool(outcome.findings and outcome.findings.verdict != "not run")
+    found = _found(outcome.findings or Findings("not run")) if searched else ()
+    return Card(good_to, (*told, *found), _to_do(outcome, more), outcome.provenance.command)
+
+
+def _slips(outcome: Outcome) -> tuple[str, ...]:
+    """What only the user can decide, beside the wrong records that the search has named."""
+    named = tuple(f"{r.where}:" for r in outcome.findings.records) if outcome.findings else ()
+    return tuple(text for text in outcome.undecided if not text.startswith(named or ("\0",)))
 
 
 def error_worth(error: ErrorSummary, quantity: str, of: str = "data") -> Worth:
@@ -33,28 +47,43 @@ def error_worth(error: ErrorSummary, quantity: str, of: str = "data") -> Worth:
 
     of : what was held out, for example "positions"
     """
-    held = error.held_out
-    final, base, raw = held.final, held.base, held.raw
+    held, unit, size = error.held_out, error.unit, 1.0
+    if unit == "m/s²":  # people read accelerations in mg
+        unit, size = "mg", MG
+    final, base, raw = (v / size for v in (held.final, held.base, held.raw))
     if math.isnan(final):
-        return Worth(quantity, f"{error.final:.2g} {error.unit}", "fitted; nothing was held out")
-    before = [] if math.isnan(raw) else [f"raw reading {raw:.2g}"]
+        return Worth(
+            quantity, f"{two_digits(error.final / size)} {unit}", "fitted; nothing was held out"
+        )
+    before = [] if math.isnan(raw) else [f"raw reading {two_digits(raw)}"]
     if not math.isnan(base):
-        before.append(f"before the search {base:.2g}")
+        before.append(f"before the search {two_digits(base)}")
     detail = f"{error.metric.rpartition(', ')[2]} on {of} held out; {', '.join(before)}"
-    return Worth(quantity, f"{final:.2g} {error.unit}", detail.rstrip("; "))
+    return Worth(quantity, f"{two_digits(final)} {unit}", detail.rstrip("; "))
 
 
 def _found(found: Findings) -> tuple[Text, ...]:
     """In the order in which a reader must know it."""
+    tones: dict[str, Tone] = {"explained": "ok", "suspected": "warning"}
+    few = len(found.steps) <= _TOLD
     lines = [
-        Text(f"{_sized(step)}{_doubt(step, found)}.", "ok" if found.verdict == "explained" else
-             "warning" if found.verdict == "suspected" else "plain")
+        Text(
+            f"{r.where}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off ({r.likely}).", "bad"
+        )
+        for r in found.records
+    ]
+    lines += [
+        Text(
+            f"{_sized(step)}{_doubt(step, found)}.{_meaning(step) if few else ''}",
+            tones.get(found.verdict, "plain"),
+        )
         for step in found.steps
-    ]  # fmt: skip
+    ]
     if found.gain is not None and found.steps:
         g = found.gain
+        aside = ", the wrong records set aside," if found.records else ""
         lines.append(Text(
-            f"On held-out data {g.before:.3g} -> {g.after:.3g} {g.unit}: gain "
+            f"On held-out data{aside} {g.before:.3g} -> {g.after:.3g} {g.unit}: gain "
             f"{g.before - g.after:.2g}, 95 % {g.low:.2g} to {g.high:.2g}."
         ))  # fmt: skip
     left = [f"{u.name} (driven by {u.driver})" if u.driver else u.name for u in found.unexplained]
@@ -79,6 +108,14 @@ def _sized(step: FoundStep) -> str:
     return f"{name[0].upper()}{name[1:]}" + (f": {size}" if size else "")
 
 
+def _meaning(step: FoundStep) -> str:
+    """What the effect is, in one sentence; of the bench's own the steps to take say it."""
+    effect = known(step.effect)
+    if effect is None or effect.stage == "fixture" or step.curve or step.formula:
+        return ""
+    return f" {effect.sentence}"
+
+
 def _doubt(step: FoundStep, found: Findings) -> str:
     """What else it may be, and whether data that took no part prove it."""
     doubts = []
@@ -91,6 +128,9 @@ def _doubt(step: FoundStep, found: Findings) -> str:
 
 def _to_do(outcome: Outcome, more: tuple[str, ...]) -> tuple[str, ...]:
     """The next steps; that the result can be used where nothing forbids it."""
+    slips = [f"{text[0].upper()}{text[1:]}." for text in _slips(outcome)]
+    if slips:  # until then the rest of the advice is about an error that is none of the sensor's
+        return (*slips[:_STEPS], "Then run it again: only then the figures are the sensor's.")
     steps = [*(f"{text}." for text in outcome.broken), *outcome.advice, *more][:_STEPS]
     if outcome.status in ("ok", "marginal") and not outcome.undecided:
         steps.append(_USE)

@@ -12,7 +12,7 @@ from typing import Literal
 from imucalib.arrays import Array
 
 Cell = str | float | int | None
-Mark = Literal["line", "points", "rings", "bars", "band", "step"]
+Mark = Literal["line", "points", "rings", "bars", "band", "step", "net"]
 Tone = Literal["ok", "warning", "bad", "plain"]
 
 

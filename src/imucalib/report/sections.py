@@ -15,6 +15,7 @@ from imucalib.units import MG
 
 #: How reasons begin that the card tells in full.
 _LEFT = ("unexplained structure", "structure that no effect")
+_UNPROVED = "held-out data do not prove what was found"
 _TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
 
 
@@ -51,6 +52,8 @@ def verdict(outcome: Outcome, head: str, beside: Sequence[str] = ()) -> Text:
     told = [r for r in outcome.reasons if not r.startswith(known)]
     if len(told) < len(outcome.reasons) and not outcome.undecided:
         told.append("what stays has no name yet")
+    if outcome.status == "marginal" and not (told or beside or outcome.undecided):
+        told.append(_UNPROVED)
     why = [f"{r[0].upper()}{r[1:]}" for r in (*told, *beside)]
     text = " ".join([head, *(f"{t}." for t in (*outcome.broken, *outcome.undecided, *why))])
     return Text(text, _TONE[outcome.status])

@@ -63,4 +63,4 @@ def _net() -> Series:
     net = np.concatenate(one)
     shift = np.array([_APART / 2.0, 0.0])
     both = np.concatenate([net - shift, net + shift])
-    return Series("every 30 deg", both[:, 0], both[:, 1], "line")
+    return Series("every 30 deg", both[:, 0], both[:, 1], "net")

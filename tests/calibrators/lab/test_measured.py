@@ -103,7 +103,7 @@ def test_cave_instruments_at_rest(name: str) -> None:
     error = run.outcome.error.held_out
     assert run.result.loop is not None
     assert run.result.loop.steps
-    assert run.result.loop.verdict == {"ab": "suspected", "ai": "explained"}[name]
+    assert run.result.loop.verdict == "suspected"  # both intervals of the gain hold zero
     chosen_with, anew = run.result.splits
     assert chosen_with.final.rms() < 0.75 * chosen_with.base.rms()
     assert anew.name == "held out"

@@ -134,15 +134,22 @@ def minutes_of(blocks: Iterable[Recording], triad: str, fit: Fit) -> Minutes:
 
 
 def _summed(t: Array, values: Array, slope: Array, origin: Array, fit: Fit) -> Array:
-    """(m, 4) minute, samples, and the sums of ENMO raw and corrected."""
-    minute, place = np.unique(np.floor(t / 60.0), return_inverse=True)
-    count = np.bincount(place)
-    mean = np.stack([np.bincount(place, v) for v in values.T], axis=1) / count[:, None]
-    known = np.linalg.norm(mean @ slope.T + origin, axis=1)
-    shift = np.linalg.norm(corrected_by(fit, mean), axis=1) - known
-    size = np.linalg.norm(values @ slope.T + origin, axis=1) + shift[place]
-    over = [np.maximum(s - STANDARD_GRAVITY, 0.0) for s in (np.linalg.norm(values, axis=1), size)]
-    return np.column_stack([minute, count, *(np.bincount(place, v) for v in over)])
+    """(m, 4) minute, samples, and the sums of ENMO raw and corrected, of each stretch within one
+    minute."""
+    minute = np.floor(t / 60.0)
+    starts = np.append(0, np.flatnonzero(np.diff(minute)) + 1)
+    count = np.diff(np.append(starts, t.size))
+    mean = np.add.reduceat(values, starts, axis=0) / count[:, None]
+    linear = values @ slope.T + origin
+    shift = np.linalg.norm(corrected_by(fit, mean), axis=1)
+    shift -= np.linalg.norm(mean @ slope.T + origin, axis=1)
+    sizes = _size(values), _size(linear) + np.repeat(shift, count)
+    over = (np.add.reduceat(np.maximum(s - STANDARD_GRAVITY, 0.0), starts) for s in sizes)
+    return np.column_stack([minute[starts], count, *over])
+
+
+def _size(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.vecdot(values, values)), np.float64)
 
 
 def activity_of(

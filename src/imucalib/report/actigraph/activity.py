@@ -49,10 +49,10 @@ def _clock(seconds: float) -> str:
 
 
 def _profile(profile: Array) -> Plot:
-    hour = np.arange(0.5, 24.0)
+    hour, ends = np.arange(25.0), np.concatenate([profile, profile[-1:]])
     series = (
-        Series("raw", hour, profile[:, 0], "step"),
-        Series("corrected", hour, profile[:, 1], "step"),
+        Series("raw", hour, ends[:, 0], "step"),
+        Series("corrected", hour, ends[:, 1], "step"),
     )
     caption = "Mean of each hour of the recording's clock, worn time."
     return Plot("ENMO over the day", "hour of the day (h)", "ENMO (mg)", series, caption)

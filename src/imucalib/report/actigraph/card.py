@@ -9,6 +9,7 @@ from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.core.sphere import even_directions
 from imucalib.report.card import card_of, error_worth
 from imucalib.report.document import Card, Worth
+from imucalib.significant_digits import two_digits
 from imucalib.units import MG
 
 
@@ -34,4 +35,4 @@ def _night(run: ActigraphRun) -> tuple[Worth, ...]:
         return ()
     (raw, now), (by_day, now_by_day) = enmo["night"], enmo["day"]
     detail = f"raw reading {raw:.2g}; by day {by_day:.2g} raw, {now_by_day:.2g} corrected"
-    return (Worth("ENMO at night", f"{now:.2g} mg", detail),)
+    return (Worth("ENMO at night", f"{two_digits(now)} mg", detail),)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms
 from imucalib.calibrators.lab.calibrate import gravity_of
@@ -69,9 +69,8 @@ def _plot(
         Series("before", x, old, "points", names=names),
         Series("after", x, new, "points", names=names),
     ]  # fmt: skip
-    wrong = [r.row for r in run.result.loop.records] if run.result.loop else []
-    if wrong:
-        at = np.array(wrong)
+    at = _suspects(run)
+    if at.size:
         series.append(Series("wrong record", x[at], old[at], "rings"))
     unit_of_x = {"row": "", "temperature": " (°C)"}.get(
         name, " (g)" if len(name) == 1 else " (deg)"
@@ -80,6 +79,13 @@ def _plot(
         f"Error of {what} against {name}", f"{name}{unit_of_x}", f"error of {what} ({unit})",
         tuple(series), caption,
     )  # fmt: skip
+
+
+def _suspects(run: LabRun) -> Index:
+    """Which of the used rows do not belong to the rest, by the search or by a slip of hand."""
+    found = [r.row for r in run.result.loop.records] if run.result.loop else []
+    slips = [row for fault in run.faults.slips for row in fault.rows]
+    return np.union1d(np.array(found, np.intp), np.flatnonzero(np.isin(run.result.used + 1, slips)))
 
 
 def _axes(run: LabRun) -> dict[str, Array]:

@@ -125,6 +125,8 @@ font:8pt sans-serif;color:#444}}
 html{font-size:14px}body{font-size:10.5pt;line-height:1.45}.sheet{max-width:none;padding:0}
 nav{display:none}a{color:inherit}.scroll{overflow:visible;width:auto;max-width:none;position:static;transform:none}
 h2{margin-top:1.8rem}tr,.verdict,.facts dd{break-inside:avoid}thead{display:table-header-group}
-figure{margin:.7rem 0 1rem}figure svg{max-width:118mm;font-size:12.5px}
+figure{margin:.7rem 0 1rem}figure svg{max-width:104mm;font-size:12.5px}
+.terms .facts{grid-template-columns:auto 1fr auto 1fr;font-size:8pt}.terms dt{padding-right:.6rem}
+.terms dd{padding-right:1rem}
 .card{break-inside:auto}p{orphans:3;widows:3}}
 """

@@ -84,11 +84,11 @@ def error_bars(placed: Placed, cap: float = 3.0) -> str:
     return f'<path class="whisker" d="{d}"/>' if d else ""
 
 
-def scatter(placed: Placed, marker: int) -> str:
+def scatter(placed: Placed, marker: int, *, dots: bool = False) -> str:
     """Markers; few points are separate shapes with a hover title, very many are dots."""
     keep = thinned(placed.x, placed.y)
     draw = MARKERS[marker % len(MARKERS)]
-    if keep.size > CROWDED:
+    if dots or keep.size > CROWDED:
         keep = _one_per_pixel(placed)
         d = "".join(f"M{pair}h0" for pair in points(placed.x[keep], placed.y[keep]))
         return f'<path class="dots" d="{d}"/>' if d else ""

@@ -183,6 +183,10 @@ def _series(plot: Plot, frame: Frame) -> str:
         placed = frame.place(series, shift)
         if not drawable_at_all(series, plot.log_y):
             continue
+        if series.mark == "net":
+            faint = marks.line(placed).replace('class="line"', 'class="net"')
+            drawn.append(shaped(faint))
+            continue
         drawn.append(coloured(i, _mark(plot, i, placed, foot, wide * 0.92)))
         if i in grouped:  # in the colour of the text: a bar hides whiskers of its own colour
             whiskers = marks.error_bars(placed, min(4.0, wide / 3))
@@ -198,12 +202,17 @@ def _nothing(frame: Frame) -> str:
 def _mark(plot: Plot, i: int, placed: marks.Placed, foot: float, wide: float) -> str:
     series = plot.series[i]
     if series.mark == "points":
-        return marks.error_bars(placed) + marks.scatter(placed, i)
+        return marks.error_bars(placed) + marks.scatter(placed, i, dots=_crowded(plot))
     if series.mark == "rings":
         return marks.rings(placed)
     if series.mark == "bars":
         return marks.bars(placed, foot, wide)
     return marks.band(placed) + marks.line(placed, dash_of(plot, i), series.mark == "step")
+
+
+def _crowded(plot: Plot) -> bool:
+    """Whether its points are dots: all of a plot, or none."""
+    return any(s.mark == "points" and len(s.x) > marks.CROWDED for s in plot.series)
 
 
 def _legend(plot: Plot, width: int) -> tuple[str, float]:
@@ -212,6 +221,8 @@ def _legend(plot: Plot, width: int) -> tuple[str, float]:
         return "", 0.0
     x, y, drawn = 4.0, 12.0, []
     for i, series in enumerate(plot.series):
+        if series.mark == "net":
+            continue
         swatch = 14.0 if series.mark in ("points", "bars", "rings") else SWATCH
         label = clipped(series.label, FONT, width - SWATCH - 40)
         needed = swatch + text_width(label, FONT) + 26

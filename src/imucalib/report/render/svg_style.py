@@ -13,6 +13,7 @@ DASHES = ("", "7 3", "2 3", "8 3 2 3", "12 4", "4 2 1 2 1 2")
 _SHAPES = {
     "line": 'fill="none" stroke="currentColor" stroke-width="1.6" stroke-linejoin="round"'
     ' stroke-linecap="round"',
+    "net": 'fill="none" stroke="currentColor" stroke-opacity="0.3"',
     "band": 'fill="currentColor" fill-opacity="0.2"',
     "whisker": 'fill="none" stroke="currentColor" stroke-width="1.2"',
     "stem": 'fill="none" stroke="currentColor" stroke-width="1.2"',

@@ -1,4 +1,4 @@
-"""imucal simulate"""
+"""imucal simulate lab"""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ from typing import Any
 
 import click
 
-from imucalib.cli.output import emit_json, json_option, quiet_option, seed_option
+from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.simulate.planting import (
+    fault_option,
+    plant_option,
+    planted_of,
+    tell,
+    write_recording,
+)
 
 
 def _two(text: str, option: str) -> tuple[float, float]:
@@ -18,17 +25,7 @@ def _two(text: str, option: str) -> tuple[float, float]:
     return a, b
 
 
-def _plant(text: str) -> tuple[str, tuple[float, ...]]:
-    name, _, values = text.partition("=")
-    try:
-        return name, tuple(float(v) for v in values.split(","))
-    except ValueError:
-        raise click.BadParameter(
-            f"'{text}' is not EFFECT=VALUE,...", param_hint="--plant"
-        ) from None
-
-
-@click.command("simulate", short_help="Make a bench with planted effects.")
+@click.command("lab", short_help="A bench: a table, and a recording on request.")
 @click.argument("table", type=click.Path(path_type=Path))
 @click.option(
     "--recording",
@@ -44,9 +41,7 @@ def _plant(text: str) -> tuple[str, tuple[float, ...]]:
     help="How the bench is worked.",
 )
 @click.option("--positions", default=32, show_default=True, help="Number of positions.")
-@click.option(
-    "--plant", multiple=True, metavar="EFFECT=VALUE,...", help="Effect to plant, in its own units."
-)
+@plant_option
 @click.option("--slip", multiple=True, metavar="ROW:AXIS", help="Lose the sign of one cell.")
 @click.option("--noise", default=1.0, show_default=True, help="Noise of a reading, mg.")
 @click.option(
@@ -57,6 +52,7 @@ def _plant(text: str) -> tuple[str, tuple[float, ...]]:
 )
 @click.option("--temperature", help="FROM,TO in °C: warms up over the table.")
 @click.option("--gravity", default=9.80665, show_default=True, help="Local gravity, m/s².")
+@fault_option
 @seed_option
 @json_option
 @quiet_option
@@ -64,19 +60,21 @@ def command(table: Path, recording: Path | None, seed: int, **options: Any) -> i
     """Write a bench table (CSV), and on request a recording, with known planted effects.
 
     \b
-    Example: imucal simulate bench.csv --plant inclination_zero=0.8 --slip 10:y
+    Example: imucal simulate lab bench.csv --plant inclination_zero=0.8 --slip 10:y
     """
     import numpy as np
 
     from imucalib.calibrators.lab.position_table import write_position_table
     from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
-    from imucalib.writers import write
+    from imucalib.errors import UsageError
 
+    if options["fault"] and recording is None:
+        raise UsageError("--fault is of a recording", remedy="give --recording, or --slip")
     slips = tuple((int(r), a) for r, _, a in (s.partition(":") for s in options["slip"]))
     plan = BenchPlan(
         layout=options["layout"],
         positions=options["positions"],
-        plant=dict(_plant(text) for text in options["plant"]),
+        plant=planted_of(options["plant"]),
         noise=options["noise"],
         setting=_two(options["setting_sd"], "--setting-sd"),
         slips=slips,
@@ -89,16 +87,7 @@ def command(table: Path, recording: Path | None, seed: int, **options: Any) -> i
     made = simulated_table(plan, rng)
     written = [table]
     if recording is not None:
-        write(simulated_recording(made, rng), recording)
+        write_recording(simulated_recording(made, rng), recording, options["fault"])
         written.append(recording)
     write_position_table(made, table, angles_only=recording is not None)
-    if options["as_json"]:
-        emit_json(
-            {
-                "written": [str(p) for p in written],
-                "planted": {k: list(v) for k, v in plan.plant.items()},
-            }
-        )
-    elif not options["quiet"]:
-        click.echo("\n".join(f"wrote {path}" for path in written))
-    return 0
+    return tell(written, plan.plant, options)

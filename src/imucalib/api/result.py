@@ -1,0 +1,107 @@
+"""What a calibration returns: the run with its report, files and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.findings import Gain
+from imucalib.calibration.outcome import Run, Status
+from imucalib.errors import UsageError
+from imucalib.report.document import Document
+from imucalib.report.files import Report, write_report
+
+Rows = Literal["parameters", "errors", "candidates"]
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished calibration.
+
+    run : everything that the calibrator knows, by its own types; document : its report
+    """
+
+    run: Run
+    document: Document
+
+    @property
+    def calibration(self) -> Calibration:
+        """What corrects readings: `calibration.apply(reading)`."""
+        return self.run.calibration
+
+    @property
+    def status(self) -> Status:
+        """ "ok", "marginal", "weak" or "failed"; see `exit_code` for why."""
+        return self.run.outcome.status
+
+    @property
+    def exit_code(self) -> int:
+        """That of the command: 0 fine, 1 a limit is broken, 4 undetermined, 5 unexplained."""
+        return self.run.outcome.exit_code
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects that the search added."""
+        found = self.run.outcome.findings
+        return tuple(step.effect for step in found.steps) if found else ()
+
+    @property
+    def gain(self) -> Gain | None:
+        """Errors before and after on data that took no part in any choice, with the interval of
+        the gain; None where nothing was searched for."""
+        found = self.run.outcome.findings
+        return found.gain if found else None
+
+    @cached_property
+    def _report(self) -> Report:
+        return Report(self.run, self.document)
+
+    @property
+    def report(self) -> Mapping[str, Any]:
+        """The content of report.json."""
+        return self._report.content
+
+    def save(self, folder: Path | str) -> tuple[Path, ...]:
+        """Write calibration.yaml, report.json and report.html, all or none; returns their paths."""
+        return write_report(self._report, Path(folder))
+
+    def to_dataframe(self, rows: Rows = "parameters") -> Any:
+        """A table of pandas, or of polars where pandas is not installed.
+
+        rows : "parameters" (value, sd, unit), "errors" (raw, base, final, held out) or
+        "candidates" (what the search tried, with its evidence). Raises UsageError where neither
+        library is installed.
+        """
+        table = _rows(self.report, rows)
+        for name in ("pandas", "polars"):
+            try:
+                library: Any = __import__(name)
+            except ImportError:
+                continue
+            return library.DataFrame(table)
+        raise UsageError("no library for tables", remedy="pip install pandas, or polars")
+
+    def __str__(self) -> str:
+        """One page, as the command prints it."""
+        from imucalib.report.render.text import render_text
+
+        return render_text(self.document, 80, color=False)
+
+
+def _rows(report: Mapping[str, Any], rows: Rows) -> list[dict[str, Any]]:
+    loop = report["loop"]
+    if rows == "parameters":
+        return list(report["parameters"])
+    if rows == "candidates":
+        return list(loop["candidates"])
+    if rows != "errors":
+        raise UsageError(f"no table '{rows}'", remedy="parameters, errors or candidates")
+    return [
+        {k: v for k, v in error.items() if k != "held_out"}
+        | {f"held_out_{k}": v for k, v in error["held_out"].items()}
+        for error in loop["errors"]
+    ]

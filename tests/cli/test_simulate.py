@@ -1,0 +1,107 @@
+"""Simulations: what is planted is in the readings, by physics written a second time, and faults."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from imucalib import cli
+from imucalib.errors import UsageError
+from imucalib.readers import read
+from imucalib.units import MG, STANDARD_GRAVITY
+
+SMALL = ("--days", "0.1", "--rate", "2", "--noise", "0", "--rests", "1")
+PLAIN = ("--plant", "scale=0,0,0", "--plant", "non_orthogonality=0,0,0", "--plant", "bias=0,0,0")
+
+
+def run(*arguments: object) -> Result:
+    words = [str(a) for a in arguments]
+    return CliRunner().invoke(cli.cli, ["simulate", *words], standalone_mode=False)
+
+
+def readings(path: Path, name: str = "imu0/acceleration") -> np.ndarray:
+    return read(path).channels[name].values
+
+
+def test_a_worn_days_effects_are_in_its_samples(tmp_path: Path) -> None:
+    path = tmp_path / "day.h5"
+    done = run("actigraph", path, *SMALL, *PLAIN, "--plant", "quadratic=3,-2,4", "--json")
+    content = json.loads(done.stdout)
+    assert content["planted"]["quadratic"] == [3.0, -2.0, 4.0]
+    assert content["written"] == [str(path)]
+    reading, k = readings(path), np.array([3.0, -2.0, 4.0]) * MG / STANDARD_GRAVITY**2
+    truth = reading.copy()
+    for _ in range(20):  # reading = x + k x²
+        truth = reading - k * truth**2
+    np.testing.assert_allclose(np.linalg.norm(truth, axis=1), STANDARD_GRAVITY, rtol=1e-9)
+    assert np.abs(np.linalg.norm(reading, axis=1) - STANDARD_GRAVITY).max() > 1.5 * MG
+
+
+def test_a_worn_days_bias_follows_its_thermometer(tmp_path: Path) -> None:
+    path = tmp_path / "day.h5"
+    run("actigraph", path, *SMALL, *PLAIN, "--plant", "temperature_bias=2,0,-1")
+    warm = readings(path, "imu0/temperature")
+    assert np.ptp(warm) > 1.0
+    truth = readings(path) - np.array([2.0, 0.0, -1.0]) * MG * (warm - 25.0)
+    np.testing.assert_allclose(np.linalg.norm(truth, axis=1), STANDARD_GRAVITY, rtol=1e-9)
+    assert "imu0/temperature" not in read(_cold(tmp_path)).channels
+
+
+def _cold(folder: Path) -> Path:
+    run("actigraph", folder / "cold.h5", *SMALL, "--no-temperature")
+    return folder / "cold.h5"
+
+
+def test_an_array_tells_machines_where_its_sensors_are(tmp_path: Path) -> None:
+    path = tmp_path / "log.h5"
+    done = run("array", path, "--rests", 9, "--seconds", 3, "--json", "--plant", "gyro_delay=0.001")
+    content = json.loads(done.stdout)
+    assert len(content["positions_mm"]) == 8
+    assert content["planted"] == {"gyro_delay": [0.001]}
+    assert len(read(path).channels) == 16
+
+
+FAULTS: list[tuple[str, Any]] = [
+    ("gap@10:2", lambda a, b, c: (len(a) - len(b) == 200) and c == 1),
+    ("freeze@10:2", lambda a, b, c: (np.ptp(b[1001:1199], axis=0) == 0).all()),
+    ("sign@imu0:y", lambda a, b, c: np.array_equal(a * [1, -1, 1], b)),
+    ("clip@0.5", lambda a, b, c: np.abs(b).max() <= 0.5 * STANDARD_GRAVITY * (1 + 1e-12)),
+]
+
+
+@pytest.mark.parametrize(("fault", "holds"), FAULTS, ids=[f[0] for f in FAULTS])
+def test_faults_are_what_they_say(tmp_path: Path, fault: str, holds: Any) -> None:
+    plain, broken = tmp_path / "plain.h5", tmp_path / "broken.h5"
+    run("array", plain, "--rests", 3, "--seconds", 3)
+    run("array", broken, "--rests", 3, "--seconds", 3, "--fault", fault)
+    found = read(broken)
+    assert holds(readings(plain), found.channels["imu0/acceleration"].values, len(found.gaps))
+
+
+def test_two_sensors_change_places(tmp_path: Path) -> None:
+    plain, broken = tmp_path / "plain.h5", tmp_path / "broken.h5"
+    run("array", plain, "--rests", 3, "--seconds", 3)
+    run("array", broken, "--rests", 3, "--seconds", 3, "--fault", "exchange@imu0:imu5")
+    for quantity in ("acceleration", "angular_rate"):
+        for one, two in (("imu0", "imu5"), ("imu5", "imu0"), ("imu1", "imu1")):
+            np.testing.assert_array_equal(
+                readings(plain, f"{one}/{quantity}"), readings(broken, f"{two}/{quantity}")
+            )
+
+
+@pytest.mark.parametrize("fault", ["gap", "gap@1", "melt@1:2", "gap@x:2", "sign@imu0:w",
+                                   "sign@imu99:x"])  # fmt: skip
+def test_what_is_no_fault_is_refused(tmp_path: Path, fault: str) -> None:
+    done = run("array", tmp_path / "a.h5", "--rests", 3, "--seconds", 1, "--fault", fault)
+    assert isinstance(done.exception, UsageError)
+    assert not (tmp_path / "a.h5").exists()
+
+
+def test_a_table_takes_no_fault_of_a_recording(tmp_path: Path) -> None:
+    done = run("lab", tmp_path / "a.csv", "--fault", "gap@1:2")
+    assert isinstance(done.exception, UsageError)
