@@ -1,0 +1,196 @@
+"""The fused motion of a stretch of samples: weights, effects beyond the linear part, clipped axes.
+
+Each round fits the motion of every sample, takes out what the found effects add at that motion, and
+weighs each triad by what it leaves. The last one also knows dω/dt from the neighbours' rates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags, Index
+from imucalib.calibrators.array.fused.instrument import Instrument
+from imucalib.calibrators.array.fused.neighbours import spin_by_neighbours
+from imucalib.calibrators.array.fused.noise import ChipNoise
+from imucalib.calibrators.array.fused.start import Start, inside, start_of
+from imucalib.calibrators.array.fused.stretch import Stretch, along
+from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
+from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion, precision_of
+
+_SLOW = 1.5  # median intervals between samples from which on they are no neighbours
+
+
+@dataclass(frozen=True)
+class Fused:
+    """motion : of every sample, its covariance that of the noise
+    off, rate_off : (T, K, 3) what the sensors' axes read beside it, m/s² and rad/s
+    live, rate_live : (T, K, 3) axes that took part; alone : (T,) no gyro saw some part of the rate
+    weights : (T, K, 3) of the axes, (m/s²)^-2 and (rad/s)^-2
+    """
+
+    motion: FusedMotion
+    off: Array
+    rate_off: Array
+    live: Flags
+    rate_live: Flags
+    alone: Flags
+    weights: tuple[Array, Array]
+
+    def take(self, rows: slice | Index) -> Fused:
+        one, two = self.weights
+        return Fused(
+            motion=self.motion.take(rows), off=self.off[rows], rate_off=self.rate_off[rows],
+            live=self.live[rows], rate_live=self.rate_live[rows], alone=self.alone[rows],
+            weights=(one[rows], two[rows]),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _State:
+    """Where the rounds stand: the readings less effects (T, K, 3), the gyros' live axes, shares
+    (T, K, 1) of the triads' weights, and the motion so far."""
+
+    force: Array
+    gyro: Array
+    rate_live: Flags
+    shares: tuple[Array, Array]
+    motion: FusedMotion | None
+    speed: Array
+
+
+def fuse(
+    instrument: Instrument,
+    stretch: Stretch,
+    noise: tuple[ChipNoise, ChipNoise],
+    age: Array | None = None,
+    *,
+    rounds: int = 4,
+    tied: bool = True,
+) -> Fused:
+    """Fuse the samples of a stretch.
+
+    noise : of accelerometers and gyros
+    age : (T, K) sawtooths of the gyros' clocks, NaN for a clock that was not found, or None
+    tied : whether neighbours tell of dω/dt; the samples must then follow each other
+    """
+    start = start_of(instrument, stretch)
+    sawtooth = None if age is None else np.nan_to_num(age)
+    late = instrument.beyond.late(stretch.t, sawtooth)
+    one = np.ones((*stretch.rate.shape[:2], 1))
+    speed = np.linalg.norm(start.first, axis=1)
+    state = _State(start.force, start.gyro, start.rate_live, (one, one), None, speed)
+    sensed, found = None, None
+    for turn in range(rounds):
+        variances = _variances(instrument, noise, state, age)
+        weights = _weights(start, state, variances)
+        sensed = Sensed(
+            state.force, state.gyro,
+            precision_of(instrument.axes, weights[0]),
+            precision_of(instrument.gyro_axes, weights[1]),
+            late,
+        )  # fmt: skip
+        before = start.first if state.motion is None else state.motion.rate
+        motion = fused_motion(sensed, instrument.r, before)
+        rate_live = state.rate_live
+        if turn == 1:  # the effects are out by then: an answer inside the range goes to its end
+            rate_live = rate_live | inside(instrument, stretch, start, motion)
+        force, gyro = _without_effects(instrument, stretch.t, start, motion)
+        state = replace(
+            state, force=force, gyro=gyro, rate_live=rate_live, motion=motion,
+            speed=np.linalg.norm(motion.rate, axis=1),
+        )  # fmt: skip
+        residuals = _residuals(instrument, motion, state, late)
+        found = Fused(motion, *residuals, start.live, rate_live, start.alone, weights)
+        state = replace(state, shares=_shares(noise, found, variances))
+    assert found is not None
+    assert sensed is not None
+    motion = found.motion
+    if tied and (known := spin_by_neighbours(stretch.t, motion, late)) is not None:
+        sensed = replace(sensed, spin=known[0], spin_precision=known[1])
+        motion = fused_motion(sensed, instrument.r, motion.rate)
+    return replace(found, motion=_widened(motion, noise))
+
+
+def _variances(
+    instrument: Instrument, noise: tuple[ChipNoise, ChipNoise], state: _State, age: Array | None
+) -> tuple[Array, Array]:
+    """(T, K, 3) of the axes. A gyro whose clock is not known is off by its age times dω/dt, the age
+    anywhere within its span."""
+    first, second = noise[0].variance(state.speed), noise[1].variance(state.speed)
+    span = instrument.beyond.span
+    if span > 0.0 and state.motion is not None:
+        spin = np.broadcast_to(state.motion.spin[:, None], second.shape)
+        unknown = np.ones(second.shape[:2]) if age is None else np.isnan(age)
+        swing = along(instrument.gyro_axes, spin) ** 2
+        second = second + span**2 / 12.0 * unknown[..., None] * swing
+    return first, second
+
+
+def _weights(
+    start: Start, state: _State, variances: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    one, two = (
+        np.where(live, share, 0.0) / variance
+        for live, share, variance in zip(
+            (start.live, state.rate_live), state.shares, variances, strict=True
+        )
+    )
+    return one, two
+
+
+def _shares(
+    noise: tuple[ChipNoise, ChipNoise], found: Fused, variances: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """(T, K, 1) of the weights, by the length of the residuals."""
+    one, two = (
+        chip.share(np.sum(np.where(live, off**2 / variance, 0.0), axis=2), live.sum(axis=2))
+        for chip, live, off, variance in zip(
+            noise, (found.live, found.rate_live), (found.off, found.rate_off), variances,
+            strict=True,
+        )
+    )  # fmt: skip
+    return one[..., None], two[..., None]
+
+
+def _without_effects(
+    instrument: Instrument, t: Array, start: Start, motion: FusedMotion
+) -> tuple[Array, Array]:
+    """Corrected readings (T, K, 3) less what the effects beyond the linear parts add."""
+    if all(part.late for part in instrument.beyond.parts):
+        return start.force, start.gyro
+    force, gyro = instrument.beyond.added(_seen(instrument, t, motion))
+    return start.force - force, start.gyro - gyro
+
+
+def _seen(instrument: Instrument, t: Array, motion: FusedMotion) -> BoardMotion:
+    """The motion as effects take it."""
+    felt = motion.felt(instrument.r)
+    jerk = np.zeros_like(felt)
+    if instrument.beyond.needs_jerk and len(t) > 2:
+        step = np.diff(t)
+        usual = step < _SLOW * np.median(step)
+        slope = (felt[2:] - felt[:-2]) / (t[2:] - t[:-2])[:, None, None]
+        jerk[1:-1] = np.where((usual[1:] & usual[:-1])[:, None, None], slope, 0.0)
+    return board_motion(
+        imus=instrument.imus, rotations=instrument.beyond.rotations, t=t,
+        order=np.full(len(t), 0.5), rate=motion.rate, spin=motion.spin, force=felt, jerk=jerk,
+    )  # fmt: skip
+
+
+def _residuals(
+    instrument: Instrument, motion: FusedMotion, state: _State, late: Array | None
+) -> tuple[Array, Array]:
+    """(T, K, 3) along the sensors' axes."""
+    rate = motion.rate[:, None]
+    if late is not None:
+        rate = rate + np.matmul(late, motion.spin[:, None, :, None])[..., 0]
+    off = state.force - motion.felt(instrument.r)
+    return along(instrument.axes, off), along(instrument.gyro_axes, state.gyro - rate)
+
+
+def _widened(motion: FusedMotion, noise: tuple[ChipNoise, ChipNoise]) -> FusedMotion:
+    """The covariance by the tails: force and dω/dt stand on the accelerometers, ω on the gyros."""
+    factor = np.sqrt([*[noise[0].widening] * 6, *[noise[1].widening] * 3])
+    return replace(motion, covariance=motion.covariance * np.outer(factor, factor))

@@ -1,0 +1,204 @@
+"""The first pass over a log that is to be fused: its rests, and its busiest stretch.
+
+Rests give the biases anew and the noise of every axis at rest; the busiest stretch gives how the
+noise grows with the rate. Memory holds what the detector of rests keeps, and that one stretch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.triads import named_triads
+from imucalib.calibrators.array.fused.clocks import ages
+from imucalib.calibrators.array.fused.fuse import fuse
+from imucalib.calibrators.array.fused.instrument import Biases, Instrument
+from imucalib.calibrators.array.fused.noise import ChipNoise, at_rest, fitted_noise
+from imucalib.calibrators.array.fused.side_by_side import side_by_side
+from imucalib.calibrators.array.fused.stretch import Stretch
+from imucalib.calibrators.array.loop.motion import board_motion
+from imucalib.calibrators.array.moving import SLOWEST
+from imucalib.errors import Undetermined
+from imucalib.recording.recording import Recording
+from imucalib.rests.segments import Segments, find_segments
+
+_BUSY = 8192  # samples of the busiest stretch, at most
+_USED = 2000  # of its moving samples that the noise is fitted to
+_FEWEST = 50  # moving samples from which noise in motion is told
+_POOL = 5.0  # s of rest that are one value of a gyro's bias
+_WANDER, _REST = 1e-2, 2e-3  # m/s²: what biases do from log to log, and one rest's own error
+_FIRST_GROWTH, _FIRST_TAILS = 0.5, 4.0  # of the noise before it is fitted, per rad/s and ν
+
+
+@dataclass(frozen=True)
+class Survey:
+    """instrument : with the log's own biases; noise : of accelerometers and gyros
+    rests : s of rest that gave the biases, 0 without; turned : moving samples behind the noise"""
+
+    instrument: Instrument
+    noise: tuple[ChipNoise, ChipNoise]
+    rests: float
+    turned: int
+
+
+def survey(blocks: Iterable[Recording], instrument: Instrument) -> Survey:
+    """Look a recording through. Errors as in `side_by_side`."""
+    seen = _Seen(instrument)
+    try:
+        segments = find_segments(seen.watched(blocks))
+    except Undetermined:
+        if seen.first is None:
+            raise
+        segments = None
+    rest = _own_noise(instrument)
+    if segments is not None and segments.n and seen.first is not None:
+        order = _order(segments, instrument, seen.first)
+        rest = _noise_at_rest(segments, order, rest)
+        instrument = replace(instrument, biases=_biases(segments, order, instrument))
+    noise = at_rest(rest[0]), at_rest(rest[1])
+    turned = 0
+    if (busy := seen.busiest()) is not None:
+        noise, turned = _noise_in_motion(instrument, busy, rest)
+    seconds = 0.0 if segments is None else float(np.sum(segments.stop - segments.start))
+    return Survey(instrument, noise, seconds, turned)
+
+
+class _Seen:
+    """What passes by while the rests are sought: the stretch with most motion."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        self._instrument = instrument
+        self._best: Stretch | None = None
+        self._most = 0
+        self.first: Recording | None = None
+
+    def watched(self, blocks: Iterable[Recording]) -> Iterator[Recording]:
+        """The blocks, looked at."""
+        for block in blocks:
+            self.first = self.first or replace(block, channels={
+                n: replace(c, t=c.t[:1], values=c.values[:1]) for n, c in block.channels.items()
+            })  # fmt: skip
+            for stretch in side_by_side([block], self._instrument):
+                self._look(stretch)
+            yield block
+
+    def _look(self, stretch: Stretch) -> None:
+        _, rate = self._instrument.corrected(stretch.t, stretch.acceleration, stretch.rate)
+        fast = np.linalg.norm(np.median(rate, axis=1), axis=1) > SLOWEST
+        total = np.concatenate([[0], np.cumsum(fast)])
+        width = min(_BUSY, len(fast))
+        inside = total[width:] - total[: len(total) - width]
+        top = int(np.argmax(inside))
+        if inside[top] > self._most:
+            part = stretch.take(slice(top, top + width))
+            self._best = Stretch(part.t, part.acceleration.copy(), part.rate.copy())
+            self._most = int(inside[top])
+
+    def busiest(self) -> Stretch | None:
+        """None where hardly anything moves."""
+        return self._best if self._most >= _FEWEST else None
+
+
+def _own_noise(instrument: Instrument) -> tuple[Array, Array]:
+    """(K, 3) of a sample at rest while it was calibrated."""
+    return (
+        np.array([np.full(3, t.noise) for t in instrument.triads]),
+        np.array([np.full(3, t.gyro_noise) for t in instrument.triads]),
+    )
+
+
+def _order(segments: Segments, instrument: Instrument, first: Recording) -> dict[int, int]:
+    """Column of the segments of every IMU of the instrument that is there."""
+    named = named_triads(instrument.triads, first)
+    places = {t.name: k for k, t in enumerate(instrument.triads)}
+    return {places[t.name]: segments.triads.index(name) for name, t in named.items()}
+
+
+def _noise_at_rest(
+    segments: Segments, order: dict[int, int], calibrated: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    own = [v.copy() for v in calibrated]
+    for k, column in order.items():
+        for which, seen in enumerate((segments.noise, segments.rate_noise)):
+            good = np.isfinite(seen[column]) & (seen[column] > 0.0)
+            own[which][k] = np.where(good, seen[column], own[which][k])
+    return own[0], own[1]
+
+
+def _biases(segments: Segments, order: dict[int, int], instrument: Instrument) -> Biases:
+    """What corrected readings hold at the rests.
+
+    A rest shows every gyro's bias, and what accelerometers differ by; what all of them share would
+    hang on the place's gravity. The calibration's biases count as one more value of them.
+    """
+    shape = (segments.n, len(instrument.triads), 3)
+    acceleration, rate = np.full(shape, np.nan), np.full(shape, np.nan)
+    for k, column in order.items():
+        acceleration[:, k], rate[:, k] = segments.mean[:, column], segments.rate[:, column]
+    middle = 0.5 * (segments.start + segments.stop)
+    force, turned = instrument.corrected(middle, acceleration, rate)
+    there, turning = np.isfinite(acceleration).all(axis=2), np.isfinite(rate).all(axis=2)
+    mean = (force * there[..., None]).sum(axis=1) / there.sum(axis=1)[:, None]
+    apart = np.where(there[..., None], force - mean[:, None], 0.0)
+    known = segments.n / (segments.n + (_REST / _WANDER) ** 2)
+    turned = turned - _felt_at_rest(instrument, mean)
+    turned = np.where(turning[..., None], turned, 0.0)
+    at, values = _pooled(segments, middle, turned)
+    return Biases(known * apart.mean(axis=0), at, values)
+
+
+def _felt_at_rest(instrument: Instrument, force: Array) -> Array:
+    """(n, K, 3) rad/s that gyros read of gravity (n, 3)."""
+    n, k = len(force), len(instrument.triads)
+    still = np.zeros((n, 3))
+    at = board_motion(
+        imus=instrument.imus, rotations=instrument.beyond.rotations, t=np.arange(float(n)),
+        order=np.full(n, 0.5), rate=still, spin=still,
+        force=np.broadcast_to(force[:, None], (n, k, 3)), jerk=np.zeros((n, k, 3)),
+    )  # fmt: skip
+    return instrument.beyond.added(at)[1]
+
+
+def _pooled(segments: Segments, middle: Array, turned: Array) -> tuple[Array, Array]:
+    """Times (m,) and means (m, K, 3) of groups of rests of a few seconds each."""
+    length = np.maximum(segments.stop - segments.start, 1e-3)
+    group = np.floor((np.cumsum(length) - 0.5 * length) / _POOL).astype(np.intp)
+    group = np.unique(group, return_inverse=True)[1]
+    weight = np.bincount(group, length)
+    at = np.bincount(group, length * middle) / weight
+    sums = np.zeros((len(weight), *turned.shape[1:]))
+    np.add.at(sums, group, turned * length[:, None, None])
+    return at, sums / weight[:, None, None]
+
+
+def _noise_in_motion(
+    instrument: Instrument, busy: Stretch, rest: tuple[Array, Array]
+) -> tuple[tuple[ChipNoise, ChipNoise], int]:
+    """Noise fitted to the busiest stretch, twice: the second time under the weights of the first;
+    and how many samples moved."""
+    noise = tuple(
+        ChipNoise(r, np.full(len(r), _FIRST_GROWTH * float(r.mean())), _FIRST_TAILS) for r in rest
+    )
+    first, second = noise
+    age = ages(instrument, busy, (first, second))
+    _, rate = instrument.corrected(busy.t, busy.acceleration, busy.rate)
+    moving = np.flatnonzero(np.linalg.norm(np.median(rate, axis=1), axis=1) > SLOWEST)
+    rows = moving[np.linspace(0, len(moving) - 1, min(_USED, len(moving))).astype(np.intp)]
+    some, own = busy.take(rows), None if age is None else age[rows]
+    for _ in range(2):
+        one = fuse(instrument, some, (first, second), own, tied=False)
+        speed = np.linalg.norm(one.motion.rate, axis=1)
+        good = ~one.alone
+        weigh = [w.sum(axis=2) / np.maximum(live.sum(axis=2), 1)
+                 for w, live in zip(one.weights, (one.live, one.rate_live), strict=True)]  # fmt: skip
+        doubt = one.motion.doubt(instrument.r) / first.widening
+        turn = np.einsum("tii->t", one.motion.covariance[:, 6:, 6:]) / 3.0 / second.widening
+        left = 1.0 - weigh[0] * doubt, 1.0 - weigh[1] * turn[:, None]
+        first = fitted_noise(one.off[good], one.live[good], left[0][good], speed[good], rest[0])
+        second = fitted_noise(
+            one.rate_off[good], one.rate_live[good], left[1][good], speed[good], rest[1]
+        )
+    return (first, second), len(moving)
