@@ -184,9 +184,7 @@ def _applied(
             raise click.UsageError("--at and --fused are of all IMUs together: leave the other out")
         point = options["at"] and 1e-3 * np.array(options["at"])
         try:
-            return fuse_file(
-                calibration, source, target, mapping, at=point, each=not fused, **both
-            )
+            return fuse_file(calibration, source, target, mapping, at=point, each=not fused, **both)
         except NotFusable as error:
             if fused or point is not None:
                 raise

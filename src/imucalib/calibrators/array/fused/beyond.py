@@ -121,8 +121,8 @@ def beyond_linear(calibration: Calibration) -> Beyond:
         parts.append(_Part(term, gain, offset))
         if term.aged:
             span = 1e-3 * abs(float(term.value[0]))
-    back = np.linalg.inv(gains[0]), np.linalg.inv(gains[1])
-    return Beyond(imus, rotations, tuple(parts), back, span, tuple(left_out))
+    one, two = (np.asarray(np.linalg.inv(gain), np.float64) for gain in gains)
+    return Beyond(imus, rotations, tuple(parts), (one, two), span, tuple(left_out))
 
 
 def _term(block: Mapping[str, Any], imus: Sequence[str]) -> Term | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.fused.fuse import fuse
 from imucalib.calibrators.array.fused.instrument import Instrument
 from imucalib.calibrators.array.fused.noise import ChipNoise
@@ -54,12 +54,12 @@ def _of_window(
 
 def _rough(
     instrument: Instrument, stretch: Stretch, noise: tuple[ChipNoise, ChipNoise]
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Flags]:
     """(T, K, 3) gyros less their mean in board axes, (T, 3) dω/dt, and which samples move with all
     of their gyros in range. Only what may move is fused."""
-    shape = stretch.rate.shape
-    off, spin = np.zeros(shape), np.zeros((shape[0], 3))
-    moving = np.zeros(shape[0], dtype=np.bool_)
+    t, k, _ = stretch.rate.shape
+    off, spin = np.zeros((t, k, 3)), np.zeros((t, 3))
+    moving = np.zeros(t, dtype=np.bool_)
     _, rate = instrument.corrected(stretch.t, stretch.acceleration, stretch.rate)
     fast = np.flatnonzero(np.linalg.norm(np.median(rate, axis=1), axis=1) > SLOWEST)
     back = np.linalg.inv(instrument.gyro_axes)
@@ -67,11 +67,11 @@ def _rough(
         rows = fast[start : start + _ROWS]
         one = fuse(instrument, stretch.take(rows), noise, rounds=_ROUGH, tied=False)
         board = np.einsum("kai,tki->tka", back, one.rate_off, optimize=True)
-        seen = one.rate_live.all(axis=2)
+        seen = np.all(one.rate_live, axis=2)
         board = np.where(seen[..., None], board, 0.0)
         mean = board.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
         off[rows] = np.where(seen[..., None], board - mean[:, None], 0.0)
         spin[rows] = one.motion.spin
-        there = np.isfinite(stretch.rate[rows]).all(axis=2)
-        moving[rows] = (seen | ~there).all(axis=1) & seen.any(axis=1)
+        there = np.all(np.isfinite(stretch.rate[rows]), axis=2)
+        moving[rows] = np.all(seen | ~there, axis=1) & np.any(seen, axis=1)
     return off, spin, moving

@@ -128,9 +128,7 @@ def _variances(
     return first, second
 
 
-def _weights(
-    start: Start, state: _State, variances: tuple[Array, Array]
-) -> tuple[Array, Array]:
+def _weights(start: Start, state: _State, variances: tuple[Array, Array]) -> tuple[Array, Array]:
     one, two = (
         np.where(live, share, 0.0) / variance
         for live, share, variance in zip(

@@ -16,7 +16,7 @@ from imucalib.estimators.array.fusion import FusedMotion
 
 _SLOW = 0.3  # share of the usual interval by which neighbours may be off
 _WINDOW = 9  # samples over which the error of the difference is judged
-_DOUBT = 2.0  # times the third difference's own estimate, since that is of first order
+_DOUBT = 1.25  # times the third difference's own estimate, since that is of first order
 _ODD = 2.0  # times what noise explains, from which the accelerometers contradict
 
 
@@ -30,20 +30,23 @@ def spin_by_neighbours(
     """
     if len(t) < 2 * _WINDOW:
         return None
-    rate, variance = _as_read(motion, late)
+    rate, variance, after = _as_read(motion, late)
     step = np.diff(t)
     usual = float(np.median(step))
     near = np.abs(step - usual) < _SLOW * usual
     spin, own, bent = np.zeros_like(rate), np.full(rate.shape, np.inf), np.zeros_like(rate)
-    span = (t[2:] - t[:-2])[:, None]
-    spin[1:-1] = (rate[2:] - rate[:-2]) / span
-    own[1:-1] = (variance[2:] + variance[:-2]) / span**2
+    # What gyros read is of `after` seconds later: dω/dt at the stamp is so much of d²ω/dt² less.
+    ahead = after[1:-1, None] / usual**2
+    spin[1:-1] = (rate[2:] - rate[:-2]) / (2.0 * usual)
+    spin[1:-1] -= ahead * (rate[2:] - 2.0 * rate[1:-1] + rate[:-2])
+    around = variance[2:] + variance[:-2]
+    own[1:-1] = around / (2.0 * usual) ** 2 + ahead**2 * (around + 4.0 * variance[1:-1])
     own[1:-1][~(near[1:] & near[:-1])] = np.inf
-    third = np.diff(rate, n=3, axis=0) / (6.0 * usual)
+    third = np.diff(rate, n=3, axis=0) ** 2
+    third -= variance[3:] + 9.0 * (variance[2:-1] + variance[1:-2]) + variance[:-3]
     whole = near[2:] & near[1:-1] & near[:-2]
-    bent[1:-2] = np.where(whole[:, None], third**2, 0.0)
-    bent[2:-1] = np.maximum(bent[2:-1], bent[1:-2])
-    error = _DOUBT**2 * _local(bent)
+    bent[1:-2] = np.where(whole[:, None], third, 0.0) / (6.0 * usual) ** 2
+    error = _DOUBT**2 * np.maximum(_local(bent), 0.0)
     # What the accelerometers see beside it, where that is more than noise: aliased motion.
     theirs = np.einsum("tii->ti", motion.covariance)[:, 3:6]
     known = np.isfinite(own)
@@ -54,16 +57,17 @@ def spin_by_neighbours(
     return spin, 1.0 / (own + error)
 
 
-def _as_read(motion: FusedMotion, late: Array | None) -> tuple[Array, Array]:
-    """(T, 3) the rate at the gyros' mean time and its variance: the spin's noise is not in it."""
+def _as_read(motion: FusedMotion, late: Array | None) -> tuple[Array, Array, Array]:
+    """(T, 3) the rate at the gyros' mean time and its variance, in which the spin's noise is not;
+    (T,) s by which that time is after the stamp."""
     variance = np.einsum("tii->ti", motion.covariance)
     if late is None:
-        return motion.rate, variance[:, 6:]
-    mean = np.einsum("tkii->t", late) / (3.0 * late.shape[1])
-    rate = motion.rate + mean[:, None] * motion.spin
+        return motion.rate, variance[:, 6:], np.zeros(len(motion.rate))
+    after = np.einsum("tkii->t", late) / (3.0 * late.shape[1])
+    mean = after[:, None]
     cross = np.einsum("tii->ti", motion.covariance[:, 3:6, 6:])
-    spread = variance[:, 6:] + 2.0 * mean[:, None] * cross + mean[:, None] ** 2 * variance[:, 3:6]
-    return rate, np.maximum(spread, 0.0)
+    spread = variance[:, 6:] + 2.0 * mean * cross + mean**2 * variance[:, 3:6]
+    return motion.rate + mean * motion.spin, np.maximum(spread, 0.0), after
 
 
 def _local(values: Array) -> Array:

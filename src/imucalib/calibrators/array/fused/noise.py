@@ -40,7 +40,7 @@ class ChipNoise:
         a Gaussian, what lies far out loses its say."""
         if np.isfinite(self.freedom):
             return np.asarray((self.freedom + live) / (self.freedom + square))
-        return np.asarray(np.minimum(1.0, (_GROSS / np.maximum(square, 1e-300)) ** 2))
+        return np.asarray((_GROSS / np.maximum(square, _GROSS)) ** 2)
 
     @property
     def widening(self) -> float:

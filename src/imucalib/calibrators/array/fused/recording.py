@@ -85,16 +85,16 @@ def fused_channels(t: Array, found: Fused, rate: float) -> dict[str, Channel]:
     rows of its covariance. rate : Hz"""
     motion, n = found.motion, len(t)
     made: dict[str, Channel] = {}
-    for quantity, unit, values, at in (
-        ("acceleration", "m/s2", motion.force, 0),
-        ("angular_rate", "rad/s", motion.rate, 6),
-        ("angular_acceleration", "rad/s2", motion.spin, 3),
+    for quantity, unit, square, values, at in (
+        ("acceleration", "m/s2", "m2/s4", motion.force, 0),
+        ("angular_rate", "rad/s", "rad2/s2", motion.rate, 6),
+        ("angular_acceleration", "rad/s2", "rad2/s4", motion.spin, 3),
     ):
         inner = slice(at, at + 3)
         covariance = motion.covariance[:, inner, inner].reshape(n, 9)
         for name, u, v in (
             (quantity, unit, values),
-            (f"{quantity}_covariance", f"({unit})2", covariance),
+            (f"{quantity}_covariance", square, covariance),
         ):
             made[f"{TRIAD}/{name}"] = Channel(t, v, u, name, TRIAD, rate)
     return made

@@ -12,8 +12,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.triads import named_triads
-from imucalib.calibrators.array.fused.stretch import Stretch
 from imucalib.calibrators.array.fused.instrument import Instrument
+from imucalib.calibrators.array.fused.stretch import Stretch
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 

@@ -39,13 +39,13 @@ def start_of(instrument: Instrument, stretch: Stretch) -> Start:
     live = np.isfinite(stretch.acceleration) & ~clipped
     there = np.isfinite(stretch.rate)
     rate_live = there & ~rate_clipped
-    whole = rate_live.all(axis=2)
-    some = whole.any(axis=1)
+    whole = np.all(rate_live, axis=2)
+    some = np.any(whole, axis=1)
     first = np.zeros((len(stretch.t), 3))
     inner = np.where(whole[some][..., None], gyro[some], np.nan)
     first[some] = np.nanmedian(inner, axis=1)
     alone = np.zeros(len(stretch.t), dtype=np.bool_)
-    if not some.all():
+    if not np.all(some):
         rest = ~some
         part = (gyro[rest], rate_live[rest], (there & rate_clipped)[rest])
         first[rest], alone[rest] = _guessed(instrument.gyro_axes, *part)
@@ -61,12 +61,10 @@ def _guessed(axes: Array, gyro: Array, live: Flags, clipped: Flags) -> tuple[Arr
     right = (weight * reading).reshape(len(gyro), -1) @ axes.reshape(-1, 3)
     first = np.linalg.solve(matrix + _FAINT**2 * np.eye(3), right[..., None])[..., 0]
     seen = (live.reshape(len(gyro), -1).astype(float) @ squares).reshape(-1, 3, 3)
-    return first, np.asarray(np.linalg.eigvalsh(seen)[:, 0] < _GONE)
+    return np.asarray(first, np.float64), np.asarray(np.linalg.eigvalsh(seen)[:, 0] < _GONE)
 
 
-def inside(
-    instrument: Instrument, stretch: Stretch, start: Start, motion: FusedMotion
-) -> Flags:
+def inside(instrument: Instrument, stretch: Stretch, start: Start, motion: FusedMotion) -> Flags:
     """(T, K, 3) clipped axes of samples that no gyro sees whole, whose fused rate lies inside the
     range: there the reading itself, the end of the range, is nearer."""
     lost = np.isfinite(stretch.rate) & ~start.rate_live & start.alone[:, None, None]

@@ -28,7 +28,7 @@ from imucalib.rests.segments import Segments, find_segments
 _BUSY = 8192  # samples of the busiest stretch, at most
 _USED = 2000  # of its moving samples that the noise is fitted to
 _FEWEST = 50  # moving samples from which noise in motion is told
-_POOL = 5.0  # s of rest that are one value of a gyro's bias
+_POOL = 20.0  # s of rest that are one value of a gyro's bias
 _WANDER, _REST = 1e-2, 2e-3  # m/s²: what biases do from log to log, and one rest's own error
 _FIRST_GROWTH, _FIRST_TAILS = 0.5, 4.0  # of the noise before it is fitted, per rad/s and ν
 
@@ -192,8 +192,10 @@ def _noise_in_motion(
         one = fuse(instrument, some, (first, second), own, tied=False)
         speed = np.linalg.norm(one.motion.rate, axis=1)
         good = ~one.alone
-        weigh = [w.sum(axis=2) / np.maximum(live.sum(axis=2), 1)
-                 for w, live in zip(one.weights, (one.live, one.rate_live), strict=True)]  # fmt: skip
+        weigh = [
+            w.sum(axis=2) / np.maximum(live.sum(axis=2), 1)
+            for w, live in zip(one.weights, (one.live, one.rate_live), strict=True)
+        ]
         doubt = one.motion.doubt(instrument.r) / first.widening
         turn = np.einsum("tii->t", one.motion.covariance[:, 6:, 6:]) / 3.0 / second.widening
         left = 1.0 - weigh[0] * doubt, 1.0 - weigh[1] * turn[:, None]
