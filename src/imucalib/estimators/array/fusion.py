@@ -69,6 +69,17 @@ class FusedMotion:
         return np.asarray(np.einsum("ka,tab,kb->tk", place, each, place, optimize=True) / 3.0)
 
 
+    def doubt_of_rate(self, late: Array | None) -> Array:
+        """(T, K) or (T, 1) mean variance of an axis of what gyros should read, (rad/s)²."""
+        own = np.einsum("tii->t", self.covariance[:, 6:, 6:])[:, None] / 3.0
+        if late is None:
+            return np.asarray(own)
+        cross = np.einsum("tkij,tij->tk", late, self.covariance[:, 3:6, 6:])
+        inner = np.einsum("tkij,tjl,tkil->tk", late, self.covariance[:, 3:6, 3:6], late,
+                          optimize=True)  # fmt: skip
+        return np.asarray(own + (2.0 * cross + inner) / 3.0)
+
+
 @dataclass(frozen=True)
 class _Said:
     """normal, along : (T, 12, 12), (T, 12) of (s, W) row by row; own, pull : (T, 6, 6), (T, 6) of

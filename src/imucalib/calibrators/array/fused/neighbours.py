@@ -17,7 +17,8 @@ from imucalib.estimators.array.fusion import FusedMotion
 _SLOW = 0.3  # share of the usual interval by which neighbours may be off
 _WINDOW = 9  # samples over which the error of the difference is judged
 _DOUBT = 1.25  # times the third difference's own estimate, since that is of first order
-_ODD = 2.0  # times what noise explains, from which the accelerometers contradict
+_JUDGED = 25  # samples over which the accelerometers may contradict it
+_ODD = 2.5  # times what noise explains, from which they do
 
 
 def spin_by_neighbours(
@@ -28,7 +29,7 @@ def spin_by_neighbours(
 
     late : (T, K, 3, 3) s as in `fusion.Sensed`: the rate that gyros have is that of their mean time
     """
-    if len(t) < 2 * _WINDOW:
+    if len(t) < _JUDGED:
         return None
     rate, variance, after = _as_read(motion, late)
     step = np.diff(t)
@@ -52,8 +53,8 @@ def spin_by_neighbours(
     known = np.isfinite(own)
     off = np.where(known, (spin - motion.spin) ** 2, 0.0)
     noise = np.where(known, theirs + own, 0.0) + error
-    excess = _local(off) - _local(noise)
-    error += np.where(_local(off) > _ODD * _local(noise), np.maximum(excess, 0.0), 0.0)
+    seen, due = _local(off, _JUDGED), _local(noise, _JUDGED)
+    error += np.where(seen > _ODD * due, seen - due, 0.0)
     return spin, 1.0 / (own + error)
 
 
@@ -70,5 +71,5 @@ def _as_read(motion: FusedMotion, late: Array | None) -> tuple[Array, Array, Arr
     return motion.rate + mean * motion.spin, np.maximum(spread, 0.0), after
 
 
-def _local(values: Array) -> Array:
-    return np.asarray(uniform_filter1d(values, _WINDOW, axis=0, mode="nearest"))
+def _local(values: Array, window: int = _WINDOW) -> Array:
+    return np.asarray(uniform_filter1d(values, window, axis=0, mode="nearest"))

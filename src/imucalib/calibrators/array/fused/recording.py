@@ -27,7 +27,7 @@ from imucalib.writers import ChannelsChange, write, write_blocks
 TRIAD = "fused"
 _BLOCK = 1 << 15  # samples of a block, so that memory is bounded by it
 _ROWS = 2048  # samples that are fused at a time
-_EDGE = 8  # samples that both sides of a cut see, for what neighbours tell
+_EDGE = 16  # samples that both sides of a cut see, for what neighbours tell
 _OF_MESSAGES = ("mcap", "rosbag")
 
 

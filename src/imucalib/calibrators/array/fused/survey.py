@@ -188,6 +188,7 @@ def _noise_in_motion(
     moving = np.flatnonzero(np.linalg.norm(np.median(rate, axis=1), axis=1) > SLOWEST)
     rows = moving[np.linspace(0, len(moving) - 1, min(_USED, len(moving))).astype(np.intp)]
     some, own = busy.take(rows), None if age is None else age[rows]
+    late = instrument.beyond.late(some.t, None if own is None else np.nan_to_num(own))
     for _ in range(2):
         one = fuse(instrument, some, (first, second), own, tied=False)
         speed = np.linalg.norm(one.motion.rate, axis=1)
@@ -197,8 +198,8 @@ def _noise_in_motion(
             for w, live in zip(one.weights, (one.live, one.rate_live), strict=True)
         ]
         doubt = one.motion.doubt(instrument.r) / first.widening
-        turn = np.einsum("tii->t", one.motion.covariance[:, 6:, 6:]) / 3.0 / second.widening
-        left = 1.0 - weigh[0] * doubt, 1.0 - weigh[1] * turn[:, None]
+        turn = one.motion.doubt_of_rate(late) / second.widening
+        left = 1.0 - weigh[0] * doubt, 1.0 - weigh[1] * turn
         first = fitted_noise(one.off[good], one.live[good], left[0][good], speed[good], rest[0])
         second = fitted_noise(
             one.rate_off[good], one.rate_live[good], left[1][good], speed[good], rest[1]
