@@ -40,6 +40,15 @@ class Sensed:
     spin: Array | None = None
     spin_precision: Array | None = None
 
+    def take(self, rows: Index) -> Sensed:
+        late, spin, own = (
+            None if v is None else v[rows] for v in (self.late, self.spin, self.spin_precision)
+        )
+        return Sensed(
+            self.force[rows], self.rate[rows], self.force_precision[rows],
+            self.rate_precision[rows], late, spin, own,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class FusedMotion:
@@ -60,6 +69,14 @@ class FusedMotion:
             self.force[rows], self.spin[rows], self.rate[rows], self.covariance[rows]
         )
 
+    def put(self, rows: Index, other: FusedMotion) -> FusedMotion:
+        """With other motions of some samples."""
+        whole = [v.copy() for v in (self.force, self.spin, self.rate, self.covariance)]
+        parts = (other.force, other.spin, other.rate, other.covariance)
+        for v, part in zip(whole, parts, strict=True):
+            v[rows] = part
+        return FusedMotion(*whole)
+
     def doubt(self, r: Array) -> Array:
         """(T, K) mean variance of an axis of `felt`, (m/s²)²."""
         place = np.concatenate([np.ones((len(r), 1)), r], axis=1)
@@ -67,7 +84,6 @@ class FusedMotion:
         whole = slope @ self.covariance @ slope.swapaxes(1, 2)
         each = np.einsum("tiaib->tab", whole.reshape(-1, 3, 4, 3, 4))
         return np.asarray(np.einsum("ka,tab,kb->tk", place, each, place, optimize=True) / 3.0)
-
 
     def doubt_of_rate(self, late: Array | None) -> Array:
         """(T, K) or (T, 1) mean variance of an axis of what gyros should read, (rad/s)²."""

@@ -14,7 +14,7 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.fused.instrument import Instrument
 from imucalib.calibrators.array.fused.neighbours import spin_by_neighbours
 from imucalib.calibrators.array.fused.noise import ChipNoise
-from imucalib.calibrators.array.fused.start import Start, inside, start_of
+from imucalib.calibrators.array.fused.start import Start, inside, outside, start_of
 from imucalib.calibrators.array.fused.stretch import Stretch, along
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion, precision_of
@@ -93,9 +93,13 @@ def fuse(
         )  # fmt: skip
         before = start.first if state.motion is None else state.motion.rate
         motion = fused_motion(sensed, instrument.r, before)
-        rate_live = state.rate_live
+        if turn == 0:
+            motion = outside(instrument, stretch, start, sensed, motion)
+        rate_live, back = state.rate_live, np.zeros(len(stretch.t), dtype=np.bool_)
         if turn == 1:  # the effects are out by then: an answer inside the range goes to its end
             rate_live = rate_live | inside(instrument, stretch, start, motion)
+            back = np.any(rate_live != state.rate_live, axis=(1, 2))
+            motion = replace(motion, rate=np.where(back[:, None], start.first, motion.rate))
         force, gyro = _without_effects(instrument, stretch.t, start, motion)
         state = replace(
             state, force=force, gyro=gyro, rate_live=rate_live, motion=motion,
@@ -103,7 +107,9 @@ def fuse(
         )  # fmt: skip
         residuals = _residuals(instrument, motion, state, late)
         found = Fused(motion, *residuals, start.live, rate_live, start.alone, weights)
-        state = replace(state, shares=_shares(noise, found, variances))
+        one, two = _shares(noise, found, variances)
+        two[back] = 1.0  # far from where it is pulled to, it would have no say
+        state = replace(state, shares=(one, two))
     assert found is not None
     assert sensed is not None
     motion = found.motion

@@ -9,9 +9,10 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.fused.instrument import Instrument
 from imucalib.calibrators.array.fused.stretch import Stretch, along
-from imucalib.estimators.array.fusion import FusedMotion
+from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion
 
 _BEYOND = 1.15  # times its range that a clipped rate is first thought to be
+_FARTHER = (1.4, 2.0)  # times the first guess, where that led to an answer inside the range
 _FAINT = 1e-6  # weight of that guess
 _GONE = 0.5  # share of one gyro's say along an axis below which gyros do not see it
 
@@ -62,6 +63,20 @@ def _guessed(axes: Array, gyro: Array, live: Flags, clipped: Flags) -> tuple[Arr
     first = np.linalg.solve(matrix + _FAINT**2 * np.eye(3), right[..., None])[..., 0]
     seen = (live.reshape(len(gyro), -1).astype(float) @ squares).reshape(-1, 3, 3)
     return np.asarray(first, np.float64), np.asarray(np.linalg.eigvalsh(seen)[:, 0] < _GONE)
+
+
+def outside(
+    instrument: Instrument, stretch: Stretch, start: Start, sensed: Sensed, motion: FusedMotion
+) -> FusedMotion:
+    """The motion with answers that lie inside the range, or have the wrong sign, sought again from
+    farther out: the rate hangs on its square there, and has more than one answer."""
+    for times in _FARTHER:
+        rows = np.flatnonzero(np.any(inside(instrument, stretch, start, motion), axis=(1, 2)))
+        if not len(rows):
+            break
+        again = fused_motion(sensed.take(rows), instrument.r, times * start.first[rows])
+        motion = motion.put(rows, again)
+    return motion
 
 
 def inside(instrument: Instrument, stretch: Stretch, start: Start, motion: FusedMotion) -> Flags:
