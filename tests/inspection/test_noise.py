@@ -1,4 +1,4 @@
-"""Noise at rest: the Allan variance of others' programs, planted coefficients, and honest limits."""
+"""Noise at rest: the Allan variance of other programs, planted coefficients, honest limits."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from ruamel.yaml import YAML
 
 from imucalib import cli
 from imucalib.inspection.allan import AllanCurve, AllanSums
@@ -178,7 +178,7 @@ def test_inspect_tells_it_from_the_rests(night: Path, tmp_path: Path) -> None:
         assert row["white"]["value"] == pytest.approx(want / np.sqrt(HZ), rel=0.03)
         assert row["walk"]["value"] is None
         assert row["walk"]["below"] > 0.0
-    kalibr = yaml.safe_load(target.read_text())
+    kalibr = YAML(typ="safe", pure=True).load(target.read_text())
     assert kalibr["accelerometer_noise_density"] == pytest.approx(0.02 / np.sqrt(HZ), rel=0.05)
     assert kalibr["gyroscope_noise_density"] == pytest.approx(0.1 * DEG / np.sqrt(HZ), rel=0.05)
     assert kalibr["update_rate"] == pytest.approx(HZ)

@@ -53,14 +53,14 @@ class _Level:
         self.terms = np.zeros(len(lengths), dtype=np.int64)
         self.freedom = np.zeros(len(lengths))
         self._axes = axes
-        self.restart()
+        self.count = 0
+        self._tail = self._odd = np.empty((0, axes))
 
     def restart(self) -> None:
         """A stretch has ended: what comes next has no neighbours here."""
-        if hasattr(self, "count"):
-            self.freedom += [_freedom(self.count + 1, m) for m in self.lengths]
+        self.freedom += [_freedom(self.count + 1, m) for m in self.lengths]
         self.count = 0
-        self._tail, self._odd = np.empty((0, self._axes)), np.empty((0, self._axes))
+        self._tail = self._odd = np.empty((0, self._axes))
 
     def add(self, values: Array) -> Array:
         """Take means in; returns the means of pairs that are complete."""

@@ -45,9 +45,14 @@ class Sensed:
             None if v is None else v[rows] for v in (self.late, self.spin, self.spin_precision)
         )
         return Sensed(
-            self.force[rows], self.rate[rows], self.force_precision[rows],
-            self.rate_precision[rows], late, spin, own,
-        )  # fmt: skip
+            force=self.force[rows],
+            rate=self.rate[rows],
+            force_precision=self.force_precision[rows],
+            rate_precision=self.rate_precision[rows],
+            late=late,
+            spin=spin,
+            spin_precision=own,
+        )
 
 
 @dataclass(frozen=True)

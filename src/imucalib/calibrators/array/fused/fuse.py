@@ -48,16 +48,30 @@ class Fused:
 
 
 @dataclass(frozen=True)
+class _Task:
+    """What does not change from round to round."""
+
+    instrument: Instrument
+    stretch: Stretch
+    start: Start
+    noise: tuple[ChipNoise, ChipNoise]
+    age: Array | None
+    late: Array | None
+
+
+@dataclass(frozen=True)
 class _State:
     """Where the rounds stand: the readings less effects (T, K, 3), the gyros' live axes, shares
-    (T, K, 1) of the triads' weights, and the motion so far."""
+    (T, K, 1) of the triads' weights, the motion so far, what it was made from, what it leaves."""
 
     force: Array
     gyro: Array
     rate_live: Flags
     shares: tuple[Array, Array]
-    motion: FusedMotion | None
-    speed: Array
+    motion: FusedMotion | None = None
+    sensed: Sensed | None = None
+    weights: tuple[Array, Array] | None = None
+    off: tuple[Array, Array] | None = None
 
 
 def fuse(
@@ -76,60 +90,68 @@ def fuse(
     tied : whether neighbours tell of dω/dt; the samples must then follow each other
     """
     start = start_of(instrument, stretch)
-    sawtooth = None if age is None else np.nan_to_num(age)
-    late = instrument.beyond.late(stretch.t, sawtooth)
+    late = instrument.beyond.late(stretch.t, None if age is None else np.nan_to_num(age))
+    task = _Task(instrument, stretch, start, noise, age, late)
     one = np.ones((*stretch.rate.shape[:2], 1))
-    speed = np.linalg.norm(start.first, axis=1)
-    state = _State(start.force, start.gyro, start.rate_live, (one, one), None, speed)
-    sensed, found = None, None
+    state = _State(start.force, start.gyro, start.rate_live, (one, one))
     for turn in range(rounds):
-        variances = _variances(instrument, noise, state, age)
-        weights = _weights(start, state, variances)
-        sensed = Sensed(
-            state.force, state.gyro,
-            precision_of(instrument.axes, weights[0]),
-            precision_of(instrument.gyro_axes, weights[1]),
-            late,
-        )  # fmt: skip
-        before = start.first if state.motion is None else state.motion.rate
-        motion = fused_motion(sensed, instrument.r, before)
-        if turn == 0:
-            motion = outside(instrument, stretch, start, sensed, motion)
-        rate_live, back = state.rate_live, np.zeros(len(stretch.t), dtype=np.bool_)
-        if turn == 1:  # the effects are out by then: an answer inside the range goes to its end
-            rate_live = rate_live | inside(instrument, stretch, start, motion)
-            back = np.any(rate_live != state.rate_live, axis=(1, 2))
-            motion = replace(motion, rate=np.where(back[:, None], start.first, motion.rate))
-        force, gyro = _without_effects(instrument, stretch.t, start, motion)
-        state = replace(
-            state, force=force, gyro=gyro, rate_live=rate_live, motion=motion,
-            speed=np.linalg.norm(motion.rate, axis=1),
-        )  # fmt: skip
-        residuals = _residuals(instrument, motion, state, late)
-        found = Fused(motion, *residuals, start.live, rate_live, start.alone, weights)
-        one, two = _shares(noise, found, variances)
-        two[back] = 1.0  # far from where it is pulled to, it would have no say
-        state = replace(state, shares=(one, two))
-    assert found is not None
+        state = _next(task, state, turn)
+    motion, sensed, weights, off = state.motion, state.sensed, state.weights, state.off
+    assert motion is not None
     assert sensed is not None
-    motion = found.motion
+    assert weights is not None
+    assert off is not None
     if tied and (known := spin_by_neighbours(stretch.t, motion, late)) is not None:
         sensed = replace(sensed, spin=known[0], spin_precision=known[1])
         motion = fused_motion(sensed, instrument.r, motion.rate)
-    return replace(found, motion=_widened(motion, noise))
+    return Fused(
+        motion=_widened(motion, noise), off=off[0], rate_off=off[1], live=start.live,
+        rate_live=state.rate_live, alone=start.alone, weights=weights,
+    )  # fmt: skip
 
 
-def _variances(
-    instrument: Instrument, noise: tuple[ChipNoise, ChipNoise], state: _State, age: Array | None
-) -> tuple[Array, Array]:
+def _next(task: _Task, state: _State, turn: int) -> _State:
+    """One more round."""
+    instrument, stretch, start = task.instrument, task.stretch, task.start
+    variances = _variances(task, state.motion)
+    weights = _weights(start, state, variances)
+    sensed = Sensed(
+        force=state.force,
+        rate=state.gyro,
+        force_precision=precision_of(instrument.axes, weights[0]),
+        rate_precision=precision_of(instrument.gyro_axes, weights[1]),
+        late=task.late,
+    )
+    before = start.first if state.motion is None else state.motion.rate
+    motion = fused_motion(sensed, instrument.r, before)
+    rate_live, back = state.rate_live, np.zeros(len(stretch.t), dtype=np.bool_)
+    if turn == 0:
+        motion = outside(instrument, stretch, start, sensed, motion)
+    if turn == 1:  # the effects are out by then: an answer inside the range goes to its end
+        rate_live = rate_live | inside(instrument, stretch, start, motion)
+        back = np.any(rate_live != state.rate_live, axis=(1, 2))
+        motion = replace(motion, rate=np.where(back[:, None], start.first, motion.rate))
+    force, gyro = _without_effects(task, motion)
+    off = _residuals(task, motion, force, gyro)
+    one, two = _shares(task, rate_live, off, variances)
+    two[back] = 1.0  # far from where it is pulled to, it would have no say
+    return _State(
+        force=force, gyro=gyro, rate_live=rate_live, shares=(one, two), motion=motion,
+        sensed=sensed, weights=weights, off=off,
+    )  # fmt: skip
+
+
+def _variances(task: _Task, motion: FusedMotion | None) -> tuple[Array, Array]:
     """(T, K, 3) of the axes. A gyro whose clock is not known is off by its age times dω/dt, the age
     anywhere within its span."""
-    first, second = noise[0].variance(state.speed), noise[1].variance(state.speed)
-    span = instrument.beyond.span
-    if span > 0.0 and state.motion is not None:
-        spin = np.broadcast_to(state.motion.spin[:, None], second.shape)
-        unknown = np.ones(second.shape[:2]) if age is None else np.isnan(age)
-        swing = along(instrument.gyro_axes, spin) ** 2
+    rate = task.start.first if motion is None else motion.rate
+    speed = np.linalg.norm(rate, axis=1)
+    first, second = task.noise[0].variance(speed), task.noise[1].variance(speed)
+    span = task.instrument.beyond.span
+    if span > 0.0 and motion is not None:
+        spin = np.broadcast_to(motion.spin[:, None], second.shape)
+        unknown = np.ones(second.shape[:2]) if task.age is None else np.isnan(task.age)
+        swing = along(task.instrument.gyro_axes, spin) ** 2
         second = second + span**2 / 12.0 * unknown[..., None] * swing
     return first, second
 
@@ -145,26 +167,23 @@ def _weights(start: Start, state: _State, variances: tuple[Array, Array]) -> tup
 
 
 def _shares(
-    noise: tuple[ChipNoise, ChipNoise], found: Fused, variances: tuple[Array, Array]
+    task: _Task, rate_live: Flags, off: tuple[Array, Array], variances: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """(T, K, 1) of the weights, by the length of the residuals."""
+    live = (task.start.live, rate_live)
     one, two = (
-        chip.share(np.sum(np.where(live, off**2 / variance, 0.0), axis=2), live.sum(axis=2))
-        for chip, live, off, variance in zip(
-            noise, (found.live, found.rate_live), (found.off, found.rate_off), variances,
-            strict=True,
-        )
-    )  # fmt: skip
+        chip.share(np.sum(np.where(on, left**2 / variance, 0.0), axis=2), on.sum(axis=2))
+        for chip, on, left, variance in zip(task.noise, live, off, variances, strict=True)
+    )
     return one[..., None], two[..., None]
 
 
-def _without_effects(
-    instrument: Instrument, t: Array, start: Start, motion: FusedMotion
-) -> tuple[Array, Array]:
+def _without_effects(task: _Task, motion: FusedMotion) -> tuple[Array, Array]:
     """Corrected readings (T, K, 3) less what the effects beyond the linear parts add."""
-    if all(part.late for part in instrument.beyond.parts):
+    start, beyond = task.start, task.instrument.beyond
+    if all(part.late for part in beyond.parts):
         return start.force, start.gyro
-    force, gyro = instrument.beyond.added(_seen(instrument, t, motion))
+    force, gyro = beyond.added(_seen(task.instrument, task.stretch.t, motion))
     return start.force - force, start.gyro - gyro
 
 
@@ -183,15 +202,13 @@ def _seen(instrument: Instrument, t: Array, motion: FusedMotion) -> BoardMotion:
     )  # fmt: skip
 
 
-def _residuals(
-    instrument: Instrument, motion: FusedMotion, state: _State, late: Array | None
-) -> tuple[Array, Array]:
+def _residuals(task: _Task, motion: FusedMotion, force: Array, gyro: Array) -> tuple[Array, Array]:
     """(T, K, 3) along the sensors' axes."""
-    rate = motion.rate[:, None]
-    if late is not None:
-        rate = rate + np.matmul(late, motion.spin[:, None, :, None])[..., 0]
-    off = state.force - motion.felt(instrument.r)
-    return along(instrument.axes, off), along(instrument.gyro_axes, state.gyro - rate)
+    rate, instrument = motion.rate[:, None], task.instrument
+    if task.late is not None:
+        rate = rate + np.matmul(task.late, motion.spin[:, None, :, None])[..., 0]
+    off = force - motion.felt(instrument.r)
+    return along(instrument.axes, off), along(instrument.gyro_axes, gyro - rate)
 
 
 def _widened(motion: FusedMotion, noise: tuple[ChipNoise, ChipNoise]) -> FusedMotion:
