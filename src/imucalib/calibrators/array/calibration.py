@@ -25,8 +25,8 @@ from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: Blocks of report.json that the YAML has, too.
-_SHARED = ("board", "reference", "reference_mm", "ranges", "positions_mm", "size",
-           "accelerometer_sigma_in_motion_m_per_s2", "effects", "not_undone",
+_SHARED = ("board", "reference", "reference_mm", "ranges", "sample_interval_s", "positions_mm",
+           "size", "accelerometer_sigma_in_motion_m_per_s2", "effects", "not_undone",
            "diagnostics")  # fmt: skip
 
 
@@ -129,6 +129,7 @@ def array_details(
         "reference": board.imus[0],
         "reference_mm": (1e3 * board.positions[0]).tolist(),
         "ranges": _ranges(board),
+        "sample_interval_s": moving.interval,
         "positions_mm": [
             {"imu": name, "mean": mean[k], "sd": sd[k], "drawn": drawn[k]}
             for k, name in enumerate(board.imus)
