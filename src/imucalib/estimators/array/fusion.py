@@ -18,7 +18,7 @@ from imucalib.estimators.array.samples import turning
 #: rad/s² and rad/s, standard deviations about zero and the start: far beyond what moves by hand, so
 #: that they only matter where the readings leave a direction open.
 _SPIN, _RATE = 5e4, 200.0
-_ROUNDS, _CLOSE = 25, 1e-9  # steps at most, and rad/s at which a rate is settled
+_ROUNDS, _CLOSE = 25, 1e-6  # steps at most, and rad/s at which a rate is settled
 _LONGEST = 5.0  # rad/s of one step where the rate hangs on its square
 
 

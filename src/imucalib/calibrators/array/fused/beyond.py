@@ -23,6 +23,7 @@ from imucalib.core.effect import Response
 from imucalib.effects import known
 
 _AGE = "sample_age"
+_SMALL = 1e-9  # share of an effect beyond its linear part that is rounding
 
 
 @dataclass(frozen=True)
@@ -118,11 +119,26 @@ def beyond_linear(calibration: Calibration) -> Beyond:
         if name.startswith(AT_REST):  # the rests' gains stand without it
             gain = np.zeros_like(gain)
         gains[term.effect.channel == "angular_rate"] += gain
-        parts.append(_Part(term, gain, offset))
+        part = _Part(term, gain, offset)
+        if not _is_linear(part, imus, rotations):
+            parts.append(part)
         if term.aged:
             span = 1e-3 * abs(float(term.value[0]))
     one, two = (np.asarray(np.linalg.inv(gain), np.float64) for gain in gains)
     return Beyond(imus, rotations, tuple(parts), (one, two), span, tuple(left_out))
+
+
+def _is_linear(part: _Part, imus: tuple[str, ...], rotations: Array) -> bool:
+    """Whether the file's gain and offset hold all of it: tried at some motions."""
+    n, rng = 16, np.random.default_rng(0)
+    force = 10.0 * rng.normal(size=(n, len(imus), 3))
+    rate, spin = 10.0 * rng.normal(size=(n, 3)), 500.0 * rng.normal(size=(n, 3))
+    motion = board_motion(
+        imus=imus, rotations=rotations, t=np.arange(float(n)), order=np.full(n, 0.5), rate=rate,
+        spin=spin, force=force, jerk=100.0 * force, age=rng.uniform(-0.5, 0.5, (n, len(imus))),
+    )  # fmt: skip
+    whole = part.term.reading(part.term.columns(motion))
+    return bool(np.abs(part.added(motion)).max() <= _SMALL * np.abs(whole).max())
 
 
 def _term(block: Mapping[str, Any], imus: Sequence[str]) -> Term | None:
