@@ -115,6 +115,15 @@ def test_each_chip_counts_by_its_own_noise() -> None:
     assert 0.94 < rms(made.z[made.moving][:, [0, 1, 2, 6, 7, 8]]) < 1.06
 
 
+@pytest.mark.parametrize("chips", [2, 3])
+def test_rigs_of_two_and_three(chips: int) -> None:
+    made = world(11, chips=chips, seconds=15.0)
+    rows = made.moving
+    assert rms(made.error[rows, 6:]) < 1.07 * 0.2 * DEG / np.sqrt(chips)
+    assert 0.92 < rms(made.z[rows][:, [0, 1, 2, 6, 7, 8]]) < 1.08
+    assert 0.6 < rms(made.z[rows, 3:6]) < 1.1
+
+
 def test_effects_that_need_the_motion_are_undone() -> None:
     rng = np.random.default_rng(7)
     more = {

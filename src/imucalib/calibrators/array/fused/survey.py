@@ -28,6 +28,7 @@ from imucalib.rests.segments import Segments, find_segments
 _BUSY = 8192  # samples of the busiest stretch, at most
 _USED = 2000  # of its moving samples that the noise is fitted to
 _FEWEST = 50  # moving samples from which noise in motion is told
+_KEPT = 0.25  # share of its variance that a residual must keep to tell of the noise
 _POOL = 20.0  # s of rest that are one value of a gyro's bias
 _WANDER, _REST = 1e-2, 2e-3  # m/s²: what biases do from log to log, and one rest's own error
 _FIRST_GROWTH, _FIRST_TAILS = 0.5, 4.0  # of the noise before it is fitted, per rad/s and ν
@@ -200,8 +201,11 @@ def _noise_in_motion(
         doubt = one.motion.doubt(instrument.r) / first.widening
         turn = one.motion.doubt_of_rate(late) / second.widening
         left = 1.0 - weigh[0] * doubt, 1.0 - weigh[1] * turn
-        first = fitted_noise(one.off[good], one.live[good], left[0][good], speed[good], rest[0])
-        second = fitted_noise(
-            one.rate_off[good], one.rate_live[good], left[1][good], speed[good], rest[1]
+        first, second = (
+            fitted_noise(off[good], (live & (l > _KEPT)[..., None])[good], l[good], speed[good], r)
+            for off, live, l, r in (
+                (one.off, one.live, np.broadcast_to(left[0], one.off.shape[:2]), rest[0]),
+                (one.rate_off, one.rate_live, np.broadcast_to(left[1], one.off.shape[:2]), rest[1]),
+            )
         )
     return (first, second), len(moving)
