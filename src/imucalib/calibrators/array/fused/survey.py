@@ -201,11 +201,11 @@ def _noise_in_motion(
         doubt = one.motion.doubt(instrument.r) / first.widening
         turn = one.motion.doubt_of_rate(late) / second.widening
         left = 1.0 - weigh[0] * doubt, 1.0 - weigh[1] * turn
-        first, second = (
-            fitted_noise(off[good], (live & (l > _KEPT)[..., None])[good], l[good], speed[good], r)
-            for off, live, l, r in (
-                (one.off, one.live, np.broadcast_to(left[0], one.off.shape[:2]), rest[0]),
-                (one.rate_off, one.rate_live, np.broadcast_to(left[1], one.off.shape[:2]), rest[1]),
-            )
-        )
+        both = ((one.off, one.live, rest[0]), (one.rate_off, one.rate_live, rest[1]))
+        found = []
+        for (off, live, still), own_left in zip(both, left, strict=True):
+            share = np.broadcast_to(own_left, off.shape[:2])
+            told = live & (share > _KEPT)[..., None]
+            found.append(fitted_noise(off[good], told[good], share[good], speed[good], still))
+        first, second = found
     return (first, second), len(moving)
