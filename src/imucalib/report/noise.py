@@ -67,7 +67,7 @@ def _cell(found: Coefficient, scale: float) -> str:
     if found.value is not None and found.sd is not None:
         value, sd = with_sd(found.value / scale, found.sd / scale)
         return f"{value} ± {sd}"
-    return "-" if found.bound is None else f"< {found.bound / scale:.2g}"
+    return "-" if found.bound is None else f"< {float(f'{found.bound / scale:.2g}'):.9g}"
 
 
 def _plot(sensors: Sequence[SensorNoise]) -> Plot:
