@@ -21,6 +21,7 @@ from imucalib.cli.working import working
 if TYPE_CHECKING:
     from imucalib.inspection.inspection import Inspection
     from imucalib.inspection.noise import SensorNoise
+    from imucalib.report.document import Document
 
 
 @click.command("inspect", short_help="Say what a recording holds.")
@@ -71,7 +72,7 @@ def command(
       imucal inspect log.mcap --rests --html rests.html
       imucal inspect still_night.mcap --noise --save-noise imu.yaml
     """
-    from imucalib.atomic_file import demand_output, replaced_atomically
+    from imucalib.atomic_file import demand_output
     from imucalib.inspection.inspection import inspect_recording
     from imucalib.readers import blocks
     from imucalib.recording.mapping import from_dict
@@ -88,18 +89,13 @@ def command(
         seen = _noise(found, file, options, strict) if noise or save_noise else None
     document = inspection_document(found, rests=rests, noise=seen)
     if save_noise is not None:
-        from imucalib.inspection.noise_file import save_noise as save_as_kalibr
-
-        save_as_kalibr(seen or (), file.name, save_noise)
+        _save_noise(seen or (), file, save_noise)
         note(f"wrote {save_noise}", options["quiet"])
     if save_mapping is not None:
         save(from_dict(found.mapping), save_mapping)
         note(f"wrote {save_mapping}", options["quiet"])
     if html is not None:
-        from imucalib.report.render.html import render_html
-
-        with replaced_atomically(html) as temporary:
-            temporary.write_text(render_html(document), encoding="utf-8", errors="backslashreplace")
+        _save_page(document, html)
         note(f"wrote {html}", options["quiet"])
     if options["as_json"]:
         emit_json(inspection_dict(found, rests=rests, noise=seen))
@@ -118,3 +114,17 @@ def _noise(
     if found.still is None:
         return ()
     return noise_at_rest(blocks(file, mapping_of(options), strict=strict), found.still)
+
+
+def _save_noise(seen: tuple[SensorNoise, ...], file: Path, target: Path) -> None:
+    from imucalib.inspection.noise_file import save_noise
+
+    save_noise(seen, file.name, target)
+
+
+def _save_page(document: Document, target: Path) -> None:
+    from imucalib.atomic_file import replaced_atomically
+    from imucalib.report.render.html import render_html
+
+    with replaced_atomically(target) as temporary:
+        temporary.write_text(render_html(document), encoding="utf-8", errors="backslashreplace")
