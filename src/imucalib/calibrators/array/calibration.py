@@ -127,9 +127,7 @@ def array_details(
     details: dict[str, Any] = {
         "board": board.name,
         "reference": board.imus[0],
-        "reference_mm": (1e3 * board.positions[0]).tolist(),
-        "ranges": _ranges(board),
-        "sample_interval_s": moving.interval,
+        **instrument_block(board, moving.interval),
         "positions_mm": [
             {"imu": name, "mean": mean[k], "sd": sd[k], "drawn": drawn[k]}
             for k, name in enumerate(board.imus)
@@ -160,13 +158,19 @@ def array_details(
     return details
 
 
-def _ranges(board: Board) -> dict[str, float | None]:
-    """Where readings clip, as the board file has it; None where it does not say."""
+def instrument_block(board: Board, interval: float) -> dict[str, Any]:
+    """What a later log's fusion and the exports need beside positions, triads and effects: the
+    first IMU's place in the drawing, where readings clip (None where the board file does not say)
+    and the interval of samples, s."""
     stated = {
         "accelerometer_g": board.accelerometer_range / STANDARD_GRAVITY,
         "gyroscope_deg_per_s": board.gyroscope_range / DEG,
     }
-    return {name: value if np.isfinite(value) else None for name, value in stated.items()}
+    return {
+        "reference_mm": (1e3 * board.positions[0]).tolist(),
+        "ranges": {name: v if np.isfinite(v) else None for name, v in stated.items()},
+        "sample_interval_s": interval,
+    }
 
 
 def _drift(rests: RestFit) -> Iterator[tuple[str, float, str]]:

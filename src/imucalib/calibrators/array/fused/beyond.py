@@ -57,7 +57,7 @@ class Beyond:
     """imus, rotations : (K, 3, 3) package axes to board axes; back : for accelerometers and gyros,
     (K, 3, 3) that turns what is added to readings into what is wrong with corrected ones
     span : s of the gyros' sawtooth sample ages, 0 without; left_out : effects that belong to the
-    calibrated log's time"""
+    calibrated log's time; listed : whether the calibration lists effects at all"""
 
     imus: tuple[str, ...]
     rotations: Array
@@ -65,6 +65,7 @@ class Beyond:
     back: tuple[Array, Array]
     span: float
     left_out: tuple[str, ...]
+    listed: bool = True
 
     @property
     def needs_jerk(self) -> bool:
@@ -125,7 +126,11 @@ def beyond_linear(calibration: Calibration) -> Beyond:
         if term.aged:
             span = 1e-3 * abs(float(term.value[0]))
     one, two = (np.asarray(np.linalg.inv(gain), np.float64) for gain in gains)
-    return Beyond(imus, rotations, tuple(parts), (one, two), span, tuple(left_out))
+    listed = "effects" in calibration.facts
+    return Beyond(
+        imus=imus, rotations=rotations, parts=tuple(parts), back=(one, two), span=span,
+        left_out=tuple(left_out), listed=listed,
+    )  # fmt: skip
 
 
 def _is_linear(part: _Part, imus: tuple[str, ...], rotations: Array) -> bool:

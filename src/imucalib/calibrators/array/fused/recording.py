@@ -217,6 +217,8 @@ def _words(found: Survey, told: Told) -> Iterator[str]:
         yield f"ages of the gyros' readings found in {share:.0f} % of the moving readings"
     if np.isinf(found.instrument.gyroscope_range):
         yield "the calibration does not say where readings clip: clipped ones take part"
+    if not found.instrument.beyond.listed:
+        yield "the calibration lists no effects: what needs the motion is not undone"
     names = found.instrument.beyond.left_out
     if names:
         yield f"not applied, since they belong to the calibrated log: {', '.join(names)}"
