@@ -12,9 +12,9 @@ from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.fused.fuse import fuse
 from imucalib.calibrators.array.fused.instrument import Instrument
 from imucalib.calibrators.array.fused.noise import ChipNoise
+from imucalib.calibrators.array.fused.start import turning
 from imucalib.calibrators.array.fused.stretch import Stretch
 from imucalib.calibrators.array.loop.timing import fit_sample_age
-from imucalib.calibrators.array.moving import SLOWEST
 
 _ROWS = 4096  # samples that are fused at a time, so that memory stays small
 _WINDOW = 90.0  # s over which a beat holds its frequency
@@ -60,8 +60,7 @@ def _rough(
     t, k, _ = stretch.rate.shape
     off, spin = np.zeros((t, k, 3)), np.zeros((t, 3))
     moving = np.zeros(t, dtype=np.bool_)
-    _, rate = instrument.corrected(stretch.t, stretch.acceleration, stretch.rate)
-    fast = np.flatnonzero(np.linalg.norm(np.median(rate, axis=1), axis=1) > SLOWEST)
+    fast = np.flatnonzero(turning(instrument, stretch))
     back = np.linalg.inv(instrument.gyro_axes)
     for start in range(0, len(fast), _ROWS):
         rows = fast[start : start + _ROWS]

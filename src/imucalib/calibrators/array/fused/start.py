@@ -9,6 +9,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.fused.instrument import Instrument
 from imucalib.calibrators.array.fused.stretch import Stretch, along
+from imucalib.calibrators.array.moving import SLOWEST
 from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion
 
 _BEYOND = 1.15  # times its range that a clipped rate is first thought to be
@@ -51,6 +52,11 @@ def start_of(instrument: Instrument, stretch: Stretch) -> Start:
         part = (gyro[rest], rate_live[rest], (there & rate_clipped)[rest])
         first[rest], alone[rest] = _guessed(instrument.gyro_axes, *part)
     return Start(force, gyro, live, rate_live, first, alone)
+
+
+def turning(instrument: Instrument, stretch: Stretch) -> Flags:
+    """(T,) samples that rotate, by their gyros."""
+    return np.asarray(np.linalg.norm(start_of(instrument, stretch).first, axis=1) > SLOWEST)
 
 
 def _guessed(axes: Array, gyro: Array, live: Flags, clipped: Flags) -> tuple[Array, Flags]:

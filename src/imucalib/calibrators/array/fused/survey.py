@@ -15,12 +15,13 @@ from imucalib.arrays import Array
 from imucalib.calibration.triads import named_triads
 from imucalib.calibrators.array.fused.clocks import ages
 from imucalib.calibrators.array.fused.fuse import fuse
+from imucalib.calibrators.array.fused.halves import confirmed
 from imucalib.calibrators.array.fused.instrument import Biases, Instrument
 from imucalib.calibrators.array.fused.noise import ChipNoise, at_rest, fitted_noise
 from imucalib.calibrators.array.fused.side_by_side import side_by_side
+from imucalib.calibrators.array.fused.start import turning
 from imucalib.calibrators.array.fused.stretch import Stretch
 from imucalib.calibrators.array.loop.motion import board_motion
-from imucalib.calibrators.array.moving import SLOWEST
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments, find_segments
@@ -87,8 +88,7 @@ class _Seen:
             yield block
 
     def _look(self, stretch: Stretch) -> None:
-        _, rate = self._instrument.corrected(stretch.t, stretch.acceleration, stretch.rate)
-        fast = np.linalg.norm(np.median(rate, axis=1), axis=1) > SLOWEST
+        fast = turning(self._instrument, stretch)
         total = np.concatenate([[0], np.cumsum(fast)])
         width = min(_BUSY, len(fast))
         inside = total[width:] - total[: len(total) - width]
@@ -185,8 +185,7 @@ def _noise_in_motion(
     )
     first, second = noise
     age = ages(instrument, busy, (first, second))
-    _, rate = instrument.corrected(busy.t, busy.acceleration, busy.rate)
-    moving = np.flatnonzero(np.linalg.norm(np.median(rate, axis=1), axis=1) > SLOWEST)
+    moving = np.flatnonzero(turning(instrument, busy))
     rows = moving[np.linspace(0, len(moving) - 1, min(_USED, len(moving))).astype(np.intp)]
     some, own = busy.take(rows), None if age is None else age[rows]
     late = instrument.beyond.late(some.t, None if own is None else np.nan_to_num(own))
@@ -208,4 +207,5 @@ def _noise_in_motion(
             told = live & (share > _KEPT)[..., None]
             found.append(fitted_noise(off[good], told[good], share[good], speed[good], still))
         first, second = found
-    return (first, second), len(moving)
+    some, own = some.take(slice(None, None, 2)), None if own is None else own[::2]
+    return confirmed(instrument, some, (first, second), own), len(moving)
