@@ -142,6 +142,22 @@ def test_effects_that_need_the_motion_are_undone() -> None:
     assert rms(off[made.moving]) > 3.0 * rms(made.error[made.moving, 6:])
 
 
+def test_an_effect_of_force_that_the_rests_contradict_is_left_out() -> None:
+    rng = np.random.default_rng(7)
+    made = world(5)
+    told = replace(made.board, by_force=0.3 * DEG / G * rng.normal(size=(8, 3, 3)))
+    log = recording(made.board, made.moves.t, *made.readings)
+    found = survey([log], instrument_of(calibration(told)))
+    assert found.instrument.beyond.refuted == ("gyro_g_sensitivity",)
+    fused = fused_stretch(found, Stretch(made.moves.t, *made.readings), Told())
+    assert rms(fused.motion.rate - made.moves.rate) < 1.1 * 0.2 * DEG / np.sqrt(8)
+    # Where it is there, it stays: the rests agree.
+    real = replace(told, gyro_sigma=made.board.gyro_sigma)
+    read = readings(real, made.moves, rng)
+    kept = survey([recording(real, made.moves.t, *read)], instrument_of(calibration(real)))
+    assert kept.instrument.beyond.refuted == ()
+
+
 def test_a_lost_rate_comes_from_the_accelerometers() -> None:
     made = world(3, twist=600.0, ranges=(16 * G, 500.0 * DEG))
     lost = made.fused.alone

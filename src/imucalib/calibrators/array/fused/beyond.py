@@ -7,7 +7,7 @@ responses. What depends on the time of the calibrated log (drifts, beats) says n
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -57,7 +57,8 @@ class Beyond:
     """imus, rotations : (K, 3, 3) package axes to board axes; back : for accelerometers and gyros,
     (K, 3, 3) that turns what is added to readings into what is wrong with corrected ones
     span : s of the gyros' sawtooth sample ages, 0 without; left_out : effects that belong to the
-    calibrated log's time; listed : whether the calibration lists effects at all"""
+    calibrated log's time; listed : whether the calibration lists effects at all
+    refuted : effects that the log's own rests contradict"""
 
     imus: tuple[str, ...]
     rotations: Array
@@ -66,6 +67,12 @@ class Beyond:
     span: float
     left_out: tuple[str, ...]
     listed: bool = True
+    refuted: tuple[str, ...] = ()
+
+    def without(self, names: Sequence[str]) -> Beyond:
+        """Without effects that a log contradicts."""
+        kept = tuple(p for p in self.parts if p.term.name not in names)
+        return replace(self, parts=kept, refuted=(*self.refuted, *names))
 
     @property
     def needs_jerk(self) -> bool:

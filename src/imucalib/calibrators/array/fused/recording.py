@@ -219,6 +219,11 @@ def _words(found: Survey, told: Told) -> Iterator[str]:
         yield "the calibration does not say where readings clip: clipped ones take part"
     if not found.instrument.beyond.listed:
         yield "the calibration lists no effects: what needs the motion is not undone"
+    if wrong := found.instrument.beyond.refuted:
+        yield (
+            f"not applied, since the rests of this recording contradict it: {', '.join(wrong)} "
+            "(gravity in their attitudes does not move the gyros so)"
+        )
     names = found.instrument.beyond.left_out
     if names:
         yield f"not applied, since they belong to the calibrated log: {', '.join(names)}"

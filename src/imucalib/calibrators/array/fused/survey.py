@@ -13,15 +13,15 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.triads import named_triads
+from imucalib.calibrators.array.fused.biases import biases_at_rest, held_against
 from imucalib.calibrators.array.fused.clocks import ages
 from imucalib.calibrators.array.fused.fuse import fuse
 from imucalib.calibrators.array.fused.halves import confirmed
-from imucalib.calibrators.array.fused.instrument import Biases, Instrument
+from imucalib.calibrators.array.fused.instrument import Instrument
 from imucalib.calibrators.array.fused.noise import ChipNoise, at_rest, fitted_noise
 from imucalib.calibrators.array.fused.side_by_side import side_by_side
 from imucalib.calibrators.array.fused.start import turning
 from imucalib.calibrators.array.fused.stretch import Stretch
-from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments, find_segments
@@ -30,8 +30,6 @@ _BUSY = 8192  # samples of the busiest stretch, at most
 _USED = 2000  # of its moving samples that the noise is fitted to
 _FEWEST = 50  # moving samples from which noise in motion is told
 _KEPT = 0.25  # share of its variance that a residual must keep to tell of the noise
-_POOL = 20.0  # s of rest that are one value of a gyro's bias
-_WANDER, _REST = 1e-2, 2e-3  # m/s²: what biases do from log to log, and one rest's own error
 _FIRST_GROWTH, _FIRST_TAILS = 0.5, 4.0  # of the noise before it is fitted, per rad/s and ν
 
 
@@ -59,7 +57,8 @@ def survey(blocks: Iterable[Recording], instrument: Instrument) -> Survey:
     if segments is not None and segments.n and seen.first is not None:
         order = _order(segments, instrument, seen.first)
         rest = _noise_at_rest(segments, order, rest)
-        instrument = replace(instrument, biases=_biases(segments, order, instrument))
+        instrument = held_against(segments, order, instrument)
+        instrument = replace(instrument, biases=biases_at_rest(segments, order, instrument))
     noise = at_rest(rest[0]), at_rest(rest[1])
     turned = 0
     if (busy := seen.busiest()) is not None:
@@ -127,52 +126,6 @@ def _noise_at_rest(
             good = np.isfinite(seen[column]) & (seen[column] > 0.0)
             own[which][k] = np.where(good, seen[column], own[which][k])
     return own[0], own[1]
-
-
-def _biases(segments: Segments, order: dict[int, int], instrument: Instrument) -> Biases:
-    """What corrected readings hold at the rests.
-
-    A rest shows every gyro's bias, and what accelerometers differ by; what all of them share would
-    hang on the place's gravity. The calibration's biases count as one more value of them.
-    """
-    shape = (segments.n, len(instrument.triads), 3)
-    acceleration, rate = np.full(shape, np.nan), np.full(shape, np.nan)
-    for k, column in order.items():
-        acceleration[:, k], rate[:, k] = segments.mean[:, column], segments.rate[:, column]
-    middle = 0.5 * (segments.start + segments.stop)
-    force, turned = instrument.corrected(middle, acceleration, rate)
-    there, turning = np.isfinite(acceleration).all(axis=2), np.isfinite(rate).all(axis=2)
-    mean = (force * there[..., None]).sum(axis=1) / there.sum(axis=1)[:, None]
-    apart = np.where(there[..., None], force - mean[:, None], 0.0)
-    known = segments.n / (segments.n + (_REST / _WANDER) ** 2)
-    turned = turned - _felt_at_rest(instrument, mean)
-    turned = np.where(turning[..., None], turned, 0.0)
-    at, values = _pooled(segments, middle, turned)
-    return Biases(known * apart.mean(axis=0), at, values)
-
-
-def _felt_at_rest(instrument: Instrument, force: Array) -> Array:
-    """(n, K, 3) rad/s that gyros read of gravity (n, 3)."""
-    n, k = len(force), len(instrument.triads)
-    still = np.zeros((n, 3))
-    at = board_motion(
-        imus=instrument.imus, rotations=instrument.beyond.rotations, t=np.arange(float(n)),
-        order=np.full(n, 0.5), rate=still, spin=still,
-        force=np.broadcast_to(force[:, None], (n, k, 3)), jerk=np.zeros((n, k, 3)),
-    )  # fmt: skip
-    return instrument.beyond.added(at)[1]
-
-
-def _pooled(segments: Segments, middle: Array, turned: Array) -> tuple[Array, Array]:
-    """Times (m,) and means (m, K, 3) of groups of rests of a few seconds each."""
-    length = np.maximum(segments.stop - segments.start, 1e-3)
-    group = np.floor((np.cumsum(length) - 0.5 * length) / _POOL).astype(np.intp)
-    group = np.unique(group, return_inverse=True)[1]
-    weight = np.bincount(group, length)
-    at = np.bincount(group, length * middle) / weight
-    sums = np.zeros((len(weight), *turned.shape[1:]))
-    np.add.at(sums, group, turned * length[:, None, None])
-    return at, sums / weight[:, None, None]
 
 
 def _noise_in_motion(
