@@ -122,7 +122,7 @@ def correct_file(
     def at_once() -> tuple[str, ...]:
         whole = read(source, mapping, strict=strict)
         corrected = apply_to_recording(calibration, whole, triad, use=use, again=again)
-        _write_whole(corrected, source, target)
+        write_over(corrected, source, target)
         return corrected.notes
 
     if reader_for(source).name in _OF_MESSAGES:
@@ -152,7 +152,8 @@ def correct_file(
     return (*notes, *(ready.notes if ready is not None else ()))
 
 
-def _write_whole(corrected: Recording, source: Path, target: Path) -> None:
+def write_over(corrected: Recording, source: Path, target: Path) -> None:
+    """Write a whole recording; from MCAP to MCAP, every other topic of the source is kept."""
     if reader_for(source).name == "mcap" and target.suffix.lower() == ".mcap":
         from imucalib.writers.mcap.writer import write_with_topics_of
 

@@ -84,14 +84,13 @@ def triad_from(block: Mapping[str, Any]) -> Triad:
     )
 
 
-def correct_triads(
-    triads: Sequence[Triad], recording: Recording, only: str | None
-) -> dict[str, Channel]:
-    """The channels of a recording with every IMU's readings corrected, in board axes.
+def named_triads(
+    triads: Sequence[Triad], recording: Recording, only: str | None = None
+) -> dict[str, Triad]:
+    """The triad of each of the recording's accelerometers, by the recording's name.
 
-    only : the one IMU to correct, or None for all. IMUs are matched by name, or by their order
-    where their number is the board's. Raises UnreadableInput where that leaves none, and for
-    acceleration that is not in m/s²; rates that are not in rad/s stay as they are.
+    only : the one IMU that is wanted, or None for all. IMUs are matched by name, or by their order
+    where their number is the board's. Raises UnreadableInput where that leaves none.
     """
     names = list(dict.fromkeys(
         c.triad for c in recording.channels.values() if c.quantity == "acceleration"
@@ -107,11 +106,23 @@ def correct_triads(
             where=recording.path,
             remedy="name the recording's IMUs as the calibration does, with a mapping",
         )
+    return {name: by_name[name] for name in chosen}
+
+
+def correct_triads(
+    triads: Sequence[Triad], recording: Recording, only: str | None
+) -> dict[str, Channel]:
+    """The channels of a recording with every IMU's readings corrected, in board axes.
+
+    only : as in `named_triads`. Raises UnreadableInput as there, and for acceleration that is not
+    in m/s²; rates that are not in rad/s stay as they are.
+    """
+    chosen = named_triads(triads, recording, only)
     channels = dict(recording.channels)
     for name, channel in recording.channels.items():
         if channel.triad not in chosen:
             continue
-        triad = by_name[channel.triad]
+        triad = chosen[channel.triad]
         if channel.quantity == "acceleration":
             if channel.unit != "m/s2":
                 raise UnreadableInput(

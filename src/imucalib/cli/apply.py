@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,21 @@ from imucalib.cli.working import working
 
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
+
+
+def _millimetres(
+    ctx: click.Context, param: click.Parameter, text: str | None
+) -> tuple[float, ...] | None:
+    """ "1.5,0,-2" as a point."""
+    if text is None:
+        return None
+    try:
+        point = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        point = ()
+    if len(point) != 3 or not all(map(math.isfinite, point)):
+        raise click.BadParameter(f"'{text}' is no point: three numbers, mm", ctx, param)
+    return point
 
 
 @click.command("apply", short_help="Correct a recording with a calibration.")
@@ -45,6 +61,17 @@ if TYPE_CHECKING:
               help="Also write inclination and tool-face with their sd, as CSV.")  # fmt: skip
 @click.option("--each", type=click.Choice(["rest", "sample"]), default="rest", show_default=True,
               help="A row of --angles for each rest, or for each sample.")  # fmt: skip
+@click.option(
+    "--fused/--no-fused",
+    default=None,
+    help="Of an array: only the fused virtual IMU, or only the IMUs; default: both.",
+)
+@click.option(
+    "--at",
+    metavar="X,Y,Z",
+    callback=_millimetres,
+    help="Of an array: point of the board's drawing whose force is given, mm; default: the middle.",
+)
 @click.option("--again", is_flag=True, help="Correct a recording that is corrected already.")
 @click.option("--whole", "use", flag_value="whole", help="One calibration for all, whatever parts.")
 @force_option
@@ -58,6 +85,8 @@ def command(
     strict: bool,
     triad: str | None,
     use: str | None,
+    fused: bool | None,
+    at: tuple[float, ...] | None,
     again: bool,
     angles: Path | None,
     each: str,
@@ -66,13 +95,16 @@ def command(
 ) -> int:
     """Correct the acceleration of a recording; everything else stays as it was.
 
+    With the calibration of an array, the readings of every IMU in board axes, and all of them fused
+    into one: force, rate and angular acceleration with their covariances.
+
     \b
     Examples:
       imucal apply out/calibration.yaml run.mcap -o corrected.mcap
       imucal apply out/calibration.yaml run.mcap -o corrected.mcap --angles angles.csv
+      imucal apply array/calibration.yaml run.mcap --fused -o fused.mcap
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.calibration.apply import correct_file
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
     from imucalib.writers import writer_for
@@ -90,11 +122,9 @@ def command(
             f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
             options["quiet"],
         )
+    given = {"triad": triad, "use": use, "fused": fused, "at": at, "strict": strict, "again": again}
     with working("correcting", quiet=options["quiet"]):
-        notes = correct_file(
-            loaded, recording, output, mapping_of(options), triad=triad, strict=strict, use=use,
-            again=again,
-        )  # fmt: skip
+        notes = _applied(loaded, recording, output, {**options, **given})
         told = _angles(loaded, output, angles, triad, each) if angles is not None else ""
     for text in (*notes, *filter(None, [told])):
         note(text, options["quiet"])
@@ -132,3 +162,34 @@ def _angles(
     if stated:
         return ""
     return "angles are in the sensor's own axes: no bench has tied them to a tool"
+
+
+def _applied(
+    calibration: Calibration, source: Path, target: Path, options: dict[str, Any]
+) -> tuple[str, ...]:
+    """Each sensor corrected, the array fused, or both; and what there is to say of it."""
+    from imucalib.calibration.apply import correct_file
+
+    mapping, fused = mapping_of(options), options["fused"]
+    both = {"strict": options["strict"], "again": options["again"]}
+    alone = options["triad"] is not None or options["use"] is not None or not calibration.triads
+    words: tuple[str, ...] = ()
+    if fused or options["at"] is not None or (fused is None and not alone):
+        import numpy as np
+
+        from imucalib.calibrators.array.fused.recording import fuse_file
+        from imucalib.calibrators.array.fused.side_by_side import NotFusable
+
+        if fused is False or options["triad"] is not None:
+            raise click.UsageError("--at and --fused are of all IMUs together: leave the other out")
+        point = options["at"] and 1e-3 * np.array(options["at"])
+        try:
+            return fuse_file(calibration, source, target, mapping, at=point, each=not fused, **both)
+        except NotFusable as error:
+            if fused or point is not None:
+                raise
+            words = (f"not fused: {error.what}",)
+    notes = correct_file(
+        calibration, source, target, mapping, triad=options["triad"], use=options["use"], **both
+    )
+    return (*notes, *words)

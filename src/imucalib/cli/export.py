@@ -14,6 +14,8 @@ from imucalib.cli.output import EXPORT_FORM, emit_json, json_option, note, quiet
 @click.option("--to", "form", required=True, type=EXPORT_FORM, help="Form of the other program.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
               help="File to write; default: stdout.")  # fmt: skip
+@click.option("--noise", type=click.Path(path_type=Path),
+              help="Noise of the sensors, from `imucal inspect --save-noise`.")  # fmt: skip
 @click.option("--effects", "effects_file", type=click.Path(path_type=Path),
               help="Python file with effects of your own that the calibration uses.")  # fmt: skip
 @json_option
@@ -22,6 +24,7 @@ def command(
     calibration: Path,
     form: str,
     output: Path | None,
+    noise: Path | None,
     effects_file: Path | None,
     as_json: bool,
     quiet: bool,
@@ -32,16 +35,21 @@ def command(
     calibration at all refuses it.
 
     \b
-    Example: imucal export out/calibration.yaml --to c-header -o calibration.h
+    Examples:
+      imucal export out/calibration.yaml --to c-header -o calibration.h
+      imucal export out/calibration.yaml --to kalibr --noise imu.yaml -o imus.yaml
     """
     from imucalib.calibration.file import check, read, write_whole
     from imucalib.effects import load_file
     from imucalib.exports import exported
+    from imucalib.exports.imus import with_noise
 
     if effects_file is not None:
         load_file(effects_file)
     loaded = read(calibration)
     check(loaded, str(calibration))
+    if noise is not None:
+        loaded = with_noise(loaded, noise)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = exported(loaded, source, form)
     if output is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,6 +18,11 @@ from imucalib.cli.recording_options import (
 )
 from imucalib.cli.working import working
 
+if TYPE_CHECKING:
+    from imucalib.inspection.inspection import Inspection
+    from imucalib.inspection.noise import SensorNoise
+    from imucalib.report.document import Document
+
 
 @click.command("inspect", short_help="Say what a recording holds.")
 @click.argument("file", type=click.Path(path_type=Path))
@@ -27,6 +32,16 @@ from imucalib.cli.working import working
     help="Write how the file was read, for --mapping.",
 )
 @click.option("--rests", is_flag=True, help="List every candidate for a rest, and what refused it.")
+@click.option(
+    "--noise",
+    is_flag=True,
+    help="White noise, bias instability and random walk of every axis, from what is still.",
+)
+@click.option(
+    "--save-noise",
+    type=click.Path(path_type=Path),
+    help="Write that noise as Kalibr's imu.yaml has it, also for `imucal export --noise`.",
+)
 @click.option(
     "--html", type=click.Path(path_type=Path), help="Also write all of it as a page, with plots."
 )
@@ -42,6 +57,8 @@ def command(
     file: Path,
     save_mapping: Path | None,
     rests: bool,
+    noise: bool,
+    save_noise: Path | None,
     html: Path | None,
     strict: bool,
     force: bool,
@@ -53,8 +70,9 @@ def command(
     Examples:
       imucal inspect log.mcap --save-mapping mapping.yaml
       imucal inspect log.mcap --rests --html rests.html
+      imucal inspect still_night.mcap --noise --save-noise imu.yaml
     """
-    from imucalib.atomic_file import demand_output, replaced_atomically
+    from imucalib.atomic_file import demand_output
     from imucalib.inspection.inspection import inspect_recording
     from imucalib.readers import blocks
     from imucalib.recording.mapping import from_dict
@@ -62,24 +80,51 @@ def command(
     from imucalib.report.inspection import inspection_dict, inspection_document
     from imucalib.report.render.text import render_text
 
-    for output in (save_mapping, html):
+    for output in (save_mapping, save_noise, html):
         if output is not None:
             demand_output(output, inputs_of(options, file), force=force)
     settings = still_of(options)
     with working("reading", quiet=options["quiet"]):
         found = inspect_recording(blocks(file, mapping_of(options), strict=strict), settings)
-    document = inspection_document(found, rests=rests)
+        seen = _noise(found, file, options, strict) if noise or save_noise else None
+    document = inspection_document(found, rests=rests, noise=seen)
+    if save_noise is not None:
+        _save_noise(seen or (), file, save_noise)
+        note(f"wrote {save_noise}", options["quiet"])
     if save_mapping is not None:
         save(from_dict(found.mapping), save_mapping)
         note(f"wrote {save_mapping}", options["quiet"])
     if html is not None:
-        from imucalib.report.render.html import render_html
-
-        with replaced_atomically(html) as temporary:
-            temporary.write_text(render_html(document), encoding="utf-8", errors="backslashreplace")
+        _save_page(document, html)
         note(f"wrote {html}", options["quiet"])
     if options["as_json"]:
-        emit_json(inspection_dict(found, rests=rests))
+        emit_json(inspection_dict(found, rests=rests, noise=seen))
     elif not options["quiet"]:
         click.echo(render_text(document, width(), color=color()), nl=False)
     return 0
+
+
+def _noise(
+    found: Inspection, file: Path, options: dict[str, Any], strict: bool
+) -> tuple[SensorNoise, ...]:
+    """A second pass over what is still."""
+    from imucalib.inspection.noise import noise_at_rest
+    from imucalib.readers import blocks
+
+    if found.still is None:
+        return ()
+    return noise_at_rest(blocks(file, mapping_of(options), strict=strict), found.still)
+
+
+def _save_noise(seen: tuple[SensorNoise, ...], file: Path, target: Path) -> None:
+    from imucalib.inspection.noise_file import save_noise
+
+    save_noise(seen, file.name, target)
+
+
+def _save_page(document: Document, target: Path) -> None:
+    from imucalib.atomic_file import replaced_atomically
+    from imucalib.report.render.html import render_html
+
+    with replaced_atomically(target) as temporary:
+        temporary.write_text(render_html(document), encoding="utf-8", errors="backslashreplace")

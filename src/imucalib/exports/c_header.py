@@ -10,6 +10,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import UsageError
 from imucalib.exports import Export
+from imucalib.exports.imus import places_of
 from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
@@ -75,13 +76,15 @@ def _of_array(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
         _array("float", "imucal_b", b, _float),
         _array("float", "imucal_gyro_M", gyro, _float),
         _array("float", "imucal_gyro_b", rest / DEG, _float),
+        "/* Places of the IMUs in the board's frame, m. */",
+        _array("float", "imucal_r", places_of(calibration), _float),
     ]
     lost = tuple(
         f"{row['effect']}, {_in_mg(float(row['rms']), str(row['unit']))} rms in the "
         "motion that was calibrated"
         for row in calibration.facts.get("not_undone", ())
     )
-    return lines, ("the positions", *lost)
+    return lines, lost
 
 
 def _in_mg(value: float, unit: str) -> str:

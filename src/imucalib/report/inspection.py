@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -11,7 +12,9 @@ import numpy as np
 
 from imucalib.inspection.advice import advice, problems
 from imucalib.inspection.inspection import ChannelFacts, Inspection
+from imucalib.inspection.noise import SensorNoise
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text, Tone
+from imucalib.report.noise import noise_dict, noise_section
 from imucalib.report.rests import rests_dict, rests_section
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
@@ -25,9 +28,11 @@ _OPTIONS = {
 _RENAMED = {"acc_unit": "--unit", "lsb_per_g": "--lsb", "lsb_per_dps": "--gyro-lsb"}
 
 
-def inspection_document(found: Inspection, *, rests: bool = False) -> Document:
+def inspection_document(
+    found: Inspection, *, rests: bool = False, noise: Sequence[SensorNoise] | None = None
+) -> Document:
     """What is in the file, what would be used, what is wrong, and what to do next; on request
-    every candidate for a rest."""
+    every candidate for a rest, and the noise of what is still."""
     sections = [
         Section("File", (_file(found),)),
         Section("Channels", (_channels(found),)),
@@ -37,6 +42,8 @@ def inspection_document(found: Inspection, *, rests: bool = False) -> Document:
         sections.append(Section("Rest", (_rest(found.still),)))
     if rests:
         sections.append(rests_section(found))
+    if noise is not None:
+        sections.append(noise_section(noise))
     losses: list[Block] = [Text(note, "warning") for note in found.losses]
     if found.gap_count:
         losses.append(_gaps(found))
@@ -190,8 +197,10 @@ def _norm(f: ChannelFacts) -> str:
     return f"{f.norm_at_rest / DEG:.2f} deg/s" if f.unit == "rad/s" else f"{f.norm_at_rest:.5g}"
 
 
-def inspection_dict(found: Inspection, *, rests: bool = False) -> dict[str, Any]:
-    """Plain types, ready for JSON; on request with every candidate for a rest."""
+def inspection_dict(
+    found: Inspection, *, rests: bool = False, noise: Sequence[SensorNoise] | None = None
+) -> dict[str, Any]:
+    """Plain types, ready for JSON; on request with every candidate for a rest, and the noise."""
 
     def number(value: float) -> float | None:
         return value if math.isfinite(value) else None
@@ -224,6 +233,7 @@ def inspection_dict(found: Inspection, *, rests: bool = False) -> dict[str, Any]
         "still_segments": found.still.n if found.still else 0,
         "why_not_still": found.why_not_still,
         **({"rests": rests_dict(found)} if rests else {}),
+        **({} if noise is None else {"noise": noise_dict(noise)}),
         "candidates": [{"channel": c, "finding": w} for c, w in found.candidates],
         "problems": list(problems(found)),
         "losses": list(found.losses),

@@ -19,8 +19,10 @@ from imucalib.errors import UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import ChannelsChange
 
+#: Columns of a vector, and of a covariance row by row.
+_AXES = {3: tuple("xyz"), 9: tuple(a + b for a in "xyz" for b in "xyz")}
 _FORMULA = tuple("=+-@")  # what makes a cell a formula
-_ROWS = 1 << 16  # rows that are made into text at a time
+_CELLS = 1 << 20  # numbers that are made into text at a time
 
 
 class CsvWriter:
@@ -103,9 +105,10 @@ def _head(rows: int, start_ns: int | None, crc: int) -> bytes:
 def _append(out: _Summed, channels: dict[str, Channel], where: str) -> int:
     t, rows = _union_of_times(channels, where)
     width = 1 + sum(c.values.shape[1] for c in channels.values())
-    for first in range(0, t.size, _ROWS):
-        block = np.full((min(_ROWS, t.size - first), width), "", dtype="U32")
-        block[:, 0] = t[first : first + _ROWS].astype("U32")
+    most = max(1, _CELLS // width)
+    for first in range(0, t.size, most):
+        block = np.full((min(most, t.size - first), width), "", dtype="U32")
+        block[:, 0] = t[first : first + most].astype("U32")
         _fill(block, first, channels, rows)
         out.write("\n".join(map(",".join, block.tolist())) + "\n")
     return int(t.size)
@@ -115,8 +118,9 @@ def _names(channels: dict[str, Channel]) -> list[str]:
     names = ["time [s]"]
     for name, channel in channels.items():
         k = channel.values.shape[1]
-        axes = [""] if k == 1 else [f"/{a}" for a in ("xyz" if k == 3 else range(k))]
-        names += [_heading(f"{name}{axis} [{channel.unit}]") for axis in axes]
+        axes = _AXES.get(k, range(k))
+        names += [_heading(f"{name}/{a} [{channel.unit}]" if k > 1 else
+                           f"{name} [{channel.unit}]") for a in axes]  # fmt: skip
     return names
 
 

@@ -22,10 +22,12 @@ from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.estimators.array.sampler import ArrayPositions
+from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: Blocks of report.json that the YAML has, too.
-_SHARED = ("board", "reference", "positions_mm", "size", "accelerometer_sigma_in_motion_m_per_s2",
-           "effects", "not_undone", "diagnostics")  # fmt: skip
+_SHARED = ("board", "reference", "reference_mm", "ranges", "sample_interval_s", "positions_mm",
+           "size", "accelerometer_sigma_in_motion_m_per_s2", "effects", "not_undone",
+           "diagnostics")  # fmt: skip
 
 
 def array_calibration(
@@ -125,6 +127,7 @@ def array_details(
     details: dict[str, Any] = {
         "board": board.name,
         "reference": board.imus[0],
+        **instrument_block(board, moving.interval),
         "positions_mm": [
             {"imu": name, "mean": mean[k], "sd": sd[k], "drawn": drawn[k]}
             for k, name in enumerate(board.imus)
@@ -153,6 +156,21 @@ def array_details(
         details["effects"] += effect_blocks(loop)
         details["noise"] = noise_block(loop)
     return details
+
+
+def instrument_block(board: Board, interval: float) -> dict[str, Any]:
+    """What a later log's fusion and the exports need beside positions, triads and effects: the
+    first IMU's place in the drawing, where readings clip (None where the board file does not say)
+    and the interval of samples, s."""
+    stated = {
+        "accelerometer_g": board.accelerometer_range / STANDARD_GRAVITY,
+        "gyroscope_deg_per_s": board.gyroscope_range / DEG,
+    }
+    return {
+        "reference_mm": (1e3 * board.positions[0]).tolist(),
+        "ranges": {name: v if np.isfinite(v) else None for name, v in stated.items()},
+        "sample_interval_s": interval,
+    }
 
 
 def _drift(rests: RestFit) -> Iterator[tuple[str, float, str]]:

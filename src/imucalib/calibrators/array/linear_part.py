@@ -41,7 +41,9 @@ def linear_part(loop: MotionLoop) -> LinearPart:
         offsets[channel] = np.zeros((k, 3))
     for term in state.found:
         gyro = term.effect.channel == "angular_rate"
-        gain, offset = _slope(loop, term, gyro=gyro)
+        gain, offset = slope_at_rest(
+            term, state.setup.imus, state.setup.rotations, float(np.median(state.setup.t))
+        )
         gains[term.effect.channel] += gain
         offsets[term.effect.channel] += offset
         motion = state.motion
@@ -56,18 +58,21 @@ def linear_part(loop: MotionLoop) -> LinearPart:
                       offsets["angular_rate"], tuple(left))  # fmt: skip
 
 
-def _slope(loop: MotionLoop, term: Term, *, gyro: bool) -> tuple[Array, Array]:
-    """(K, 3, 3) and (K, 3): what a term adds per unit of force or rate, and at rest."""
-    state, h = loop.final, 1e-4
-    k = state.setup.triads
+def slope_at_rest(
+    term: Term, imus: tuple[str, ...], rotations: Array, at: float = 0.0
+) -> tuple[Array, Array]:
+    """(K, 3, 3) and (K, 3): what a term adds per unit of force or rate, and without any.
+
+    rotations : (K, 3, 3) package axes to board axes; at : s, for effects of time
+    """
+    k, h, gyro = len(imus), 1e-4, term.effect.channel == "angular_rate"
     small = np.zeros((4, 3))
     small[1:] = h * np.eye(3)
     zero, still = np.zeros((4, k, 3)), np.zeros((4, 3))
     force = zero if gyro else np.broadcast_to(small[:, None], (4, k, 3)).copy()
-    at = board_motion(
-        imus=state.setup.imus, rotations=state.setup.rotations,
-        t=np.full(4, float(np.median(state.setup.t))), order=np.full(4, 0.5),
+    seen = board_motion(
+        imus=imus, rotations=rotations, t=np.full(4, at), order=np.full(4, 0.5),
         rate=small if gyro else still, spin=still, force=force, jerk=zero, age=np.zeros((4, k)),
     )  # fmt: skip
-    made = term.reading(term.columns(at))
+    made = term.reading(term.columns(seen))
     return np.asarray((made[1:] - made[:1]).transpose(1, 2, 0) / h), np.asarray(made[0])

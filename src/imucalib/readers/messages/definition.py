@@ -40,6 +40,21 @@ TEMPERATURE_ROS2 = (
     "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n"
     + IMU_ROS2[IMU_ROS2.rindex(_NEXT) :]
 )
+#: geometry_msgs/AccelWithCovarianceStamped, the covariance 6 x 6 in rows, linear before angular.
+ACCEL_ROS2 = f"""std_msgs/Header header
+geometry_msgs/AccelWithCovariance accel
+{_NEXT}
+MSG: geometry_msgs/AccelWithCovariance
+geometry_msgs/Accel accel
+float64[36] covariance
+{_NEXT}
+MSG: geometry_msgs/Accel
+geometry_msgs/Vector3 linear
+geometry_msgs/Vector3 angular
+{_NEXT}
+MSG: geometry_msgs/Vector3
+{_VECTOR}
+""" + IMU_ROS2[IMU_ROS2.rindex(_NEXT) :]
 IMU_ROS1 = _IMU + "uint32 seq\ntime stamp\nstring frame_id\n"
 
 

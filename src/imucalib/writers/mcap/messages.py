@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.readers.messages.definition import IMU_ROS2, TEMPERATURE_ROS2
+from imucalib.readers.messages.definition import ACCEL_ROS2, IMU_ROS2, TEMPERATURE_ROS2
 from imucalib.readers.messages.records import MESSAGE
 
 _CHUNK_BYTES = 1 << 20
@@ -17,7 +17,26 @@ SCHEMAS = {
     1: ("sensor_msgs/msg/Imu", IMU_ROS2),
     2: ("imucal_msgs/msg/RawImu", IMU_ROS2),  # counts are no m/s2: another type says so
     3: ("sensor_msgs/msg/Temperature", TEMPERATURE_ROS2),
+    4: ("geometry_msgs/msg/AccelWithCovarianceStamped", ACCEL_ROS2),
 }
+_IMU: dict[str, tuple[object, int]] = {
+    "no_orientation": ("<f8", 32),
+    "angular_rate": (("<f8", (3,)), 104),
+    "angular_rate_covariance": (("<f8", (9,)), 128),
+    "acceleration": (("<f8", (3,)), 200),
+    "acceleration_covariance": (("<f8", (9,)), 224),
+}
+#: Of each schema the size of what follows the header, and type and place of its fields there.
+_BODIES: dict[int, tuple[int, dict[str, tuple[object, int]]]] = {
+    1: (296, _IMU),
+    2: (296, _IMU),
+    3: (16, {"temperature": ("<f8", 0)}),
+    4: (336, {
+        "acceleration": (("<f8", (3,)), 0),
+        "angular_acceleration": (("<f8", (3,)), 24),
+        "covariance": (("<f8", (6, 6)), 48),
+    }),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,12 +70,12 @@ class Output:
         out["frame_length"], out["frame"] = len(self.frame), np.void(self.frame)
         for name, values in self.values:
             out[name] = values[rows]
-        if self.schema != 3:
+        if "no_orientation" in (out.dtype.names or ()):
             out["no_orientation"] = -1.0  # what the message defines for "not estimated"
         return out
 
 
-def record_type(frame: int, temperature: bool) -> np.dtype[np.void]:
+def record_type(frame: int, schema: int) -> np.dtype[np.void]:
     """A whole message record: 31 bytes of MCAP, 4 of encapsulation, then the CDR message."""
     begin = 35 + 12 + frame
     begin += -(begin - 35) % 8
@@ -65,21 +84,13 @@ def record_type(frame: int, temperature: bool) -> np.dtype[np.void]:
         ("log", "<u8", 15), ("publish", "<u8", 23), ("cdr", "<u2", 31), ("sec", "<i4", 35),
         ("nanosec", "<u4", 39), ("frame_length", "<u4", 43), ("frame", f"V{frame}", 47),
     ]  # fmt: skip
-    if temperature:
-        fields.append(("temperature", "<f8", begin))
-        size = begin + 16
-    else:
-        fields += [
-            ("no_orientation", "<f8", begin + 32),
-            ("angular_rate", ("<f8", (3,)), begin + 104),
-            ("acceleration", ("<f8", (3,)), begin + 200),
-        ]
-        size = begin + 296
+    size, body = _BODIES[schema]
+    fields += [(name, kind, begin + at) for name, (kind, at) in body.items()]
     columns = {
         "names": [f[0] for f in fields],
         "formats": [f[1] for f in fields],
         "offsets": [f[2] for f in fields],
-        "itemsize": size,
+        "itemsize": begin + size,
     }
     return np.dtype(columns)  # type: ignore[call-overload, no-any-return]
 

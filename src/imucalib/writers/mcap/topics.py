@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.errors import UsageError
 from imucalib.readers.messages.fields import (
     META_ACC_UNIT,
@@ -20,8 +21,14 @@ from imucalib.writers import ChannelsChange
 from imucalib.writers.mcap.messages import Output, record_type
 
 SHORT_NAMES = {"acceleration": "acc", "angular_rate": "gyro", "temperature": "temperature"}
-_WIDTHS = {"acceleration": 3, "angular_rate": 3, "temperature": 1}
-_UNITS = {"acceleration": "m/s2", "angular_rate": "rad/s", "temperature": "degC"}
+_SPUN, _DOUBTED = "angular_acceleration", "_covariance"
+_WIDTHS = {"acceleration": 3, "angular_rate": 3, "temperature": 1, _SPUN: 3}
+_WIDTHS |= {f"{name}{_DOUBTED}": 9 for name in ("acceleration", "angular_rate", _SPUN)}
+_UNITS = {
+    "acceleration": "m/s2", "angular_rate": "rad/s", "temperature": "degC", _SPUN: "rad/s2",
+    "acceleration_covariance": "m2/s4", "angular_rate_covariance": "rad2/s2",
+    "angular_acceleration_covariance": "rad2/s4",
+}  # fmt: skip
 Part = tuple[str, tuple[str, ...]]  #: a topic, and the names of the channels in it
 
 
@@ -111,6 +118,7 @@ def _by_times(topic: str, group: list[str], recording: Recording) -> list[Part]:
     if not apart:
         return [(topic, tuple(together))]
     words = {"acceleration": "accel", "angular_rate": "gyro", "temperature": "temperature"}
+    words |= {f"{name}{_DOUBTED}": f"{word}{_DOUBTED}" for name, word in words.items()}
     quantities = {n: recording.channels[n].quantity for n in (*together, *apart)}
     return [(f"{topic}/{words[quantities[n]]}", (n,)) for n in (*together, *apart)]
 
@@ -123,7 +131,7 @@ def _output(
     recording: Recording, topic: str, names: tuple[str, ...], number: int, origin: int
 ) -> Output:
     channels = [recording.channels[n] for n in names]
-    units = {SHORT_NAMES[c.quantity]: c.unit for c in channels}
+    units = {SHORT_NAMES[c.quantity]: c.unit for c in channels if c.quantity in SHORT_NAMES}
     start = recording.start_ns or 0
     metadata = {
         META_TRIAD: channels[0].triad,
@@ -134,14 +142,17 @@ def _output(
         META_GYRO_UNIT: units.get("gyro", ""),
     }
     temperature = channels[0].quantity == "temperature"
-    schema = 3 if temperature else 2 if any(_raw(c) for c in channels) else 1
+    spun = any(c.quantity.startswith(_SPUN) for c in channels)
+    schema = 3 if temperature else 4 if spun else 2 if any(_raw(c) for c in channels) else 1
     if temperature and _raw(channels[0]):
         raise UsageError("a temperature in counts has no ROS message", where=recording.path)
     steps = np.rint(channels[0].t * 1e9).astype(np.int64)
     ns, log = start + steps, (start + origin + steps).astype(np.uint64)
     values = tuple((c.quantity, c.values[:, 0] if temperature else c.values) for c in channels)
+    if spun:
+        values = _accel(recording, channels[0].triad, channels[0].t)
     frame = channels[0].triad.encode() + b"\0"
-    dtype = record_type(len(frame), temperature)
+    dtype = record_type(len(frame), schema)
     return Output(
         number=number,
         schema=schema,
@@ -153,4 +164,24 @@ def _output(
         dtype=dtype,
         frame=frame,
         channels=names,
+    )
+
+
+def _accel(recording: Recording, triad: str, t: Array) -> tuple[tuple[str, Array], ...]:
+    """The six of an acceleration message and their covariance; NaN of what the triad has not."""
+    own = {
+        c.quantity: c.values
+        for c in recording.channels.values()
+        if c.triad == triad and np.array_equal(c.t, t)
+    }
+    covariance = np.zeros((len(t), 6, 6))
+    for k, name in enumerate(("acceleration", _SPUN)):
+        inner = slice(3 * k, 3 * k + 3)
+        found = own.get(f"{name}{_DOUBTED}")
+        covariance[:, inner, inner] = np.nan if found is None else found.reshape(-1, 3, 3)
+    none = np.full((len(t), 3), np.nan)
+    return (
+        ("acceleration", own.get("acceleration", none)),
+        (_SPUN, own.get(_SPUN, none)),
+        ("covariance", covariance),
     )

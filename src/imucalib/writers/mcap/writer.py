@@ -142,7 +142,8 @@ def _topic_names(recording: Recording, replace: bool) -> dict[str, str]:
     """The topic of each channel: the source's own where it is replaced, else "/<triad>/..."."""
     names = {}
     for name, channel in recording.channels.items():
-        ending = {"temperature": "temperature"}.get(channel.quantity, "imu")
+        ending = "temperature" if channel.quantity == "temperature" else "imu"
+        ending = "accel" if channel.quantity.startswith("angular_acceleration") else ending
         names[name] = f"/{channel.triad}/{ending}"
     if not replace:
         return names

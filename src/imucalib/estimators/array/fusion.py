@@ -1,0 +1,211 @@
+"""One motion from many IMUs: specific force, angular acceleration and rate of every sample.
+
+A triad at r feels s + W r, W = Ω(ω)² + Ω(dω/dt), and its gyro reads ω: nine unknowns a sample, each
+axis weighted by itself. What the readings say of (s, W) are twelve numbers and a 12 × 12 matrix,
+made once whatever the number of IMUs; Gauss-Newton runs on these (equations 4a and 4b of paper
+001; maximum likelihood as in Skog, Nilsson, Händel, Nehorai 2016, IEEE Trans. Signal Process. 64).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.estimators.array.samples import turning
+
+#: rad/s² and rad/s, standard deviations about zero and the start: far beyond what moves by hand, so
+#: that they only matter where the readings leave a direction open.
+_SPIN, _RATE = 5e4, 200.0
+_ROUNDS, _CLOSE = 25, 1e-6  # steps at most, and rad/s at which a rate is settled
+_LONGEST = 5.0  # rad/s of one step where the rate hangs on its square
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """What K triads say in T samples, in board axes.
+
+    force, rate : (T, K, 3) m/s² and rad/s; force_precision, rate_precision : (T, K, 3, 3) inverse
+        covariances, without rank along axes that are left out
+    late : (T, K, 3, 3) s or None: a gyro reads ω + late dω/dt
+    spin, spin_precision : (T, 3) what else is known of dω/dt, rad/s² and its inverse variance
+    """
+
+    force: Array
+    rate: Array
+    force_precision: Array
+    rate_precision: Array
+    late: Array | None = None
+    spin: Array | None = None
+    spin_precision: Array | None = None
+
+    def take(self, rows: Index) -> Sensed:
+        late, spin, own = (
+            None if v is None else v[rows] for v in (self.late, self.spin, self.spin_precision)
+        )
+        return Sensed(
+            force=self.force[rows],
+            rate=self.rate[rows],
+            force_precision=self.force_precision[rows],
+            rate_precision=self.rate_precision[rows],
+            late=late,
+            spin=spin,
+            spin_precision=own,
+        )
+
+
+@dataclass(frozen=True)
+class FusedMotion:
+    """force, spin, rate : (T, 3) s at the origin of the positions (m/s²), dω/dt (rad/s²) and ω
+    (rad/s); covariance : (T, 9, 9) of the nine in this order"""
+
+    force: Array
+    spin: Array
+    rate: Array
+    covariance: Array
+
+    def felt(self, r: Array) -> Array:
+        """(T, K, 3) m/s² specific force at places r (K, 3) m."""
+        return np.asarray(self.force[:, None] + r @ turning(self.rate, self.spin).swapaxes(1, 2))
+
+    def take(self, rows: slice | Index) -> FusedMotion:
+        return FusedMotion(
+            self.force[rows], self.spin[rows], self.rate[rows], self.covariance[rows]
+        )
+
+    def put(self, rows: Index, other: FusedMotion) -> FusedMotion:
+        """With other motions of some samples."""
+        whole = [v.copy() for v in (self.force, self.spin, self.rate, self.covariance)]
+        parts = (other.force, other.spin, other.rate, other.covariance)
+        for v, part in zip(whole, parts, strict=True):
+            v[rows] = part
+        return FusedMotion(*whole)
+
+    def doubt(self, r: Array) -> Array:
+        """(T, K) mean variance of an axis of `felt`, (m/s²)²."""
+        place = np.concatenate([np.ones((len(r), 1)), r], axis=1)
+        slope = _slope(self.rate)
+        whole = slope @ self.covariance @ slope.swapaxes(1, 2)
+        each = np.einsum("tiaib->tab", whole.reshape(-1, 3, 4, 3, 4))
+        return np.asarray(np.einsum("ka,tab,kb->tk", place, each, place, optimize=True) / 3.0)
+
+    def doubt_of_rate(self, late: Array | None) -> Array:
+        """(T, K) or (T, 1) mean variance of an axis of what gyros should read, (rad/s)²."""
+        own = np.einsum("tii->t", self.covariance[:, 6:, 6:])[:, None] / 3.0
+        if late is None:
+            return np.asarray(own)
+        cross = np.einsum("tkij,tij->tk", late, self.covariance[:, 3:6, 6:])
+        inner = np.einsum("tkij,tjl,tkil->tk", late, self.covariance[:, 3:6, 3:6], late,
+                          optimize=True)  # fmt: skip
+        return np.asarray(own + (2.0 * cross + inner) / 3.0)
+
+
+@dataclass(frozen=True)
+class _Said:
+    """normal, along : (T, 12, 12), (T, 12) of (s, W) row by row; own, pull : (T, 6, 6), (T, 6) of
+    dω/dt and ω by themselves, weak priors included"""
+
+    normal: Array
+    along: Array
+    own: Array
+    pull: Array
+
+
+def precision_of(axes: Array, weight: Array) -> Array:
+    """(T, K, 3, 3) inverse covariances in board axes.
+
+    axes : (K, 3, 3), in its rows what each axis senses of a vector in board axes
+    weight : (T, K, 3) inverse variances of the axes' readings, zero for one that is left out
+    """
+    squares = (axes[:, :, :, None] * axes[:, :, None, :]).reshape(len(axes), 3, 9)
+    made = np.matmul(weight.transpose(1, 0, 2), squares)
+    return np.asarray(made.transpose(1, 0, 2).reshape(*weight.shape, 3))
+
+
+def fused_motion(sensed: Sensed, r: Array, start: Array) -> FusedMotion:
+    """The best motion of every sample.
+
+    r : (K, 3) m, positions about the point whose force is wanted; start : (T, 3) rad/s
+    """
+    said = _said(sensed, r, start)
+    rate = start.copy()
+    x = np.concatenate([np.zeros((len(start), 6)), rate], axis=1)
+    matrix = np.empty((len(start), 9, 9))
+    rows: Index = np.arange(len(start))
+    for _ in range(_ROUNDS):
+        matrix[rows], gradient = _newton(x[rows], said, rows)
+        step = _solved(matrix[rows], gradient)
+        moved = np.linalg.norm(step[:, 6:], axis=1)
+        short = np.minimum(1.0, _LONGEST / np.maximum(moved, 1e-300))
+        x[rows] += np.where(short < 1.0, short, 1.0)[:, None] * step
+        rows = rows[moved > _CLOSE]
+        if not len(rows):
+            break
+    scale = 1.0 / np.sqrt(np.einsum("tii->ti", matrix))
+    unit = matrix * scale[:, :, None] * scale[:, None]
+    covariance = np.linalg.inv(unit) * scale[:, :, None] * scale[:, None]
+    return FusedMotion(x[:, :3], x[:, 3:6], x[:, 6:], np.asarray(covariance))
+
+
+def _said(sensed: Sensed, r: Array, start: Array) -> _Said:
+    t, k = sensed.force.shape[:2]
+    place = np.concatenate([np.ones((k, 1)), r], axis=1)
+    pairs = (place[:, :, None] * place[:, None, :]).reshape(k, 16)
+    weights = sensed.force_precision.reshape(t, k, 9).transpose(0, 2, 1)
+    normal = np.matmul(weights, pairs).reshape(t, 3, 3, 4, 4).transpose(0, 1, 3, 2, 4)
+    pulled = np.matmul(sensed.force_precision, sensed.force[..., None])[..., 0]
+    along = np.matmul(pulled.transpose(0, 2, 1), place)
+    own, pull = _turning_alone(sensed, start)
+    return _Said(normal.reshape(t, 12, 12), along.reshape(t, 12), own, pull)
+
+
+def _turning_alone(sensed: Sensed, start: Array) -> tuple[Array, Array]:
+    """What gyros and priors say of dω/dt and ω: (T, 6, 6) and (T, 6)."""
+    own, pull = np.zeros((len(start), 6, 6)), np.zeros((len(start), 6))
+    own[:, range(3), range(3)] = _SPIN**-2
+    own[:, 3:, 3:] = sensed.rate_precision.sum(axis=1) + np.eye(3) / _RATE**2
+    pulled = np.matmul(sensed.rate_precision, sensed.rate[..., None])
+    pull[:, 3:] = pulled[..., 0].sum(axis=1) + start / _RATE**2
+    if sensed.late is not None:
+        back = sensed.late.swapaxes(2, 3)
+        cross = np.matmul(back, sensed.rate_precision)
+        own[:, :3, 3:] = cross.sum(axis=1)
+        own[:, 3:, :3] = own[:, :3, 3:].swapaxes(1, 2)
+        own[:, :3, :3] += np.matmul(cross, sensed.late).sum(axis=1)
+        pull[:, :3] += np.matmul(back, pulled)[..., 0].sum(axis=1)
+    if sensed.spin is not None and sensed.spin_precision is not None:
+        own[:, range(3), range(3)] += sensed.spin_precision
+        pull[:, :3] += sensed.spin_precision * sensed.spin
+    return own, pull
+
+
+def _newton(x: Array, said: _Said, rows: Index) -> tuple[Array, Array]:
+    """Matrix (n, 9, 9) and gradient (n, 9) of a step from the motions x (n, 9)."""
+    slope = _slope(x[:, 6:])
+    state = np.concatenate([x[:, :3, None], turning(x[:, 6:], x[:, 3:6])], axis=2).reshape(-1, 12)
+    heavy = np.matmul(said.normal[rows], slope)
+    matrix = np.matmul(slope.transpose(0, 2, 1), heavy)
+    left = said.along[rows] - np.matmul(said.normal[rows], state[..., None])[..., 0]
+    gradient = np.matmul(slope.transpose(0, 2, 1), left[..., None])[..., 0]
+    matrix[:, 3:, 3:] += said.own[rows]
+    gradient[:, 3:] += said.pull[rows] - np.matmul(said.own[rows], x[:, 3:, None])[..., 0]
+    return matrix, gradient
+
+
+def _slope(rate: Array) -> Array:
+    """(n, 12, 9) derivative of (s, W), row by row, by s, dω/dt and ω."""
+    out = np.zeros((len(rate), 3, 4, 9))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, i, 0, i] = 1.0
+        out[:, i, 1 + j, 3 + k], out[:, j, 1 + i, 3 + k] = -1.0, 1.0
+        out[:, i, 1 + i, 6 + j], out[:, i, 1 + i, 6 + k] = -2.0 * rate[:, j], -2.0 * rate[:, k]
+        for a, b in ((i, j), (j, i)):
+            out[:, a, 1 + b, 6 + i], out[:, a, 1 + b, 6 + j] = rate[:, j], rate[:, i]
+    return out.reshape(-1, 12, 9)
+
+
+def _solved(matrix: Array, gradient: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.einsum("tii->ti", matrix))
+    unit = matrix * scale[:, :, None] * scale[:, None]
+    return np.asarray(np.linalg.solve(unit, (gradient * scale)[..., None])[..., 0] * scale)

@@ -1,0 +1,197 @@
+"""The IMUs of an array as other programs see them: each one's frame, place and raw readings.
+
+    accelerometer reading = L_a Q_a f + b_a,   gyro reading = L_g Q_g ω + Tg f + b_g
+
+f and ω in board axes, L lower triangular with a positive diagonal, Q a rotation. The IMU's frame is
+that in which its accelerometer's matrix is L_a: Q_a turns the board's axes into it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.triads import Triad
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.inspection.noise_file import read_noise
+from imucalib.units import DEG, STANDARD_GRAVITY
+
+#: What every form of single IMUs loses of an array.
+_KEPT = ("gyro_delay", "gyro_g_sensitivity", "sensing_elements")
+
+
+@dataclass(frozen=True)
+class Imu:
+    """place : (3,) m in the board's frame; frame : (3, 3) board axes to the IMU's
+    accelerometer, gyro : (3, 3) L of each; gyro_turn : (3, 3) IMU's frame to the gyro's
+    bias, gyro_bias : (3,) m/s² and rad/s, in the readings
+    by_force : (3, 3) rad/s per m/s², of forces in the gyro's frame
+    elements : (3, 3) m, in its rows where the axes x, y and z sense, from the place, in the IMU's
+        frame
+    noise : keys as in Kalibr's imu.yaml, as far as they are known
+    """
+
+    name: str
+    place: Array
+    frame: Array
+    accelerometer: Array
+    gyro: Array
+    gyro_turn: Array
+    bias: Array
+    gyro_bias: Array
+    by_force: Array
+    elements: Array
+    noise: dict[str, Any]
+
+    @property
+    def from_board(self) -> Array:
+        """(4, 4) that takes places in the board's frame into the IMU's, m."""
+        return homogeneous(self.frame, -self.frame @ self.place)
+
+
+def homogeneous(turn: Array, shift: Array) -> Array:
+    """(4, 4) of a rotation and a translation."""
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = turn, shift
+    return out
+
+
+def imus_of(calibration: Calibration, form: str) -> tuple[Imu, ...]:
+    """Every IMU of an array's calibration.
+
+    Raises UsageError for another calibration and for left-handed sensors, which no rotation turns
+    into the form's frame; UnreadableInput where positions are missing.
+    """
+    if not calibration.triads:
+        raise UsageError(
+            f"{form} holds IMUs, this calibration is of one accelerometer",
+            remedy="use c-header, ggir-csv or matlab",
+        )
+    places = places_of(calibration)
+    return tuple(_imu(calibration, t, places[k], form) for k, t in enumerate(calibration.triads))
+
+
+def places_of(calibration: Calibration) -> Array:
+    """(K, 3) m in the frame of the board's drawing, or of the first IMU where that is not known."""
+    facts = calibration.facts
+    try:
+        rows = {str(row["imu"]): row["mean"] for row in facts["positions_mm"]}
+        places = np.array([rows[t.name] for t in calibration.triads], dtype=float).reshape(-1, 3)
+        first = np.array(facts.get("reference_mm", np.zeros(3)), dtype=float).reshape(3)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UnreadableInput(f"the positions do not fit the IMUs: {error!r}") from None
+    return np.asarray(1e-3 * (places + first))
+
+
+def _imu(calibration: Calibration, triad: Triad, place: Array, form: str) -> Imu:
+    back = triad.rotation.T
+    lower, frame = _lower(back @ triad.gain, triad.name, form)
+    gyro_lower, gyro_frame = _lower(back @ triad.gyro_gain, triad.name, form)
+    # Effects act in package axes; how a sensor is wired in its package is a part of its gain.
+    wired, gyro_wired = (np.round(back @ g @ triad.rotation) for g in (triad.gain, triad.gyro_gain))
+    own = _effect(calibration, "gyro_g_sensitivity", triad.name, 9).reshape(3, 3)
+    sensitivity = gyro_wired @ own * DEG / STANDARD_GRAVITY
+    elements = _effect(calibration, "sensing_elements", "", 9).reshape(3, 3)
+    elements = 1e-3 * np.abs(wired) @ elements
+    return Imu(
+        name=triad.name,
+        place=place,
+        frame=frame,
+        accelerometer=lower,
+        gyro=gyro_lower,
+        gyro_turn=gyro_frame @ frame.T,
+        bias=back @ triad.bias,
+        gyro_bias=back @ triad.gyro_bias,
+        by_force=sensitivity @ back @ gyro_frame.T,
+        elements=elements @ (frame @ triad.rotation).T,
+        noise=_noise(calibration, triad),
+    )
+
+
+def _lower(matrix: Array, name: str, form: str) -> tuple[Array, Array]:
+    """L and Q of a (3, 3) matrix."""
+    if np.linalg.det(matrix) <= 0.0:
+        raise UsageError(
+            f"the axes that {name} reads are left-handed, {form} has rotations only",
+            remedy="record with the sensor's sign or order of axes changed, or use matlab",
+        )
+    turn, upper = np.linalg.qr(matrix.T)
+    sign = np.sign(np.diag(upper))
+    return np.asarray(upper.T * sign), np.asarray((turn * sign).T)
+
+
+def _effect(calibration: Calibration, name: str, imu: str, size: int) -> Array:
+    """Parameters of a found effect: of one IMU, or of all where `imu` is empty."""
+    for block in calibration.facts.get("effects", ()):
+        if block["effect"] == name:
+            values = [float(p["value"]) for p in block["parameters"]]
+            names = [t.name for t in calibration.triads]
+            at = names.index(imu) * size if imu else 0
+            return np.array(values[at : at + size])
+    return np.zeros(size)
+
+
+def late_of(calibration: Calibration) -> float:
+    """s by which all gyros are late against the accelerometers."""
+    return 1e-3 * float(_effect(calibration, "gyro_delay", "", 1)[0])
+
+
+def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
+    """What was told of it (`--noise`), else the density of its noise at rest, as white."""
+    told = calibration.facts.get("noise_density", {})
+    if triad.name in told:
+        return dict(told[triad.name])
+    interval = calibration.facts.get("sample_interval_s")
+    if interval is None:
+        return {}
+    root = float(np.sqrt(interval))
+    return {
+        "accelerometer_noise_density": triad.noise * root,
+        "gyroscope_noise_density": triad.gyro_noise * root,
+        "update_rate": 1.0 / float(interval),
+    }
+
+
+def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[str, ...]:
+    """Effects that the form has no place for."""
+    return tuple(
+        f"{row['effect']}, {float(row['rms']):.3g} {row['unit']} rms in the motion that was "
+        "calibrated"
+        for row in calibration.facts.get("not_undone", ())
+        if row["effect"] not in kept
+    )
+
+
+def lost_noise(imus: tuple[Imu, ...]) -> tuple[str, ...]:
+    """Keys that Kalibr and its kin ask for and nothing was measured of."""
+    keys = ("accelerometer_noise_density", "accelerometer_random_walk",
+            "gyroscope_noise_density", "gyroscope_random_walk", "update_rate")  # fmt: skip
+    lost = [key for key in keys if any(key not in imu.noise for imu in imus)]
+    if not lost:
+        return ()
+    return (
+        f"{', '.join(lost)}: not measured; record at rest for hours, then `imucal inspect FILE "
+        "--save-noise imu.yaml` and --noise imu.yaml here",
+    )
+
+
+def with_noise(calibration: Calibration, path: Path) -> Calibration:
+    """The calibration with what a file tells of its sensors' noise.
+
+    Raises UnreadableInput for a file that is none, or that names none of the calibration's IMUs.
+    """
+    told = read_noise(path)
+    names = [t.name for t in calibration.triads]
+    if "" in told:  # of one sensor: the like of all
+        told = dict.fromkeys(names, told[""])
+    if names and not set(told) & set(names):
+        raise UnreadableInput(
+            f"it has the noise of {', '.join(told)}, the calibration is of {', '.join(names)}",
+            where=str(path),
+        )
+    return replace(calibration, facts={**calibration.facts, "noise_density": told})

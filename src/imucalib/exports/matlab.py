@@ -1,0 +1,67 @@
+"""A script for MATLAB and Octave."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import Calibration
+from imucalib.exports import Export
+from imucalib.exports.imus import late_of, lost_of, places_of
+from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
+
+
+def matlab(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
+    """Of one accelerometer M and b (m/s²): corrected = M * reading + b, columns. Of an array those
+    of every IMU along the third dimension, with its gyros' (rad/s), its positions (m) and their
+    covariance (m²), and the gyros' delay (s)."""
+    body, lost = _of_array(calibration) if calibration.triads else _of_one(calibration)
+    lines = [
+        f"% Calibration by imucal, from {filename}, status {calibration.status}. SI units.",
+        "% corrected = M * reading + b, reading a column.",
+        *(f"% Not in it: {text}." for text in lost),
+        *body,
+        "",
+    ]
+    return "\n".join(lines), lost
+
+
+def _of_one(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
+    linear, lost = nearest_linear(calibration), lost_parts(calibration)
+    if names := beyond_linear(calibration):
+        lost = (f"{names}: {linear.mean:.2f} mg on average, {linear.worst:.2f} mg at most", *lost)
+    return [f"M = {_matrix(linear.M)};", f"b = {_matrix(linear.b[:, None])};"], lost
+
+
+def _of_array(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
+    names = ", ".join(f"'{t.name}'" for t in calibration.triads)
+    lines = [
+        "% Corrected vectors are in board axes; force = s + (W*W + dW) * r of each IMU, W and dW",
+        "% the cross-product matrices of the rate and of its derivative.",
+        f"names = {{{names}}};",
+    ]
+    for k, triad in enumerate(calibration.triads, 1):
+        back, gyro_back = np.linalg.inv(triad.gain), np.linalg.inv(triad.gyro_gain)
+        for name, value in (
+            ("M", back @ triad.rotation),
+            ("gyro_M", gyro_back @ triad.rotation),
+        ):
+            lines.append(f"{name}(:,:,{k}) = {_matrix(value)};")
+        for name, value in (("b", -back @ triad.bias), ("gyro_b", -gyro_back @ triad.gyro_bias)):
+            lines.append(f"{name}(:,{k}) = {_matrix(value[:, None])};")
+    rows = [i for i, p in enumerate(calibration.parameters) if p.effect == "positions"]
+    covariance = 1e-6 * calibration.covariance[np.ix_(rows, rows)]
+    lines += [
+        f"r = {_matrix(places_of(calibration).T)};",
+        "% Covariance of r(:,2:end)(:), the first IMU being the reference.",
+        f"r_covariance = {_matrix(covariance)};",
+        f"gyro_delay = {late_of(calibration):.9g};",
+    ]
+    return lines, lost_of(calibration, ("gyro_delay",))
+
+
+def _matrix(values: Array) -> str:
+    return "[" + "; ".join(" ".join(f"{v:.17g}" for v in row) for row in values) + "]"
+
+
+EXPORT = Export("matlab", "imucal_calibration.m", matlab)

@@ -1,0 +1,52 @@
+"""OpenVINS' kalibr_imu_chain.yaml."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from imucalib.calibration.calibration import Calibration
+from imucalib.exports import Export
+from imucalib.exports.imus import Imu, imus_of, late_of, lost_noise, lost_of
+from imucalib.exports.kalibr import rows
+from imucalib.recording.yaml_text import dump
+
+
+def openvins(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
+    """A block an IMU, model kalibr: reading = Ta R_IMUtoACC f + b, rate reading =
+    Tw R_IMUtoGYRO ω + Tg f + b, f and ω in the IMU's frame (rpng/open_vins, ImuConfig of
+    ov_msckf and its configurations). Raises as `imus_of`.
+    """
+    imus = imus_of(calibration, "OpenVINS")
+    words = ["the biases: OpenVINS estimates them in every recording"]
+    if late := late_of(calibration):
+        words.append(f"the gyros' delay of {1e3 * late:.3f} ms against the accelerometers")
+    kept = ("gyro_delay", "gyro_g_sensitivity")
+    lost = (*words, *lost_of(calibration, kept), *lost_noise(imus))
+    lines = [
+        "%YAML:1.0",
+        f"# IMUs of an array by imucal, from {filename}, status {calibration.status}.",
+        "# OpenVINS takes the block of the name imu0.",
+        *(f"# Not in it: {text}." for text in lost),
+    ]
+    content = {imu.name: _block(imu) for imu in imus}
+    return "\n".join([*lines, dump(content)]), lost
+
+
+def _block(imu: Imu) -> dict[str, Any]:
+    return {
+        "T_i_b": rows(imu.from_board),
+        **{key: value for key, value in imu.noise.items() if key != "rostopic"},
+        "rostopic": f"/{imu.name}/imu",
+        "time_offset": 0.0,
+        "model": "kalibr",
+        "Tw": rows(imu.gyro),
+        "R_IMUtoGYRO": rows(imu.gyro_turn),
+        "Ta": rows(imu.accelerometer),
+        "R_IMUtoACC": rows(np.eye(3)),
+        "Tg": rows(imu.by_force @ imu.gyro_turn),
+    }
+
+
+EXPORT = Export("openvins", "kalibr_imu_chain.yaml", openvins)

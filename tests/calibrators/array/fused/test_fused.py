@@ -1,0 +1,279 @@
+"""The fused instrument against a rigid board in plain numpy, whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array.fused.fuse import Fused
+from imucalib.calibrators.array.fused.instrument import instrument_of
+from imucalib.calibrators.array.fused.recording import Told, fused_stretch
+from imucalib.calibrators.array.fused.side_by_side import NotFusable, side_by_side
+from imucalib.calibrators.array.fused.stretch import Stretch
+from imucalib.calibrators.array.fused.survey import Survey, survey
+from imucalib.errors import UsageError
+from imucalib.recording.recording import Recording
+from worlds.rigid_board import (
+    DEG,
+    Board,
+    G,
+    Moves,
+    board,
+    calibration,
+    moves,
+    readings,
+    recording,
+)
+
+Array = NDArray[np.float64]
+STILL, HZ = 12.0, 100.0
+
+
+@dataclass(frozen=True)
+class World:
+    """A board, what it did, what was read, and what was made of it; moving : (T,)"""
+
+    board: Board
+    moves: Moves
+    readings: tuple[Array, Array]
+    survey: Survey
+    fused: Fused
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        return np.asarray(self.moves.t > STILL + 2.5)
+
+    @property
+    def error(self) -> Array:
+        """(T, 9) of force at the instrument's point, dω/dt and ω."""
+        at, true, found = self.survey.instrument.at, self.moves, self.fused.motion
+        force = true.force + np.cross(true.rate, np.cross(true.rate, at[None]))
+        force = force + np.cross(true.spin, at[None])
+        parts = (found.force - force, found.spin - true.spin, found.rate - true.rate)
+        return np.concatenate(parts, axis=1)
+
+    @property
+    def z(self) -> Array:
+        return np.asarray(self.error / np.sqrt(np.einsum("tii->ti", self.fused.motion.covariance)))
+
+
+def world(
+    seed: int, *, twist: float = 250.0, spoil: Array | None = None, fastest: float = 4.0,
+    seconds: float = 25.0, at: Array | None = None, **more: object,
+) -> World:  # fmt: skip
+    rng = np.random.default_rng(seed)
+    made = board(rng, **more)  # type: ignore[arg-type]
+    motion = moves(
+        rng, still=STILL, moving=seconds, hz=HZ, twist=twist, late=made.late, fastest=fastest
+    )
+    read = readings(made, motion, rng)
+    if spoil is not None:
+        read[0][:, spoil] = np.nan
+    log = recording(made, motion.t, *read)
+    found = survey([log], instrument_of(calibration(made), at))
+    stretch = Stretch(motion.t, *read)
+    return World(made, motion, read, found, fused_stretch(found, stretch, Told()))
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.fixture(scope="module")
+def plain() -> World:
+    return world(0)
+
+
+@pytest.mark.parametrize("part", ["still", "moving"])
+def test_noise_falls_as_the_root_of_the_chips_and_is_stated(plain: World, part: str) -> None:
+    rows = plain.moving if part == "moving" else plain.moves.t < STILL - 0.5
+    assert rms(plain.error[rows, 6:]) < 1.05 * 0.2 * DEG / np.sqrt(8)
+    assert rms(plain.error[rows, :3]) < 1.05 * 0.04 / np.sqrt(8)
+    assert 0.95 < rms(plain.z[rows, :3]) < 1.05
+    assert 0.95 < rms(plain.z[rows, 6:]) < 1.05
+    # dω/dt leans on how smooth the motion is, which is judged with care.
+    assert 0.7 < rms(plain.z[rows, 3:6]) < 1.05
+
+
+def test_dw_dt_is_far_better_than_the_accelerometers_alone(plain: World) -> None:
+    # The board's inertia: noise of one chip over the root of the squared distances.
+    places = plain.board.places - plain.board.places.mean(axis=0)
+    spread = np.sum(places[:, [0, 2]] ** 2)
+    alone = 0.04 / np.sqrt(spread)
+    assert rms(plain.error[plain.moves.t < STILL, 4]) < 0.2 * alone
+
+
+def test_each_chip_counts_by_its_own_noise() -> None:
+    sigma = np.array([1.0, 1.0, 2.0, 4.0, 1.0, 1.0, 1.0, 0.5])
+    made = world(1, sigma=0.04 * sigma, gyro_sigma=0.2 * DEG * sigma[::-1])
+    ideal = 1.0 / np.sqrt(np.sum(sigma**-2.0))
+    assert rms(made.error[made.moving, 6:]) < 1.06 * 0.2 * DEG * ideal
+    assert rms(made.error[made.moving, :3]) < 1.06 * 0.04 * ideal
+    assert 0.94 < rms(made.z[made.moving][:, [0, 1, 2, 6, 7, 8]]) < 1.06
+
+
+@pytest.mark.parametrize("chips", [2, 3])
+def test_rigs_of_two_and_three(chips: int) -> None:
+    made = world(11, chips=chips, seconds=15.0)
+    rows = made.moving
+    assert rms(made.error[rows, 6:]) < 1.07 * 0.2 * DEG / np.sqrt(chips)
+    assert 0.92 < rms(made.z[rows][:, [0, 1, 2, 6, 7, 8]]) < 1.08
+    assert 0.6 < rms(made.z[rows, 3:6]) < 1.1
+
+
+def test_effects_that_need_the_motion_are_undone() -> None:
+    rng = np.random.default_rng(7)
+    more = {
+        "element": 3e-4 * rng.normal(size=(3, 3)),
+        "late": 1e-3,
+        "by_force": 0.15 * DEG / G * rng.normal(size=(8, 3, 3)),
+    }
+    made = world(2, twist=150.0, fastest=2.0, **more)
+    assert 0.9 < rms(made.z[made.moving, :3]) < 1.08
+    assert 0.9 < rms(made.z[made.moving, 6:]) < 1.08
+    facts = calibration(made.board).facts
+    blind = replace(calibration(made.board), facts={**facts, "effects": []})
+    found = survey([recording(made.board, made.moves.t, *made.readings)], instrument_of(blind))
+    without = fused_stretch(found, Stretch(made.moves.t, *made.readings), Told())
+    off = without.motion.rate - made.moves.rate
+    assert rms(off[made.moving]) > 3.0 * rms(made.error[made.moving, 6:])
+
+
+def test_an_effect_of_force_that_the_rests_contradict_is_left_out() -> None:
+    rng = np.random.default_rng(7)
+    made = world(5)
+    told = replace(made.board, by_force=0.3 * DEG / G * rng.normal(size=(8, 3, 3)))
+    log = recording(made.board, made.moves.t, *made.readings)
+    found = survey([log], instrument_of(calibration(told)))
+    assert found.instrument.beyond.refuted == ("gyro_g_sensitivity",)
+    fused = fused_stretch(found, Stretch(made.moves.t, *made.readings), Told())
+    assert rms(fused.motion.rate - made.moves.rate) < 1.1 * 0.2 * DEG / np.sqrt(8)
+    # Where it is there, it stays: the rests agree.
+    real = replace(told, gyro_sigma=made.board.gyro_sigma)
+    read = readings(real, made.moves, rng)
+    kept = survey([recording(real, made.moves.t, *read)], instrument_of(calibration(real)))
+    assert kept.instrument.beyond.refuted == ()
+
+
+def test_a_lost_rate_comes_from_the_accelerometers() -> None:
+    made = world(3, twist=600.0, ranges=(16 * G, 500.0 * DEG))
+    lost = made.fused.alone
+    assert lost.sum() > 500
+    off, true = made.error[lost, 6:], made.moves.rate[lost]
+    assert float(np.abs(off).max()) < 5.0 * DEG  # no sample has the wrong sign
+    assert abs(np.sum(off * true) / np.sum(true**2)) < 1e-3  # no error of scale
+    assert 0.7 < rms(made.z[lost, 6:]) < 1.1
+
+
+def test_missing_stuck_and_clipped_readings_are_left_out() -> None:
+    rng = np.random.default_rng(4)
+    made = board(rng, ranges=(16.0, 1e9))
+    motion = moves(rng, still=STILL, moving=20.0, hz=HZ, twist=250.0)
+    acceleration, rate = readings(made, motion, rng)
+    rows = slice(2000, 2600)
+    rate[rows, 2] = rate[2000, 2]  # it hangs
+    acceleration[rows, 5, 1] += 20.0  # one axis goes wild
+    acceleration[2100:2300, 0] = np.nan
+    clipped = np.abs(acceleration) >= 15.99
+    assert clipped.any(axis=(1, 2)).mean() > 0.02
+    found = survey(
+        [recording(made, motion.t, acceleration, rate)], instrument_of(calibration(made))
+    )
+    fused = fused_stretch(found, Stretch(motion.t, acceleration, rate), Told())
+    at = found.instrument.at
+    off = fused.motion.rate - motion.rate
+    assert rms(off[2020:2600]) < 1.2 * 0.2 * DEG / np.sqrt(7)
+    force = motion.force + np.cross(motion.rate, np.cross(motion.rate, at[None]))
+    force = force + np.cross(motion.spin, at[None])
+    assert rms((fused.motion.force - force)[rows]) < 1.3 * 0.04 / np.sqrt(6)
+    assert not fused.live[2100:2300, 0].any()
+
+
+def test_biases_are_taken_anew_at_rest() -> None:
+    made = world(5)
+    moved = replace(
+        made.board,
+        gyro_biases=made.board.gyro_biases + 0.5 * DEG,
+        biases=made.board.biases + 0.02 * np.random.default_rng(0).normal(size=(8, 3)),
+    )
+    rng = np.random.default_rng(6)
+    read = readings(moved, made.moves, rng)
+    old = instrument_of(calibration(made.board))
+    found = survey([recording(moved, made.moves.t, *read)], old)
+    assert found.rests > 0.5 * STILL
+    fused = fused_stretch(found, Stretch(made.moves.t, *read), Told())
+    assert rms(fused.motion.rate - made.moves.rate) < 1.1 * 0.2 * DEG / np.sqrt(8)
+    # Without a rest they are the calibration's.
+    late = made.moves.t > STILL + 3.0
+    cut = recording(moved, made.moves.t[late], read[0][late], read[1][late])
+    assert survey([cut], old).rests == 0.0
+
+
+def test_the_point_is_the_users() -> None:
+    at = np.array([0.03, -0.01, 0.02])
+    made = world(0, at=at)
+    rows = made.moving
+    assert 0.9 < rms(made.z[rows, :3]) < 1.06
+    middle = world(0)
+    assert middle.survey.instrument.at == pytest.approx(middle.board.places.mean(axis=0))
+    sd = [np.sqrt(np.median(w.fused.motion.covariance[rows, 0, 0])) for w in (middle, made)]
+    assert sd[1] > 1.05 * sd[0]  # away from the chips dω/dt takes part
+
+
+def _in_blocks(log: Recording, size: int) -> list[Recording]:
+    """Every channel cut at its own rows, as readers cut logs of messages."""
+    count = max(len(c.t) for c in log.channels.values())
+    made = []
+    for start in range(0, count, size):
+        channels = {}
+        for k, (name, c) in enumerate(log.channels.items()):
+            rows = slice(max(0, start - 5 * k) if start else 0, start + size - 5 * k)
+            last = start + size >= count
+            rows = slice(rows.start, None) if last else rows
+            channels[name] = replace(c, t=c.t[rows], values=c.values[rows])
+        made.append(replace(log, channels=channels))
+    return made
+
+
+def test_a_log_in_uneven_blocks_is_the_same(plain: World) -> None:
+    log = recording(plain.board, plain.moves.t, *plain.readings)
+    parts = list(side_by_side(_in_blocks(log, 777), plain.survey.instrument))
+    assert len(parts) > 3
+    whole = np.concatenate([p.rate for p in parts])
+    assert np.concatenate([p.t for p in parts]) == pytest.approx(plain.moves.t)
+    assert np.array_equal(whole, plain.readings[1])
+    joined = fused_stretch(plain.survey, Stretch(plain.moves.t[:900], *(
+        r[:900] for r in plain.readings
+    )), Told())  # fmt: skip
+    assert joined.motion.rate[:850] == pytest.approx(plain.fused.motion.rate[:850], abs=1e-6)
+
+
+def test_samples_without_a_partner_stay_in(plain: World) -> None:
+    """A chip that loses samples or comes a little late takes part where it can."""
+    log = recording(plain.board, plain.moves.t, *plain.readings)
+    some = log.channels["imu3/angular_rate"]
+    keep = np.arange(len(some.t)) % 5 > 0
+    part = replace(some, t=some.t[keep] + 0.1 / HZ, values=some.values[keep])
+    (stretch,) = side_by_side(
+        [replace(log, channels={**log.channels, "imu3/angular_rate": part})],
+        plain.survey.instrument,
+    )
+    assert len(stretch.t) == len(plain.moves.t)
+    assert np.isnan(stretch.rate[:, 3, 0]).mean() == pytest.approx(0.2, abs=0.01)
+    assert np.isfinite(stretch.rate[:, 2]).all()
+
+
+def test_what_cannot_be_fused_is_refused(plain: World) -> None:
+    log = recording(plain.board, plain.moves.t, *plain.readings)
+    one = {n: c for n, c in log.channels.items() if c.triad == "imu0"}
+    none = {n: c for n, c in log.channels.items() if c.quantity == "acceleration"}
+    raw = {n: replace(c, unit="counts") for n, c in log.channels.items()}
+    for channels in (one, none, raw):
+        with pytest.raises(NotFusable):
+            survey([replace(log, channels=channels)], instrument_of(calibration(plain.board)))
+    single = replace(calibration(plain.board), triads=(), calibrator="lab")
+    with pytest.raises(UsageError, match="nothing to fuse"):
+        instrument_of(single)

@@ -1,0 +1,194 @@
+"""Noise at rest: the Allan variance of other programs, planted coefficients, honest limits."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
+
+from imucalib import cli
+from imucalib.inspection.allan import AllanCurve, AllanSums
+from imucalib.inspection.noise import identified
+from imucalib.recording.recording import Channel, Recording
+from imucalib.units import DEG, STANDARD_GRAVITY
+from imucalib.writers import write
+from worlds.places import ROOT
+
+Array = NDArray[np.float64]
+HZ = 100.0
+
+
+def curve(values: Array, *, pieces: int = 1, rate: float = HZ) -> AllanCurve:
+    sums = AllanSums(1)
+    for part in np.array_split(values[:, None], pieces):
+        sums.add(part)
+    return sums.curves(1.0 / rate)[0]
+
+
+def by_definition(values: Array, m: int) -> float:
+    """σ² at m samples, every overlap written out."""
+    means = [values[i : i + m].mean() for i in range(len(values) - m + 1)]
+    pairs = [(means[i + m] - means[i]) ** 2 for i in range(len(means) - m)]
+    return 0.5 * float(np.mean(pairs))
+
+
+def test_it_is_that_of_allantools() -> None:
+    n, x = 1234567890, []
+    for _ in range(1000):
+        x.append(n / 2147483647)
+        n = 16807 * n % 2147483647
+    lines = (ROOT / "tests/goldens/allantools/oadev.csv").read_text().splitlines()
+    golden = {int(r["m"]): float(r["deviation"]) for r in csv.DictReader(lines[2:])}
+    found = curve(np.array(x), pieces=7, rate=1.0)
+    assert list(found.tau) == [m for m in golden if m <= found.tau[-1]]
+    assert len(found.tau) >= 8
+    for tau, deviation in zip(found.tau, found.deviation, strict=True):
+        # Beyond 64 samples the overlap goes in steps of 1/64.
+        assert deviation == pytest.approx(golden[int(tau)], rel=1e-12 if tau <= 64 else 0.01)
+    assert found.deviation[0] == pytest.approx(2.922319e-01, abs=5e-8)  # NIST SP 1065, table 31
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(20, 300), st.integers(1, 9), st.integers(0, 2**32))
+def test_blocks_make_no_difference(count: int, pieces: int, seed: int) -> None:
+    values = 5.0 + np.random.default_rng(seed).normal(size=count)
+    found = curve(values, pieces=pieces)
+    for m, variance in zip((1, 2, 4), found.variance, strict=False):
+        assert variance == pytest.approx(by_definition(values, m), rel=1e-9)
+
+
+def test_stretches_add_their_squares() -> None:
+    rng = np.random.default_rng(0)
+    one, two = rng.normal(size=200), 7.0 + rng.normal(size=300)
+    sums = AllanSums(1)
+    sums.add(one[:, None])
+    sums.cut()
+    sums.add(two[:, None])
+    found = sums.curves(1.0)[0]
+    for k, m in enumerate((1, 2, 4, 8)):
+        each = [(by_definition(v, m), len(v) - 2 * m + 1) for v in (one, two)]
+        want = sum(a * n for a, n in each) / sum(n for _, n in each)
+        assert found.variance[k] == pytest.approx(want, rel=1e-9)
+    assert (found.seconds, found.longest) == (500.0, 300.0)
+
+
+def test_white_noise_is_told_with_its_doubt_and_nothing_else() -> None:
+    z, named = [], 0
+    for seed in range(30):
+        found = identified(curve(0.1 * np.random.default_rng(seed).normal(size=20_000)))
+        assert found.white.value is not None
+        assert found.white.sd is not None
+        z.append((found.white.value - 0.1 / np.sqrt(HZ)) / found.white.sd)
+        named += sum(c.value is not None for c in (found.instability, found.walk, found.ramp))
+    assert 0.7 < np.std(z) < 1.4
+    assert abs(np.mean(z)) < 0.7
+    assert named == 0
+
+
+def test_a_walk_is_told_where_the_recording_is_long_enough() -> None:
+    z = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        step = 2e-3 / np.sqrt(HZ)  # K = 2e-3 unit/s/sqrt(Hz)
+        walk = 0.1 * rng.normal(size=60_000) + np.cumsum(step * rng.normal(size=60_000))
+        found = identified(curve(walk))
+        assert found.walk.value is not None
+        assert found.walk.sd is not None
+        assert found.instability.value is None
+        z.append((found.walk.value - 2e-3) / found.walk.sd)
+        short = identified(curve(walk[:500]))
+        assert short.walk.value is None
+        assert short.walk.bound is None or short.walk.bound > 2e-3
+    assert 0.5 < np.std(z) < 1.5
+
+
+def test_flicker_is_a_bias_instability() -> None:
+    rng = np.random.default_rng(5)
+    count, flicker = 150_000, np.zeros(150_000)
+    for octave in range(13):  # Lorentzians an octave apart are 1/f
+        keep = np.exp(-1.0 / 2.0**octave)
+        drive = np.sqrt(1.0 - keep**2) * rng.normal(size=count)
+        own = np.empty(count)
+        last = 0.0
+        for i, d in enumerate(drive):
+            last = keep * last + d
+            own[i] = last
+        flicker += own
+    # Their sum has S(f) = 1 / (ln 2 f), so σ² = 2 ln 2 h = 2 and B² = 2 π / (2 ln 2).
+    want = 4e-3 * np.sqrt(np.pi / np.log(2.0))
+    found = identified(curve(0.05 * rng.normal(size=count) + 4e-3 * flicker))
+    assert found.instability.value == pytest.approx(want, rel=0.2)
+    assert found.walk.value is None
+
+
+def test_a_line_in_the_spectrum_is_no_coefficient() -> None:
+    t = np.arange(30_000) / HZ
+    noise = 0.05 * np.random.default_rng(1).normal(size=t.size)
+    # A fast one is gone from the means over a second, which show the white noise.
+    fast = identified(curve(0.02 * np.sin(2.0 * np.pi * 0.7 * t) + noise))
+    assert fast.start is not None
+    assert fast.start > 0.5
+    assert fast.white.value == pytest.approx(0.05 / np.sqrt(HZ), rel=0.1)
+    found = identified(curve(0.02 * np.sin(2.0 * np.pi * 0.04 * t) + noise))
+    assert found.start is None
+    assert [c.value for c in (found.white, found.instability, found.walk, found.ramp)] == [None] * 4
+    assert found.white.bound is not None
+    assert found.white.bound > 0.05 / np.sqrt(HZ)
+
+
+@pytest.fixture(scope="module")
+def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten minutes at rest, moved once in between."""
+    rng = np.random.default_rng(3)
+    t = np.arange(60_000) / HZ
+    moved = (t > 200.0) & (t < 205.0)
+    force = np.array([0.0, 0.0, STANDARD_GRAVITY]) + 0.02 * rng.normal(size=(t.size, 3))
+    force[t >= 205.0] += [0.5, 0.0, 0.0]
+    rate = 0.1 * DEG * rng.normal(size=(t.size, 3))
+    force[moved] += 3.0 * np.sin(9.0 * t[moved])[:, None]
+    rate[moved] += np.cos(9.0 * t[moved])[:, None]
+    channels = {
+        f"imu0/{q}": Channel(t, v, u, q, "imu0", HZ)
+        for q, u, v in (("acceleration", "m/s2", force), ("angular_rate", "rad/s", rate))
+    }
+    path = tmp_path_factory.mktemp("night") / "night.h5"
+    write(Recording(channels, "made", "made", ""), path)
+    return path
+
+
+def test_inspect_tells_it_from_the_rests(night: Path, tmp_path: Path) -> None:
+    target = tmp_path / "imu.yaml"
+    arguments = ["inspect", str(night), "--noise", "--save-noise", str(target), "--json"]
+    result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    assert result.exception is None, result.exception
+    rows = json.loads(result.stdout)["noise"]
+    assert [(r["quantity"], r["axis"]) for r in rows] == [
+        (q, a) for q in ("acceleration", "angular_rate") for a in "xyz"
+    ]
+    for row in rows:
+        want = 0.02 if row["quantity"] == "acceleration" else 0.1 * DEG
+        assert row["white"]["value"] == pytest.approx(want / np.sqrt(HZ), rel=0.03)
+        assert row["walk"]["value"] is None
+        assert row["walk"]["below"] > 0.0
+    kalibr = YAML(typ="safe", pure=True).load(target.read_text())
+    assert kalibr["accelerometer_noise_density"] == pytest.approx(0.02 / np.sqrt(HZ), rel=0.05)
+    assert kalibr["gyroscope_noise_density"] == pytest.approx(0.1 * DEG / np.sqrt(HZ), rel=0.05)
+    assert kalibr["update_rate"] == pytest.approx(HZ)
+    assert "accelerometer_random_walk" not in kalibr
+    assert "accelerometer_random_walk" in target.read_text().splitlines()[1]  # said, not guessed
+
+
+def test_inspect_shows_a_table(night: Path) -> None:
+    arguments = ["inspect", str(night), "--noise"]
+    shown = CliRunner().invoke(cli.cli, arguments, standalone_mode=False).stdout
+    assert "white, µg/√Hz" in shown
+    assert "imu0 z" in shown
+    assert "<" in shown
