@@ -12,6 +12,7 @@ from imucalib.cli.output import note
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
 
 if TYPE_CHECKING:
+    from imucalib.calibrators.array.estimate.total import Distance
     from imucalib.calibrators.array.request import ArrayRequest
     from imucalib.calibrators.array.run import ArrayRun
 
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 )
 @click.option("--sampler", type=click.Choice(["hmc", "pmmh"]), default="hmc", show_default=True,
               help="pmmh: Algorithm 1 of the paper.")  # fmt: skip
-@click.option("--samples", default=2000, show_default=True, help="Moving samples, at most.")
+@click.option("--samples", type=click.IntRange(min=1),
+              help="Moving samples, at most; default: all that say something.")  # fmt: skip
 @click.option("--motion-prior", type=click.Choice(["learned", "flat"]), default="learned",
               show_default=True, help="Of ω̇; flat is the paper's.")  # fmt: skip
 @click.option("--det-exponent", type=click.Choice(["0.5", "1"]), default="0.5", show_default=True,
@@ -45,14 +47,26 @@ if TYPE_CHECKING:
               help="Also write the posterior's draws: .h5 or .nc.")  # fmt: skip
 @click.option("--checkpoint", type=click.Path(path_type=Path),
               help="Keep the chains here after every block, and go on from there.")  # fmt: skip
+@click.option("--distance", "distances", nargs=3, multiple=True, metavar="IMU IMU MM±SD",
+              help="A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm "
+              "(+- works too).")  # fmt: skip
+@click.option("--accept-mm", type=float, default=0.05, show_default=True,
+              help="By how much what is not explained may move the positions before the exit code "
+              "is 5.")  # fmt: skip
+@click.option("--accept-mg", type=float, default=50.0, show_default=True,
+              help="The same of the accelerometers' residual in motion, beyond their noise at "
+              "rest.")  # fmt: skip
+@click.option("--accept-dps", type=float, default=2.0, show_default=True,
+              help="The same of the gyros', deg/s.")  # fmt: skip
 @shortest_rest_option
 @calibrating
 def command(logs: tuple[Path, ...], **options: Any) -> int:
     """Find the positions of an inertial array's accelerometers from a bench log.
 
     LOGS hold rests in nine or more attitudes and a part in which the board is twisted by hand. With
-    several logs each is calibrated by itself, and their agreement is reported. Writes
-    calibration.yaml, report.html and report.json into the folder given by -o.
+    several logs of one board each is calibrated by itself in a folder of its own, and all of them
+    together: whether they agree, what repeats, and one calibration. Writes calibration.yaml,
+    report.html and report.json into the folder given by -o.
 
     \b
     Examples:
@@ -84,6 +98,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.board import read_board
+    from imucalib.calibrators.array.estimate.left import Accepted
     from imucalib.calibrators.array.loop.asked import Asked, named_effect
     from imucalib.calibrators.array.request import ArrayRequest
     from imucalib.errors import UsageError
@@ -114,18 +129,40 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         still=still_of(options), loop=shared.loop, asked=asked,
         curves=ArrayRequest.curves if shared.curves is None else shared.curves,
         as_drawn=options["as_drawn"],
+        accepted=Accepted(options["accept_mm"], options["accept_mg"], options["accept_dps"]),
+        distances=tuple(_distance(given, board.imus) for given in options["distances"]),
         draws=shared.draws or ArrayRequest.draws,
         checkpoint=options["checkpoint"], seed=shared.seed, extra_effects=shared.extra_effects,
         limits=shared.limits, command=shared.command,
     )  # fmt: skip
 
 
-def _together(runs: tuple[ArrayRun, ...]) -> Together:
-    from imucalib.calibrators.array.logs import repeatability
-    from imucalib.report.array.document import repeatability_dict, repeatability_section
-    from imucalib.report.document import Document, Text
+def _distance(given: tuple[str, str, str], imus: tuple[str, ...]) -> Distance:
+    from imucalib.calibrators.array.estimate.total import Distance
+    from imucalib.errors import UsageError
 
-    found = repeatability(runs)
-    verdict = Text("Each log was calibrated by itself.", "plain")
-    document = Document("All logs", verdict, (repeatability_section(found, runs),))
-    return Together("repeatability", document, repeatability_dict(found))
+    one, two, text = given
+    missing = [name for name in (one, two) if name not in imus]
+    if missing or one == two:
+        what = f"no IMU '{missing[0]}'" if missing else "a distance is between two IMUs"
+        raise UsageError(f"--distance: {what}", remedy=f"IMUs: {', '.join(imus)}")
+    value, _, sd = text.removesuffix("mm").replace("+/-", "±").replace("+-", "±").partition("±")
+    try:
+        found = 1e-3 * float(value), 1e-3 * float(sd)
+    except ValueError:
+        found = -1.0, -1.0
+    if not (0.0 < found[1] < found[0] < 100.0):
+        raise UsageError(
+            f"--distance: '{text}' is no distance with its standard deviation",
+            remedy="in mm, like 26.73±0.05mm or 26.73+-0.05",
+        )
+    return Distance(imus.index(one), imus.index(two), *found)
+
+
+def _together(runs: tuple[ArrayRun, ...]) -> Together:
+    from imucalib.calibrators.array.logs.board_run import board_run
+    from imucalib.report.array.logs import board_document
+    from imucalib.report.files import Report
+
+    found = board_run(runs)
+    return Together("together", Report(found, board_document(found)))

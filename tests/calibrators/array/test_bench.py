@@ -14,11 +14,10 @@ from click.testing import CliRunner
 from imucalib import cli
 from imucalib.calibrators.array.board import board_names, read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.logs import repeatability
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
-from imucalib.errors import Undetermined, UnreadableInput
+from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
 from imucalib.report.array.draws import write_draws
@@ -62,13 +61,17 @@ def _drawn(path: Path, places: list[str]) -> Path:
     return path
 
 
-def test_a_flat_drawing_is_read_and_a_line_is_refused(tmp_path: Path) -> None:
+def test_a_flat_drawing_and_a_line_are_read_and_a_point_is_not(tmp_path: Path) -> None:
     corners = ["0, 0, 1", "20, 0, 1", "0, 20, 1", "20, 20, 1"]
-    assert read_board(_drawn(tmp_path / "flat.yaml", corners)).count == 4
-    for line in (["0, 0, 0", "5, 5, 5", "7, 7, 7", "9, 9, 9"], ["1, 2, 3"] * 4):
-        with pytest.raises(UnreadableInput, match="on a line or in a point") as caught:
-            read_board(_drawn(tmp_path / "line.yaml", line))
-        assert caught.value.remedy
+    assert not read_board(_drawn(tmp_path / "flat.yaml", corners)).on_a_line
+    for line in (["0, 0, 0", "5, 5, 5", "7, 7, 7", "9, 9, 9"], ["0, 0, 0", "0, 2, 0"]):
+        assert read_board(_drawn(tmp_path / "line.yaml", line)).on_a_line
+    with pytest.raises(UnreadableInput, match="extends 0 µm") as caught:
+        read_board(_drawn(tmp_path / "point.yaml", ["1, 2, 3"] * 4))
+    assert "--board 4" in str(caught.value.remedy)
+    assert read_board("5").undrawn
+    with pytest.raises(UsageError, match="two or more"):
+        read_board("1")
 
 
 def changed(recording: Recording, **channels: Channel) -> Recording:
@@ -173,13 +176,6 @@ def test_logs_that_cannot_answer(plan: LogPlan, message: str) -> None:
         calibrate(log.recording)
 
 
-def test_two_logs_of_one_board(run: ArrayRun) -> None:
-    found = repeatability((run, run))
-    assert found.z_rms == pytest.approx(0.0, abs=1e-6)
-    assert found.mean == pytest.approx(run.final.mean, abs=1e-8)
-    assert found.sd[1:] == pytest.approx(run.final.sd[1:] / np.sqrt(2), rel=1e-6)
-
-
 def test_draws_are_readable(run: ArrayRun, tmp_path: Path) -> None:
     write_draws(run, tmp_path / "draws.nc")
     with h5py.File(tmp_path / "draws.nc") as file:
@@ -201,7 +197,7 @@ def test_boards_that_come_along() -> None:
     ("text", "message"),
     [
         ("imus: 3", "incomplete"),
-        ("imus: [{name: a, position: [0, 0, 0]}]", "four or more"),
+        ("imus: [{name: a, position: [0, 0, 0]}]", "two or more"),
         ("[", "not a YAML"),
     ],
 )
@@ -234,4 +230,7 @@ def test_a_measured_board() -> None:
     under = off[1::2].mean(axis=0)
     assert under == pytest.approx([-0.55, -0.45, -0.18], abs=0.15)
     assert np.abs(off[2::2].mean(axis=0)).max() < 0.2
-    assert run.outcome.exit_code == 5
+    # What is left is small in the terms of who uses it: 0.22 m/s², 1.2 deg/s.
+    assert run.outcome.exit_code == 0
+    assert run.outcome.findings is not None
+    assert run.outcome.findings.open

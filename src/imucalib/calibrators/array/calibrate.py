@@ -3,41 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.corrected import corrected_samples, widened
 from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction
-from imucalib.calibrators.array.log import array_log, in_package_axes
+from imucalib.calibrators.array.drawing.sketch import sketched
+from imucalib.calibrators.array.drawing.streams import (
+    Streams,
+    refuse_streams,
+    stream_notes,
+    streams,
+)
+from imucalib.calibrators.array.estimate.corrected import restated
+from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
+from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
+from imucalib.calibrators.array.estimate.sampled import sampled_positions
+from imucalib.calibrators.array.estimate.size import frame_sd, gravity_sd, scale_by_turns
+from imucalib.calibrators.array.estimate.total import total_of
+from imucalib.calibrators.array.linear_part import linear_part
+from imucalib.calibrators.array.log import ArrayLog, array_log, in_package_axes
 from imucalib.calibrators.array.loop.at_rest import with_rests
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.setup import array_setup
+from imucalib.calibrators.array.loop.state import ArrayState, start_state
 from imucalib.calibrators.array.loop.terms import rest_terms
-from imucalib.calibrators.array.moving import Moving, moving_part, samples_of, spread_over
-from imucalib.calibrators.array.request import NON_LINEARITY, ArrayRequest
+from imucalib.calibrators.array.moving import Moving, moving_part
+from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.calibrators.array.run import ArrayRun, finished
-from imucalib.errors import NotConverged, Undetermined, UsageError
-from imucalib.estimators.array.problem import ArrayData, ArrayPrior
-from imucalib.estimators.array.sampler import (
-    ArrayPositions,
-    refuse_collapse,
-    refuse_vague,
-    sample_positions,
-)
-from imucalib.estimators.markov.convergence import convergence
-from imucalib.estimators.markov.pmmh import run_pmmh
+from imucalib.errors import Undetermined, UsageError
 from imucalib.recording.recording import Recording
 from imucalib.rests.refused import refusals
 from imucalib.rests.segments import Segments, still_segments
 
 Say = Callable[[str], None]
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
-LOOP_SAMPLES = 1200  # moving samples of the final fit, at most
-_FIRST = 250  # samples of the first look, from which the number needed is told
+HALVED_SAMPLES = 800  # moving samples of which each half is searched again
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """A recording laid out as the board is: its IMUs side by side, and where it rests.
+
+    order : the board's IMUs in the segments' triads; taken : how the samples were taken
+    """
+
+    recording: Recording
+    board: Board
+    log: ArrayLog
+    segments: Segments
+    order: list[int]
+    taken: Streams
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        told = stream_notes(self.taken, self.board.imus)
+        return (*self.recording.notes, *self.segments.notes, *self.log.notes, *told)
 
 
 def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> ArrayRun:
@@ -49,34 +73,58 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     """
     if request.limits and not (request.loop or request.asked.declare):
         raise UsageError("limits need held-out data", remedy="leave --no-loop out")
+    laid = _laid(recording, request)
+    board, segments = laid.board, laid.segments
+    rests = fit_rests(
+        segments, board, laid.order, request.gravity,
+        asked=replace(request.asked, search=request.loop), seed=request.seed,
+    )  # fmt: skip
+    say(f"{segments.n} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
+    moving = moving_part(laid.log, rests, board.imus)
+    say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
+    loop, state = _fitted(moving, rests, board, request)
+    if loop is not None:
+        say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
+    rng = np.random.default_rng(request.seed)
+    found, motion = sampled_positions(
+        moving=moving, rests=rests, board=board, request=request, rng=rng, state=state,
+        searched=loop is not None,
+    )  # fmt: skip
+    linear = linear_part(loop) if loop is not None else None
+    gain = None if linear is None else linear.gyro_gain
+    gyros = scale_by_turns(laid.log, segments, rests, moving, laid.order, gain)
+    total = total_of(
+        found.mean, motion, scale=gyros.value, scale_sd=gyros.sd,
+        gravity_sd=gravity_sd(request.gravity_source), frame_sd=frame_sd(rests),
+        distances=request.distances,
+    )  # fmt: skip
+    final = restated(found, total, rng)
+    say(f"{final.data.samples} samples: {final.convergence.sentence}")
+    broken = request.loop and loop is None
+    unsearched = ("the motion is too broken up for the search of the loop",) if broken else ()
+    return finished(
+        recording=laid.recording, board=board, request=request, segments=segments, rests=rests,
+        moving=moving, final=final, total=total, gyros=gyros, loop=loop, state=state,
+        linear=linear, notes=(*laid.notes, *final.notes, *unsearched),
+    )  # fmt: skip
+
+
+def _laid(recording: Recording, request: ArrayRequest) -> _Laid:
     recording = in_package_axes(recording, request.board)
     log, board = array_log(recording, request.board)
     segments = still_segments(recording, request.still)
     order = _order(segments, board, recording)
+    if board.undrawn:
+        board = sketched(log, segments, board, order)
+        recording = in_package_axes(recording, board)
+        log, board = array_log(recording, board)
+        segments = still_segments(recording, request.still)
+    taken = streams(log)
     if not request.as_drawn:
+        refuse_streams(taken, board.imus, log.interval)
         refuse_contradiction(compared(log, segments, board, order))
-    rests = fit_rests(
-        segments, board, order, request.gravity,
-        asked=replace(request.asked, search=request.loop), seed=request.seed,
-    )  # fmt: skip
-    say(f"{segments.n} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
-    moving = moving_part(log, rests, board.imus)
-    say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
-    wanted = request.loop or request.asked.declare
-    loop = _loop(moving, rests, board, request) if wanted else None
-    if loop is not None:
-        loop = with_rests(loop, rests.loop)
-        say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
-    rng = np.random.default_rng(request.seed)
-    final = _sampled(moving, rests, board, request, rng, loop)
-    say(f"{final.data.samples} samples: {final.convergence.sentence}")
-    notes = (*recording.notes, *segments.notes, *log.notes, *final.notes)
-    if request.loop and loop is None:
-        notes += ("the motion is too broken up for the search of the loop",)
-    return finished(
-        recording=recording, board=board, request=request, segments=segments, rests=rests,
-        moving=moving, final=final, loop=loop, notes=notes,
-    )  # fmt: skip
+    log = replace(log, clipped=log.clipped | taken.held)
+    return _Laid(recording, board, log, segments, order, taken)
 
 
 def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
@@ -92,9 +140,13 @@ def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
     return [segments.triads.index(name) for name in names]
 
 
-def _loop(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> MotionLoop | None:
+def _fitted(
+    moving: Moving, rests: RestFit, board: Board, request: ArrayRequest
+) -> tuple[MotionLoop | None, ArrayState | None]:
+    """The search and the joint fit of all informative samples; no search where none is wanted, no
+    fit where the motion is too broken up."""
     robust = request.accelerometer_sigma == "estimate"
-    most = min(request.samples, LOOP_SAMPLES)
+    most = samples_taken(moving, request.samples)
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
     if setup is None:
         if request.asked.declare:
@@ -102,114 +154,16 @@ def _loop(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -
                 "the motion is too broken up to fit declared effects",
                 remedy="record longer stretches without gaps and clipping",
             )
-        return None
-    whole = array_setup(moving, board, most, robust=robust) if most > SEARCH_SAMPLES else None
-    rng = np.random.default_rng(request.seed)
-    return close_array_loop(
-        setup, rest_terms(rests), moving, rng,
-        replace(ARRAY_RULES, curves=request.curves, draws=request.draws), whole,
+        return None, None
+    terms = rest_terms(rests)
+    if not (request.loop or request.asked.declare):
+        state = fitted_on_all(start_state(setup, terms), moving, most)
+        return None, with_stated_covariance(state, shared_by_neighbours(state, gyro=False))
+    loop = close_array_loop(
+        setup, terms, moving, np.random.default_rng(request.seed),
+        replace(ARRAY_RULES, curves=request.curves, draws=request.draws),
+        halved=array_setup(moving, board, min(most, HALVED_SAMPLES), robust=robust), most=most,
         asked=replace(request.asked, search=request.loop),
     )  # fmt: skip
-
-
-def _sampled(
-    moving: Moving, rests: RestFit, board: Board, request: ArrayRequest,
-    rng: np.random.Generator, loop: MotionLoop | None,
-) -> ArrayPositions:  # fmt: skip
-    sigma, estimate = _sigma(rests, board, request)
-    prior = ArrayPrior(
-        board.drawn, board.prior_sd, request.motion, request.exponent,
-        estimate_noise=estimate and loop is None,
-    )  # fmt: skip
-    if loop is not None:
-        data = corrected_samples(loop.final)
-        if not estimate:
-            data = replace(data, sigma=sigma)
-        return widened(_drawn(lambda count: data, prior, request, rng), loop, rng)
-
-    def data_of(count: int) -> ArrayData:
-        rows = spread_over(moving.good, count)
-        return samples_of(moving, rows, sigma, request.gyro_covariance)
-
-    return _drawn(data_of, prior, request, rng, len(moving.good))
-
-
-def _drawn(
-    data_of: Callable[[int], ArrayData], prior: ArrayPrior, request: ArrayRequest,
-    rng: np.random.Generator, available: int | None = None,
-) -> ArrayPositions:  # fmt: skip
-    if request.sampler == "pmmh":
-        return _by_pmmh(data_of(request.samples), prior, request, rng)
-    few = request.samples
-    if available is not None:
-        few = sample_count(data_of, prior, request, available)
-    return sample_positions(
-        data_of(few), prior, rng, chains=request.chains, stop=request.stop,
-        checkpoint=request.checkpoint,
-    )  # fmt: skip
-
-
-def sample_count(
-    data_of: Callable[[int], ArrayData], prior: ArrayPrior, request: ArrayRequest, available: int
-) -> int:
-    """How many samples bring the median posterior sd to the target: it falls as their root."""
-    from imucalib.estimators.array.mode import laplace_frame, start_prior
-
-    if min(request.samples, available) <= _FIRST:
-        return min(request.samples, available)
-    data = data_of(_FIRST)
-    frame = laplace_frame(data, start_prior(data, prior))
-    sd = float(np.median(np.sqrt(np.diag(frame.covariance)[: prior.positions])))
-    needed = _FIRST * (sd / request.target) ** 2
-    return int(np.clip(needed, _FIRST, min(request.samples, available)))
-
-
-def _sigma(rests: RestFit, board: Board, request: ArrayRequest) -> tuple[Array, bool]:
-    """Sigma of each triad, m/s², and whether a common factor on them is estimated."""
-    chosen = request.accelerometer_sigma
-    if chosen == "nonlinearity":
-        if not np.isfinite(board.accelerometer_range):
-            raise Undetermined(
-                "the non-linearity rule needs the accelerometers' range",
-                remedy="state accelerometer_range (g) in the board file",
-            )
-        return np.full(board.count, NON_LINEARITY * board.accelerometer_range), False
-    if chosen == "estimate":
-        # In motion the errors are not the noise at rest: one size for all, its factor free.
-        return np.full(board.count, 5.0 * float(np.sqrt(np.mean(rests.noise**2)))), True
-    return np.full(board.count, float(chosen)), False
-
-
-def _by_pmmh(
-    data: ArrayData, prior: ArrayPrior, request: ArrayRequest, rng: np.random.Generator
-) -> ArrayPositions:
-    from imucalib.estimators.array.mode import start_prior
-
-    chosen = start_prior(data, prior)
-    found = run_pmmh(data, chosen, rng, iterations=request.iterations, chains=request.chains or 2)
-    checked = convergence(found.draws)
-    if not checked.reached(request.stop.rhat, request.stop.ess):
-        raise NotConverged(
-            f"the chains of Algorithm 1 do not agree after {request.iterations} iterations: "
-            f"{checked.sentence}",
-            remedy="more --iterations, or the default sampler",
-        )
-    note = (
-        f"Algorithm 1: N = {found.monte_carlo}, variance of the log likelihood "
-        f"{found.variance:.2g}, acceptance {100 * found.accepted:.0f} %, burn-in {found.burn_in}"
-    )
-    thin = max(1, request.iterations // 2000)
-    positions = ArrayPositions(
-        data=data,
-        prior=chosen,
-        unknowns=found.draws[:, ::thin],
-        frame=None,
-        accepted=found.accepted,
-        steps=1,
-        convergence=checked,
-        sampler="pmmh",
-        notes=(note,),
-    )
-    refuse_collapse(positions.mean, chosen.nominal)
-    refuse_vague(positions)
-    return positions
+    loop = with_rests(loop, rests.loop)
+    return loop, loop.final

@@ -16,6 +16,10 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.estimate.blocks import size_block
+from imucalib.calibrators.array.estimate.left import Residual
+from imucalib.calibrators.array.estimate.size import GyroScale
+from imucalib.calibrators.array.estimate.total import Total
 from imucalib.calibrators.array.findings import effect_blocks, noise_block, rest_blocks
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
@@ -26,7 +30,7 @@ from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: Blocks of report.json that the YAML has, too.
 _SHARED = ("board", "reference", "reference_mm", "ranges", "sample_interval_s", "positions_mm",
-           "size", "accelerometer_sigma_in_motion_m_per_s2", "effects", "not_undone",
+           "size", "gyro_scale", "frame", "residual_in_motion", "effects", "not_undone",
            "diagnostics")  # fmt: skip
 
 
@@ -36,14 +40,15 @@ def array_calibration(
     *,
     rests: RestFit,
     moving: Moving,
-    final: ArrayPositions,
+    total: Total,
+    gyros: GyroScale,
     board: Board,
     linear: LinearPart | None,
 ) -> Calibration:
     """The calibration of a log."""
-    mean, sd = 1e3 * final.mean, 1e3 * final.sd
-    covariance = 1e6 * final.covariance
+    mean, covariance = 1e3 * total.mean, 1e6 * total.covariance
     # Standard deviations are the covariance's, to the last bit.
+    sd = np.zeros_like(mean)
     sd[1:] = np.sqrt(np.diag(covariance)).reshape(-1, 3)
     parameters = tuple(
         StoredParameter(
@@ -70,14 +75,14 @@ def array_calibration(
             **facts,
             "provenance": outcome.provenance.as_dict(),
         },
-        triads=_triads(rests, moving, board, linear),
+        triads=_triads(rests, moving, board, linear, 1.0 + gyros.value),
     )
 
 
 def _triads(
-    rests: RestFit, moving: Moving, board: Board, found: LinearPart | None
+    rests: RestFit, moving: Moving, board: Board, found: LinearPart | None, scale: float
 ) -> tuple[Triad, ...]:
-    """Each IMU as the rests and the found effects' linear parts have it."""
+    """Each IMU as the rests and the found effects' linear parts have it; scale : of all gyros."""
     gain, bias, covariance = rests.in_board_axes()
     gyro_gain, gyro_bias = moving.gyros.gain, rests.gyro_bias[0]
     if found is not None:
@@ -97,7 +102,7 @@ def _triads(
             rotation=board.rotations[k],
             gain=wired[k] @ gain[k],
             bias=wired[k] @ bias[k],
-            gyro_gain=gyro_wired[k] @ gyro_gain[k],
+            gyro_gain=scale * gyro_wired[k] @ gyro_gain[k],
             gyro_bias=gyro_wired[k] @ gyro_bias[k],
             covariance=covariance[k],
             noise=float(rests.noise[k]),
@@ -114,16 +119,19 @@ def _in_board_axes(own: Array, rotations: Array) -> Array:
 
 
 def array_details(
+    *,
     rests: RestFit,
     moving: Moving,
     final: ArrayPositions,
+    total: Total,
+    gyros: GyroScale,
     board: Board,
     loop: MotionLoop | None,
     linear: LinearPart | None,
+    residual: Residual,
 ) -> dict[str, Any]:
     """What only an array has to say, for report.json; a part of it also for the YAML."""
-    mean, sd, drawn = ((1e3 * v).tolist() for v in (final.mean, final.sd, board.drawn))
-    scale, scale_sd = final.scale
+    mean, sd, drawn = ((1e3 * v).tolist() for v in (total.mean, total.sd, board.drawn))
     details: dict[str, Any] = {
         "board": board.name,
         "reference": board.imus[0],
@@ -132,12 +140,12 @@ def array_details(
             {"imu": name, "mean": mean[k], "sd": sd[k], "drawn": drawn[k]}
             for k, name in enumerate(board.imus)
         ],
-        "size": {
-            "relative_to_drawing": scale,
-            "sd": scale_sd,
-            "sd_from_gyro_tolerance": moving.gyros.scale_sd,
+        **size_block(total, gyros, board),
+        "residual_in_motion": {
+            "accelerometers_m_per_s2": residual.acceleration,
+            "gyros_deg_per_s": residual.rate / DEG,
+            "held_out": residual.held_out,
         },
-        "accelerometer_sigma_in_motion_m_per_s2": final.noise,
         "diagnostics": _diagnostics(final),
         "rests": {
             "count": rests.poses,

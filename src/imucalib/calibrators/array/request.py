@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.estimate.left import Accepted
+from imucalib.calibrators.array.estimate.total import Distance
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.moving import GyroCovariance
 from imucalib.core.effect import Effect
@@ -17,17 +19,17 @@ from imucalib.rests.stillness import StillSettings
 from imucalib.units import STANDARD_GRAVITY
 
 Sampler = Literal["hmc", "pmmh"]
-MOST_SAMPLES = 2000
 #: The paper's rule: a data sheet's non-linearity, as a share of the accelerometers' range.
 NON_LINEARITY = 0.005
 
 
 @dataclass(frozen=True)
 class ArrayRequest:
-    """samples : moving samples used at most; target : m, the posterior sd at which more samples
-    say nothing that matters; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
-    iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
-    of the search; curves : whether structure without a name is corrected by smooth curves
+    """samples : moving samples used at most, or None for all that say something;
+    accelerometer_sigma : m/s², "estimate", or "nonlinearity"; iterations : of `pmmh`
+    loop : whether there is a search; asked : effects declared, or kept out of the search
+    curves : whether structure without a name is corrected by smooth curves
+    distances : between IMUs, measured otherwise; accepted : what may stay unexplained
     still : what counts as a rest
     as_drawn : whether axes and places are those of the board file, whatever the log says
     draws : simulated data sets of the search; extra_effects : of the user's own files
@@ -37,8 +39,7 @@ class ArrayRequest:
     gravity: float = STANDARD_GRAVITY
     gravity_source: str = "standard gravity"
     sampler: Sampler = "hmc"
-    samples: int = MOST_SAMPLES
-    target: float = 2e-5
+    samples: int | None = None
     motion: MotionPrior = "learned"
     exponent: float = 0.5
     accelerometer_sigma: float | Literal["estimate", "nonlinearity"] = "estimate"
@@ -50,6 +51,8 @@ class ArrayRequest:
     loop: bool = True
     asked: Asked = NOTHING_ASKED
     curves: bool = False
+    distances: tuple[Distance, ...] = ()
+    accepted: Accepted = field(default_factory=Accepted)
     as_drawn: bool = False
     checkpoint: Path | None = None
     seed: int = 0
@@ -76,6 +79,15 @@ class ArrayRequest:
             "without": list(self.asked.without),
             "loop": self.loop,
             "curves": self.curves,
+            "accepted": {
+                "mm": self.accepted.mm,
+                "mg": self.accepted.mg,
+                "deg_per_s": self.accepted.deg_per_s,
+            },
+            "distances_mm": [
+                [self.board.imus[d.one], self.board.imus[d.two], 1e3 * d.value, 1e3 * d.sd]
+                for d in self.distances
+            ],
             "as_drawn": self.as_drawn,
             "draws": self.draws,
             "shortest_rest_s": self.still.shortest,

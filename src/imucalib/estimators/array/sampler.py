@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,11 @@ from imucalib.arrays import Array
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.mode import Frame, laplace_frame, start_prior
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
-from imucalib.estimators.markov.convergence import Convergence
+from imucalib.estimators.markov.convergence import Convergence, convergence
 from imucalib.estimators.markov.hmc import Stop, sample
 
 COLLAPSED = 0.5  # share of the drawing's extent below which a geometry is no longer believed
+_CHAINS, _DRAWS = 4, 500  # independent draws where there is no chain
 VAGUE = 0.05  # relative standard deviation of the array's size above which it is not determined
 
 
@@ -118,6 +119,27 @@ def sample_positions(
     return positions
 
 
+def gaussian_positions(
+    data: ArrayData, prior: ArrayPrior, mean: Array, covariance: Array, rng: np.random.Generator
+) -> ArrayPositions:
+    """Independent draws of positions (d,) m with covariance (d, d) m², for IMUs on one line: the
+    spin about it is in no reading, and a chain that learns its size would wander for ever.
+
+    Raises as `sample_positions` does.
+    """
+    chosen = replace(prior, motion="flat", estimate_noise=False)
+    white = rng.standard_normal((_CHAINS, _DRAWS, len(mean)))
+    unknowns = mean + white @ np.linalg.cholesky(covariance).T
+    found = ArrayPositions(
+        data=data, prior=chosen, unknowns=unknowns, frame=None, accepted=1.0, steps=1,
+        convergence=convergence(unknowns), sampler="gaussian",
+        notes=("IMUs on one line: the spin about it stays open, positions by the joint fit alone",),
+    )  # fmt: skip
+    refuse_collapse(found.mean, chosen.nominal)
+    refuse_vague(found)
+    return found
+
+
 def refuse_collapse(geometry: Array, nominal: Array) -> None:
     """Raise Undetermined when a geometry (A, 3) has shrunk along a direction of the drawing."""
     centred, drawn = geometry - geometry.mean(axis=0), nominal - nominal.mean(axis=0)
@@ -141,6 +163,16 @@ def refuse_vague(positions: ArrayPositions) -> None:
     if sd > VAGUE * scale or share > 0.5:
         raise Undetermined(
             f"too little rotation: the array's size is known to {100 * sd / scale:.1f} % and a "
-            f"position to {100 * share:.0f} % of its prior uncertainty",
+            f"position to {100 * share:.0f} % of its prior uncertainty; most open is "
+            f"{open_direction(positions.covariance)}",
             remedy="twist the array faster, about all axes, for longer; or use more samples",
         )
+
+
+def open_direction(covariance: Array) -> str:
+    """In words, the direction in space in which positions with covariance (d, d) are least known:
+    of the least known combination of them, the axis that its IMUs share most."""
+    shift = np.linalg.eigh(covariance)[1][:, -1].reshape(-1, 3)
+    axis = np.linalg.svd(shift)[2][0]
+    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    return "along (" + ", ".join(f"{v:.2f}" for v in axis + 0.0) + ") of the board"

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from imucalib.calibrators.array.logs import Repeatability
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.array.card import array_card
 from imucalib.report.array.growth import growth_plot
+from imucalib.report.array.known import known_facts
 from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
 from imucalib.report.array.residuals import residual_plots
 from imucalib.report.document import Document, Facts, Section, Table, Text
@@ -17,7 +15,7 @@ from imucalib.report.gain import gain_plot
 from imucalib.report.loop import loop_section
 from imucalib.report.sections import closing_sections, verdict
 from imucalib.report.terms import TERMS
-from imucalib.significant_digits import plus_minus, with_sd
+from imucalib.significant_digits import with_sd
 from imucalib.units import DEG
 
 
@@ -25,7 +23,10 @@ def array_document(run: ArrayRun) -> Document:
     """Everything that a reader of the positions must know, headline first."""
     observability = _observability(run)
     sections = (
-        Section("Positions", (_position_table(run), _size(run))),
+        Section(
+            "Positions",
+            (_position_table(run), known_facts(run.total, run.gyros, run.board, run.request)),
+        ),
         _board_section(run),
         loop_section(run.outcome),
         Section(
@@ -55,18 +56,18 @@ def _board_section(run: ArrayRun) -> Section:
 
 
 def _verdict(run: ArrayRun) -> Text:
-    sd = 1e3 * float(np.median(run.final.sd[1:]))
-    off = 1e3 * (run.final.mean - run.board.drawn)[1:]
+    sd = 1e3 * float(np.median(run.total.sd[1:]))
+    off = 1e3 * (run.total.mean - run.board.drawn)[1:]
     text = (
-        f"{run.board.count} positions to {sd:.2g} mm (median standard deviation) from "
-        f"{run.final.data.samples} moving samples; they differ from the drawing by "
+        f"{run.board.count} positions to {sd:.2g} mm (median standard deviation, size and frame "
+        f"included) from {run.final.data.samples} moving samples; they differ from the drawing by "
         f"{np.sqrt(np.mean(off**2)):.2g} mm rms."
     )
     return verdict(run.outcome, text)
 
 
 def _position_table(run: ArrayRun) -> Table:
-    mean, sd = 1e3 * run.final.mean, 1e3 * run.final.sd
+    mean, sd = 1e3 * run.total.mean, 1e3 * run.total.sd
     off = mean - 1e3 * run.board.drawn
     rows: list[tuple[str, ...]] = []
     for k, name in enumerate(run.board.imus):
@@ -78,19 +79,8 @@ def _position_table(run: ArrayRun) -> Table:
         away = ", ".join(f"{v:+.2f}" for v in off[k])
         rows.append((name, *cells, *spread, away))
     header = ("IMU", "x", "y", "z", "sd x", "sd y", "sd z", "minus drawing")
-    note = f"mm, relative to {run.board.imus[0]}, in the board's axes."
+    note = f"mm, relative to {run.board.imus[0]}, in the board's axes; sd with size and frame."
     return Table("Positions of the accelerometers", header, tuple(rows), "lrrrrrrr", note)
-
-
-def _size(run: ArrayRun) -> Facts:
-    scale, sd = run.final.scale
-    gyro = run.moving.gyros.scale_sd
-    return Facts(
-        (
-            ("size over drawing", f"{plus_minus(scale, sd)} (the motion)"),
-            ("its gyro part", f"± {gyro:.4f}: the gyros' mean scale carries it, within tolerance"),
-        )
-    )
 
 
 def _motion_section(run: ArrayRun) -> Section:
@@ -102,8 +92,13 @@ def _motion_section(run: ArrayRun) -> Section:
         ("used", f"{data.samples}, evenly over the motion"),
         ("rotation", f"median {np.median(speed):.0f}, largest {speed.max():.0f} deg/s"),
         ("gyro scatter", f"{gyro:.2f} deg/s rms about their mean"),
-        ("accelerometer sigma", f"{run.final.noise:.3f} m/s² in motion, "
-         f"{np.sqrt(np.mean(run.rests.noise**2)):.3f} at rest"),
+        (f"residual{', held out' if run.residual.held_out else ''}",
+         f"{run.residual.acceleration:.3f} m/s² and {run.residual.rate / DEG:.2f} deg/s "
+         "(1.4826 MAD); at rest "
+         f"{np.sqrt(np.mean(run.rests.noise**2)):.3f} and "
+         f"{np.sqrt(np.mean(run.rests.gyro_noise**2)) / DEG:.2f}"),
+        ("not explained", ", ".join(f"{x.name} {x.value:.2g} {x.unit} (accepted "
+                                    f"{x.accepted:g})" for x in run.outcome.left)),
         ("clipped samples", "left out whole"),
     ]  # fmt: skip
     return Section("The motion", (Facts(tuple(rows)),))
@@ -184,38 +179,3 @@ def _chain_section(run: ArrayRun) -> Section:
         )
     )  # fmt: skip
     return Section("The chains", (facts, *chain_plots(run)), brief=False)
-
-
-def repeatability_section(found: Repeatability, runs: tuple[ArrayRun, ...]) -> Section:
-    """Several logs: pooled positions and the scatter against what was stated."""
-    rows = []
-    for k, name in enumerate(runs[0].board.imus):
-        if k:
-            cells = [
-                plus_minus(float(1e3 * m), float(1e3 * s))
-                for m, s in zip(found.mean[k], found.sd[k] * found.inflation, strict=True)
-            ]
-            rows.append((name, *cells, ", ".join(f"{1e3 * v:.3f}" for v in found.between[k])))
-    verdict = (
-        f"{len(runs)} logs: z rms {found.z_rms:.2f} about the pooled positions. "
-        + ("They agree within what they state." if found.z_rms <= 1.5 else
-           "They scatter more than they state: the pooled uncertainty is widened by that factor.")
-    )  # fmt: skip
-    header = ("IMU", "x, mm", "y, mm", "z, mm", "between logs, mm")
-    tone = "ok" if found.z_rms <= 1.5 else "warning"
-    return Section(
-        "Repeatability",
-        (Text(verdict, "ok" if tone == "ok" else "warning"),
-         Table("Pooled positions", header, tuple(rows), "lrrrr")),
-    )  # fmt: skip
-
-
-def repeatability_dict(found: Repeatability) -> dict[str, Any]:
-    """Pooled positions of several logs, plain types."""
-    return {
-        "z_rms": found.z_rms,
-        "inflation": found.inflation,
-        "mean_mm": (1e3 * found.mean).tolist(),
-        "sd_mm": (1e3 * found.sd).tolist(),
-        "between_logs_mm": (1e3 * found.between).tolist(),
-    }

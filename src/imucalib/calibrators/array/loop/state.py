@@ -6,17 +6,17 @@ which is estimated along. Every basis is taken at the fitted motion.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.terms import Term
-from imucalib.estimators.array.gram import Columns, Gram, Reduced, gradient, gram, reduced
+from imucalib.estimators.array.gram import gradient, gram
 from imucalib.estimators.array.noise import SensorNoise, chosen_noise, log_density, scaled
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 
@@ -25,6 +25,8 @@ from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_sa
 _ROUNDS, _AGAIN, _CLOSE = 30, (0, 8, 16, 24), 0.05
 #: Change of the noise from which the matrix no longer serves.
 _STALE = 0.1
+#: Step of a position, in its prior's sd, from which a fit is lost.
+_RUNAWAY = 10.0
 
 
 @dataclass(frozen=True)
@@ -75,54 +77,6 @@ class ArrayState:
         return np.asarray(np.sqrt(np.einsum("pi,ij,pj->p", term.live, part, term.live)))
 
 
-class Base:
-    """Columns of what is fitted: positions and terms, and the matrix from raw columns to the
-    coordinates that are free."""
-
-    def __init__(self, state: ArrayState) -> None:
-        k = state.setup.triads
-        turn = np.broadcast_to(state.sampled.turn[:, None], (len(state.sampled.turn), k, 3, 3))
-        blocks = [Columns(np.asarray(turn), False, False)]
-        blocks += [term.columns(state.motion) for term in state.terms]
-        self.blocks: Sequence[Columns] = blocks
-        self.raw = sum(block.size for block in blocks)
-        self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in state.terms)]
-        off = (state.r - state.setup.nominal)[1:].ravel()
-        flat = np.full(off.size, state.setup.spread**-2.0)
-        self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in state.terms)])
-        # What positions absorb is absorbed for good.
-        held = [term.sd**-2.0 * (not term.found) for term in state.terms]
-        self.rests = np.concatenate([0.0 * flat, *held])
-        self.pull = self.prior * np.concatenate([off, *(term.value for term in state.terms)])
-
-    def free(self, found: Gram) -> Gram:
-        """The Gram matrix with the raw columns of the base replaced by its coordinates."""
-        from scipy.linalg import block_diag
-
-        turn = block_diag(*self.lives)
-        n, raw = turn.shape[1], self.raw
-        size = n + found.matrix.shape[0] - raw
-        matrix = np.empty((size, size))
-        matrix[:n, :n] = turn.T @ found.matrix[:raw, :raw] @ turn
-        matrix[:n, n:] = turn.T @ found.matrix[:raw, raw:]
-        matrix[n:, :n] = matrix[:n, n:].T
-        matrix[n:, n:] = found.matrix[raw:, raw:]
-        along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
-        whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
-        return Gram(matrix, along, found.power, found.numbers, whole)
-
-    def along(self, raw: Array) -> Array:
-        """Products with the raw columns as those with the free coordinates."""
-        ends = np.cumsum([live.shape[0] for live in self.lives])[:-1]
-        parts = zip(self.lives, np.split(raw, ends), strict=True)
-        return np.concatenate([live.T @ part for live, part in parts])
-
-    def solved(self, found: Gram) -> Reduced:
-        """One Gauss-Newton step of the base alone, from its free coordinates."""
-        every = np.arange(len(self.prior))
-        return reduced(found, every, self.prior, self.pull, every[:0])
-
-
 def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     """Fitted with the drawing and plain noise as the start."""
     k = setup.triads
@@ -131,10 +85,10 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     rate = np.median(setup.readings.rate, axis=1)
     ones = np.ones(setup.readings.rate.shape[:2])
     weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
-    sampled = fit_samples(setup.readings, weights, setup.nominal, rate)
+    sampled = fit_samples(setup.readings, weights, setup.board.drawn, rate)
     state = ArrayState(
         setup=setup,
-        r=setup.nominal,
+        r=setup.board.drawn,
         terms=terms,
         noise=noise,
         sampled=sampled,
@@ -146,10 +100,13 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     return settled(state)
 
 
-def settled(state: ArrayState) -> ArrayState:
-    """The joint fit of everything, and the noise in the shape that held-out halves ask for."""
+def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
+    """The joint fit of everything, and the noise in the shape that held-out halves ask for.
+
+    shaped : whether they are asked, or the shape is kept
+    """
     state = _climbed(_with_scale(state))
-    if state.setup.robust:
+    if state.setup.robust and shaped:
         # Which shape only shows once the fit is near; the fit then moves a little with it.
         for _ in range(3):
             noise = _shaped(state)
@@ -195,6 +152,8 @@ def _climbed(state: ArrayState) -> ArrayState:
         inner = matrix + np.diag(base.prior)
         covariance = np.asarray(np.linalg.inv(inner), np.float64)
         step = covariance @ (along - base.pull)
+        if not float(np.abs(step[: state.positions]).max()) < _RUNAWAY * state.setup.board.prior_sd:
+            break
         state = _moved(state, step, covariance)
         state = _with_scale(state)
         moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
@@ -206,8 +165,8 @@ def _climbed(state: ArrayState) -> ArrayState:
 
 def _measured(state: ArrayState) -> ArrayState:
     """With the covariance and the density of where it is."""
-    found = state.base.free(gram(state.sampled, state.base.blocks, state.setup.inner))
-    covariance = state.base.solved(found).covariance
+    one, two = state.base.halves
+    covariance = state.base.solved(one + two).covariance
     a, g, speed = state.squares()
     density = float(log_density(state.noise[0], a, speed).sum())
     density += float(log_density(state.noise[1], g, speed).sum())
