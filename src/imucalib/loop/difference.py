@@ -30,6 +30,8 @@ class Difference:
     parts : numbers that the interval rests on
     nats, nats_low : what the log density of the rows that were left out has gained, and the lower
         edge of its plain interval over the folds; NaN where it was not computed
+    by_density : whether it decides: where rows share setting errors, the plain error is mostly
+        theirs, and the other rows of a setting tell what a fixture does
     """
 
     before: float
@@ -40,6 +42,7 @@ class Difference:
     parts: int
     nats: float = float("nan")
     nats_low: float = float("nan")
+    by_density: bool = False
 
     @property
     def gain(self) -> float:
@@ -47,9 +50,9 @@ class Difference:
 
     @property
     def proved(self) -> bool:
-        """Whether the interval of the error or of the density lies above zero, the other not being
-        worse: the word "explained" follows from what is printed."""
-        dense = self.nats_low > 0.0 and self.gain > 0.0
+        """Whether the interval of the error, or of a density that decides, lies above zero, the
+        other not being worse: the word "explained" follows from what is printed."""
+        dense = self.by_density and self.nats_low > 0.0 and self.gain > 0.0
         return dense or (self.low > 0.0 and not self.nats < 0.0)
 
     @property
@@ -60,10 +63,8 @@ class Difference:
 
     @property
     def holds(self) -> bool:
-        """Whether data that took no part allow the steps. Where rows share setting errors, the
-        plain error is mostly theirs and the other rows of a setting tell what a fixture does: there
-        the density decides, and only a loss refutes."""
-        return self.gain > 0.0 if np.isnan(self.nats) else self.nats > LOSS
+        """Whether data that took no part allow the steps; of a density only a loss refutes."""
+        return self.nats > LOSS if self.by_density else self.gain > 0.0
 
 
 def difference(
@@ -96,11 +97,11 @@ def difference(
     return Difference(start, end, low, high, (mean - quantile * error) / unit, m)
 
 
-def with_density(found: Difference, nats: Array) -> Difference:
+def with_density(found: Difference, nats: Array, *, decides: bool) -> Difference:
     """With the gains (K,) in log density, fold by fold."""
     from scipy.special import stdtrit
 
     k = nats.size
     error = float(np.std(nats, ddof=1) * np.sqrt(k)) if k > 1 else np.inf
     low = float(nats.sum()) - float(stdtrit(max(k - 1, 1), 0.5 + _LEVEL / 2.0)) * error
-    return replace(found, nats=float(nats.sum()), nats_low=low)
+    return replace(found, nats=float(nats.sum()), nats_low=low, by_density=decides)

@@ -71,7 +71,8 @@ def held_difference(each: Predicted, folds: Sequence[Fold]) -> Difference:
     for k, fold in enumerate(folds):
         part[fold.rows] = k
     before, after = (np.abs(held.error[:, 0, 0]) for held in (each.before, each.after))
-    return with_density(difference(before, after, part, len(folds), "mean"), each.gains)
+    found = difference(before, after, part, len(folds), "mean")
+    return with_density(found, each.gains, decides=False)
 
 
 def _joined(parts: list[Held], order: NDArray[np.intp]) -> Held:
