@@ -90,9 +90,10 @@ def compared(raw: Path, corrected: Path) -> None:
     """|a| against g at the rests of the board's log that its calibration has not seen."""
     before, after = read(raw), read(corrected)
     rests = still_segments(before)
+    own = [name for name, c in before.channels.items() if c.quantity == "acceleration"]
     errors = []
     for recording in (before, after):
-        triads = [c for c in recording.channels.values() if c.quantity == "acceleration"]
+        triads = [recording.channels[name] for name in own]
         errors.append([
             [np.linalg.norm(c.values[(c.t > a) & (c.t < b)].mean(axis=0)) - GRAVITY for c in triads]
             for a, b in zip(rests.start, rests.stop, strict=True) if b < UNSEEN

@@ -9,11 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imucalib.calibration.findings import Findings, Gain
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Outcome
 from imucalib.calibration.provenance import provenance_of
 from imucalib.report.card import card_of, error_worth
 from imucalib.report.data import shown_dict
 from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
+from imucalib.report.gain import gain_plot
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import PAGE, render_text
 from imucalib.report.sphere import projected
@@ -105,3 +107,17 @@ def test_a_slip_is_decided_before_anything_else() -> None:
     assert "--swap 3,15" in card.to_do[0]
     assert not any("Add a position" in step or "Use it" in step for step in card.to_do)
     assert card.good_to[0].value == "400 mg"
+
+
+@pytest.mark.parametrize(("low", "word"), [(0.1, "excludes"), (-0.1, "includes")])
+def test_the_gains_picture_says_what_its_interval_holds(low: float, word: str) -> None:
+    """Also where the log density, and not the error, proves the gain."""
+    gain = Gain(2.0, 1.0, low, 1.9, True, "mg", nats=30.0, nats_low=9.0)
+    (plot,) = gain_plot(Findings("explained", gain=gain))
+    assert f"{word} zero; in log density +30.0 nats, at least +9.0" in plot.caption
+    (bars,) = plot.series
+    assert bars.names == ("before", "after", "gain, 95 %")
+    np.testing.assert_array_equal(bars.y, [2.0, 1.0, 1.0])
+    assert bars.low is not None
+    assert (np.isnan(bars.low[0]), bars.low[2]) == (True, low)
+    assert gain_plot(Findings("nothing missing")) == ()

@@ -9,6 +9,7 @@ from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.effects import known
 from imucalib.report.document import Card, Text, Tone, Worth
+from imucalib.report.gain import density_words
 from imucalib.significant_digits import plus_minus, two_digits
 from imucalib.units import MG
 
@@ -82,9 +83,10 @@ def _found(found: Findings) -> tuple[Text, ...]:
     if found.gain is not None and found.steps:
         g = found.gain
         aside = ", the wrong records set aside," if found.records else ""
+        dense = "" if math.isnan(g.nats) else f"; {density_words(g)}"
         lines.append(Text(
             f"On held-out data{aside} {g.before:.3g} -> {g.after:.3g} {g.unit}: gain "
-            f"{g.before - g.after:.2g}, 95 % {g.low:.2g} to {g.high:.2g}."
+            f"{g.before - g.after:.2g}, 95 % {g.low:.2g} to {g.high:.2g}{dense}."
         ))  # fmt: skip
     left = [f"{u.name} (driven by {u.driver})" if u.driver else u.name for u in found.unexplained]
     if left:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from imucalib.calibration.findings import Findings
+from imucalib.calibration.findings import Findings, Gain
 from imucalib.report.document import Plot, Series
 
 
@@ -19,6 +21,12 @@ def gain_plot(found: Findings | None) -> tuple[Plot, ...]:
         "bars", np.append(known, gain.low), np.append(known, gain.high),
         names=("before", "after", "gain, 95 %"),
     )  # fmt: skip
-    words = "excludes" if gain.proved else "includes"
-    caption = f"On data that took no part in any choice. The interval of the gain {words} zero."
+    words = "excludes" if gain.low > 0.0 else "includes"
+    caption = f"On data that took no part in any choice. The interval of the gain {words} zero"
+    caption += "." if math.isnan(gain.nats) else f"; {density_words(gain)}."
     return (Plot("What the search is worth", "", f"error ({gain.unit})", (bars,), caption),)
+
+
+def density_words(gain: Gain) -> str:
+    """What the log density of held-out data gains, where it was judged."""
+    return f"in log density {gain.nats:+.1f} nats, at least {gain.nats_low:+.1f}"
