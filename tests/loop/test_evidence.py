@@ -23,6 +23,7 @@ from imucalib.loop.candidates import (
     record_candidates,
 )
 from imucalib.loop.evidence import Candidate, Score, apart, score
+from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.held_out import errors, fitted, held_out, left_out_sizes
 from imucalib.loop.noise import grid as evidence_grid
 from imucalib.loop.record_errors import diagnose
@@ -297,3 +298,18 @@ def test_left_out_sizes_are_those_of_refits() -> None:
         base, data = base_model(), bench(5, 40, shared=shared)
         fit = fit_model(base, draw(base, ordinary_theta(base, data, 5), data, 6))
         np.testing.assert_allclose(left_out_sizes(fit), held_out(fit).size, rtol=0.05)
+
+
+@pytest.mark.parametrize("candidates", [20, 120])
+def test_p_holds_with_more_columns_than_observations(candidates: int) -> None:
+    """Data that lack nothing, 300 of them, against junk of 80 and of 480 columns."""
+    rng = np.random.default_rng(5)
+    base = rng.normal(size=(300, 20))
+    blocks = [rng.normal(size=(300, 4)) for _ in range(candidates)]
+    tau = 10.0 ** np.arange(-2.0, 1.1, 0.5)
+    p = []
+    for _ in range(20):
+        found = gram_evidence(rng.standard_normal(300), base, blocks, tau, rng, 99)
+        p.append((1 + int((found.best >= found.evidence.max()).sum())) / 100)
+    assert 0.25 < np.mean(p) < 0.75
+    assert np.max(p) > 0.7

@@ -3,12 +3,13 @@
 All that the evidence needs of the data is each candidate's projection and the total power. For
 independent noise both can be drawn directly: with G the Gram matrix of the projected columns,
 Gᵀz is normal with covariance G and the power beside them is chi-square. So a simulated data set
-costs as many numbers as there are columns, whatever the length of the recording.
+costs as many numbers as there are columns, whatever the length of the recording. Where there are
+more columns than observations it is the observations that are drawn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 
+#: (draws) -> projections (M, draws) of data that lack nothing, and their powers (draws,).
+Null = Callable[[int], tuple[Array, Array]]
 #: Squared size of a block's direction over its largest from which it is more than rounding.
 _OPEN = 1e-8
 #: Observations, and simulated data sets, that are worked on at a time.
@@ -49,6 +52,10 @@ def gram_evidence(
     basis = np.linalg.qr(jacobian)[0]
     rest = residual - basis @ (basis.T @ residual)
     starts = np.cumsum([0] + [b.shape[1] for b in blocks])
+    freedom, power = residual.size - basis.shape[1], float(rest @ rest)
+    indices = [np.arange(first, last) for first, last in pairwise(starts)]
+    if starts[-1] > freedom:
+        return _wide_evidence(basis, rest, blocks, indices, tau, rng, draws, unit)
     inside = np.concatenate([basis.T @ b for b in blocks], axis=1) / unit
     size, gram, along = np.zeros(starts[-1]), np.zeros((starts[-1],) * 2), np.zeros(starts[-1])
     for a in range(0, len(residual), _ROWS):  # in parts: no second copy of all columns
@@ -59,20 +66,39 @@ def gram_evidence(
         columns -= basis[part] @ inside
         gram += columns.T @ columns
         along += columns.T @ rest[part]
-    whole = np.add.reduceat(size, starts[:-1])
-    freedom, power = residual.size - basis.shape[1], float(rest @ rest)
-    indices = [np.arange(first, last) for first, last in pairwise(starts)]
     return block_evidence(
         gram=gram,
         along=along,
         power=power,
         freedom=freedom,
-        whole=whole,
+        whole=np.add.reduceat(size, starts[:-1]),
         blocks=indices,
         tau=tau,
         rng=rng,
         draws=draws,
     )
+
+
+def _wide_evidence(
+    basis: Array, rest: Array, blocks: Sequence[Array], indices: Sequence[Index], tau: Array,
+    rng: np.random.Generator, draws: int, unit: float,
+) -> GramEvidence:  # fmt: skip
+    """With more columns than observations: no matrix of the size of the columns squared, and data
+    of as many directions as there are left."""
+    columns = np.concatenate(list(blocks), axis=1) / unit
+    whole = np.array([float(np.sum(columns[:, at] ** 2)) for at in indices])
+    columns -= basis @ (basis.T @ columns)
+
+    def null(count: int) -> tuple[Array, Array]:
+        white = rng.standard_normal((len(rest), count))
+        white -= basis @ (basis.T @ white)
+        return columns.T @ white, np.einsum("ij,ij->j", white, white)
+
+    own = [_turned(columns[:, at].T @ columns[:, at]) for at in indices]
+    return _judged(
+        size=np.concatenate([s for s, _ in own]), turns=[turn for _, turn in own], along=columns.T @ rest, power=float(rest @ rest), whole=whole, blocks=indices,
+        freedom=len(rest) - basis.shape[1], tau=tau, null=null, draws=draws,
+    )  # fmt: skip
 
 
 def block_evidence(
@@ -89,24 +115,43 @@ def block_evidence(
     """The same from the products alone: gram (M, M) and along (M,) of the projected columns, the
     residual's power and freedom, the blocks as indices of columns (a column may stand in several),
     and the squared size (k,) of each block before anything was taken out of it."""
-    starts = np.cumsum([0] + [len(b) for b in blocks])
+    white, root, powers = _null(gram, freedom, rng, draws)
+    done = 0
+
+    def null(count: int) -> tuple[Array, Array]:
+        nonlocal done
+        part = slice(done, done + count)
+        done += count
+        return root @ white[:, part], powers[part]
+
     size, turns = directions(gram, blocks)
-    own = np.concatenate([turn.T @ along[b] for b, turn in zip(blocks, turns, strict=True)]) ** 2
-    found = best_evidence(own[:, None], np.array([power]), size, starts[:-1], freedom, tau)[:, 0]
-    white, root, null_power = _null(gram, freedom, rng, draws)
+    return _judged(
+        size=size, turns=turns, along=along, power=power,
+        whole=whole, blocks=blocks, freedom=freedom, tau=tau, null=null, draws=draws,
+    )  # fmt: skip
+
+
+def _judged(
+    *, size: Array, turns: list[Array], along: Array, power: float, whole: Array,
+    blocks: Sequence[Index], freedom: int, tau: Array, null: Null, draws: int,
+) -> GramEvidence:  # fmt: skip
+    """size, turns : of all blocks, as `directions` tells them; null : data that lack nothing."""
+    starts = np.cumsum([0] + [len(b) for b in blocks])
+    seen = np.concatenate([turn.T @ along[b] for b, turn in zip(blocks, turns, strict=True)]) ** 2
+    found = best_evidence(seen[:, None], np.array([power]), size, starts[:-1], freedom, tau)[:, 0]
     best = np.zeros(draws)
     for a in range(0, draws, _DRAWS):
-        part = slice(a, a + _DRAWS)
-        data = root @ white[:, part]
-        null = [turn.T @ data[b] for b, turn in zip(blocks, turns, strict=True)]
-        square = np.square(np.concatenate(null))
-        best[part] = best_evidence(square, null_power[part], size, starts[:-1], freedom, tau).max(
-            axis=0
+        data, powers = null(min(_DRAWS, draws - a))
+        square = np.square(
+            np.concatenate([turn.T @ data[b] for b, turn in zip(blocks, turns, strict=True)])
         )
+        best[a : a + _DRAWS] = best_evidence(
+            square, powers, size, starts[:-1], freedom, tau
+        ).max(axis=0)  # fmt: skip
     kept = np.add.reduceat(size, starts[:-1])
     left = kept / np.maximum(whole, 1e-300)
     rank = np.add.reduceat((size > 0.0).astype(float), starts[:-1])
-    gone = np.add.reduceat(own, starts[:-1]) / max(power, 1e-300)
+    gone = np.add.reduceat(seen, starts[:-1]) / max(power, 1e-300)
     share = 1.0 - (1.0 - gone) * freedom / np.maximum(freedom - rank, 1.0)
     return GramEvidence(found, left, np.sqrt(kept), np.maximum(share, 0.0), best)
 
@@ -126,6 +171,14 @@ def directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array]
         for k, size, turn in zip(same, kept, vectors * unit[:, None], strict=True):
             sizes[k], turns[k] = size, turn
     return np.concatenate(sizes), turns
+
+
+def _turned(gram: Array) -> tuple[Array, Array]:
+    """The same (m,) and (m, m) of one block, from its own Gram matrix."""
+    values, vectors = np.linalg.eigh(gram)
+    use = values > _OPEN * max(float(values[-1]), 1e-300)
+    turn = vectors * np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
+    return np.where(use, values, 0.0), turn
 
 
 def _null(
