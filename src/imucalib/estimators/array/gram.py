@@ -110,14 +110,29 @@ def gradient(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
     leaves nothing along it, the same as `Gram.along`."""
     parts = []
     for block in blocks:
-        weight = sampled.weights.rate if block.gyro else sampled.weights.acceleration
-        off = sampled.off.rate if block.gyro else sampled.off.acceleration
-        heavy = (off * weight[..., None])[rows]
+        heavy = _heavy(sampled, block, rows)
         each = np.matmul(block.basis[rows].transpose(1, 3, 0, 2).reshape(
             heavy.shape[1], block.basis.shape[3], -1
         ), heavy.transpose(1, 0, 2).reshape(heavy.shape[1], -1, 1))[:, :, 0]  # fmt: skip
         parts.append(each.sum(axis=0) if block.shared else each.ravel())
     return np.concatenate(parts)
+
+
+def scores(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
+    """(rows, M) the same of each sample by itself."""
+    parts = []
+    for block in blocks:
+        heavy = _heavy(sampled, block, rows)[..., None]
+        each = np.matmul(block.basis[rows].swapaxes(2, 3), heavy)[..., 0]
+        parts.append(each.sum(axis=1) if block.shared else each.reshape(len(rows), -1))
+    return np.concatenate(parts, axis=1)
+
+
+def _heavy(sampled: Sampled, block: Columns, rows: Index) -> Array:
+    """(rows, K, 3) weighted residuals of the sensors that a block acts on."""
+    weight = sampled.weights.rate if block.gyro else sampled.weights.acceleration
+    off = sampled.off.rate if block.gyro else sampled.off.acceleration
+    return np.asarray(off[rows] * weight[rows][..., None])
 
 
 def _side_by_side(bases: list[Array], rows: Index, weight: Array) -> Array:

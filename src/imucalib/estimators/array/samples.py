@@ -6,7 +6,7 @@ kept of it (`Sampled`) is all that a score test needs to take the motion out of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,9 +119,6 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
             break
         unknown = unknown + step
         rate = rate + step[:, 6:]
-    scale = 1.0 / np.sqrt(np.einsum("tii->ti", normal))
-    unit = normal * scale[:, :, None] * scale[:, None]
-    root = np.linalg.inv(np.linalg.cholesky(unit)).transpose(0, 2, 1) * scale[:, :, None]
     return Sampled(
         rate=rate,
         spin=unknown[:, 3:6],
@@ -131,5 +128,23 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
         off=off,
         weights=weights,
         arms=arms,
-        root=root,
+        root=_root(normal),
     )
+
+
+def _root(normal: Array) -> Array:
+    """(T, 9, 9) with root rootᵀ the inverse of each matrix, upper triangular."""
+    scale = 1.0 / np.sqrt(np.einsum("tii->ti", normal))
+    unit = normal * scale[:, :, None] * scale[:, None]
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(unit)).transpose(0, 2, 1)
+                      * scale[:, :, None])  # fmt: skip
+
+
+def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
+    """The same motion with all weights of each kind of sensor times a factor."""
+    weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
+    flat = sampled.arms.reshape(len(sampled.rate), -1, 9)
+    heavy = (sampled.arms * weights.acceleration[..., None, None]).reshape(flat.shape)
+    normal = np.matmul(heavy.transpose(0, 2, 1), flat)
+    normal[:, range(6, 9), range(6, 9)] += weights.rate.sum(axis=1)[:, None]
+    return replace(sampled, weights=weights, root=_root(normal))

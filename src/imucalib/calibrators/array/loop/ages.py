@@ -125,7 +125,7 @@ def _everywhere(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> tu
     plain = [term for term in state.terms if not term.aged]
     for _ in range(2 if plain else 0):
         motion = board_motion(
-            imus=state.setup.imus, rotations=state.setup.rotations, t=t, order=order,
+            imus=state.setup.imus, rotations=state.setup.board.rotations, t=t, order=order,
             rate=sampled.rate, spin=sampled.spin, force=sampled.force,
             jerk=np.zeros_like(sampled.force),
         )  # fmt: skip

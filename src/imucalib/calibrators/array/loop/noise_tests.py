@@ -93,7 +93,8 @@ def memory(state: ArrayState, *, gyro: bool) -> tuple[float, int]:
     values = off.rate if gyro else off.acceleration
     weight = state.sampled.weights.rate if gyro else state.sampled.weights.acceleration
     white = (values * np.sqrt(weight)[..., None])[inner]
-    pairs = np.flatnonzero(np.diff(inner) == 1)
+    together = np.diff(state.setup.t[inner]) < 1.5 * state.setup.interval
+    pairs = np.flatnonzero((np.diff(inner) == 1) & together)
     if len(pairs) < 10:
         return 0.0, 0
     product = float(np.sum(white[pairs] * white[pairs + 1]))

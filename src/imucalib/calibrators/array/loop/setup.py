@@ -16,6 +16,8 @@ from imucalib.estimators.array.samples import Readings, Sampled
 _STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
 _BLOCK = 5.0  # s, parts of the motion that are held out together
 FEWEST = 60
+#: Sample intervals from one neighbour to the other below which they are neighbours.
+_NEAR = 2.6
 
 
 @dataclass(frozen=True)
@@ -27,9 +29,9 @@ class Setup:
     first : (inner,) whether in the first held-out half: every other block
     apart : of the moving part, samples of which no clock may be learned: what was chosen to be
         looked at, also where only a part of it is
-    order : (T,) 0..1 over the motion; nominal : (K, 3) m, the drawing; spread : m, its sd
+    order : (T,) 0..1 over the motion; board : with the drawing and its sd
     robust : whether tails and growth of the noise may be taken in
-    rows : (T,) of the moving part
+    rows : (T,) of the moving part; interval : s, of consecutive samples
     """
 
     readings: Readings
@@ -39,16 +41,18 @@ class Setup:
     block: Index
     first: NDArray[np.bool_]
     apart: Index
-    imus: tuple[str, ...]
-    rotations: Array
-    nominal: Array
-    spread: float
+    board: Board
     robust: bool
     rows: Index
+    interval: float
 
     @property
     def triads(self) -> int:
-        return len(self.imus)
+        return self.board.count
+
+    @property
+    def imus(self) -> tuple[str, ...]:
+        return self.board.imus
 
 
 def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> Setup | None:
@@ -57,8 +61,21 @@ def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> 
     near = with_neighbours(moving)
     if len(near) < FEWEST:
         return None
-    chosen = _stretches(near, samples)
-    rows = np.unique(np.concatenate([chosen - 1, chosen, chosen + 1]))
+    return _setup(moving, board, stretches(near, samples), robust=robust, beside=True)
+
+
+def every_sample(moving: Moving, setup: Setup, samples: int, *, beside: bool) -> Setup:
+    """The same with all informative samples, at most `samples` of them.
+
+    beside : whether only those whose neighbours are informative too
+    """
+    rows = with_neighbours(moving) if beside else moving.good
+    return _setup(moving, setup.board, stretches(rows, samples), robust=setup.robust, beside=beside)
+
+
+def _setup(moving: Moving, board: Board, chosen: Index, *, robust: bool, beside: bool) -> Setup:
+    around = [chosen - 1, chosen, chosen + 1] if beside else [chosen]
+    rows = np.unique(np.concatenate(around))
     inner = np.searchsorted(rows, chosen)
     t = moving.t[rows]
     span = float(max(np.ptp(t), 1e-9))
@@ -72,12 +89,10 @@ def array_setup(moving: Moving, board: Board, samples: int, *, robust: bool) -> 
         block=block,
         first=block % 2 == 0,
         apart=rows[inner],
-        imus=board.imus,
-        rotations=board.rotations,
-        nominal=board.drawn,
-        spread=board.prior_sd,
+        board=board,
         robust=robust,
         rows=rows,
+        interval=moving.interval,
     )
 
 
@@ -111,7 +126,8 @@ def with_neighbours(moving: Moving) -> Index:
     return np.flatnonzero(near)
 
 
-def _stretches(near: Index, samples: int) -> Index:
+def stretches(near: Index, samples: int) -> Index:
+    """At most `samples` of the rows, in stretches of consecutive ones over all of them."""
     if len(near) <= samples:
         return near
     count = max(samples // _STRETCH, 8)
@@ -121,12 +137,15 @@ def _stretches(near: Index, samples: int) -> Index:
 
 
 def motion_at(setup: Setup, sampled: Sampled, age: Array | None) -> BoardMotion:
-    """The fitted motion as effects take it; its jerk by the fitted forces of the neighbours."""
+    """The fitted motion as effects take it; its jerk by the fitted forces of the neighbours, zero
+    where a sample has none."""
     jerk = np.zeros_like(sampled.force)
-    inner = setup.inner
-    step = (setup.t[inner + 1] - setup.t[inner - 1])[:, None, None]
-    jerk[inner] = (sampled.force[inner + 1] - sampled.force[inner - 1]) / step
+    middle = setup.inner[(setup.inner > 0) & (setup.inner < len(setup.t) - 1)]
+    step = setup.t[middle + 1] - setup.t[middle - 1]
+    beside = step < _NEAR * setup.interval
+    middle, step = middle[beside], step[beside, None, None]
+    jerk[middle] = (sampled.force[middle + 1] - sampled.force[middle - 1]) / step
     return board_motion(
-        imus=setup.imus, rotations=setup.rotations, t=setup.t, order=setup.order,
+        imus=setup.imus, rotations=setup.board.rotations, t=setup.t, order=setup.order,
         rate=sampled.rate, spin=sampled.spin, force=sampled.force, jerk=jerk, age=age,
     )  # fmt: skip

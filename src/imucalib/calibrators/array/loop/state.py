@@ -87,8 +87,8 @@ class Base:
         self.blocks: Sequence[Columns] = blocks
         self.raw = sum(block.size for block in blocks)
         self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in state.terms)]
-        off = (state.r - state.setup.nominal)[1:].ravel()
-        flat = np.full(off.size, state.setup.spread**-2.0)
+        off = (state.r - state.setup.board.drawn)[1:].ravel()
+        flat = np.full(off.size, state.setup.board.prior_sd**-2.0)
         self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in state.terms)])
         # What positions absorb is absorbed for good.
         held = [term.sd**-2.0 * (not term.found) for term in state.terms]
@@ -112,10 +112,10 @@ class Base:
         return Gram(matrix, along, found.power, found.numbers, whole)
 
     def along(self, raw: Array) -> Array:
-        """Products with the raw columns as those with the free coordinates."""
+        """Products (..., raw) with the raw columns as those with the free coordinates."""
         ends = np.cumsum([live.shape[0] for live in self.lives])[:-1]
-        parts = zip(self.lives, np.split(raw, ends), strict=True)
-        return np.concatenate([live.T @ part for live, part in parts])
+        parts = zip(self.lives, np.split(raw, ends, axis=-1), strict=True)
+        return np.concatenate([part @ live for live, part in parts], axis=-1)
 
     def solved(self, found: Gram) -> Reduced:
         """One Gauss-Newton step of the base alone, from its free coordinates."""
@@ -131,10 +131,10 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     rate = np.median(setup.readings.rate, axis=1)
     ones = np.ones(setup.readings.rate.shape[:2])
     weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
-    sampled = fit_samples(setup.readings, weights, setup.nominal, rate)
+    sampled = fit_samples(setup.readings, weights, setup.board.drawn, rate)
     state = ArrayState(
         setup=setup,
-        r=setup.nominal,
+        r=setup.board.drawn,
         terms=terms,
         noise=noise,
         sampled=sampled,

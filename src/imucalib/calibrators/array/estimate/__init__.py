@@ -1,0 +1,1 @@
+"""What the array's estimate states: positions with all of their uncertainty."""

@@ -1,0 +1,30 @@
+"""Covariance of a joint fit that holds whatever the noise's tails are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.estimators.array.gram import gram, scores
+from imucalib.estimators.array.samples import reweighed
+
+
+def stated_covariance(state: ArrayState) -> Array:
+    """(q, q) of the positions (m) and of the terms' coordinates: A⁻¹ B A⁻¹.
+
+    A is the information of the noise (Lange, Little, Taylor 1989, JASA 84: for a Student t less
+    than its weights say) with the prior P; B = Σ g gᵀ + P, g the score of one sample, is what the
+    scores really scatter (Huber 1967, White 1982). As many parameters as there are count as samples
+    of which B is what A says, so that few samples do not make it singular.
+    """
+    a, g = (noise.information for noise in state.noise)
+    base, inner = state.base, state.setup.inner
+    told = base.free(gram(reweighed(state.sampled, a, g), base.blocks, inner)).matrix
+    prior = np.diag(base.prior)
+    own = base.along(scores(state.sampled, base.blocks, inner))
+    share = len(inner) / (len(inner) + len(base.prior))
+    scatter = share * (own.T @ own) + (1.0 - share) * told + prior
+    bread = np.linalg.inv(told + prior)
+    found = bread @ scatter @ bread
+    return np.asarray(0.5 * (found + found.T))
