@@ -133,7 +133,7 @@ def positions_z(found: MotionLoop, true: Array) -> Array:
     truth, r = true[1:], found.final.r[1:]
     left, _, right = np.linalg.svd(truth.T @ r)
     n = found.final.positions
-    sd = np.sqrt(np.diag(found.final.covariance)[:n] * found.dispersion)
+    sd = np.sqrt(np.diag(found.final.covariance)[:n])
     return np.asarray((r - truth @ left @ right).ravel() / sd)
 
 

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 )
 @click.option("--sampler", type=click.Choice(["hmc", "pmmh"]), default="hmc", show_default=True,
               help="pmmh: Algorithm 1 of the paper.")  # fmt: skip
-@click.option("--samples", default=2000, show_default=True, help="Moving samples, at most.")
+@click.option("--samples", type=click.IntRange(min=1),
+              help="Moving samples, at most; default: all that say something.")  # fmt: skip
 @click.option("--motion-prior", type=click.Choice(["learned", "flat"]), default="learned",
               show_default=True, help="Of ω̇; flat is the paper's.")  # fmt: skip
 @click.option("--det-exponent", type=click.Choice(["0.5", "1"]), default="0.5", show_default=True,

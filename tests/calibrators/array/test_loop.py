@@ -10,7 +10,7 @@ import pytest
 
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.provenance import provenance_of
-from imucalib.calibrators.array.corrected import corrected_samples
+from imucalib.calibrators.array.estimate.corrected import corrected_samples
 from imucalib.calibrators.array.findings import array_errors, array_findings
 from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.loop.asked import Asked, named_effect

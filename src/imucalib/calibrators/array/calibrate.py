@@ -9,12 +9,16 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.corrected import corrected_samples, widened
 from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction
+from imucalib.calibrators.array.estimate.corrected import corrected_samples, restated
+from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
+from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
 from imucalib.calibrators.array.log import array_log, in_package_axes
 from imucalib.calibrators.array.loop.at_rest import with_rests
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.setup import array_setup
+from imucalib.calibrators.array.loop.state import ArrayState, start_state
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving, moving_part, samples_of, spread_over
 from imucalib.calibrators.array.request import NON_LINEARITY, ArrayRequest
@@ -36,8 +40,8 @@ from imucalib.rests.segments import Segments, still_segments
 
 Say = Callable[[str], None]
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
-LOOP_SAMPLES = 1200  # moving samples of the final fit, at most
-_FIRST = 250  # samples of the first look, from which the number needed is told
+HALVED_SAMPLES = 1200  # moving samples of which each half is searched again
+PUBLISHED_SAMPLES = 2000  # moving samples of the paper's sampler, where nobody says how many
 
 
 def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> ArrayRun:
@@ -62,13 +66,11 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     say(f"{segments.n} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
     moving = moving_part(log, rests, board.imus)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
-    wanted = request.loop or request.asked.declare
-    loop = _loop(moving, rests, board, request) if wanted else None
-    if loop is not None:
-        loop = with_rests(loop, rests.loop)
-        say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
     rng = np.random.default_rng(request.seed)
-    final = _sampled(moving, rests, board, request, rng, loop)
+    loop, state = _fitted(moving, rests, board, request)
+    if loop is not None:
+        say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
+    final = _sampled(moving, rests, board, request, rng, loop, state)
     say(f"{final.data.samples} samples: {final.convergence.sentence}")
     notes = (*recording.notes, *segments.notes, *log.notes, *final.notes)
     if request.loop and loop is None:
@@ -92,9 +94,13 @@ def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
     return [segments.triads.index(name) for name in names]
 
 
-def _loop(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> MotionLoop | None:
+def _fitted(
+    moving: Moving, rests: RestFit, board: Board, request: ArrayRequest
+) -> tuple[MotionLoop | None, ArrayState | None]:
+    """The search and the joint fit of all informative samples; no search where none is wanted, no
+    fit where the motion is too broken up."""
     robust = request.accelerometer_sigma == "estimate"
-    most = min(request.samples, LOOP_SAMPLES)
+    most = samples_taken(moving, request.samples)
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
     if setup is None:
         if request.asked.declare:
@@ -102,66 +108,54 @@ def _loop(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -
                 "the motion is too broken up to fit declared effects",
                 remedy="record longer stretches without gaps and clipping",
             )
-        return None
-    whole = array_setup(moving, board, most, robust=robust) if most > SEARCH_SAMPLES else None
-    rng = np.random.default_rng(request.seed)
-    return close_array_loop(
-        setup, rest_terms(rests), moving, rng,
-        replace(ARRAY_RULES, curves=request.curves, draws=request.draws), whole,
+        return None, None
+    terms = rest_terms(rests)
+    if not (request.loop or request.asked.declare):
+        state = fitted_on_all(start_state(setup, terms), moving, most)
+        return None, with_stated_covariance(state, shared_by_neighbours(state, gyro=False))
+    loop = close_array_loop(
+        setup, terms, moving, np.random.default_rng(request.seed),
+        replace(ARRAY_RULES, curves=request.curves, draws=request.draws),
+        array_setup(moving, board, min(most, HALVED_SAMPLES), robust=robust), most,
         asked=replace(request.asked, search=request.loop),
     )  # fmt: skip
+    loop = with_rests(loop, rests.loop)
+    return loop, loop.final
 
 
 def _sampled(
     moving: Moving, rests: RestFit, board: Board, request: ArrayRequest,
-    rng: np.random.Generator, loop: MotionLoop | None,
+    rng: np.random.Generator, loop: MotionLoop | None, state: ArrayState | None,
 ) -> ArrayPositions:  # fmt: skip
     sigma, estimate = _sigma(rests, board, request)
+    published = request.sampler == "pmmh" or request.motion == "flat"
     prior = ArrayPrior(
         board.drawn, board.prior_sd, request.motion, request.exponent,
-        estimate_noise=estimate and loop is None,
+        estimate_noise=estimate and (state is None or (published and loop is None)),
     )  # fmt: skip
-    if loop is not None:
-        data = corrected_samples(loop.final)
-        if not estimate:
-            data = replace(data, sigma=sigma)
-        return widened(_drawn(lambda count: data, prior, request, rng), loop, rng)
-
-    def data_of(count: int) -> ArrayData:
-        rows = spread_over(moving.good, count)
-        return samples_of(moving, rows, sigma, request.gyro_covariance)
-
-    return _drawn(data_of, prior, request, rng, len(moving.good))
+    few = min(request.samples or PUBLISHED_SAMPLES, len(moving.good))
+    if state is None or (published and loop is None):
+        rows = spread_over(moving.good, few)
+        data = samples_of(moving, rows, sigma, request.gyro_covariance)
+        return _drawn(data, prior, request, rng)
+    data = corrected_samples(state)
+    if request.sampler == "pmmh":
+        data = data.take(spread_over(np.arange(data.samples), few))
+    if not estimate:
+        data = replace(data, sigma=sigma)
+    found = _drawn(data, prior, request, rng)
+    n = state.positions
+    return restated(found, state.covariance[:n, :n], rng)
 
 
 def _drawn(
-    data_of: Callable[[int], ArrayData], prior: ArrayPrior, request: ArrayRequest,
-    rng: np.random.Generator, available: int | None = None,
-) -> ArrayPositions:  # fmt: skip
+    data: ArrayData, prior: ArrayPrior, request: ArrayRequest, rng: np.random.Generator
+) -> ArrayPositions:
     if request.sampler == "pmmh":
-        return _by_pmmh(data_of(request.samples), prior, request, rng)
-    few = request.samples
-    if available is not None:
-        few = sample_count(data_of, prior, request, available)
+        return _by_pmmh(data, prior, request, rng)
     return sample_positions(
-        data_of(few), prior, rng, chains=request.chains, stop=request.stop,
-        checkpoint=request.checkpoint,
-    )  # fmt: skip
-
-
-def sample_count(
-    data_of: Callable[[int], ArrayData], prior: ArrayPrior, request: ArrayRequest, available: int
-) -> int:
-    """How many samples bring the median posterior sd to the target: it falls as their root."""
-    from imucalib.estimators.array.mode import laplace_frame, start_prior
-
-    if min(request.samples, available) <= _FIRST:
-        return min(request.samples, available)
-    data = data_of(_FIRST)
-    frame = laplace_frame(data, start_prior(data, prior))
-    sd = float(np.median(np.sqrt(np.diag(frame.covariance)[: prior.positions])))
-    needed = _FIRST * (sd / request.target) ** 2
-    return int(np.clip(needed, _FIRST, min(request.samples, available)))
+        data, prior, rng, chains=request.chains, stop=request.stop, checkpoint=request.checkpoint
+    )
 
 
 def _sigma(rests: RestFit, board: Board, request: ArrayRequest) -> tuple[Array, bool]:

@@ -17,15 +17,13 @@ from imucalib.rests.stillness import StillSettings
 from imucalib.units import STANDARD_GRAVITY
 
 Sampler = Literal["hmc", "pmmh"]
-MOST_SAMPLES = 2000
 #: The paper's rule: a data sheet's non-linearity, as a share of the accelerometers' range.
 NON_LINEARITY = 0.005
 
 
 @dataclass(frozen=True)
 class ArrayRequest:
-    """samples : moving samples used at most; target : m, the posterior sd at which more samples
-    say nothing that matters; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
+    """samples : moving samples used at most, or None for all that say something; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
     iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
     of the search; curves : whether structure without a name is corrected by smooth curves
     still : what counts as a rest
@@ -37,8 +35,7 @@ class ArrayRequest:
     gravity: float = STANDARD_GRAVITY
     gravity_source: str = "standard gravity"
     sampler: Sampler = "hmc"
-    samples: int = MOST_SAMPLES
-    target: float = 2e-5
+    samples: int | None = None
     motion: MotionPrior = "learned"
     exponent: float = 0.5
     accelerometer_sigma: float | Literal["estimate", "nonlinearity"] = "estimate"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from imucalib.arrays import Array
@@ -28,3 +30,9 @@ def stated_covariance(state: ArrayState) -> Array:
     bread = np.linalg.inv(told + prior)
     found = bread @ scatter @ bread
     return np.asarray(0.5 * (found + found.T))
+
+
+def with_stated_covariance(state: ArrayState, factor: float = 1.0) -> ArrayState:
+    """The state with that covariance; factor : how many times fewer samples noise that neighbours
+    share leaves."""
+    return replace(state, covariance=factor * stated_covariance(state))

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
+from imucalib.calibrators.array.estimate.every import fitted_on_all, on_all
 from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
-from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted, transferred
+from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted
 from imucalib.calibrators.array.loop.declared import with_declared
 from imucalib.calibrators.array.loop.held_out import held_out_residuals
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
@@ -56,12 +58,14 @@ class MotionLoop(Loop[ArrayState]):
 
 def close_array_loop(
     setup: Setup, terms: tuple[Term, ...], moving: Moving, rng: np.random.Generator,
-    rules: LoopSettings = ARRAY_RULES, whole: Setup | None = None, asked: Asked = NOTHING_ASKED,
+    rules: LoopSettings = ARRAY_RULES, halved: Setup | None = None, most: int | None = None,
+    asked: Asked = NOTHING_ASKED,
 ) -> MotionLoop:  # fmt: skip
     """Search, accept, refit, until nothing passes; then the same on each half of the motion.
 
-    whole : more samples, for the final fit alone; asked : effects that the user declares, or keeps
-    out of the search
+    halved : more samples for the halves; most : of all informative ones, how many the final fit
+    takes, or None for those of the search; asked : effects that the user declares, or keeps out of
+    the search
     """
 
     def started(chosen: Setup) -> MotionSubject:
@@ -75,22 +79,23 @@ def close_array_loop(
     first = started(setup)
     end = close(first, rules)
     path = end.subject
-    gained = cross_fitted(whole or setup, moving, searched)
+    gained = cross_fitted(halved or setup, moving, searched)
     refused: tuple[tuple[str, str], ...] = ()
     structure = path.corrected
     if path.steps and gained is not None and not gained.holds:
         refused = tuple((step.effect, _REFUSED) for step in path.steps)
         structure += tuple(_as_structure(step) for step in path.steps if step.evidence > STRONG)
         path = first
-    final, ages = _on_all(path, moving, whole)
+    final, ages = _on_all(path, moving, most)
     left = tuple(
         without_a_name(s)
         for s in end.last.scores
         if asked.search and s.candidate.kind != "effect" and s.p <= rules.alpha
     )
+    dispersion = shared_by_neighbours(final, gyro=False)
     return MotionLoop(
         base=first.state,
-        final=final,
+        final=with_stated_covariance(final, dispersion),
         steps=path.steps,
         rejected=(*end.rejected.items(), *path.dropped, *refused),
         unexplained=(*structure, *left[:3]),
@@ -101,7 +106,7 @@ def close_array_loop(
         ages=ages,
         gained=gained,
         impact=absorbed(tuple(s for s in (end.first, end.last) if isinstance(s, Search))),
-        dispersion=shared_by_neighbours(final, gyro=False),
+        dispersion=dispersion,
         asked=asked,
     )
 
@@ -130,16 +135,13 @@ def _as_structure(step: Step) -> Unexplained:
 
 
 def _on_all(
-    path: MotionSubject, moving: Moving, whole: Setup | None
+    path: MotionSubject, moving: Moving, most: int | None
 ) -> tuple[ArrayState, Ages | None]:
     """The final fit on all samples; accepted clocks with their phases from all of the motion."""
     state = path.state
-    aged = any(term.aged for term in state.terms)
-    if whole is None and not aged:
-        return state, None
-    moved = state if whole is None else transferred(state, whole)
-    if not aged:
-        return settled(moved), None
+    if not any(term.aged for term in state.terms):
+        return (state if most is None else fitted_on_all(state, moving, most)), None
+    moved = state if most is None else on_all(state, moving, most)
     again = found_ages(moved, moving, all_rows=True)
     if again is None:
         return state, path.ages

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
+from imucalib.calibrators.array.estimate.every import transferred
 from imucalib.calibrators.array.loop.ages import ages_elsewhere, kept_ages, voting
 from imucalib.calibrators.array.loop.held_out import Residuals
-from imucalib.calibrators.array.loop.setup import FEWEST, Setup, motion_at, part_of
+from imucalib.calibrators.array.loop.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.loop.state import ArrayState, moved_motion
 from imucalib.calibrators.array.loop.subject import MotionSubject
 from imucalib.calibrators.array.moving import Moving
-from imucalib.estimators.array.samples import Weights, fit_samples
 from imucalib.loop.difference import Difference
 from imucalib.units import DEG
 
@@ -124,15 +124,6 @@ def difference_of_medians(before: Array, after: Array, block: Index, folds: int)
     start, end = float(np.median(before)), float(np.median(after))
     low, high = start - end - wide * reach, start - end + wide * reach
     return Difference(start, end, low, high, start - end - reach, n)
-
-
-def transferred(state: ArrayState, setup: Setup) -> ArrayState:
-    """What was found, at other samples; to be settled there."""
-    ones = np.ones(setup.readings.rate.shape[:2])
-    weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
-    rate = np.median(setup.readings.rate, axis=1)
-    sampled = fit_samples(setup.readings, weights, state.r, rate)
-    return replace(state, setup=setup, sampled=sampled, motion=motion_at(setup, sampled, None))
 
 
 def followed(state: ArrayState) -> ArrayState:
