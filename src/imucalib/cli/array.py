@@ -12,6 +12,7 @@ from imucalib.cli.output import note
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
 
 if TYPE_CHECKING:
+    from imucalib.calibrators.array.estimate.total import Distance
     from imucalib.calibrators.array.request import ArrayRequest
     from imucalib.calibrators.array.run import ArrayRun
 
@@ -46,6 +47,9 @@ if TYPE_CHECKING:
               help="Also write the posterior's draws: .h5 or .nc.")  # fmt: skip
 @click.option("--checkpoint", type=click.Path(path_type=Path),
               help="Keep the chains here after every block, and go on from there.")  # fmt: skip
+@click.option("--distance", "distances", nargs=3, multiple=True, metavar="IMU IMU MM±SD",
+              help="A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm "
+              "(+- works too).")  # fmt: skip
 @shortest_rest_option
 @calibrating
 def command(logs: tuple[Path, ...], **options: Any) -> int:
@@ -115,10 +119,33 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         still=still_of(options), loop=shared.loop, asked=asked,
         curves=ArrayRequest.curves if shared.curves is None else shared.curves,
         as_drawn=options["as_drawn"],
+        distances=tuple(_distance(given, board.imus) for given in options["distances"]),
         draws=shared.draws or ArrayRequest.draws,
         checkpoint=options["checkpoint"], seed=shared.seed, extra_effects=shared.extra_effects,
         limits=shared.limits, command=shared.command,
     )  # fmt: skip
+
+
+def _distance(given: tuple[str, str, str], imus: tuple[str, ...]) -> Distance:
+    from imucalib.calibrators.array.estimate.total import Distance
+    from imucalib.errors import UsageError
+
+    one, two, text = given
+    missing = [name for name in (one, two) if name not in imus]
+    if missing or one == two:
+        what = f"no IMU '{missing[0]}'" if missing else "a distance is between two IMUs"
+        raise UsageError(f"--distance: {what}", remedy=f"IMUs: {', '.join(imus)}")
+    value, _, sd = text.removesuffix("mm").replace("+/-", "±").replace("+-", "±").partition("±")
+    try:
+        found = 1e-3 * float(value), 1e-3 * float(sd)
+    except ValueError:
+        found = -1.0, -1.0
+    if not (0.0 < found[1] < found[0] < 100.0):
+        raise UsageError(
+            f"--distance: '{text}' is no distance with its standard deviation",
+            remedy="in mm, like 26.73±0.05mm or 26.73+-0.05",
+        )
+    return Distance(imus.index(one), imus.index(two), *found)
 
 
 def _together(runs: tuple[ArrayRun, ...]) -> Together:

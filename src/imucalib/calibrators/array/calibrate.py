@@ -13,6 +13,9 @@ from imucalib.calibrators.array.drawing.check import compared, refuse_contradict
 from imucalib.calibrators.array.estimate.corrected import corrected_samples, restated
 from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
 from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
+from imucalib.calibrators.array.estimate.size import frame_sd, gravity_sd, scale_by_turns
+from imucalib.calibrators.array.estimate.total import total_of
+from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.log import array_log, in_package_axes
 from imucalib.calibrators.array.loop.at_rest import with_rests
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
@@ -70,14 +73,24 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     loop, state = _fitted(moving, rests, board, request)
     if loop is not None:
         say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
-    final = _sampled(moving, rests, board, request, rng, loop, state)
+    found, motion = _sampled(moving, rests, board, request, rng, loop, state)
+    linear = linear_part(loop) if loop is not None else None
+    gyros = scale_by_turns(
+        log, segments, rests, moving, order, None if linear is None else linear.gyro_gain
+    )
+    total = total_of(
+        found.mean, motion, scale=gyros.value, scale_sd=gyros.sd,
+        gravity_sd=gravity_sd(request.gravity_source), frame_sd=frame_sd(rests),
+        distances=request.distances,
+    )  # fmt: skip
+    final = restated(found, total, rng)
     say(f"{final.data.samples} samples: {final.convergence.sentence}")
     notes = (*recording.notes, *segments.notes, *log.notes, *final.notes)
     if request.loop and loop is None:
         notes += ("the motion is too broken up for the search of the loop",)
     return finished(
         recording=recording, board=board, request=request, segments=segments, rests=rests,
-        moving=moving, final=final, loop=loop, notes=notes,
+        moving=moving, final=final, total=total, gyros=gyros, loop=loop, linear=linear, notes=notes,
     )  # fmt: skip
 
 
@@ -126,7 +139,8 @@ def _fitted(
 def _sampled(
     moving: Moving, rests: RestFit, board: Board, request: ArrayRequest,
     rng: np.random.Generator, loop: MotionLoop | None, state: ArrayState | None,
-) -> ArrayPositions:  # fmt: skip
+) -> tuple[ArrayPositions, Array]:  # fmt: skip
+    """The sampler's answer, and the covariance of the positions by log and rests."""
     sigma, estimate = _sigma(rests, board, request)
     published = request.sampler == "pmmh" or request.motion == "flat"
     prior = ArrayPrior(
@@ -137,15 +151,15 @@ def _sampled(
     if state is None or (published and loop is None):
         rows = spread_over(moving.good, few)
         data = samples_of(moving, rows, sigma, request.gyro_covariance)
-        return _drawn(data, prior, request, rng)
+        found = _drawn(data, prior, request, rng)
+        return found, found.covariance
     data = corrected_samples(state)
     if request.sampler == "pmmh":
         data = data.take(spread_over(np.arange(data.samples), few))
     if not estimate:
         data = replace(data, sigma=sigma)
-    found = _drawn(data, prior, request, rng)
     n = state.positions
-    return restated(found, state.covariance[:n, :n], rng)
+    return _drawn(data, prior, request, rng), state.covariance[:n, :n]
 
 
 def _drawn(

@@ -16,6 +16,9 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.estimate.blocks import size_block
+from imucalib.calibrators.array.estimate.size import GyroScale
+from imucalib.calibrators.array.estimate.total import Total
 from imucalib.calibrators.array.findings import effect_blocks, noise_block, rest_blocks
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
@@ -26,7 +29,8 @@ from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: Blocks of report.json that the YAML has, too.
 _SHARED = ("board", "reference", "reference_mm", "ranges", "sample_interval_s", "positions_mm",
-           "size", "accelerometer_sigma_in_motion_m_per_s2", "effects", "not_undone",
+           "size", "gyro_scale", "frame", "accelerometer_sigma_in_motion_m_per_s2", "effects",
+           "not_undone",
            "diagnostics")  # fmt: skip
 
 
@@ -36,14 +40,14 @@ def array_calibration(
     *,
     rests: RestFit,
     moving: Moving,
-    final: ArrayPositions,
+    total: Total,
     board: Board,
     linear: LinearPart | None,
 ) -> Calibration:
     """The calibration of a log."""
-    mean, sd = 1e3 * final.mean, 1e3 * final.sd
-    covariance = 1e6 * final.covariance
+    mean, covariance = 1e3 * total.mean, 1e6 * total.covariance
     # Standard deviations are the covariance's, to the last bit.
+    sd = np.zeros_like(mean)
     sd[1:] = np.sqrt(np.diag(covariance)).reshape(-1, 3)
     parameters = tuple(
         StoredParameter(
@@ -114,16 +118,18 @@ def _in_board_axes(own: Array, rotations: Array) -> Array:
 
 
 def array_details(
+    *,
     rests: RestFit,
     moving: Moving,
     final: ArrayPositions,
+    total: Total,
+    gyros: GyroScale,
     board: Board,
     loop: MotionLoop | None,
     linear: LinearPart | None,
 ) -> dict[str, Any]:
     """What only an array has to say, for report.json; a part of it also for the YAML."""
-    mean, sd, drawn = ((1e3 * v).tolist() for v in (final.mean, final.sd, board.drawn))
-    scale, scale_sd = final.scale
+    mean, sd, drawn = ((1e3 * v).tolist() for v in (total.mean, total.sd, board.drawn))
     details: dict[str, Any] = {
         "board": board.name,
         "reference": board.imus[0],
@@ -132,11 +138,7 @@ def array_details(
             {"imu": name, "mean": mean[k], "sd": sd[k], "drawn": drawn[k]}
             for k, name in enumerate(board.imus)
         ],
-        "size": {
-            "relative_to_drawing": scale,
-            "sd": scale_sd,
-            "sd_from_gyro_tolerance": moving.gyros.scale_sd,
-        },
+        **size_block(total, gyros, board),
         "accelerometer_sigma_in_motion_m_per_s2": final.noise,
         "diagnostics": _diagnostics(final),
         "rests": {

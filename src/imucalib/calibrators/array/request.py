@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.estimate.total import Distance
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.moving import GyroCovariance
 from imucalib.core.effect import Effect
@@ -23,9 +24,11 @@ NON_LINEARITY = 0.005
 
 @dataclass(frozen=True)
 class ArrayRequest:
-    """samples : moving samples used at most, or None for all that say something; accelerometer_sigma : m/s², "estimate", or "nonlinearity";
-    iterations : of `pmmh`; loop : whether there is a search; asked : effects declared, or kept out
-    of the search; curves : whether structure without a name is corrected by smooth curves
+    """samples : moving samples used at most, or None for all that say something;
+    accelerometer_sigma : m/s², "estimate", or "nonlinearity"; iterations : of `pmmh`
+    loop : whether there is a search; asked : effects declared, or kept out of the search
+    curves : whether structure without a name is corrected by smooth curves
+    distances : between IMUs, measured otherwise
     still : what counts as a rest
     as_drawn : whether axes and places are those of the board file, whatever the log says
     draws : simulated data sets of the search; extra_effects : of the user's own files
@@ -47,6 +50,7 @@ class ArrayRequest:
     loop: bool = True
     asked: Asked = NOTHING_ASKED
     curves: bool = False
+    distances: tuple[Distance, ...] = ()
     as_drawn: bool = False
     checkpoint: Path | None = None
     seed: int = 0
@@ -73,6 +77,10 @@ class ArrayRequest:
             "without": list(self.asked.without),
             "loop": self.loop,
             "curves": self.curves,
+            "distances_mm": [
+                [self.board.imus[d.one], self.board.imus[d.two], 1e3 * d.value, 1e3 * d.sd]
+                for d in self.distances
+            ],
             "as_drawn": self.as_drawn,
             "draws": self.draws,
             "shortest_rest_s": self.still.shortest,

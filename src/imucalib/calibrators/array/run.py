@@ -11,8 +11,10 @@ from imucalib.calibration.outcome import ErrorSummary, Limit, Outcome, Run
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.calibration import array_calibration, array_details
+from imucalib.calibrators.array.estimate.size import GyroScale
+from imucalib.calibrators.array.estimate.total import Total
 from imucalib.calibrators.array.findings import array_errors, array_findings
-from imucalib.calibrators.array.linear_part import linear_part
+from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.request import ArrayRequest
@@ -35,6 +37,8 @@ class ArrayRun(Run):
     rests: RestFit
     moving: Moving
     final: ArrayPositions
+    total: Total
+    gyros: GyroScale
     loop: MotionLoop | None
 
 
@@ -47,7 +51,10 @@ def finished(
     rests: RestFit,
     moving: Moving,
     final: ArrayPositions,
+    total: Total,
+    gyros: GyroScale,
     loop: MotionLoop | None,
+    linear: LinearPart | None,
     notes: tuple[str, ...],
 ) -> ArrayRun:
     """The run of these stages: judged, with its calibration."""
@@ -64,12 +71,14 @@ def finished(
         notes=notes,
         loud=loud,
     )
-    linear = linear_part(loop) if loop else None
-    details = array_details(rests, moving, final, board, loop, linear)
+    details = array_details(
+        rests=rests, moving=moving, final=final, total=total, gyros=gyros, board=board,
+        loop=loop, linear=linear,
+    )  # fmt: skip
     return ArrayRun(
         outcome=outcome,
         calibration=array_calibration(
-            outcome, details, rests=rests, moving=moving, final=final, board=board, linear=linear
+            outcome, details, rests=rests, moving=moving, total=total, board=board, linear=linear
         ),
         details=details,
         recording=recording,
@@ -79,6 +88,8 @@ def finished(
         rests=rests,
         moving=moving,
         final=final,
+        total=total,
+        gyros=gyros,
         loop=loop,
     )
 

@@ -81,7 +81,7 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
         x = _side_by_side([blocks[b].basis for b in chosen], rows, weight)
         for triad in range(k):
             index = _places(blocks, starts, chosen, triad)
-            one = x[triad].reshape(-1, x.shape[3])
+            one = x[triad].reshape(3 * len(rows), x.shape[3])
             matrix[np.ix_(index, index)] += one.T @ one
             along[index] += one.T @ off[:, triad].ravel()
             arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)

@@ -10,6 +10,7 @@ from imucalib.calibrators.array.logs import Repeatability
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.array.card import array_card
 from imucalib.report.array.growth import growth_plot
+from imucalib.report.array.known import size_facts
 from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
 from imucalib.report.array.residuals import residual_plots
 from imucalib.report.document import Document, Facts, Section, Table, Text
@@ -25,7 +26,7 @@ def array_document(run: ArrayRun) -> Document:
     """Everything that a reader of the positions must know, headline first."""
     observability = _observability(run)
     sections = (
-        Section("Positions", (_position_table(run), _size(run))),
+        Section("Positions", (_position_table(run), size_facts(run))),
         _board_section(run),
         loop_section(run.outcome),
         Section(
@@ -55,18 +56,18 @@ def _board_section(run: ArrayRun) -> Section:
 
 
 def _verdict(run: ArrayRun) -> Text:
-    sd = 1e3 * float(np.median(run.final.sd[1:]))
-    off = 1e3 * (run.final.mean - run.board.drawn)[1:]
+    sd = 1e3 * float(np.median(run.total.sd[1:]))
+    off = 1e3 * (run.total.mean - run.board.drawn)[1:]
     text = (
-        f"{run.board.count} positions to {sd:.2g} mm (median standard deviation) from "
-        f"{run.final.data.samples} moving samples; they differ from the drawing by "
+        f"{run.board.count} positions to {sd:.2g} mm (median standard deviation, size and frame "
+        f"included) from {run.final.data.samples} moving samples; they differ from the drawing by "
         f"{np.sqrt(np.mean(off**2)):.2g} mm rms."
     )
     return verdict(run.outcome, text)
 
 
 def _position_table(run: ArrayRun) -> Table:
-    mean, sd = 1e3 * run.final.mean, 1e3 * run.final.sd
+    mean, sd = 1e3 * run.total.mean, 1e3 * run.total.sd
     off = mean - 1e3 * run.board.drawn
     rows: list[tuple[str, ...]] = []
     for k, name in enumerate(run.board.imus):
@@ -78,19 +79,8 @@ def _position_table(run: ArrayRun) -> Table:
         away = ", ".join(f"{v:+.2f}" for v in off[k])
         rows.append((name, *cells, *spread, away))
     header = ("IMU", "x", "y", "z", "sd x", "sd y", "sd z", "minus drawing")
-    note = f"mm, relative to {run.board.imus[0]}, in the board's axes."
+    note = f"mm, relative to {run.board.imus[0]}, in the board's axes; sd with size and frame."
     return Table("Positions of the accelerometers", header, tuple(rows), "lrrrrrrr", note)
-
-
-def _size(run: ArrayRun) -> Facts:
-    scale, sd = run.final.scale
-    gyro = run.moving.gyros.scale_sd
-    return Facts(
-        (
-            ("size over drawing", f"{plus_minus(scale, sd)} (the motion)"),
-            ("its gyro part", f"± {gyro:.4f}: the gyros' mean scale carries it, within tolerance"),
-        )
-    )
 
 
 def _motion_section(run: ArrayRun) -> Section:

@@ -1,4 +1,4 @@
-"""What the sampler gets of a joint fit, and its draws with all that is stated."""
+"""What the sampler gets of a joint fit, and its draws with all that is uncertain."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.calibrators.array.estimate.total import Total
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.problem import ArrayData
 from imucalib.estimators.array.sampler import ArrayPositions
@@ -35,16 +35,17 @@ def corrected_samples(state: ArrayState) -> ArrayData:
     return ArrayData(acceleration, np.full(k, one**-0.5), rate, np.eye(3) * own * k)
 
 
-def restated(found: ArrayPositions, covariance: Array, rng: np.random.Generator) -> ArrayPositions:
-    """The draws about their mean, carried over to a covariance (d, d) m² of the positions that holds
-    more than the sampler saw: effects, rests, tails."""
+def restated(found: ArrayPositions, total: Total, rng: np.random.Generator) -> ArrayPositions:
+    """The draws carried over to the mean and the covariance of all that is uncertain, of which the
+    sampler saw a part."""
     n, d = found.free.shape
-    mean = found.free.mean(axis=0)
-    root = np.linalg.cholesky(covariance)
+    root = np.linalg.cholesky(total.covariance)
     if n > 2 * d:
-        white = np.linalg.solve(np.linalg.cholesky(found.covariance), (found.free - mean).T)
+        away = found.free - found.free.mean(axis=0)
+        white = np.linalg.solve(np.linalg.cholesky(found.covariance), away.T)
     else:
         white = rng.standard_normal((d, n))
+    moved = total.mean[1:].ravel() + (root @ white).T
     unknowns = found.unknowns.copy()
-    unknowns[..., :d] = (mean + (root @ white).T).reshape(*unknowns.shape[:2], d)
+    unknowns[..., :d] = moved.reshape(*unknowns.shape[:2], d)
     return replace(found, unknowns=unknowns)

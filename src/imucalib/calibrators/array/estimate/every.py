@@ -22,7 +22,7 @@ def samples_taken(moving: Moving, asked: int | None) -> int:
 
 
 def on_all(state: ArrayState, moving: Moving, most: int) -> ArrayState:
-    """The state at `most` of all informative samples, not settled there. Samples without informative
+    """The state at `most` of all informative samples, not settled there. Samples without
     neighbours serve unless a term needs the force's derivative."""
     beside = any("jerk" in term.effect.needs for term in state.terms)
     return transferred(state, every_sample(moving, state.setup, most, beside=beside))

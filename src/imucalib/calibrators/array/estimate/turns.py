@@ -1,0 +1,112 @@
+"""The gyros' common scale from the turns between rests: gravity is seen before and after.
+
+Motion alone cannot show it: readings (1 + k) ω give positions 1 / (1 + k)² as large. Between two
+rests gravity turns in the board's axes by what the gyros integrate to, du/dt = -ω x u, and by no
+other scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags, Index
+
+_FEWEST = 5  # turns from which on their scatter says how good they are
+_LEAST = np.radians(10.0)  # of gravity, below which a turn says nothing
+_FINER = 4  # times that the rate is interpolated between its samples
+_STEP = 1e-3  # relative, of the derivative by the scale
+_HEAVY = 4.0  # degrees of freedom of the turns' errors
+
+
+@dataclass(frozen=True)
+class Turns:
+    """scale, sd : relative error k of the gyros' common scale, reading = (1 + k) ω; count : of the
+    turns; misfit : rad, rms of what is left of a turn; angle : rad, their median"""
+
+    scale: float
+    sd: float
+    count: int
+    misfit: float
+    angle: float
+
+
+def common_scale(
+    t: Array, rate: Array, usable: Flags, up: Array, start: Array, stop: Array
+) -> Turns | None:
+    """The scale by all turns between consecutive rests; None where there are too few.
+
+    t : (n,) s; rate : (n, 3) rad/s, mean of the gyros in board axes, their offsets in it; usable :
+    (n,) not clipped; up : (m, 3) unit vectors of gravity at m rests from start to stop (m,) s
+    """
+    within = [(t >= a) & (t <= b) for a, b in zip(start, stop, strict=True)]
+    offset = [rate[at].mean(axis=0) if at.any() else np.full(3, np.nan) for at in within]
+    middle = 0.5 * (start + stop)
+    off, slope = [], []
+    for k, rows in enumerate(_between(t, usable, start, stop)):
+        if not rows.size or float(up[k] @ up[k + 1]) > np.cos(_LEAST):
+            continue
+        share = ((t[rows] - middle[k]) / (middle[k + 1] - middle[k]))[:, None]
+        own = rate[rows] - (1.0 - share) * offset[k] - share * offset[k + 1]
+        if not np.isfinite(own).all():
+            continue
+        one, less, more = (_carried(t[rows], own / (1.0 + h), up[k]) for h in (0.0, -_STEP, _STEP))
+        off.append(up[k + 1] - one)
+        slope.append((more - less) / (2.0 * _STEP))
+    if len(off) < _FEWEST:
+        return None
+    return _fitted(np.array(off), np.array(slope), up)
+
+
+def _between(t: Array, usable: Flags, start: Array, stop: Array) -> list[Index]:
+    """Samples from inside each rest to inside the next; none where one is missing or clipped."""
+    step = float(np.median(np.diff(t)))
+    ends = np.searchsorted(t, stop[:-1]), np.searchsorted(t, start[1:], side="right")
+    spans = [np.arange(max(a - 1, 0), b) for a, b in zip(*ends, strict=True)]
+    return [
+        s if s.size > 3 and np.diff(t[s]).max() < 1.5 * step and usable[s].all() else s[:0]
+        for s in spans
+    ]
+
+
+def _carried(t: Array, rate: Array, vector: Array) -> Array:
+    """(3,) what a vector that stands still in space becomes in axes that turn."""
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation
+
+    edges = np.interp(np.arange(_FINER * (len(t) - 1) + 1) / _FINER, np.arange(len(t)), t)
+    small = CubicSpline(t, rate)(0.5 * (edges[1:] + edges[:-1])) * np.diff(edges)[:, None]
+    turns = Rotation.from_rotvec(-small).as_matrix()
+    while len(turns) > 1:
+        if len(turns) % 2:
+            turns = np.concatenate([turns, np.eye(3)[None]])
+        turns = turns[1::2] @ turns[::2]
+    return np.asarray(turns[0] @ vector)
+
+
+def _fitted(off: Array, slope: Array, up: Array) -> Turns:
+    scale = _robust(off, slope)
+    n = len(off)
+    each = np.arange(n)
+    without = np.array([_robust(off[each != k], slope[each != k]) for k in range(n)])
+    # The jackknife of n turns; its own doubt as in Student's distribution.
+    variance = (n - 1) / n * float(np.sum((without - without.mean()) ** 2)) * (n - 1) / (n - 3)
+    left = off - scale * slope
+    angle = np.arccos(np.clip(np.sum(up[1:] * up[:-1], axis=1), -1.0, 1.0))
+    return Turns(
+        scale, float(np.sqrt(variance)), n, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
+        float(np.median(angle)),
+    )  # fmt: skip
+
+
+def _robust(off: Array, slope: Array) -> float:
+    """Scale with errors of Student's t: weights and their size in turn."""
+    scale, weight = 0.0, np.ones(len(off))
+    for _ in range(30):
+        power = weight @ np.sum(slope * slope, axis=1)
+        scale = float(weight @ np.sum(slope * off, axis=1) / max(power, 1e-300))
+        square = np.sum((off - scale * slope) ** 2, axis=1) / 2.0
+        size = max(float(np.sum(weight * square) / np.sum(weight)), 1e-300)
+        weight = (_HEAVY + 2.0) / (_HEAVY + 2.0 * square / size)
+    return scale

@@ -1,0 +1,76 @@
+"""The stated covariance against the scatter of estimates, with tails and without; all samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.estimate.covariance import stated_covariance
+from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
+from imucalib.calibrators.array.gyros import relative_gyros
+from imucalib.calibrators.array.loop.setup import array_setup
+from imucalib.calibrators.array.loop.state import ArrayState, start_state
+from imucalib.calibrators.array.moving import Moving
+from worlds.boards import DEG, BoardPlan, twisted
+
+BOARD = read_board("mimu4444_corners")
+TWIST = BoardPlan(twist_s=6.0)
+
+
+def moved(plan: BoardPlan, rng: np.random.Generator) -> tuple[Moving, np.ndarray]:
+    """The twisting part alone, calibrated perfectly, by numpy; and the true positions."""
+    true = BOARD.drawn + rng.normal(size=BOARD.drawn.shape) * plan.places
+    true -= true[0]
+    w, spin, force = twisted(plan, rng)
+    n, k = len(w), BOARD.count
+    felt = force[:, None] + np.cross(w[:, None], np.cross(w[:, None], true))
+    felt = felt + np.cross(spin[:, None], true)
+    noise = rng.normal(size=(2, n, k, 3))
+    if np.isfinite(plan.tails):
+        noise /= np.sqrt(rng.chisquare(plan.tails, (2, n, k, 1)) / plan.tails)
+    rate = w[:, None] + noise[1] * plan.sigma_gyro * DEG
+    good = np.flatnonzero(np.linalg.norm(w, axis=1) > 200.0 * DEG)
+    t = np.arange(n) / plan.hz
+    gyros = relative_gyros(rate, good)
+    return Moving(t, felt + noise[0] * plan.sigma, rate, gyros, good, 1.0 / plan.hz, {}), true
+
+
+def fitted(plan: BoardPlan, seed: int, samples: int) -> tuple[ArrayState, np.ndarray]:
+    moving, true = moved(plan, np.random.default_rng(seed))
+    setup = array_setup(moving, BOARD, samples, robust=True)
+    assert setup is not None
+    return start_state(setup, ()), true
+
+
+@pytest.mark.parametrize("tails", [3.0, np.inf])
+def test_errors_are_what_is_stated_with_tails_and_without(tails: float) -> None:
+    plan = BoardPlan(twist_s=6.0, tails=tails)
+    stated, weights = [], []
+    for seed in range(12):
+        state, true = fitted(plan, seed, 450)
+        off = (state.r - true)[1:].ravel()
+        for found, covariance in ((stated, stated_covariance(state)), (weights, state.covariance)):
+            found.append(off @ np.linalg.solve(covariance, off) / off.size)
+    z, plain = np.sqrt(np.mean(stated)), np.sqrt(np.mean(weights))
+    # 12 sets of 21 numbers: a standard deviation of 0.045.
+    assert 0.87 < z < 1.2
+    if np.isfinite(tails):
+        assert plain > 1.08 * z  # the weights alone say too little
+    else:
+        assert plain == pytest.approx(z, rel=0.1)
+
+
+def test_all_informative_samples_take_part() -> None:
+    moving, true = moved(TWIST, np.random.default_rng(3))
+    setup = array_setup(moving, BOARD, 150, robust=True)
+    assert setup is not None
+    some = start_state(setup, ())
+    assert samples_taken(moving, None) == len(moving.good)
+    assert samples_taken(moving, 200) == 200
+    every = fitted_on_all(some, moving, len(moving.good))
+    assert np.array_equal(every.setup.rows[every.setup.inner], moving.good)
+    few, all_ = (np.sqrt(np.diag(stated_covariance(s))) for s in (some, every))
+    expected = np.sqrt(len(setup.inner) / len(moving.good))
+    assert np.median(all_ / few) == pytest.approx(expected, rel=0.15)
+    assert np.sqrt(np.mean(((every.r - true)[1:].ravel() / all_) ** 2)) < 1.5
