@@ -4,8 +4,8 @@ the shape whatever the frame is.
 python benchmarks/array/boards.py [BOARDS [FIRST_SEED [--no-loop]]]
 
 Every board has its own places (0.2 mm), mountings (0.3 deg), gains of accelerometers and gyros
-(0.5 %), gravity (1.3e-3, taken for standard) and noise with t₃ tails in motion; the logs are written by
-numpy alone (`tests/worlds/boards.py`).
+(0.5 %), gravity (1.3e-3, taken for standard) and noise with t₃ tails in motion; numpy alone writes
+the logs (`tests/worlds/boards.py`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.errors import ImucalError
 from imucalib.units import STANDARD_GRAVITY
-from worlds.boards import BoardPlan, board_log
+from worlds.boards import BoardPlan, board_log, made_board
 
 BOARD = read_board("mimu4444_corners")
 
@@ -34,7 +34,8 @@ def one(seed: int, *, loop: bool) -> dict[str, np.ndarray]:
     plan = BoardPlan(
         twist_s=12.0, mounting=0.3, gain=5e-3, gyro_gain=5e-3, tails=3.0, gravity=gravity
     )
-    made = board_log(BOARD.positions, BOARD.rotations, BOARD.imus, plan, rng)
+    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, plan, rng)
+    made = board_log(parts, plan, rng)
     run = calibrate_array(made.recording, ArrayRequest(BOARD, loop=loop), lambda _: None)
     total, true = run.total, made.positions
     off = (total.mean - true)[1:].ravel()

@@ -112,38 +112,53 @@ def twisted(plan: BoardPlan, rng: np.random.Generator) -> tuple[Array, Array, Ar
     return w * window, spin, force * window + plan.gravity * np.array([0.0, 0.0, 1.0])
 
 
-def board_log(
+@dataclass(frozen=True)
+class Parts:
+    """One board as it was made: names; positions : (K, 3) m relative to the first IMU; gain,
+    gyro_gain : (K, 3, 3) of reading = gain · truth in board axes"""
+
+    names: tuple[str, ...]
+    positions: Array
+    gain: Array
+    gyro_gain: Array
+
+
+def made_board(
     drawn: Array, rotations: Array, names: tuple[str, ...], plan: BoardPlan,
-    rng: np.random.Generator, positions: Array | None = None,
-) -> Made:  # fmt: skip
-    """A log of a board drawn with positions (K, 3) m and rotations (K, 3, 3), package to board;
-    positions : the true ones, of an earlier log of the same board."""
+    rng: np.random.Generator,
+) -> Parts:  # fmt: skip
+    """A board about its drawing: positions (K, 3) m and rotations (K, 3, 3), package to board."""
     k = len(drawn)
-    if positions is None:
-        positions = drawn + rng.normal(size=drawn.shape) * plan.places
-        positions = positions - positions[0]
-    rests, twist = handled(plan, rng), twisted(plan, rng)
-    w, spin, force = (np.concatenate(pair) for pair in zip(rests, twist, strict=True))
-    n = len(w)
-    t, motion = np.arange(n) / plan.hz, np.arange(n) >= len(rests[0])
-    channels = {}
+    positions = drawn + rng.normal(size=drawn.shape) * plan.places
+    gains = []
     for i in range(k):
-        r = positions[i]
-        felt = force + np.cross(w, np.cross(w, r)) + np.cross(spin, r)
         small = rng.normal(size=3) * plan.mounting * DEG
         size = max(float(np.linalg.norm(small)), 1e-12)
         own = rotations[i].T @ turned(small / size, np.array([size]))[0]
         gain = (np.eye(3) + rng.normal(size=(3, 3)) * plan.gain) @ own
         gyro = (np.eye(3) + rng.normal(size=(3, 3)) * plan.gyro_gain) @ own
-        gyro = gyro * (1.0 + plan.gyro_scale)
+        gains.append((gain, gyro * (1.0 + plan.gyro_scale)))
+    acceleration, rate = (np.array(g) for g in zip(*gains, strict=True))
+    return Parts(names, positions - positions[0], acceleration, rate)
+
+
+def board_log(parts: Parts, plan: BoardPlan, rng: np.random.Generator) -> Made:
+    """A log of a board: its biases are anew, like its motion and noise."""
+    rests, twist = handled(plan, rng), twisted(plan, rng)
+    w, spin, force = (np.concatenate(pair) for pair in zip(rests, twist, strict=True))
+    n = len(w)
+    t, motion = np.arange(n) / plan.hz, np.arange(n) >= len(rests[0])
+    channels = {}
+    for i, name in enumerate(parts.names):
+        r = parts.positions[i]
+        felt = force + np.cross(w, np.cross(w, r)) + np.cross(spin, r)
         noise = rng.normal(size=(2, n, 3))
         if np.isfinite(plan.tails):
             heavy = np.sqrt(plan.tails / rng.chisquare(plan.tails, (2, n, 1)))
             noise *= np.where(motion[:, None], heavy, 1.0)
-        x = felt @ gain.T + rng.normal(size=3) * plan.bias + noise[0] * plan.sigma
-        y = w @ gyro.T + (rng.normal(size=3) * plan.gyro_bias + noise[1] * plan.sigma_gyro) * DEG
+        x = felt @ parts.gain[i].T + rng.normal(size=3) * plan.bias + noise[0] * plan.sigma
+        y = w @ parts.gyro_gain[i].T
+        y = y + (rng.normal(size=3) * plan.gyro_bias + noise[1] * plan.sigma_gyro) * DEG
         for quantity, unit, values in (("acceleration", "m/s2", x), ("angular_rate", "rad/s", y)):
-            channels[f"{names[i]}/{quantity}"] = Channel(
-                t, values, unit, quantity, names[i], plan.hz
-            )
-    return Made(Recording(channels, "simulated", "simulated", ""), positions, motion)
+            channels[f"{name}/{quantity}"] = Channel(t, values, unit, quantity, name, plan.hz)
+    return Made(Recording(channels, "simulated", "simulated", ""), parts.positions, motion)

@@ -56,8 +56,9 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     """Find the positions of an inertial array's accelerometers from a bench log.
 
     LOGS hold rests in nine or more attitudes and a part in which the board is twisted by hand. With
-    several logs each is calibrated by itself, and their agreement is reported. Writes
-    calibration.yaml, report.html and report.json into the folder given by -o.
+    several logs of one board each is calibrated by itself in a folder of its own, and all of them
+    together: whether they agree, what repeats, and one calibration. Writes calibration.yaml,
+    report.html and report.json into the folder given by -o.
 
     \b
     Examples:
@@ -149,11 +150,9 @@ def _distance(given: tuple[str, str, str], imus: tuple[str, ...]) -> Distance:
 
 
 def _together(runs: tuple[ArrayRun, ...]) -> Together:
-    from imucalib.calibrators.array.logs import repeatability
-    from imucalib.report.array.document import repeatability_dict, repeatability_section
-    from imucalib.report.document import Document, Text
+    from imucalib.calibrators.array.logs.board_run import board_run
+    from imucalib.report.array.logs import board_document
+    from imucalib.report.files import Report
 
-    found = repeatability(runs)
-    verdict = Text("Each log was calibrated by itself.", "plain")
-    document = Document("All logs", verdict, (repeatability_section(found, runs),))
-    return Together("repeatability", document, repeatability_dict(found))
+    found = board_run(runs)
+    return Together("together", Report(found, board_document(found)))

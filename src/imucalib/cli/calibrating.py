@@ -97,7 +97,7 @@ def _demand_folders(folder: Path, options: Mapping[str, Any]) -> None:
     named = [options[name] for name in arguments if name is not None]
     read = [Path(f) for value in named for f in (value if isinstance(value, tuple) else (value,))]
     others = [Path(v) for v in options.values() if isinstance(v, Path)]
-    for each in read if len(read) > 1 else [None]:
+    for each in (None, *read) if len(read) > 1 else (None,):
         demand_folder(folder / each.stem if each else folder, [*read, *others])
 
 
@@ -174,11 +174,11 @@ def command_line() -> str:
 
 @dataclass(frozen=True)
 class Together:
-    """What several logs of one command say together: to print, and as JSON under `name`."""
+    """What several logs of one command say together: written above their folders, printed last, and
+    as JSON under `name`."""
 
     name: str
-    document: Document
-    content: dict[str, Any]
+    report: Report
 
 
 def finish(
@@ -194,15 +194,21 @@ def finish(
             stem = Path(report.run.outcome.provenance.path).stem
             _write(report, options["output"] / stem if len(reports) > 1 else options["output"],
                    options["export"], quiet)  # fmt: skip
+        if together:
+            _write(together.report, options["output"], options["export"], quiet)
     if options["as_json"]:
         contents = [report.content for report in reports]
-        emit_json({"logs": contents, together.name: together.content} if together else contents[0])
+        if together:
+            emit_json({"logs": contents, together.name: together.report.content})
+        else:
+            emit_json(contents[0])
     elif not quiet:
         for report in reports:
             show(report.document, full=options["full"])
         if together:
-            show(together.document)
-    return max(report.run.outcome.exit_code for report in reports)
+            show(together.report.document)
+    every = [*reports, together.report] if together else reports
+    return max(report.run.outcome.exit_code for report in every)
 
 
 def _write(report: Report, folder: Path, forms: tuple[str, ...], quiet: bool) -> None:

@@ -96,7 +96,8 @@ def _wide_evidence(
 
     own = [_turned(columns[:, at].T @ columns[:, at]) for at in indices]
     return _judged(
-        size=np.concatenate([s for s, _ in own]), turns=[turn for _, turn in own], along=columns.T @ rest, power=float(rest @ rest), whole=whole, blocks=indices,
+        size=np.concatenate([size for size, _ in own]), turns=[turn for _, turn in own],
+        along=columns.T @ rest, power=float(rest @ rest), whole=whole, blocks=indices,
         freedom=len(rest) - basis.shape[1], tau=tau, null=null, draws=draws,
     )  # fmt: skip
 

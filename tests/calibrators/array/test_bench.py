@@ -14,7 +14,6 @@ from click.testing import CliRunner
 from imucalib import cli
 from imucalib.calibrators.array.board import board_names, read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.logs import repeatability
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
@@ -171,13 +170,6 @@ def test_logs_that_cannot_answer(plan: LogPlan, message: str) -> None:
     log = simulated_log(BOARD, plan, np.random.default_rng(1))
     with pytest.raises(Undetermined, match=message):
         calibrate(log.recording)
-
-
-def test_two_logs_of_one_board(run: ArrayRun) -> None:
-    found = repeatability((run, run))
-    assert found.z_rms == pytest.approx(0.0, abs=1e-6)
-    assert found.mean == pytest.approx(run.final.mean, abs=1e-8)
-    assert found.sd[1:] == pytest.approx(run.final.sd[1:] / np.sqrt(2), rel=1e-6)
 
 
 def test_draws_are_readable(run: ArrayRun, tmp_path: Path) -> None:

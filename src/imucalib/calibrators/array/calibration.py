@@ -41,6 +41,7 @@ def array_calibration(
     rests: RestFit,
     moving: Moving,
     total: Total,
+    gyros: GyroScale,
     board: Board,
     linear: LinearPart | None,
 ) -> Calibration:
@@ -74,14 +75,14 @@ def array_calibration(
             **facts,
             "provenance": outcome.provenance.as_dict(),
         },
-        triads=_triads(rests, moving, board, linear),
+        triads=_triads(rests, moving, board, linear, 1.0 + gyros.value),
     )
 
 
 def _triads(
-    rests: RestFit, moving: Moving, board: Board, found: LinearPart | None
+    rests: RestFit, moving: Moving, board: Board, found: LinearPart | None, scale: float
 ) -> tuple[Triad, ...]:
-    """Each IMU as the rests and the found effects' linear parts have it."""
+    """Each IMU as the rests and the found effects' linear parts have it; scale : of all gyros."""
     gain, bias, covariance = rests.in_board_axes()
     gyro_gain, gyro_bias = moving.gyros.gain, rests.gyro_bias[0]
     if found is not None:
@@ -101,7 +102,7 @@ def _triads(
             rotation=board.rotations[k],
             gain=wired[k] @ gain[k],
             bias=wired[k] @ bias[k],
-            gyro_gain=gyro_wired[k] @ gyro_gain[k],
+            gyro_gain=scale * gyro_wired[k] @ gyro_gain[k],
             gyro_bias=gyro_wired[k] @ gyro_bias[k],
             covariance=covariance[k],
             noise=float(rests.noise[k]),

@@ -78,7 +78,14 @@ def finished(
     return ArrayRun(
         outcome=outcome,
         calibration=array_calibration(
-            outcome, details, rests=rests, moving=moving, total=total, board=board, linear=linear
+            outcome,
+            details,
+            rests=rests,
+            moving=moving,
+            total=total,
+            gyros=gyros,
+            board=board,
+            linear=linear,
         ),
         details=details,
         recording=recording,

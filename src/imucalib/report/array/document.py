@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from imucalib.calibrators.array.logs import Repeatability
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.array.card import array_card
 from imucalib.report.array.growth import growth_plot
-from imucalib.report.array.known import size_facts
+from imucalib.report.array.known import known_facts
 from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
 from imucalib.report.array.residuals import residual_plots
 from imucalib.report.document import Document, Facts, Section, Table, Text
 from imucalib.report.gain import gain_plot
 from imucalib.report.loop import loop_section
 from imucalib.report.sections import closing_sections, verdict
+<<<<<<< HEAD
 from imucalib.report.terms import TERMS
 from imucalib.significant_digits import plus_minus, with_sd
+=======
+from imucalib.significant_digits import with_sd
+>>>>>>> 1351cc7 (Several logs of one board: pooled with what differs between them, agreement as a chi-square, one calibration)
 from imucalib.units import DEG
 
 
@@ -26,7 +27,10 @@ def array_document(run: ArrayRun) -> Document:
     """Everything that a reader of the positions must know, headline first."""
     observability = _observability(run)
     sections = (
-        Section("Positions", (_position_table(run), size_facts(run))),
+        Section(
+            "Positions",
+            (_position_table(run), known_facts(run.total, run.gyros, run.board, run.request)),
+        ),
         _board_section(run),
         loop_section(run.outcome),
         Section(
@@ -174,38 +178,3 @@ def _chain_section(run: ArrayRun) -> Section:
         )
     )  # fmt: skip
     return Section("The chains", (facts, *chain_plots(run)), brief=False)
-
-
-def repeatability_section(found: Repeatability, runs: tuple[ArrayRun, ...]) -> Section:
-    """Several logs: pooled positions and the scatter against what was stated."""
-    rows = []
-    for k, name in enumerate(runs[0].board.imus):
-        if k:
-            cells = [
-                plus_minus(float(1e3 * m), float(1e3 * s))
-                for m, s in zip(found.mean[k], found.sd[k] * found.inflation, strict=True)
-            ]
-            rows.append((name, *cells, ", ".join(f"{1e3 * v:.3f}" for v in found.between[k])))
-    verdict = (
-        f"{len(runs)} logs: z rms {found.z_rms:.2f} about the pooled positions. "
-        + ("They agree within what they state." if found.z_rms <= 1.5 else
-           "They scatter more than they state: the pooled uncertainty is widened by that factor.")
-    )  # fmt: skip
-    header = ("IMU", "x, mm", "y, mm", "z, mm", "between logs, mm")
-    tone = "ok" if found.z_rms <= 1.5 else "warning"
-    return Section(
-        "Repeatability",
-        (Text(verdict, "ok" if tone == "ok" else "warning"),
-         Table("Pooled positions", header, tuple(rows), "lrrrr")),
-    )  # fmt: skip
-
-
-def repeatability_dict(found: Repeatability) -> dict[str, Any]:
-    """Pooled positions of several logs, plain types."""
-    return {
-        "z_rms": found.z_rms,
-        "inflation": found.inflation,
-        "mean_mm": (1e3 * found.mean).tolist(),
-        "sd_mm": (1e3 * found.sd).tolist(),
-        "between_logs_mm": (1e3 * found.between).tolist(),
-    }

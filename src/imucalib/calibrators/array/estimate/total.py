@@ -27,14 +27,16 @@ class Distance:
 class Total:
     """Positions with everything that is not known of them.
 
-    mean : (K, 3) m, the first at zero; motion : (d, d) m² of the d = 3 (K - 1) others, what log
-    and rests leave; joint : (d + 5, d + 5) of positions by the motion, the relative size by the
-    gyros' common scale and by gravity, and the frame's small turns (rad) about the board's axes
+    mean : (K, 3) m, the first at zero; joint : (d + 5, d + 5) of the d = 3 (K - 1) other positions
+    by the motion, the relative size by the gyros' common scale and by gravity, and the frame's
+    small turns (rad) about the board's axes
+    by_motion : (K, 3) m and motion : (d, d) m², what log and rests alone say and leave
     """
 
     mean: Array
-    motion: Array
     joint: Array
+    by_motion: Array
+    motion: Array
 
     @property
     def covariance(self) -> Array:
@@ -90,7 +92,7 @@ def total_of(
     joint[range(d, d + 5), range(d, d + 5)] = [
         4.0 * scale_sd**2, gravity_sd**2, frame_sd**2, frame_sd**2, frame_sd**2
     ]  # fmt: skip
-    found = Total(factor * r, joint[:d, :d], joint)
+    found = Total(factor * r, joint, r, motion)
     for one in distances:
         found = _measured(found, one)
     return found

@@ -1,0 +1,1 @@
+"""Several logs of one board: whether they agree, and what they say together."""

@@ -1,0 +1,58 @@
+"""Pooling against its definition, and against the scatter of simulated logs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.array.logs.pooled import Pooled, between_logs, pooled
+
+
+def covariances(rng: np.random.Generator, n: int, d: int) -> np.ndarray:
+    """(n, d, d) of about unit size, each of its own shape."""
+    roots = np.eye(d) + 0.4 * rng.normal(size=(n, d, d)) / np.sqrt(d)
+    return roots @ roots.transpose(0, 2, 1)
+
+
+def logs(seed: int, n: int, tau: float, d: int = 21) -> tuple[Pooled, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    spread = covariances(rng, n, d)
+    true = rng.normal(size=d) * 50.0
+    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(spread), rng.normal(size=(n, d)))
+    return pooled(true + noise + tau * rng.normal(size=(n, d)), spread), true
+
+
+def test_two_equal_logs_are_one_with_half_the_variance() -> None:
+    v = np.diag([1.0, 4.0, 9.0])
+    found = pooled(np.tile([1.0, 2.0, 3.0], (2, 1)), np.stack([v, v]))
+    assert found.mean == pytest.approx([1.0, 2.0, 3.0])
+    assert found.covariance == pytest.approx(0.5 * v)
+    assert (found.chi2, found.tau, found.freedom) == pytest.approx((0.0, 0.0, 3))
+    assert found.p == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("tau", [0.0, 1.0])
+def test_errors_and_predictions_are_what_is_stated(tau: float) -> None:
+    errors, left_out, taus, p = [], [], [], []
+    for seed in range(40):
+        found, true = logs(seed, 5, tau)
+        off = found.mean - true
+        errors.append(off @ np.linalg.solve(found.covariance, off) / off.size)
+        left_out.append(np.mean(found.left_out**2))
+        taus.append(found.tau)
+        p.append(found.p)
+    assert np.sqrt(np.mean(errors)) == pytest.approx(1.0, abs=0.1)
+    assert np.sqrt(np.mean(left_out)) == pytest.approx(1.0, abs=0.1)
+    if tau:
+        assert np.mean(taus) == pytest.approx(tau, rel=0.1)
+        assert np.max(p) < 1e-2
+    else:
+        assert np.median(taus) < 0.3
+        # Agreement is a chi-square at its degrees of freedom: p is uniform.
+        assert 0.35 < np.mean(p) < 0.65
+        assert np.min(p) < 0.15
+
+
+def test_numbers_without_a_stated_error_are_pooled_by_their_scatter() -> None:
+    values = np.random.default_rng(2).normal(size=(6, 60))
+    assert between_logs(values, np.zeros((6, 60, 60))) == pytest.approx(1.0, rel=0.15)
