@@ -68,6 +68,25 @@ class Limit:
 
 
 @dataclass(frozen=True)
+class Left:
+    """What is left unexplained of one thing, in the user's terms, and how much is accepted."""
+
+    name: str
+    value: float
+    accepted: float
+    unit: str
+
+    @property
+    def beyond(self) -> bool:
+        return self.value > self.accepted
+
+    @property
+    def sentence(self) -> str:
+        more = "more than" if self.beyond else "within"
+        return f"{self.name}: {self.value:.2g} {self.unit}, {more} the {self.accepted:g} accepted"
+
+
+@dataclass(frozen=True)
 class FitQuality:
     """How a least-squares fit went; see `Fit`."""
 
@@ -89,7 +108,8 @@ class Outcome:
 
     errors : the principal metric first; findings : None where nothing was searched for
     undecided : what only the user can decide; weak : the data leave parameters open, which stay
-    near their nominal values; loud : the residual is far above the noise, whatever its structure
+    near their nominal values
+    left : sizes of what is not explained, which then decide; empty where its mere presence does
     """
 
     calibrator: str
@@ -103,7 +123,7 @@ class Outcome:
     limits: tuple[Limit, ...] = ()
     notes: tuple[str, ...] = ()
     weak: bool = False
-    loud: bool = False
+    left: tuple[Left, ...] = ()
 
     @property
     def error(self) -> ErrorSummary:
@@ -112,7 +132,9 @@ class Outcome:
 
     @property
     def unexplained(self) -> bool:
-        return bool(self.undecided) or self.loud or bool(self.findings and self.findings.open)
+        if self.left:
+            return bool(self.undecided) or any(one.beyond for one in self.left)
+        return bool(self.undecided) or bool(self.findings and self.findings.open)
 
     @property
     def broken(self) -> tuple[str, ...]:

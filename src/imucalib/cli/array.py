@@ -50,6 +50,14 @@ if TYPE_CHECKING:
 @click.option("--distance", "distances", nargs=3, multiple=True, metavar="IMU IMU MM±SD",
               help="A distance that you measured, which fixes the size: imu0 imu7 26.73±0.05mm "
               "(+- works too).")  # fmt: skip
+@click.option("--accept-mm", type=float, default=0.05, show_default=True,
+              help="By how much what is not explained may move the positions before the exit code "
+              "is 5.")  # fmt: skip
+@click.option("--accept-mg", type=float, default=50.0, show_default=True,
+              help="The same of the accelerometers' residual in motion, beyond their noise at "
+              "rest.")  # fmt: skip
+@click.option("--accept-dps", type=float, default=2.0, show_default=True,
+              help="The same of the gyros', deg/s.")  # fmt: skip
 @shortest_rest_option
 @calibrating
 def command(logs: tuple[Path, ...], **options: Any) -> int:
@@ -90,6 +98,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
     from imucalib.calibrators.array.board import read_board
+    from imucalib.calibrators.array.estimate.left import Accepted
     from imucalib.calibrators.array.loop.asked import Asked, named_effect
     from imucalib.calibrators.array.request import ArrayRequest
     from imucalib.errors import UsageError
@@ -120,6 +129,7 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         still=still_of(options), loop=shared.loop, asked=asked,
         curves=ArrayRequest.curves if shared.curves is None else shared.curves,
         as_drawn=options["as_drawn"],
+        accepted=Accepted(options["accept_mm"], options["accept_mg"], options["accept_dps"]),
         distances=tuple(_distance(given, board.imus) for given in options["distances"]),
         draws=shared.draws or ArrayRequest.draws,
         checkpoint=options["checkpoint"], seed=shared.seed, extra_effects=shared.extra_effects,

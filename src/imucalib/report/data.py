@@ -41,6 +41,11 @@ def report_dict(run: Run) -> dict[str, Any]:
             for x in outcome.limits
         ],
         "undecided": list(outcome.undecided),
+        "left": [
+            {"name": x.name, "value": x.value, "accepted": x.accepted, "unit": x.unit,
+             "beyond": x.beyond}
+            for x in outcome.left
+        ],
         "notes": list(outcome.notes),
         "provenance": outcome.provenance.as_dict(),
         **({"triads": triads} if triads else {"matrices": calibration.matrices().as_dict()}),

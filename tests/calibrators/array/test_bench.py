@@ -226,4 +226,7 @@ def test_a_measured_board() -> None:
     under = off[1::2].mean(axis=0)
     assert under == pytest.approx([-0.55, -0.45, -0.18], abs=0.15)
     assert np.abs(off[2::2].mean(axis=0)).max() < 0.2
-    assert run.outcome.exit_code == 5
+    # What is left is small in the terms of who uses it: 0.22 m/s², 1.2 deg/s.
+    assert run.outcome.exit_code == 0
+    assert run.outcome.findings is not None
+    assert run.outcome.findings.open

@@ -10,6 +10,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction
+from imucalib.calibrators.array.drawing.streams import refuse_streams, stream_notes, streams
 from imucalib.calibrators.array.estimate.corrected import corrected_samples, restated
 from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
 from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
@@ -60,8 +61,11 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     log, board = array_log(recording, request.board)
     segments = still_segments(recording, request.still)
     order = _order(segments, board, recording)
+    taken = streams(log)
     if not request.as_drawn:
+        refuse_streams(taken, board.imus, log.interval)
         refuse_contradiction(compared(log, segments, board, order))
+    log = replace(log, clipped=log.clipped | taken.held)
     rests = fit_rests(
         segments, board, order, request.gravity,
         asked=replace(request.asked, search=request.loop), seed=request.seed,
@@ -85,12 +89,16 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     )  # fmt: skip
     final = restated(found, total, rng)
     say(f"{final.data.samples} samples: {final.convergence.sentence}")
-    notes = (*recording.notes, *segments.notes, *log.notes, *final.notes)
+    notes = (
+        *recording.notes, *segments.notes, *log.notes, *stream_notes(taken, board.imus),
+        *final.notes,
+    )  # fmt: skip
     if request.loop and loop is None:
         notes += ("the motion is too broken up for the search of the loop",)
     return finished(
         recording=recording, board=board, request=request, segments=segments, rests=rests,
-        moving=moving, final=final, total=total, gyros=gyros, loop=loop, linear=linear, notes=notes,
+        moving=moving, final=final, total=total, gyros=gyros, loop=loop, state=state,
+        linear=linear, notes=notes,
     )  # fmt: skip
 
 

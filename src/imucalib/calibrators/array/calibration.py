@@ -17,6 +17,7 @@ from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.blocks import size_block
+from imucalib.calibrators.array.estimate.left import Residual
 from imucalib.calibrators.array.estimate.size import GyroScale
 from imucalib.calibrators.array.estimate.total import Total
 from imucalib.calibrators.array.findings import effect_blocks, noise_block, rest_blocks
@@ -29,8 +30,7 @@ from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: Blocks of report.json that the YAML has, too.
 _SHARED = ("board", "reference", "reference_mm", "ranges", "sample_interval_s", "positions_mm",
-           "size", "gyro_scale", "frame", "accelerometer_sigma_in_motion_m_per_s2", "effects",
-           "not_undone",
+           "size", "gyro_scale", "frame", "residual_in_motion", "effects", "not_undone",
            "diagnostics")  # fmt: skip
 
 
@@ -128,6 +128,7 @@ def array_details(
     board: Board,
     loop: MotionLoop | None,
     linear: LinearPart | None,
+    residual: Residual,
 ) -> dict[str, Any]:
     """What only an array has to say, for report.json; a part of it also for the YAML."""
     mean, sd, drawn = ((1e3 * v).tolist() for v in (total.mean, total.sd, board.drawn))
@@ -140,7 +141,11 @@ def array_details(
             for k, name in enumerate(board.imus)
         ],
         **size_block(total, gyros, board),
-        "accelerometer_sigma_in_motion_m_per_s2": final.noise,
+        "residual_in_motion": {
+            "accelerometers_m_per_s2": residual.acceleration,
+            "gyros_deg_per_s": residual.rate / DEG,
+            "held_out": residual.held_out,
+        },
         "diagnostics": _diagnostics(final),
         "rests": {
             "count": rests.poses,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.estimate.left import Accepted
 from imucalib.calibrators.array.estimate.total import Distance
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.moving import GyroCovariance
@@ -28,7 +29,7 @@ class ArrayRequest:
     accelerometer_sigma : m/s², "estimate", or "nonlinearity"; iterations : of `pmmh`
     loop : whether there is a search; asked : effects declared, or kept out of the search
     curves : whether structure without a name is corrected by smooth curves
-    distances : between IMUs, measured otherwise
+    distances : between IMUs, measured otherwise; accepted : what may stay unexplained
     still : what counts as a rest
     as_drawn : whether axes and places are those of the board file, whatever the log says
     draws : simulated data sets of the search; extra_effects : of the user's own files
@@ -51,6 +52,7 @@ class ArrayRequest:
     asked: Asked = NOTHING_ASKED
     curves: bool = False
     distances: tuple[Distance, ...] = ()
+    accepted: Accepted = field(default_factory=Accepted)
     as_drawn: bool = False
     checkpoint: Path | None = None
     seed: int = 0
@@ -77,6 +79,11 @@ class ArrayRequest:
             "without": list(self.asked.without),
             "loop": self.loop,
             "curves": self.curves,
+            "accepted": {
+                "mm": self.accepted.mm,
+                "mg": self.accepted.mg,
+                "deg_per_s": self.accepted.deg_per_s,
+            },
             "distances_mm": [
                 [self.board.imus[d.one], self.board.imus[d.two], 1e3 * d.value, 1e3 * d.sd]
                 for d in self.distances

@@ -11,19 +11,24 @@ from imucalib.calibration.outcome import ErrorSummary, Limit, Outcome, Run
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.calibration import array_calibration, array_details
+from imucalib.calibrators.array.estimate.left import (
+    Residual,
+    left_in_words,
+    residual_in_motion,
+    what_is_left,
+)
 from imucalib.calibrators.array.estimate.size import GyroScale
 from imucalib.calibrators.array.estimate.total import Total
 from imucalib.calibrators.array.findings import array_errors, array_findings
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.estimators.array.sampler import ArrayPositions
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments
-
-_UNEXPLAINED = 3.0  # accelerometer sigma in motion over that at rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +45,7 @@ class ArrayRun(Run):
     total: Total
     gyros: GyroScale
     loop: MotionLoop | None
+    residual: Residual
 
 
 def finished(
@@ -54,26 +60,27 @@ def finished(
     total: Total,
     gyros: GyroScale,
     loop: MotionLoop | None,
+    state: ArrayState | None,
     linear: LinearPart | None,
     notes: tuple[str, ...],
 ) -> ArrayRun:
     """The run of these stages: judged, with its calibration."""
     errors = array_errors(loop, (_rms(rests.noise), _rms(rests.gyro_noise)), board.count)
-    ratio = final.noise / _rms(rests.noise)
-    loud = ratio > _UNEXPLAINED
+    residual = residual_in_motion(loop, state, final, moving)
+    left = what_is_left(residual, rests, loop, request.accepted)
     outcome = Outcome(
         calibrator="array",
         errors=errors,
         provenance=_provenance(recording, request),
         findings=array_findings(loop) if loop else None,
-        reasons=_reasons(final, ratio if loud else 0.0, loop),
+        reasons=left_in_words(loop, left),
         limits=_limits(request, errors, final),
         notes=notes,
-        loud=loud,
+        left=left,
     )
     details = array_details(
         rests=rests, moving=moving, final=final, total=total, gyros=gyros, board=board,
-        loop=loop, linear=linear,
+        loop=loop, linear=linear, residual=residual,
     )  # fmt: skip
     return ArrayRun(
         outcome=outcome,
@@ -98,25 +105,12 @@ def finished(
         total=total,
         gyros=gyros,
         loop=loop,
+        residual=residual,
     )
 
 
 def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _reasons(final: ArrayPositions, ratio: float, loop: MotionLoop | None) -> tuple[str, ...]:
-    """Why the result is not as good as the noise at rest allows; empty when it is."""
-    found = []
-    if ratio:
-        found.append(
-            f"in motion the accelerometers scatter {final.noise:.2f} m/s², "
-            f"{ratio:.0f} times their noise at rest, and what stays is not explained"
-        )
-    if loop is not None and loop.unexplained:
-        names = "; ".join(u.name for u in loop.unexplained)
-        found.append(f"structure that no effect of the catalogue explains: {names}")
-    return tuple(found)
 
 
 def _limits(

@@ -96,8 +96,13 @@ def _motion_section(run: ArrayRun) -> Section:
         ("used", f"{data.samples}, evenly over the motion"),
         ("rotation", f"median {np.median(speed):.0f}, largest {speed.max():.0f} deg/s"),
         ("gyro scatter", f"{gyro:.2f} deg/s rms about their mean"),
-        ("accelerometer sigma", f"{run.final.noise:.3f} m/s² in motion, "
-         f"{np.sqrt(np.mean(run.rests.noise**2)):.3f} at rest"),
+        (f"residual{', held out' if run.residual.held_out else ''}",
+         f"{run.residual.acceleration:.3f} m/s² and {run.residual.rate / DEG:.2f} deg/s "
+         "(1.4826 MAD); at rest "
+         f"{np.sqrt(np.mean(run.rests.noise**2)):.3f} and "
+         f"{np.sqrt(np.mean(run.rests.gyro_noise**2)) / DEG:.2f}"),
+        ("not explained", ", ".join(f"{x.name} {x.value:.2g} {x.unit} (accepted "
+                                    f"{x.accepted:g})" for x in run.outcome.left)),
         ("clipped samples", "left out whole"),
     ]  # fmt: skip
     return Section("The motion", (Facts(tuple(rows)),))

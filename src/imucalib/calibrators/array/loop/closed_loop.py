@@ -44,6 +44,7 @@ class MotionLoop(Loop[ArrayState]):
     ages: Ages | None
     gained: Gained | None
     impact: Mapping[str, float]
+    moved: Mapping[str, float]
     dispersion: float
     asked: Asked = NOTHING_ASKED
     rests: FitLoop | None = None
@@ -93,19 +94,25 @@ def close_array_loop(
         if asked.search and s.candidate.kind != "effect" and s.p <= rules.alpha
     )
     dispersion = shared_by_neighbours(final, gyro=False)
+    unexplained = (*structure, *left[:3])
+    searches = tuple(s for s in (end.first, end.last) if isinstance(s, Search))
     return MotionLoop(
         base=first.state,
         final=with_stated_covariance(final, dispersion),
         steps=path.steps,
         rejected=(*end.rejected.items(), *path.dropped, *refused),
-        unexplained=(*structure, *left[:3]),
+        unexplained=unexplained,
         scores=end.last.scores,
         first_scores=end.first.scores,
         missing=end.last.missing,
         difference=None if gained is None else gained.principal,
         ages=ages,
         gained=gained,
-        impact=absorbed(tuple(s for s in (end.first, end.last) if isinstance(s, Search))),
+        impact=absorbed(searches),
+        moved={
+            u.name: max((s.moves(u.name, final.positions) for s in searches[-1:]), default=0.0)
+            for u in unexplained
+        },
         dispersion=dispersion,
         asked=asked,
     )

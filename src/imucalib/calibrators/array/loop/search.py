@@ -58,6 +58,15 @@ class Search(Searched):
             )
         return gains[0], gains[1]
 
+    def moves(self, name: str, coordinates: int) -> float:
+        """m rms over the positions' coordinates: what taking a candidate in would move them by;
+        zero for noise, which has no columns."""
+        if name not in self.index:
+            return 0.0
+        at = self.index[name]
+        value = _most_likely(self.whole.matrix[np.ix_(at, at)], self.whole.along[at])
+        return float(np.sqrt(np.mean((self.whole.carry[:coordinates, at] @ value) ** 2)))
+
     def correctable(self, name: str) -> bool:
         """Whether it is a curve that may be corrected. What all accelerometers share as a function
         of the force bends the array's shape: there a curve is no better than the error."""

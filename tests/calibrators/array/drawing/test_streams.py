@@ -1,0 +1,70 @@
+"""Lost, repeated and late readings are told with their share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.drawing.streams import refuse_streams, stream_notes, streams
+from imucalib.calibrators.array.log import ArrayLog, array_log
+from imucalib.errors import Undetermined
+from worlds.boards import BoardPlan, board_log, made_board
+
+BOARD = read_board("mimu4444_corners")
+
+
+@pytest.fixture(scope="module")
+def log() -> ArrayLog:
+    plan = BoardPlan(twist_s=6.0, rests=9, mounting=0.3, gyro_gain=0.01)
+    rng = np.random.default_rng(1)
+    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, plan, rng)
+    return array_log(board_log(parts, plan, rng).recording, BOARD)[0]
+
+
+def test_a_sound_log_says_nothing(log: ArrayLog) -> None:
+    found = streams(log)
+    assert stream_notes(found, BOARD.imus) == ()
+    refuse_streams(found, BOARD.imus, log.interval)
+    assert not found.held.any()
+
+
+def test_lost_samples_are_told_with_their_share(log: ArrayLog) -> None:
+    keep = np.ones(len(log.t), dtype=bool)
+    keep[np.random.default_rng(2).choice(len(log.t), len(log.t) // 50, replace=False)] = False
+    short = replace(log, t=log.t[keep], acceleration=log.acceleration[keep], rate=log.rate[keep],
+                    clipped=log.clipped[keep])  # fmt: skip
+    assert streams(short).lost == pytest.approx(0.02, rel=0.1)
+    assert stream_notes(streams(short), BOARD.imus)[0].startswith("2 % of the samples are missing")
+
+
+def test_a_frozen_chip_is_told_and_left_out(log: ArrayLog) -> None:
+    rate = log.rate.copy()
+    first = len(rate) - 400
+    rate[first : first + 60, 3] = rate[first, 3]
+    found = streams(replace(log, rate=rate))
+    notes = stream_notes(found, BOARD.imus)
+    assert len(notes) == 1
+    assert notes[0].startswith("the gyro of imu3 repeats its reading in ")
+    assert 0.05 < found.repeated[3, 1] < 0.12
+    assert found.held[first + 1 : first + 60].sum() > 45
+    assert not found.held[:first].any()
+    rate[first - 180 : first + 370, 3] = rate[first, 3]
+    with pytest.raises(Undetermined, match="gyro of imu3 repeats its reading"):
+        refuse_streams(streams(replace(log, rate=rate)), BOARD.imus, log.interval)
+
+
+@pytest.mark.parametrize("late", [2, -1])
+@pytest.mark.parametrize("kind", ["acceleration", "rate"])
+def test_a_late_chip_is_told(log: ArrayLog, late: int, kind: str) -> None:
+    values = getattr(log, kind).copy()
+    values[:, 5] = np.roll(values[:, 5], late, axis=0)
+    found = streams(replace(log, **{kind: values}))
+    word = "late" if late > 0 else "early"
+    sensor = "gyro" if kind == "rate" else "accelerometer"
+    with pytest.raises(Undetermined, match=f"{sensor} of imu5 is {word} by {abs(late)}") as caught:
+        refuse_streams(found, BOARD.imus, log.interval)
+    assert caught.value.exit_code == 4
+    assert np.count_nonzero(found.shift) == 1

@@ -1,0 +1,63 @@
+"""The exit code goes by the size of what is left, in the user's terms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucalib.calibration.findings import Findings
+from imucalib.calibration.outcome import Left, Outcome
+from imucalib.calibration.provenance import provenance_of
+from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.calibrate import calibrate_array
+from imucalib.calibrators.array.estimate.left import Accepted, Residual, what_is_left
+from imucalib.calibrators.array.request import ArrayRequest
+from imucalib.calibrators.array.run import ArrayRun
+from imucalib.loop.found import Unexplained
+from worlds.boards import BoardPlan, board_log, made_board
+
+BOARD = read_board("mimu4444_corners")
+
+
+def outcome(*left: Left) -> Outcome:
+    made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
+    structure = Unexplained("a curve", "time", "probe", 0.002, 20.0, 0.1)
+    return Outcome("array", (), made, Findings("unexplained", unexplained=(structure,)), left=left)
+
+
+def run_of(plan: BoardPlan, seed: int) -> ArrayRun:
+    rng = np.random.default_rng(seed)
+    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, plan, rng)
+    recording = board_log(parts, plan, rng).recording
+    return calibrate_array(recording, ArrayRequest(BOARD, loop=False), lambda _: None)
+
+
+def test_size_decides_and_presence_does_where_no_size_is_known() -> None:
+    small, large = Left("gyros", 1.0, 2.0, "deg/s"), Left("gyros", 3.0, 2.0, "deg/s")
+    assert outcome(small).exit_code == 0
+    assert outcome(small).status == "ok"
+    assert outcome(small, large).exit_code == 5
+    assert outcome(small, large).status == "marginal"
+    assert outcome().exit_code == 5
+
+
+def test_the_residual_of_a_log_is_held_against_what_is_accepted() -> None:
+    run = run_of(BoardPlan(twist_s=6.0, gyro_gain=0.02), 3)  # 2 % that no search may name
+    assert run.outcome.exit_code == 5
+    assert any("gyros in motion" in text for text in run.outcome.reasons)
+    # Again with the same run, and a user who lets it pass.
+    wide = what_is_left(run.residual, run.rests, None, Accepted(1.0, 1e3, 1e3))
+    assert replace(run.outcome, left=wide).exit_code == 0
+    assert [one.unit for one in wide] == ["mg", "deg/s"]
+
+
+def test_noise_at_rest_is_not_left() -> None:
+    plan = BoardPlan(twist_s=6.0)
+    run = run_of(plan, 4)
+    assert run.residual.acceleration == pytest.approx(plan.sigma, rel=0.1)
+    assert run.residual.rate == pytest.approx(np.radians(plan.sigma_gyro), rel=0.2)
+    quiet = what_is_left(Residual(plan.sigma, 0.0, False), run.rests, None, Accepted())
+    assert quiet[0].value < 1.5  # of 4 mg, all noise
+    assert quiet[1].value == 0.0
