@@ -20,8 +20,9 @@ from imucalib.units import DEG, STANDARD_GRAVITY
 BOARDS = Path(__file__).parent / "boards"
 _KEYS = ("name", "prior_sd", "accelerometer_range", "gyroscope_range", "package", "outline", "imus")
 _IMU_KEYS = ("name", "position", "axes", "rotation", "accelerometer_axes", "gyro_axes")
+FEWEST_IMUS = 2
+_LINE = 0.02  # extent across a line over that along it, below which it is one
 _SMALLEST = 1e-4  # m that an array extends at least
-_LINE = 1e-3  # extent across a line, as a share of that along it, that is none
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class Board:
     """The nominal geometry of K IMUs, in the board's frame.
 
     positions : (K, 3) m; rotations : (K, 3, 3), package axes to board axes
-    prior_sd : m, of each coordinate about the drawing
+    prior_sd : m, of each coordinate about the drawing; undrawn : whether there is no drawing, and
+        positions and rotations are still to come from a log
     accelerometer_range : m/s², gyroscope_range : rad/s, where readings clip; inf when not known
     outline : m, (left, bottom, right, top) or None; package : m, its size or None
     accelerometer_axes, gyro_axes : (K, 3, 3) signed permutations, a sensor's own axes to the
@@ -41,6 +43,7 @@ class Board:
     positions: Array
     rotations: Array
     prior_sd: float = 3e-3
+    undrawn: bool = False
     accelerometer_range: float = float("inf")
     gyroscope_range: float = float("inf")
     outline: tuple[float, float, float, float] | None = None
@@ -62,6 +65,13 @@ class Board:
         """(K, 3) m relative to the first IMU."""
         return np.asarray(self.positions - self.positions[0])
 
+    @property
+    def on_a_line(self) -> bool:
+        """Whether all IMUs are drawn on one line: about it no accelerometer shows a spin."""
+        away = self.positions - self.positions.mean(axis=0)
+        values = np.linalg.svd(away, compute_uv=False)
+        return bool(values[1] <= _LINE * values[0])
+
     def take(self, rows: list[int]) -> Board:
         """The board with some of its IMUs."""
         return replace(
@@ -80,15 +90,18 @@ def board_names() -> tuple[str, ...]:
 
 
 def read_board(name: str | Path) -> Board:
-    """A board that comes with the program by name, or a YAML file.
+    """A board that comes with the program by name, a YAML file, or a number of IMUs.
 
     Raises UsageError for an unknown name, UnreadableInput with what is wrong in the file.
     """
+    if str(name).isdigit():
+        return undrawn_board(int(str(name)))
     path = BOARDS / f"{name}.yaml" if str(name) in board_names() else Path(name)
     if not path.is_file():
         raise UsageError(
             f"no board '{name}'",
-            remedy=f"give a YAML file, or one of: {', '.join(board_names())}",
+            remedy=f"give a YAML file, or one of: {', '.join(board_names())}; or, without a "
+            "drawing, how many IMUs there are",
         )
     content = load(path)
     try:
@@ -111,16 +124,15 @@ def _board(content: Mapping[str, Any]) -> Board:
     positions = np.array([imu["position"] for imu in imus], dtype=float).reshape(len(imus), 3)
     rotations = np.array([_rotation(imu) for imu in imus])
     names = tuple(str(imu["name"]) for imu in imus)
-    if len(set(names)) < len(names) or len(names) < 4:
-        raise UnreadableInput("an array has four or more IMUs of different names")
+    if len(set(names)) < len(names) or len(names) < FEWEST_IMUS:
+        raise UnreadableInput("an array has two or more IMUs of different names")
     if not np.isfinite(positions).all():
         raise UnreadableInput("a nominal position is not a number", remedy="three numbers in mm")
-    _refuse_line(positions)
     extent = 1e-3 * float(np.ptp(positions, axis=0).max())
     if extent < _SMALLEST:
         raise UnreadableInput(
             f"the whole array extends {1e6 * extent:.3g} µm, its positions look like metres",
-            remedy="the board file gives positions in mm",
+            remedy=f"the board file gives positions in mm; --board {len(names)} needs none",
         )
     outline = tuple(float(v) * 1e-3 for v in content.get("outline", ()))
     package = tuple(float(v) * 1e-3 for v in content.get("package", ()))
@@ -139,15 +151,17 @@ def _board(content: Mapping[str, Any]) -> Board:
     )
 
 
-def _refuse_line(positions: Array) -> None:
-    """A flat board is seen to turn about every axis, and its heights are unknowns with a prior like
-    all places. What lies on a line shows nothing of a rotation about that line."""
-    values = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
-    if values[1] <= _LINE * values[0]:
-        raise UnreadableInput(
-            "the nominal positions lie on a line or in a point",
-            remedy="an array needs extent in two directions for its rotation to be seen",
-        )
+def undrawn_board(count: int) -> Board:
+    """So many IMUs without a drawing: all that a log cannot tell is where they are about."""
+    if count < FEWEST_IMUS:
+        raise UsageError("an array has two or more IMUs")
+    return Board(
+        name=f"{count} IMUs without a drawing",
+        imus=tuple(f"imu{k}" for k in range(count)),
+        positions=np.zeros((count, 3)),
+        rotations=np.tile(np.eye(3), (count, 1, 1)),
+        undrawn=True,
+    )
 
 
 def _refuse_unknown(content: Mapping[str, Any], known: tuple[str, ...], whose: str) -> None:

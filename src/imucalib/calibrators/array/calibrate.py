@@ -10,6 +10,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction
+from imucalib.calibrators.array.drawing.sketch import sketched
 from imucalib.calibrators.array.drawing.streams import refuse_streams, stream_notes, streams
 from imucalib.calibrators.array.estimate.corrected import corrected_samples, restated
 from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
@@ -32,6 +33,7 @@ from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
 from imucalib.estimators.array.sampler import (
     ArrayPositions,
+    gaussian_positions,
     refuse_collapse,
     refuse_vague,
     sample_positions,
@@ -61,6 +63,11 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     log, board = array_log(recording, request.board)
     segments = still_segments(recording, request.still)
     order = _order(segments, board, recording)
+    if board.undrawn:
+        board = sketched(log, segments, board, order)
+        recording = in_package_axes(recording, board)
+        log, board = array_log(recording, board)
+        segments = still_segments(recording, request.still)
     taken = streams(log)
     if not request.as_drawn:
         refuse_streams(taken, board.imus, log.interval)
@@ -166,8 +173,11 @@ def _sampled(
         data = data.take(spread_over(np.arange(data.samples), few))
     if not estimate:
         data = replace(data, sigma=sigma)
-    n = state.positions
-    return _drawn(data, prior, request, rng), state.covariance[:n, :n]
+    motion = state.covariance[: state.positions, : state.positions]
+    if board.on_a_line:
+        own = state.r[1:].ravel()
+        return gaussian_positions(data, prior, own, motion, rng), motion
+    return _drawn(data, prior, request, rng), motion
 
 
 def _drawn(

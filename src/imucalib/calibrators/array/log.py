@@ -14,6 +14,7 @@ from imucalib.recording.recording import Channel, Recording
 
 _APART = 0.3  # share of a sample interval that simultaneous stamps may differ by
 _KEPT = 0.5  # share of the samples that all IMUs must have in common
+_REPEATED, _FAR = 5, 3.0  # times that an extreme is read, and over the median size, if clipped
 _NEAR_RANGE = 0.998  # share of the range from which a reading counts as clipped
 
 
@@ -50,6 +51,8 @@ def array_log(recording: Recording, board: Board) -> tuple[ArrayLog, Board]:
         _refuse_dead(a, names[k], "acceleration", recording.path)
         _refuse_dead(g, names[k], "angular_rate", recording.path)
         clipped |= _at_range(a, board.accelerometer_range) | _at_range(g, board.gyroscope_range)
+        clipped |= _held_at_its_end(a, board.accelerometer_range)
+        clipped |= _held_at_its_end(g, board.gyroscope_range)
         acceleration[:, k], rate[:, k] = a @ turns[k].T, g @ turns[k].T
         finite &= np.isfinite(a).all(axis=1) & np.isfinite(g).all(axis=1)
     step = float(np.median(np.diff(t)))
@@ -157,6 +160,21 @@ def _refuse_dead(values: Array, triad: str, quantity: str, path: str) -> None:
             where=path,
             remedy="it is dead or not connected; take the IMU off the board file",
         )
+
+
+def _held_at_its_end(values: Array, limit: float) -> Flags:
+    """Where no range is stated: samples with an axis at an extreme that it reads again and again,
+    as no motion does."""
+    clipped = np.zeros(len(values), dtype=np.bool_)
+    if np.isfinite(limit):
+        return clipped
+    for axis in values.T:
+        for end in (axis.max(), axis.min()):
+            at = axis == end
+            # Beyond what rest reads: rests repeat readings, too.
+            if int(at.sum()) >= _REPEATED and abs(end) > _FAR * float(np.median(np.abs(axis))):
+                clipped |= at
+    return clipped
 
 
 def _at_range(values: Array, limit: float) -> Flags:

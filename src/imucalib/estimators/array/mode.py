@@ -21,6 +21,7 @@ _REFRESHES = 25
 _LONGEST = 1.0  # prior standard deviations of a step
 _NOTICED = 0.1  # whitened slope of the Laplace determinant that costs acceptance
 _TOLD = 0.05  # of three, what the accelerometers add to the gyros' knowledge of the rate
+_WIDEST = np.deg2rad(3e6) ** 2  # (rad/s²)², ω̇ that no hand exceeds
 _CLOSE = 0.05  # Newton decrement at which a point counts as the mode
 
 
@@ -44,8 +45,11 @@ class Frame:
 
 
 def start_prior(data: ArrayData, prior: ArrayPrior) -> ArrayPrior:
-    """The prior with its motion scale from the data at the drawing: mean square ω̇."""
-    flat = replace(prior, motion="flat", exponent=0.5, estimate_noise=False)
+    """The prior with its motion scale from the data at the drawing: mean square ω̇, under a prior
+    that only closes what IMUs on one line leave open."""
+    flat = replace(
+        prior, motion="learned", motion_scale=_WIDEST, exponent=0.5, estimate_noise=False
+    )
     x = flat.mean_vector[None]
     given, _ = conditionals(data, flat, x)
     w = np.asarray(data.rate.T)[None]

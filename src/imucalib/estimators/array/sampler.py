@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,11 @@ from imucalib.arrays import Array
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.mode import Frame, laplace_frame, start_prior
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
-from imucalib.estimators.markov.convergence import Convergence
+from imucalib.estimators.markov.convergence import Convergence, convergence
 from imucalib.estimators.markov.hmc import Stop, sample
 
 COLLAPSED = 0.5  # share of the drawing's extent below which a geometry is no longer believed
+_CHAINS, _DRAWS = 4, 500  # independent draws where there is no chain
 VAGUE = 0.05  # relative standard deviation of the array's size above which it is not determined
 
 
@@ -116,6 +117,27 @@ def sample_positions(
     refuse_collapse(positions.mean, chosen.nominal)
     refuse_vague(positions)
     return positions
+
+
+def gaussian_positions(
+    data: ArrayData, prior: ArrayPrior, mean: Array, covariance: Array, rng: np.random.Generator
+) -> ArrayPositions:
+    """Independent draws of positions (d,) m with covariance (d, d) m², for IMUs on one line: the
+    spin about it is in no reading, and a chain that learns its size would wander for ever.
+
+    Raises as `sample_positions` does.
+    """
+    chosen = replace(prior, motion="flat", estimate_noise=False)
+    white = rng.standard_normal((_CHAINS, _DRAWS, len(mean)))
+    unknowns = mean + white @ np.linalg.cholesky(covariance).T
+    found = ArrayPositions(
+        data=data, prior=chosen, unknowns=unknowns, frame=None, accepted=1.0, steps=1,
+        convergence=convergence(unknowns), sampler="gaussian",
+        notes=("IMUs on one line: the spin about it stays open, positions by the joint fit alone",),
+    )  # fmt: skip
+    refuse_collapse(found.mean, chosen.nominal)
+    refuse_vague(found)
+    return found
 
 
 def refuse_collapse(geometry: Array, nominal: Array) -> None:

@@ -15,6 +15,9 @@ from imucalib.arrays import Array
 
 _ROUNDS = 12
 _EXACT = 1e-8  # rad/s, step at which the rates are final
+#: (rad/s²)^-2, of dω/dt about zero: 3e6 deg/s², a hundred times what hands do. IMUs on one line say
+#: nothing of the spin about it, and this alone keeps that one number finite.
+_SPIN = np.deg2rad(3e6) ** -2.0
 
 
 @dataclass(frozen=True)
@@ -110,10 +113,15 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
         flat = arms.reshape(len(rate), 3 * count, 9)
         heavy = (arms * weights.acceleration[..., None, None]).reshape(flat.shape)
         normal = np.matmul(heavy.transpose(0, 2, 1), flat)
+        normal[:, range(3, 6), range(3, 6)] += _SPIN
         normal[:, range(6, 9), range(6, 9)] += own[:, None]
         right = np.matmul(heavy.transpose(0, 2, 1), off.acceleration.reshape(len(rate), -1, 1))
+        right[:, 3:6, 0] -= _SPIN * unknown[:, 3:6]
         right[:, 6:, 0] += np.einsum("tk,tki->ti", weights.rate, off.rate)
-        step = np.linalg.solve(normal, right)[:, :, 0]
+        # In like units: a spin that only its prior holds is a small number beside the others.
+        size = 1.0 / np.sqrt(np.einsum("tii->ti", normal))
+        unit = normal * size[:, :, None] * size[:, None]
+        step = size * np.linalg.solve(unit, right * size[:, :, None])[:, :, 0]
         small = float(np.abs(step[:, 6:]).max(initial=0.0)) < _EXACT
         if small and float(np.abs(step[:, :6]).max(initial=0.0)) < 1e-6:
             break
@@ -146,5 +154,6 @@ def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     flat = sampled.arms.reshape(len(sampled.rate), -1, 9)
     heavy = (sampled.arms * weights.acceleration[..., None, None]).reshape(flat.shape)
     normal = np.matmul(heavy.transpose(0, 2, 1), flat)
+    normal[:, range(3, 6), range(3, 6)] += _SPIN
     normal[:, range(6, 9), range(6, 9)] += weights.rate.sum(axis=1)[:, None]
     return replace(sampled, weights=weights, root=_root(normal))

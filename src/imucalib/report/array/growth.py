@@ -18,6 +18,8 @@ def growth_plot(run: ArrayRun) -> tuple[Plot, ...]:
     """Median standard deviation of each axis against the number of samples; empty where the
     samples do not allow it."""
     data, final = run.final.data, run.final
+    if final.sampler == "gaussian":
+        return ()
     counts = [round(s * data.samples) for s in _SHARES]
     found = [(n, sd) for n in counts if n >= _FEWEST and (sd := _median_sd(run, n)) is not None]
     if len(found) < 3 or found[-1][0] != data.samples:

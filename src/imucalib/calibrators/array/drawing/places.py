@@ -54,6 +54,12 @@ def places(t: Array, force: Array, rate: Array, usable: Flags, drawn: Array) -> 
     t : (n,) s; force : (n, K, 3) m/s² and rate : (n, 3) rad/s in board axes; usable : (n,) neither
     clipped nor slow; drawn : (K, 3) m
     """
+    seen = rough_places(t, force, rate, usable)
+    return None if seen is None else _placed(seen, drawn - drawn.mean(axis=0))
+
+
+def rough_places(t: Array, force: Array, rate: Array, usable: Flags) -> Array | None:
+    """(K, 3) m about their mean, good to a millimetre; None where the motion does not show them."""
     step = float(np.median(np.diff(t)))
     regular = np.abs(t[2:] - t[:-2] - 2.0 * step) < 0.3 * step
     rows = 1 + np.flatnonzero(usable[1:-1] & usable[:-2] & usable[2:] & regular)
@@ -70,7 +76,7 @@ def places(t: Array, force: Array, rate: Array, usable: Flags, drawn: Array) -> 
     moved = value - flat[:, 3:] @ found[3:]
     if np.sum((value - flat @ found) ** 2) > (1.0 - _EXPLAINED) * np.sum(moved**2):
         return None
-    return _placed(found[:3].T - found[:3].mean(axis=1), drawn - drawn.mean(axis=0))
+    return np.asarray(found[:3].T - found[:3].mean(axis=1))
 
 
 def _placed(seen: Array, drawn: Array) -> Places:

@@ -11,6 +11,10 @@ from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.gram import gram, scores
 from imucalib.estimators.array.samples import reweighed
 
+#: Factors on sds of two and of three IMUs, which leave few residuals to weigh samples by: errors
+#: over stated sds in simulations (24 each, tails and none) are 1.15 to 1.27 and 1.01 to 1.10.
+_FEW = {2: 1.25, 3: 1.1}
+
 
 def stated_covariance(state: ArrayState) -> Array:
     """(q, q) of the positions (m) and of the terms' coordinates: A⁻¹ B A⁻¹.
@@ -35,4 +39,5 @@ def stated_covariance(state: ArrayState) -> Array:
 def with_stated_covariance(state: ArrayState, factor: float = 1.0) -> ArrayState:
     """The state with that covariance; factor : how many times fewer samples noise that neighbours
     share leaves."""
-    return replace(state, covariance=factor * stated_covariance(state))
+    few = _FEW.get(state.setup.triads, 1.0) ** 2
+    return replace(state, covariance=factor * few * stated_covariance(state))

@@ -25,6 +25,8 @@ from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_sa
 _ROUNDS, _AGAIN, _CLOSE = 30, (0, 8, 16, 24), 0.05
 #: Change of the noise from which the matrix no longer serves.
 _STALE = 0.1
+#: Step of a position, in its prior's sd, from which a fit is lost.
+_RUNAWAY = 10.0
 
 
 @dataclass(frozen=True)
@@ -195,6 +197,8 @@ def _climbed(state: ArrayState) -> ArrayState:
         inner = matrix + np.diag(base.prior)
         covariance = np.asarray(np.linalg.inv(inner), np.float64)
         step = covariance @ (along - base.pull)
+        if not float(np.abs(step[: state.positions]).max()) < _RUNAWAY * state.setup.board.prior_sd:
+            break
         state = _moved(state, step, covariance)
         state = _with_scale(state)
         moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0

@@ -20,12 +20,15 @@ from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residua
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Search, discounted, search
 from imucalib.calibrators.array.loop.state import ArrayState, settled
+from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.loop.worth import size_in_words, worth
 from imucalib.calibrators.array.moving import Moving
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings, Step, Unexplained
 from imucalib.loop.subject import Refused, Searched
 from imucalib.loop.thresholds import BOTH_HALVES, CURVES, KEEP, ONE_HALF, PATH
+
+_DIVERGED = "its refit did not converge"
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,9 @@ class MotionSubject:
         self, found: Searched, chosen: Score, rejected: Mapping[str, str]
     ) -> MotionSubject | Refused:
         term = self.searched.term(chosen.name)
-        trial = settled(replace(self.state, terms=(*self.state.terms, term)))
+        trial = _refitted(self.state, term)
+        if trial is None:
+            return Refused(chosen.name, _DIVERGED)
         gains = self.searched.held_out(chosen.name)
         reason = _why_not(self.state, trial, gains)
         if not reason:
@@ -161,8 +166,8 @@ class MotionSubject:
             return None
         gains, term = seen.held_out(chosen.name), seen.term(chosen.name)
         term = replace(term, name=CURVE + term.name)
-        trial = settled(replace(self.state, terms=(*self.state.terms, term)))
-        if min(gains) <= 0.0 or _why_not(self.state, trial, gains):
+        trial = _refitted(self.state, term)
+        if trial is None or min(gains) <= 0.0 or _why_not(self.state, trial, gains):
             return None
         corrected = (*self.corrected, without_a_name(chosen))
         return replace(self._with(trial, chosen, gains), corrected=corrected)
@@ -193,11 +198,19 @@ def without_a_name(s: Score) -> Unexplained:
     return Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
 
 
+def _refitted(state: ArrayState, term: Term) -> ArrayState | None:
+    """The joint fit with one term more; None where it runs away, as few IMUs allow."""
+    try:
+        return settled(replace(state, terms=(*state.terms, term)))
+    except np.linalg.LinAlgError:
+        return None
+
+
 def _why_not(before: ArrayState, after: ArrayState, gains: tuple[float, float]) -> str:
     if len(after.terms[-1].value) == 0:
         return "these data determine none of its parameters"
     if not after.converged:
-        return "its refit did not converge"
+        return _DIVERGED
     term = after.terms[-1]
     implausible = [
         f"{p.name} = {v:.3g} {p.unit}"
