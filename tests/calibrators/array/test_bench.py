@@ -17,7 +17,7 @@ from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
-from imucalib.errors import Undetermined, UnreadableInput
+from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.recording import Channel, Recording
 from imucalib.report.array.draws import write_draws
@@ -61,13 +61,17 @@ def _drawn(path: Path, places: list[str]) -> Path:
     return path
 
 
-def test_a_flat_drawing_is_read_and_a_line_is_refused(tmp_path: Path) -> None:
+def test_a_flat_drawing_and_a_line_are_read_and_a_point_is_not(tmp_path: Path) -> None:
     corners = ["0, 0, 1", "20, 0, 1", "0, 20, 1", "20, 20, 1"]
-    assert read_board(_drawn(tmp_path / "flat.yaml", corners)).count == 4
-    for line in (["0, 0, 0", "5, 5, 5", "7, 7, 7", "9, 9, 9"], ["1, 2, 3"] * 4):
-        with pytest.raises(UnreadableInput, match="on a line or in a point") as caught:
-            read_board(_drawn(tmp_path / "line.yaml", line))
-        assert caught.value.remedy
+    assert not read_board(_drawn(tmp_path / "flat.yaml", corners)).on_a_line
+    for line in (["0, 0, 0", "5, 5, 5", "7, 7, 7", "9, 9, 9"], ["0, 0, 0", "0, 2, 0"]):
+        assert read_board(_drawn(tmp_path / "line.yaml", line)).on_a_line
+    with pytest.raises(UnreadableInput, match="extends 0 µm") as caught:
+        read_board(_drawn(tmp_path / "point.yaml", ["1, 2, 3"] * 4))
+    assert "--board 4" in str(caught.value.remedy)
+    assert read_board("5").undrawn
+    with pytest.raises(UsageError, match="two or more"):
+        read_board("1")
 
 
 def changed(recording: Recording, **channels: Channel) -> Recording:
@@ -193,7 +197,7 @@ def test_boards_that_come_along() -> None:
     ("text", "message"),
     [
         ("imus: 3", "incomplete"),
-        ("imus: [{name: a, position: [0, 0, 0]}]", "four or more"),
+        ("imus: [{name: a, position: [0, 0, 0]}]", "two or more"),
         ("[", "not a YAML"),
     ],
 )

@@ -163,6 +163,16 @@ def refuse_vague(positions: ArrayPositions) -> None:
     if sd > VAGUE * scale or share > 0.5:
         raise Undetermined(
             f"too little rotation: the array's size is known to {100 * sd / scale:.1f} % and a "
-            f"position to {100 * share:.0f} % of its prior uncertainty",
+            f"position to {100 * share:.0f} % of its prior uncertainty; most open is "
+            f"{open_direction(positions.covariance)}",
             remedy="twist the array faster, about all axes, for longer; or use more samples",
         )
+
+
+def open_direction(covariance: Array) -> str:
+    """In words, the direction in space in which positions with covariance (d, d) are least known:
+    of the least known combination of them, the axis that its IMUs share most."""
+    shift = np.linalg.eigh(covariance)[1][:, -1].reshape(-1, 3)
+    axis = np.linalg.svd(shift)[2][0]
+    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    return "along (" + ", ".join(f"{v:.2f}" for v in axis + 0.0) + ") of the board"
