@@ -146,7 +146,8 @@ def test_the_motion_is_taken_out_exactly() -> None:
     dense -= q @ (q.transpose(0, 2, 1) @ dense)
     residual -= (q @ (q.transpose(0, 2, 1) @ residual[..., None]))[..., 0]
     flat = dense.reshape(-1, dense.shape[2])
-    assert found.matrix == pytest.approx(flat.T @ flat, rel=1e-8, abs=1e-6)
+    # But for the weak prior of dω/dt, which the dense columns lack.
+    assert found.matrix == pytest.approx(flat.T @ flat, rel=1e-7, abs=1e-5)
     assert found.along == pytest.approx(flat.T @ residual.ravel(), rel=1e-6, abs=1e-5)
     assert found.power == pytest.approx(float(np.sum(residual**2)), rel=1e-8)
 

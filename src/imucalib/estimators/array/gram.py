@@ -66,43 +66,71 @@ def starts_of(blocks: Sequence[Columns]) -> Index:
 
 def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
     """Products of all columns over some of the samples."""
-    starts = starts_of(blocks)
-    total, k = int(starts[-1]), sampled.force.shape[1]
+    k = sampled.force.shape[1]
+    order, force = _by_triad(blocks, k)
+    total = len(order)
     matrix, along = np.zeros((total, total)), np.zeros(total)
     # Gyros see ω only, and the root is upper triangular: of the nine rows a sample they have three.
-    upper, lower = np.zeros((len(rows), 6, total)), np.zeros((len(rows), 3, total))
+    upper, lower = np.zeros((len(rows), 6, force)), np.zeros((len(rows), 3, total))
     root = sampled.root[rows]
-    power, residual = 0.0, np.zeros((len(rows), 9))
+    power, residual, first = 0.0, np.zeros((len(rows), 9)), 0
     for gyro in (False, True):
         weight = np.sqrt((sampled.weights.rate if gyro else sampled.weights.acceleration)[rows])
         off = (sampled.off.rate if gyro else sampled.off.acceleration)[rows] * weight[..., None]
         power += float(np.sum(off * off))
-        chosen = [b for b in range(len(blocks)) if blocks[b].gyro is gyro]
-        x = _side_by_side([blocks[b].basis for b in chosen], rows, weight)
+        own = [b.basis for b in blocks if b.gyro is gyro and not b.shared]
+        shared = [b.basis for b in blocks if b.gyro is gyro and b.shared]
+        x = _side_by_side([*own, *shared], rows, weight)
+        width = sum(b.shape[3] for b in own)
+        common = slice(first + k * width, first + k * width + x.shape[3] - width)
         for triad in range(k):
-            index = _places(blocks, starts, chosen, triad)
+            mine = slice(first + triad * width, first + (triad + 1) * width)
             one = x[triad].reshape(3 * len(rows), x.shape[3])
-            matrix[np.ix_(index, index)] += one.T @ one
-            along[index] += one.T @ off[:, triad].ravel()
+            product, seen = one.T @ one, one.T @ off[:, triad].ravel()
+            matrix[mine, mine] = product[:width, :width]
+            matrix[mine, common] = product[:width, width:]
+            matrix[common, common] += product[width:, width:]
+            along[mine], along[common] = seen[:width], along[common] + seen[width:]
             arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
             arms = arms * weight[:, triad, None, None]
             taken = np.matmul(arms.transpose(0, 2, 1), x[triad])
-            lower[:, :, index] += taken[:, 6:]
+            lower[:, :, mine] = taken[:, 6:, :width]
+            lower[:, :, common] += taken[:, 6:, width:]
             if not gyro:
-                upper[:, :, index] += taken[:, :6]
+                upper[:, :, mine] = taken[:, :6, :width]
+                upper[:, :, common] += taken[:, :6, width:]
             residual += np.einsum("tij,ti->tj", arms, off[:, triad])
+        matrix[common, first : common.start] = matrix[first : common.start, common].T
+        first = common.stop
     whole = np.diag(matrix).copy()
-    forces = np.concatenate(
-        [np.arange(starts[b], starts[b + 1]) for b in range(len(blocks)) if not blocks[b].gyro]
-    )
-    flat = np.ascontiguousarray(upper[:, :, forces]).reshape(-1, len(forces))
-    matrix[np.ix_(forces, forces)] -= flat.T @ flat
-    along[forces] -= flat.T @ residual[:, :6].ravel()
+    flat = upper.reshape(-1, force)
+    matrix[:force, :force] -= flat.T @ flat
+    along[:force] -= flat.T @ residual[:, :6].ravel()
     flat = lower.reshape(-1, total)
     matrix -= flat.T @ flat
     along -= flat.T @ residual[:, 6:].ravel()
     power -= float(np.sum(residual * residual))
-    return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole)
+    back = np.argsort(order)
+    return Gram(
+        matrix[np.ix_(back, back)], along[back], power, (6 * k - 9) * len(rows), whole[back]
+    )
+
+
+def _by_triad(blocks: Sequence[Columns], triads: int) -> tuple[Index, int]:
+    """(M,) all columns in the order in which each triad's own stand side by side, those of the
+    accelerometers first and shared ones after all triads; and how many are the accelerometers'."""
+    starts, order, force = starts_of(blocks), [], 0
+    for gyro in (False, True):
+        chosen = [b for b in range(len(blocks)) if blocks[b].gyro is gyro]
+        own = [b for b in chosen if not blocks[b].shared]
+        for triad in range(triads):
+            for b in own:
+                width = blocks[b].basis.shape[3]
+                order.append(starts[b] + triad * width + np.arange(width))
+        order += [np.arange(starts[b], starts[b + 1]) for b in chosen if blocks[b].shared]
+        if not gyro:
+            force = sum(len(part) for part in order)
+    return np.concatenate(order).astype(np.intp), force
 
 
 def gradient(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
@@ -146,16 +174,6 @@ def _side_by_side(bases: list[Array], rows: Index, weight: Array) -> Array:
         np.multiply(part, weight.T[:, :, None, None], out=x[..., at : at + width])
         at += width
     return x
-
-
-def _places(blocks: Sequence[Columns], starts: Index, chosen: list[int], triad: int) -> Index:
-    """Where the columns of one triad stand among all."""
-    parts = []
-    for b in chosen:
-        width = blocks[b].basis.shape[3]
-        first = starts[b] + (0 if blocks[b].shared else triad * width)
-        parts.append(np.arange(first, first + width))
-    return np.concatenate(parts).astype(np.intp) if parts else np.zeros(0, np.intp)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 
 _ROUNDS = 12
-_EXACT = 1e-8  # rad/s, step at which the rates are final
+#: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² is left.
+_LAST = 1e-3
 #: (rad/s²)^-2, of dω/dt about zero: 3e6 deg/s², a hundred times what hands do. IMUs on one line say
 #: nothing of the spin about it, and this alone keeps that one number finite.
 _SPIN = np.deg2rad(3e6) ** -2.0
@@ -122,17 +123,18 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
         size = 1.0 / np.sqrt(np.einsum("tii->ti", normal))
         unit = normal * size[:, :, None] * size[:, None]
         step = size * np.linalg.solve(unit, right * size[:, :, None])[:, :, 0]
-        small = float(np.abs(step[:, 6:]).max(initial=0.0)) < _EXACT
-        if small and float(np.abs(step[:, :6]).max(initial=0.0)) < 1e-6:
-            break
         unknown = unknown + step
         rate = rate + step[:, 6:]
+        if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
+            break
+    force = force + np.matmul(flat, step[:, :, None]).reshape(force.shape)
+    off = Readings(readings.acceleration - force, readings.rate - rate[:, None])
     return Sampled(
         rate=rate,
         spin=unknown[:, 3:6],
         origin=unknown[:, :3],
         force=force,
-        turn=turn,
+        turn=turning(rate, unknown[:, 3:6]),
         off=off,
         weights=weights,
         arms=arms,

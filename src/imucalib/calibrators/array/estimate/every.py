@@ -29,8 +29,8 @@ def on_all(state: ArrayState, moving: Moving, most: int) -> ArrayState:
 
 
 def fitted_on_all(state: ArrayState, moving: Moving, most: int) -> ArrayState:
-    """The joint fit at `most` of all informative samples."""
-    return settled(on_all(state, moving, most))
+    """The joint fit at `most` of all informative samples, with the noise in the shape it has."""
+    return settled(on_all(state, moving, most), shaped=False)
 
 
 def transferred(state: ArrayState, setup: Setup) -> ArrayState:

@@ -152,4 +152,4 @@ def _on_all(
     again = found_ages(moved, moving, all_rows=True)
     if again is None:
         return state, path.ages
-    return settled(kept_ages(moved, again, voting=False)), again
+    return settled(kept_ages(moved, again, voting=False), shaped=False), again

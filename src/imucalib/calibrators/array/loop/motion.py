@@ -25,8 +25,13 @@ class BoardMotion:
 
     def turned(self, basis: Array) -> Array:
         """(T, K, 3, m) in board axes, of a basis in each package's."""
-        assert self.context.attitude is not None
-        return np.asarray(np.matmul(self.context.attitude, basis))
+        attitude = self.context.attitude
+        assert attitude is not None
+        out = np.zeros_like(basis)
+        # Mountings are mostly signed permutations: of nine products a few are not zero.
+        for i, j in zip(*np.nonzero(np.any(attitude != 0.0, axis=0)), strict=True):
+            out[:, :, i] += attitude[:, i, j, None] * basis[:, :, j]
+        return out
 
     def aged(self, age: Array | None) -> BoardMotion:
         """With the (T, K) sawtooth ages of the gyros' readings, or without any."""

@@ -87,6 +87,7 @@ class Base:
         blocks = [Columns(np.asarray(turn), False, False)]
         blocks += [term.columns(state.motion) for term in state.terms]
         self.blocks: Sequence[Columns] = blocks
+        self.setup, self.sampled = state.setup, state.sampled
         self.raw = sum(block.size for block in blocks)
         self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in state.terms)]
         off = (state.r - state.setup.board.drawn)[1:].ravel()
@@ -96,6 +97,16 @@ class Base:
         held = [term.sd**-2.0 * (not term.found) for term in state.terms]
         self.rests = np.concatenate([0.0 * flat, *held])
         self.pull = self.prior * np.concatenate([off, *(term.value for term in state.terms)])
+
+    @cached_property
+    def halves(self) -> tuple[Gram, Gram]:
+        """Of the free coordinates, over the samples of each held-out half."""
+        setup, sampled = self.setup, self.sampled
+        one, two = (
+            self.free(gram(sampled, self.blocks, setup.inner[rows]))
+            for rows in (setup.first, ~setup.first)
+        )
+        return one, two
 
     def free(self, found: Gram) -> Gram:
         """The Gram matrix with the raw columns of the base replaced by its coordinates."""
@@ -148,10 +159,13 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
     return settled(state)
 
 
-def settled(state: ArrayState) -> ArrayState:
-    """The joint fit of everything, and the noise in the shape that held-out halves ask for."""
+def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
+    """The joint fit of everything, and the noise in the shape that held-out halves ask for.
+
+    shaped : whether they are asked, or the shape is kept
+    """
     state = _climbed(_with_scale(state))
-    if state.setup.robust:
+    if state.setup.robust and shaped:
         # Which shape only shows once the fit is near; the fit then moves a little with it.
         for _ in range(3):
             noise = _shaped(state)
@@ -210,8 +224,8 @@ def _climbed(state: ArrayState) -> ArrayState:
 
 def _measured(state: ArrayState) -> ArrayState:
     """With the covariance and the density of where it is."""
-    found = state.base.free(gram(state.sampled, state.base.blocks, state.setup.inner))
-    covariance = state.base.solved(found).covariance
+    one, two = state.base.halves
+    covariance = state.base.solved(one + two).covariance
     a, g, speed = state.squares()
     density = float(log_density(state.noise[0], a, speed).sum())
     density += float(log_density(state.noise[1], g, speed).sum())
