@@ -57,8 +57,6 @@ def one(seed: int, *, loop: bool) -> dict[str, np.ndarray]:
         "positions, whitened": whole,
         "distances": np.array(distances),
         "shape, whitened": shape / np.sqrt(values[seen]),
-        "size by the turns": np.array([run.gyros.value / run.gyros.sd]),
-        "found": np.array([len(run.loop.steps) if run.loop else 0]),
     }
 
 

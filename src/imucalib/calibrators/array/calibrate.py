@@ -46,7 +46,7 @@ from imucalib.rests.segments import Segments, still_segments
 
 Say = Callable[[str], None]
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
-HALVED_SAMPLES = 1200  # moving samples of which each half is searched again
+HALVED_SAMPLES = 800  # moving samples of which each half is searched again
 PUBLISHED_SAMPLES = 2000  # moving samples of the paper's sampler, where nobody says how many
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.gyros import Gyros, relative_gyros
 from imucalib.calibrators.array.log import ArrayLog
 from imucalib.calibrators.array.rests import RestFit
@@ -24,7 +24,8 @@ _ODD = 1.5  # factor between one gyro and the others that no tolerance explains
 
 @dataclass(frozen=True)
 class Moving:
-    """The moving part, calibrated by gravity and by the gyros' mean.
+    """The moving part, calibrated by gravity and by the gyros' mean: N samples that turn, and those
+    beside them.
 
     t : (N,) s; acceleration : (N, K, 3); rate : (N, K, 3) rad/s as each gyro reads it, without
     offset; gyros : their comparison; good : indices of the informative samples; counts : samples
@@ -43,14 +44,13 @@ class Moving:
 def moving_part(log: ArrayLog, rests: RestFit, names: tuple[str, ...] = ()) -> Moving:
     """Correct, and find the informative samples. Raises Undetermined when there are too few or a
     gyro is in another unit than the others."""
-    acceleration = rests.corrected(log.acceleration, log.t)
-    rate = rests.without_bias(log.rate, log.t)
+    t, force, rate, clipped = _around_motion(log, rests)
     speed = np.linalg.norm(np.median(rate, axis=1), axis=1)
     turning = speed > SLOWEST
     if turning.any():
         _refuse_odd(np.linalg.norm(rate[turning], axis=2) / speed[turning, None], names)
-    usable = turning & ~log.clipped
-    counts = {"rotating": int(turning.sum()), "clipped": int((turning & log.clipped).sum())}
+    usable = turning & ~clipped
+    counts = {"rotating": int(turning.sum()), "clipped": int((turning & clipped).sum())}
     _refuse_few(counts, int(usable.sum()))
     gyros = relative_gyros(rate, np.flatnonzero(usable))
     wide = usable & (gyros.scatter > WIDEST * np.linalg.norm(gyros.mean, axis=1))
@@ -58,14 +58,27 @@ def moving_part(log: ArrayLog, rests: RestFit, names: tuple[str, ...] = ()) -> M
     counts |= {"gyros scattered": int(wide.sum()), "informative": len(good)}
     _refuse_few(counts, len(good))
     return Moving(
-        t=log.t,
-        acceleration=acceleration,
+        t=t,
+        acceleration=rests.corrected(force, t),
         rate=rate,
         gyros=gyros,
         good=good,
         interval=log.interval,
         counts=counts,
     )
+
+
+def _around_motion(log: ArrayLog, rests: RestFit) -> tuple[Array, Array, Array, Flags]:
+    """Times, raw forces, rates without offsets and clipping of the samples that turn and those
+    beside them: a log is mostly rest, and large."""
+    offset = rests.without_bias(np.zeros((1, *log.rate.shape[1:])), log.t[-1:])[0]
+    turning = np.linalg.norm(np.median(log.rate + offset, axis=1), axis=1) > 0.5 * SLOWEST
+    turning[1:-1] |= turning[2:] | turning[:-2]
+    if not turning.any():
+        turning[:1] = True
+    t = log.t[turning]
+    rate = rests.without_bias(log.rate[turning], t)
+    return t, log.acceleration[turning], rate, log.clipped[turning]
 
 
 def _refuse_odd(ratio: Array, names: tuple[str, ...]) -> None:
