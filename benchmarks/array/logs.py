@@ -1,7 +1,7 @@
 """Several logs of one board: errors between logs over what they state.
 
 python benchmarks/array/logs.py measured FILE...   logs of the corner board (exp_1, 2, 4, 5)
-python benchmarks/array/logs.py simulated [LOGS [--loop]]   any five of a dozen, written by numpy alone
+python benchmarks/array/logs.py simulated [LOGS [--loop]]   any five of a dozen, by numpy alone
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def report(name: str, found: list[Pooled]) -> None:
 
 
 def main() -> None:
-    print("| logs | z rms of a log by the others (10 to 90 %) | χ² | p < 0.01 | tau, mm | sd between "
+    print("| logs | z rms of a log by the others (10, 90 %) | χ² | p < 0.01 | tau, mm | sd between "
           "logs, mm | pooled sd, mm |\n|---|---|---|---|---|---|---|")  # fmt: skip
     if sys.argv[1] == "measured":
         request = ArrayRequest(BOARD, gravity=9.8189, gravity_source="as given")

@@ -43,7 +43,7 @@ def rig(name: str) -> Board:
 def one(name: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     """z of the distances and of the shape (whitened, turned), and the median sd in mm."""
     board, rng = rig(name), np.random.default_rng(seed)
-    plan = BoardPlan(twist_s=15.0, mounting=0.2, tails=3.0)
+    plan = BoardPlan(twist_s=15.0, mounting=0.2, gain=0.0, tails=3.0)
     parts = made_board(board.positions, board.rotations, board.imus, plan, rng)
     asked = undrawn_board(board.count) if name.endswith("no drawing") else board
     recording = board_log(parts, plan, rng).recording

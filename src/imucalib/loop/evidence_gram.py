@@ -55,7 +55,9 @@ def gram_evidence(
     freedom, power = residual.size - basis.shape[1], float(rest @ rest)
     indices = [np.arange(first, last) for first, last in pairwise(starts)]
     if starts[-1] > freedom:
-        return _wide_evidence(basis, rest, blocks, indices, tau, rng, draws, unit)
+        return _wide_evidence(
+            basis, rest, blocks=blocks, indices=indices, tau=tau, rng=rng, draws=draws, unit=unit
+        )
     inside = np.concatenate([basis.T @ b for b in blocks], axis=1) / unit
     size, gram, along = np.zeros(starts[-1]), np.zeros((starts[-1],) * 2), np.zeros(starts[-1])
     for a in range(0, len(residual), _ROWS):  # in parts: no second copy of all columns
@@ -80,7 +82,7 @@ def gram_evidence(
 
 
 def _wide_evidence(
-    basis: Array, rest: Array, blocks: Sequence[Array], indices: Sequence[Index], tau: Array,
+    basis: Array, rest: Array, *, blocks: Sequence[Array], indices: Sequence[Index], tau: Array,
     rng: np.random.Generator, draws: int, unit: float,
 ) -> GramEvidence:  # fmt: skip
     """With more columns than observations: no matrix of the size of the columns squared, and data

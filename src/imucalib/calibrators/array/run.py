@@ -69,44 +69,23 @@ def finished(
     residual = residual_in_motion(loop, state, final, moving)
     left = what_is_left(residual, rests, loop, request.accepted)
     outcome = Outcome(
-        calibrator="array",
-        errors=errors,
-        provenance=_provenance(recording, request),
-        findings=array_findings(loop) if loop else None,
-        reasons=left_in_words(loop, left),
-        limits=_limits(request, errors, final),
-        notes=notes,
-        left=left,
-    )
+        "array", errors, _provenance(recording, request),
+        findings=array_findings(loop) if loop else None, reasons=left_in_words(loop, left),
+        limits=_limits(request, errors, final), notes=notes, left=left,
+    )  # fmt: skip
     details = array_details(
         rests=rests, moving=moving, final=final, total=total, gyros=gyros, board=board,
         loop=loop, linear=linear, residual=residual,
     )  # fmt: skip
+    calibration = array_calibration(
+        outcome, details, rests=rests, moving=moving, total=total, gyros=gyros, board=board,
+        linear=linear,
+    )  # fmt: skip
     return ArrayRun(
-        outcome=outcome,
-        calibration=array_calibration(
-            outcome,
-            details,
-            rests=rests,
-            moving=moving,
-            total=total,
-            gyros=gyros,
-            board=board,
-            linear=linear,
-        ),
-        details=details,
-        recording=recording,
-        board=board,
-        request=request,
-        segments=segments,
-        rests=rests,
-        moving=moving,
-        final=final,
-        total=total,
-        gyros=gyros,
-        loop=loop,
-        residual=residual,
-    )
+        outcome=outcome, calibration=calibration, details=details, recording=recording,
+        board=board, request=request, segments=segments, rests=rests, moving=moving,
+        final=final, total=total, gyros=gyros, loop=loop, residual=residual,
+    )  # fmt: skip
 
 
 def _rms(values: NDArray[np.float64]) -> float:

@@ -22,7 +22,7 @@ from imucalib.calibrators.array.loop.subject import MotionSubject, without_a_nam
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.moving import Moving
 from imucalib.loop.found import FitLoop, Loop, LoopSettings, Step, Unexplained
-from imucalib.loop.subject import close
+from imucalib.loop.subject import End, close
 from imucalib.loop.thresholds import STRONG
 
 HALF_DRAWS = 99  # simulated data sets of a half's search: enough for the rate of false alarms
@@ -88,17 +88,34 @@ def close_array_loop(
         structure += tuple(_as_structure(step) for step in path.steps if step.evidence > STRONG)
         path = first
     final, ages = _on_all(path, moving, most)
+    dispersion = shared_by_neighbours(final, gyro=False)
     left = tuple(
         without_a_name(s)
         for s in end.last.scores
         if asked.search and s.candidate.kind != "effect" and s.p <= rules.alpha
     )
-    dispersion = shared_by_neighbours(final, gyro=False)
-    unexplained = (*structure, *left[:3])
-    searches = tuple(s for s in (end.first, end.last) if isinstance(s, Search))
-    return MotionLoop(
+    return _ended(
+        end, path,
         base=first.state,
         final=with_stated_covariance(final, dispersion),
+        unexplained=(*structure, *left[:3]),
+        refused=refused,
+        ages=ages,
+        gained=gained,
+        dispersion=dispersion,
+        asked=asked,
+    )  # fmt: skip
+
+
+def _ended(
+    end: End[MotionSubject], path: MotionSubject, *, base: ArrayState, final: ArrayState,
+    unexplained: tuple[Unexplained, ...], refused: tuple[tuple[str, str], ...],
+    ages: Ages | None, gained: Gained | None, dispersion: float, asked: Asked,
+) -> MotionLoop:  # fmt: skip
+    searches = tuple(s for s in (end.first, end.last) if isinstance(s, Search))
+    return MotionLoop(
+        base=base,
+        final=final,
         steps=path.steps,
         rejected=(*end.rejected.items(), *path.dropped, *refused),
         unexplained=unexplained,

@@ -1,0 +1,74 @@
+"""What a joint fit has as unknowns: positions and terms, and their products at a fitted motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.estimators.array.gram import Columns, Gram, Reduced, gram, reduced
+
+if TYPE_CHECKING:
+    from imucalib.calibrators.array.loop.state import ArrayState
+
+
+class Base:
+    """Columns of what is fitted: positions and terms, and the matrix from raw columns to the
+    coordinates that are free."""
+
+    def __init__(self, state: ArrayState) -> None:
+        k = state.setup.triads
+        turn = np.broadcast_to(state.sampled.turn[:, None], (len(state.sampled.turn), k, 3, 3))
+        blocks = [Columns(np.asarray(turn), False, False)]
+        blocks += [term.columns(state.motion) for term in state.terms]
+        self.blocks: Sequence[Columns] = blocks
+        self.setup, self.sampled = state.setup, state.sampled
+        self.raw = sum(block.size for block in blocks)
+        self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in state.terms)]
+        off = (state.r - state.setup.board.drawn)[1:].ravel()
+        flat = np.full(off.size, state.setup.board.prior_sd**-2.0)
+        self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in state.terms)])
+        # What positions absorb is absorbed for good.
+        held = [term.sd**-2.0 * (not term.found) for term in state.terms]
+        self.rests = np.concatenate([0.0 * flat, *held])
+        self.pull = self.prior * np.concatenate([off, *(term.value for term in state.terms)])
+
+    @cached_property
+    def halves(self) -> tuple[Gram, Gram]:
+        """Of the free coordinates, over the samples of each held-out half."""
+        setup, sampled = self.setup, self.sampled
+        one, two = (
+            self.free(gram(sampled, self.blocks, setup.inner[rows]))
+            for rows in (setup.first, ~setup.first)
+        )
+        return one, two
+
+    def free(self, found: Gram) -> Gram:
+        """The Gram matrix with the raw columns of the base replaced by its coordinates."""
+        from scipy.linalg import block_diag
+
+        turn = block_diag(*self.lives)
+        n, raw = turn.shape[1], self.raw
+        size = n + found.matrix.shape[0] - raw
+        matrix = np.empty((size, size))
+        matrix[:n, :n] = turn.T @ found.matrix[:raw, :raw] @ turn
+        matrix[:n, n:] = turn.T @ found.matrix[:raw, raw:]
+        matrix[n:, :n] = matrix[:n, n:].T
+        matrix[n:, n:] = found.matrix[raw:, raw:]
+        along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
+        whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
+        return Gram(matrix, along, found.power, found.numbers, whole)
+
+    def along(self, raw: Array) -> Array:
+        """Products (..., raw) with the raw columns as those with the free coordinates."""
+        ends = np.cumsum([live.shape[0] for live in self.lives])[:-1]
+        parts = zip(self.lives, np.split(raw, ends, axis=-1), strict=True)
+        return np.concatenate([part @ live for live, part in parts], axis=-1)
+
+    def solved(self, found: Gram) -> Reduced:
+        """One Gauss-Newton step of the base alone, from its free coordinates."""
+        every = np.arange(len(self.prior))
+        return reduced(found, every, self.prior, self.pull, every[:0])
