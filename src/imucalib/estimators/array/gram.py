@@ -70,50 +70,64 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
     order, force = _by_triad(blocks, k)
     total = len(order)
     matrix, along = np.zeros((total, total)), np.zeros(total)
-    # Gyros see ω only, and the root is upper triangular: of the nine rows a sample they have three.
-    upper, lower = np.zeros((len(rows), 6, force)), np.zeros((len(rows), 3, total))
-    root = sampled.root[rows]
-    power, residual, first = 0.0, np.zeros((len(rows), 9)), 0
-    for gyro in (False, True):
-        weight = np.sqrt((sampled.weights.rate if gyro else sampled.weights.acceleration)[rows])
-        off = (sampled.off.rate if gyro else sampled.off.acceleration)[rows] * weight[..., None]
-        power += float(np.sum(off * off))
-        own = [b.basis for b in blocks if b.gyro is gyro and not b.shared]
-        shared = [b.basis for b in blocks if b.gyro is gyro and b.shared]
-        x = _side_by_side([*own, *shared], rows, weight)
-        width = sum(b.shape[3] for b in own)
-        common = slice(first + k * width, first + k * width + x.shape[3] - width)
-        for triad in range(k):
-            mine = slice(first + triad * width, first + (triad + 1) * width)
-            one = x[triad].reshape(3 * len(rows), x.shape[3])
-            product, seen = one.T @ one, one.T @ off[:, triad].ravel()
-            matrix[mine, mine] = product[:width, :width]
-            matrix[mine, common] = product[:width, width:]
-            matrix[common, common] += product[width:, width:]
-            along[mine], along[common] = seen[:width], along[common] + seen[width:]
-            arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
-            arms = arms * weight[:, triad, None, None]
-            taken = np.matmul(arms.transpose(0, 2, 1), x[triad])
-            lower[:, :, mine] = taken[:, 6:, :width]
-            lower[:, :, common] += taken[:, 6:, width:]
-            if not gyro:
-                upper[:, :, mine] = taken[:, :6, :width]
-                upper[:, :, common] += taken[:, :6, width:]
-            residual += np.einsum("tij,ti->tj", arms, off[:, triad])
-        matrix[common, first : common.start] = matrix[first : common.start, common].T
-        first = common.stop
+    parts = [_of_one_kind(sampled, blocks, rows, gyro=gyro) for gyro in (False, True)]
+    for part, at in zip(parts, (slice(0, force), slice(force, total)), strict=True):
+        matrix[at, at], along[at] = part.matrix, part.along
     whole = np.diag(matrix).copy()
-    flat = upper.reshape(-1, force)
+    residual = parts[0].residual + parts[1].residual
+    # Gyros see ω only, and the root is upper triangular: of the nine rows a sample they have three.
+    flat = np.ascontiguousarray(parts[0].taken[:, :6]).reshape(-1, force)
     matrix[:force, :force] -= flat.T @ flat
     along[:force] -= flat.T @ residual[:, :6].ravel()
-    flat = lower.reshape(-1, total)
+    flat = np.concatenate([part.taken[:, -3:] for part in parts], axis=2).reshape(-1, total)
     matrix -= flat.T @ flat
     along -= flat.T @ residual[:, 6:].ravel()
-    power -= float(np.sum(residual * residual))
+    power = parts[0].power + parts[1].power - float(np.sum(residual * residual))
     back = np.argsort(order)
     return Gram(
         matrix[np.ix_(back, back)], along[back], power, (6 * k - 9) * len(rows), whole[back]
     )
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Products of the m columns of one kind of sensor: matrix (m, m), along (m,), power; taken :
+    (rows, 9 or 3, m) and residual (rows, 9), what the motion takes of them"""
+
+    matrix: Array
+    along: Array
+    power: float
+    taken: Array
+    residual: Array
+
+
+def _of_one_kind(sampled: Sampled, blocks: Sequence[Columns], rows: Index, *, gyro: bool) -> _Kind:
+    k, root = sampled.force.shape[1], sampled.root[rows]
+    weight = np.sqrt((sampled.weights.rate if gyro else sampled.weights.acceleration)[rows])
+    off = (sampled.off.rate if gyro else sampled.off.acceleration)[rows] * weight[..., None]
+    own = [b.basis for b in blocks if b.gyro is gyro and not b.shared]
+    shared = [b.basis for b in blocks if b.gyro is gyro and b.shared]
+    x = _side_by_side([*own, *shared], rows, weight)
+    width = sum(b.shape[3] for b in own)
+    size = k * width + x.shape[3] - width
+    matrix, along, common = np.zeros((size, size)), np.zeros(size), slice(k * width, size)
+    taken, residual = np.zeros((len(rows), 3 if gyro else 9, size)), np.zeros((len(rows), 9))
+    for triad in range(k):
+        mine = slice(triad * width, (triad + 1) * width)
+        one = x[triad].reshape(3 * len(rows), x.shape[3])
+        product, seen = one.T @ one, one.T @ off[:, triad].ravel()
+        matrix[mine, mine] = product[:width, :width]
+        matrix[mine, common] = product[:width, width:]
+        matrix[common, common] += product[width:, width:]
+        along[mine], along[common] = seen[:width], along[common] + seen[width:]
+        arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
+        arms = arms * weight[:, triad, None, None]
+        lost = np.matmul(arms.transpose(0, 2, 1), x[triad])[:, -taken.shape[1] :]
+        taken[:, :, mine] = lost[:, :, :width]
+        taken[:, :, common] += lost[:, :, width:]
+        residual += np.einsum("tij,ti->tj", arms, off[:, triad])
+    matrix[common, : common.start] = matrix[: common.start, common].T
+    return _Kind(matrix, along, float(np.sum(off * off)), taken, residual)
 
 
 def _by_triad(blocks: Sequence[Columns], triads: int) -> tuple[Index, int]:
