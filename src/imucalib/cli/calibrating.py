@@ -206,7 +206,7 @@ def finish(
         for report in reports:
             show(report.document, full=options["full"])
         if together:
-            show(together.report.document)
+            show(together.report.document, full=options["full"])
     every = [*reports, together.report] if together else reports
     return max(report.run.outcome.exit_code for report in every)
 

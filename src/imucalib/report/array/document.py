@@ -14,12 +14,8 @@ from imucalib.report.document import Document, Facts, Section, Table, Text
 from imucalib.report.gain import gain_plot
 from imucalib.report.loop import loop_section
 from imucalib.report.sections import closing_sections, verdict
-<<<<<<< HEAD
 from imucalib.report.terms import TERMS
-from imucalib.significant_digits import plus_minus, with_sd
-=======
 from imucalib.significant_digits import with_sd
->>>>>>> 1351cc7 (Several logs of one board: pooled with what differs between them, agreement as a chi-square, one calibration)
 from imucalib.units import DEG
 
 
