@@ -17,7 +17,7 @@ def array_card(run: ArrayRun, observability: tuple[Text, ...]) -> Card:
         "positions",
         f"± {1.96 * np.median(sd):.2g} mm",
         f"95 %, the median of {sd.size} coordinates; worst {run.board.imus[1 + int(k)]} "
-        f"{'xyz'[int(axis)]}, ± {1.96 * sd.max():.2g} mm; the array's common size aside",
+        f"{'xyz'[int(axis)]}, ± {1.96 * sd.max():.2g} mm; size and frame included",
     )
     names = ("accelerometers in motion", "gyros in motion")
     errors = zip(run.outcome.errors, names, strict=False)
