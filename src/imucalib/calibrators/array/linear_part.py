@@ -42,7 +42,7 @@ def linear_part(loop: MotionLoop) -> LinearPart:
     for term in state.found:
         gyro = term.effect.channel == "angular_rate"
         gain, offset = slope_at_rest(
-            term, state.setup.imus, state.setup.rotations, float(np.median(state.setup.t))
+            term, state.setup.imus, state.setup.board.rotations, float(np.median(state.setup.t))
         )
         gains[term.effect.channel] += gain
         offsets[term.effect.channel] += offset
