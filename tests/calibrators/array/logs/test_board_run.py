@@ -14,6 +14,7 @@ from imucalib import cli
 from imucalib.calibration import file
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
+from imucalib.calibrators.array.fused.instrument import instrument_of
 from imucalib.calibrators.array.logs.board_run import BoardRun, board_run
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
@@ -100,6 +101,9 @@ def test_the_command_writes_one_calibration_above_the_logs(tmp_path: Path) -> No
     }
     pooled = file.read(out / "calibration.yaml")
     assert [p.sd for p in pooled.parameters] == pytest.approx(np.sqrt(np.diag(pooled.covariance)))
+    # The pooled file is an instrument like any log's own.
+    assert len(instrument_of(pooled).triads) == 8
+    assert np.isfinite(instrument_of(pooled).gyroscope_range)
     far = next(d for d in together["distances_mm"] if d["to"] == "imu7")
     assert far["sd"] <= 0.02
     assert CliRunner().invoke(cli.cli, ["validate", str(out / "calibration.yaml")]).exit_code == 0

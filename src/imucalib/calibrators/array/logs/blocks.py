@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.calibrators.array.calibration import instrument_block
 from imucalib.calibrators.array.estimate.blocks import size_block
 from imucalib.calibrators.array.estimate.size import GyroScale
 from imucalib.calibrators.array.estimate.total import Total
@@ -43,6 +44,8 @@ def board_details(
             for k, name in enumerate(board.imus)
         ],
         **size_block(total, gyros, board),
+        **instrument_block(board, runs[0].moving.interval),
+        "effects": _effects(runs[0], kinds),
         "repeats": [_kind(one) for one in kinds],
     }  # fmt: skip
 
@@ -63,6 +66,21 @@ def _log(run: ArrayRun, z: float) -> dict[str, Any]:
         },
         "beats": [b for e in effects for b in e.get("beats", ()) if b is not None],
     }  # fmt: skip
+
+
+def _effects(run: ArrayRun, kinds: Sequence[Repeat]) -> list[dict[str, Any]]:
+    """Effects that every log has found, with their pooled values; beats are of each log."""
+    pooled = {one.name: one.found for one in kinds}
+    blocks = effect_blocks(run.loop) if run.loop is not None else []
+    found = []
+    for block in blocks:
+        if (one := pooled.get(block["effect"])) is None:
+            continue
+        sd = np.sqrt(np.diag(one.covariance) + one.tau**2)
+        own = zip(block["parameters"], one.mean, sd, strict=True)
+        parameters = [{**p, "value": float(v), "sd": float(s)} for p, v, s in own]
+        found.append({**{k: v for k, v in block.items() if k != "beats"}, "parameters": parameters})
+    return found
 
 
 def _kind(one: Repeat) -> dict[str, Any]:
