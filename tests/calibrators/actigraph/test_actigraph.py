@@ -254,7 +254,7 @@ def test_the_wrist_recording_reaches_its_marks(wrist: tuple[Path, int]) -> None:
     assert not gain["proved"]
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Error over the sphere" in page
-    assert "held-out density" in page
+    assert "log density" in page
 
 
 def test_the_wrist_calibration_and_its_exports_agree(tmp_path: Path) -> None:
