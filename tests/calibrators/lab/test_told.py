@@ -77,3 +77,11 @@ def test_the_floor_is_measured_or_unknown(faces: Path, tmp_path: Path) -> None:
     assert wrong < 3.0 * repeated
     nowhere = sheets.bench(3, name="spread").write(tmp_path / "spread.csv")
     assert np.isnan(calibrated(nowhere)[0].outcome.error.floor)
+
+
+def test_who_has_no_dials_is_told_a_direction() -> None:
+    table = Path(__file__).parents[3] / "sample_logs" / "cave_ab.csv"
+    run, _ = calibrated(table, LabRequest(unit="g", reference="norm"))
+    asked = [line for line in run.outcome.advice if "One more position" in line]
+    assert asked
+    assert not any("tool-face" in line for line in asked)

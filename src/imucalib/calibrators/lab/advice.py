@@ -14,6 +14,7 @@ from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
 from imucalib.calibrators.lab.design import judge
 from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.faults import SCATTER
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
@@ -88,7 +89,7 @@ def _settings(fit: Fit) -> list[str]:
     assert isinstance(reference, KnownVector)
     share = sensor / reference.gravity / DEG
     floor = noise.get("tool-face setting", 0.0) / DEG
-    if floor > 2.0 * share:
+    if 2.0 * share < floor <= SCATTER:
         return [
             f"Tool-face scatters by {floor:.2f} deg because the table is set by hand, not because "
             f"of the sensor ({share:.2f} deg / cos(inclination)): no calibration on this table can "
@@ -117,12 +118,13 @@ def _positions(result: LabResult) -> list[str]:
         return []
     gain = f"{first.gain:.1f} times" if np.isfinite(first.gain) else "decisively"
     inside = np.array([first.inclination * DEG]), np.array([first.tool_face * DEG])
-    if isinstance(reference, KnownDirection):
-        x, y, z = unit_vector(*inside)[0]
-        where = f"direction {x:.2f}, {y:.2f}, {z:.2f}"
-    else:
+    if isinstance(reference, KnownVector):
         shown = result.settings.conventions.outside(*inside)
         where = f"inclination {shown[0][0]:.0f}, tool-face {shown[1][0]:.0f}"
+    else:  # whoever has no dials cannot set them
+        x, y, z = unit_vector(*inside)[0]
+        word = "direction" if isinstance(reference, KnownDirection) else "gravity along"
+        where = f"{word} {x:.2f}, {y:.2f}, {z:.2f}"
     return [f"One more position at {where} would determine {first.parameter} {gain} better."]
 
 
