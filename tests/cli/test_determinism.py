@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 TABLE = SAMPLES / "paper_table_1.csv"
 OPTIONS = ["--gravity", "9.8061", "--fix", "10:y=-58593"]

@@ -22,7 +22,7 @@ PAGE = ROOT / "docs" / "own_effect.md"
 @pytest.fixture
 def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(effects, "_LOADED", {})
-    found = re.search(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
+    found = re.search(r"```python[^\n]*\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
     assert found
     path = tmp_path / "crosstalk.py"
     path.write_text(found.group(1), encoding="utf-8")

@@ -21,7 +21,7 @@ MADE = {
     "actigraph_calibration": "imucalib.calibrators.actigraph.run",
     "array_calibration": "imucalib.calibrators.array.run",
     "coverage_of": "imucalib.calibrators.actigraph.run",
-    "linear_part": "imucalib.calibrators.array.run",
+    "linear_part": "imucalib.calibrators.array.calibrate",
     "lab_document": "imucalib.report.lab.document",
     "actigraph_document": "imucalib.report.actigraph.document",
     "array_document": "imucalib.report.array.document",

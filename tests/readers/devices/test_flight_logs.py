@@ -1,9 +1,7 @@
-"""Flight logs, byte by byte from their published formats: PX4's ULog (docs.px4.io, "ULog File
-Format") and ArduPilot's DataFlash (libraries/AP_Logger/README.md)."""
+"""Flight logs of PX4 and ArduPilot, as `worlds.flight_logs` writes them."""
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +9,7 @@ import pytest
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
+from worlds import flight_logs
 
 N = 400
 RNG = np.random.default_rng(3)
@@ -20,54 +19,12 @@ STAMPS = 5_000_000 + 4000 * np.arange(N)  # µs since boot
 
 
 def ulog(path: Path, *, combined: bool = False) -> Path:
-    def message(kind: bytes, body: bytes) -> bytes:
-        return struct.pack("<HB", len(body), kind[0]) + body
-
-    out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 5_000_000), message(b"B", bytes(40))]
-    if combined:
-        fields = "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;"
-        out += [message(b"F", f"sensor_combined:{fields}".encode())]
-        out += [message(b"A", struct.pack("<BH", 0, 0) + b"sensor_combined")]
-        rows = ((s, *g, *a) for s, g, a in zip(STAMPS, GYRO[0], ACC[0], strict=True))
-        out += [message(b"D", struct.pack("<HQ6f", 0, *row)) for row in rows]
-    else:
-        fields = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;"
-        out += [message(b"F", f"sensor_accel:{fields}float temperature;".encode())]
-        out += [message(b"F", f"sensor_gyro:{fields}".encode())]
-        for k, topic in enumerate(("sensor_accel", "sensor_gyro") * 2):
-            out += [message(b"A", struct.pack("<BH", k // 2, k) + topic.encode())]
-        for n, stamp in enumerate(STAMPS):
-            for k in range(2):
-                head = (stamp + 700, stamp)
-                out += [message(b"D", struct.pack("<HQQ4f", 2 * k, *head, *ACC[k, n], 30 + k))]
-                out += [message(b"D", struct.pack("<HQQ3f", 2 * k + 1, *head, *GYRO[k, n]))]
-    path.write_bytes(b"".join(out))
+    path.write_bytes(flight_logs.ulog(STAMPS, ACC, GYRO, combined=combined))
     return path
 
 
 def dataflash(path: Path, *, old: bool = False, junk: bytes = b"") -> Path:
-    def fmt(kind: int, name: str, letters: str, names: str, size: int) -> bytes:
-        text = (name.encode(), letters.encode(), names.encode())
-        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *text)
-
-    out = [fmt(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)]
-    out += [fmt(90, "MODE", "QM", "TimeUS,Mode", 12)]
-    if old:
-        columns = "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,Temp"
-        out += [fmt(100 + k, n, "Qfffffff", columns, 39) for k, n in enumerate(("IMU", "IMU2"))]
-    else:
-        columns = "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,T"
-        out += [fmt(100, "IMU", "QBfffffff", columns, 40)]
-    for n, stamp in enumerate(STAMPS):
-        for k in range(2):
-            values = (*GYRO[k, n], *ACC[k, n], 30 + k)
-            head = struct.pack("<Q", stamp) if old else struct.pack("<QB", stamp, k)
-            kind = bytes([100 + k]) if old else b"\x64"
-            out += [b"\xa3\x95" + kind + head + struct.pack("<7f", *values)]
-        # What a message holds may look like a header.
-        out += [b"\xa3\x95\x5a" + b"\xa3\x95\x64" + bytes(6)]
-        out += [junk] if n == N // 2 else []
-    path.write_bytes(b"".join(out))
+    path.write_bytes(flight_logs.dataflash(STAMPS, ACC, GYRO, old=old, junk=junk))
     return path
 
 

@@ -21,6 +21,8 @@ from mcap.writer import CompressionType
 
 from imucalib import writers
 from imucalib.recording.recording import Channel, Recording
+from worlds.bag_logs import ros1_bag
+from worlds.flight_logs import dataflash, ulog
 from worlds.fuzz.truth import Series, Truth
 from worlds.logger_files import Sample, ax_file, gene_file, old_gt3x
 from worlds.mcap_logs import IMU_ROS1, Reading, cdr, packed, ros1, write_log
@@ -354,6 +356,33 @@ def _gt3x(inside: bool) -> Callable[[np.random.Generator, Path], Made]:
     return make
 
 
+def _flight(
+    write: Callable[..., bytes], magic: bytes
+) -> Callable[[np.random.Generator, Path], Made]:
+    """Two IMUs on stamps since boot."""
+
+    def make(rng: np.random.Generator, folder: Path) -> Made:
+        stamps = 5_000_000 + 4000 * np.arange(ROWS // 2)
+        acc = np.float32([_poses(rng, ROWS // 2) * G for _ in range(2)])
+        gyro = np.float32(rng.normal(scale=0.01, size=acc.shape))
+        data = write(stamps, acc, gyro)
+        ns = 1000 * stamps
+        series = {
+            "acceleration": tuple(Series(ns, a.astype(float)) for a in acc),
+            "angular_rate": tuple(Series(ns, w.astype(float)) for w in gyro),
+        }
+        edges = [k for k in range(len(data)) if data.startswith(magic, k)]
+        return Made(data, Truth(series), [*edges, len(data)])
+
+    return make
+
+
+def _bag(rng: np.random.Generator, folder: Path) -> Made:
+    rows, truth = _readings(rng, 2)
+    path = ros1_bag(folder / "made.bag", {f"/imu{k}/data": r for k, r in enumerate(rows)})
+    return Made(path.read_bytes(), truth)
+
+
 def kinds() -> dict[str, Kind]:
     """Every format by name."""
     lz4, none = CompressionType.LZ4, CompressionType.NONE
@@ -384,6 +413,9 @@ def kinds() -> dict[str, Kind]:
         "cwa.gz": Kind(".cwa.gz", _gzipped(_cwa(0x30)), "all", True),
         "bin": Kind(".bin", _gene, "nothing", True),
         "bin.gz": Kind(".bin.gz", _gzipped(_gene), "all", True),
+        "dataflash": Kind(".bin", _flight(dataflash, b"\xa3\x95"), "nothing", False),
+        "ulog": Kind(".ulg", _flight(ulog, b"D"), "nothing", False),
+        "ros1 bag": Kind(".bag", _bag, "nothing", True),
         "own mcap": Kind(".mcap", _own(".mcap"), "all", True),
         "own hdf5": Kind(".h5", _own(".h5"), "samples", True),
         "own csv": Kind(".csv", _own(".csv"), "all", True),

@@ -1,0 +1,68 @@
+"""Flight logs, byte by byte from their published formats: PX4's ULog (docs.px4.io, "ULog File
+Format") and ArduPilot's DataFlash (libraries/AP_Logger/README.md)."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float32]
+Stamps = NDArray[np.int64]
+
+
+def ulog(stamps: Stamps, acc: Array, gyro: Array, *, combined: bool = False) -> bytes:
+    """Sensors (k, n, 3) at stamps (n,) in µs since boot; combined : the first, as the filter is
+    fed, alone."""
+
+    def message(kind: bytes, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), kind[0]) + body
+
+    out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", int(stamps[0])), message(b"B", bytes(40))]
+    if combined:
+        fields = "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;"
+        out += [message(b"F", f"sensor_combined:{fields}".encode())]
+        out += [message(b"A", struct.pack("<BH", 0, 0) + b"sensor_combined")]
+        rows = ((s, *g, *a) for s, g, a in zip(stamps, gyro[0], acc[0], strict=True))
+        return b"".join(out + [message(b"D", struct.pack("<HQ6f", 0, *row)) for row in rows])
+    fields = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;"
+    out += [message(b"F", f"sensor_accel:{fields}float temperature;".encode())]
+    out += [message(b"F", f"sensor_gyro:{fields}".encode())]
+    for k, topic in enumerate(("sensor_accel", "sensor_gyro") * len(acc)):
+        out += [message(b"A", struct.pack("<BH", k // 2, k) + topic.encode())]
+    for n, stamp in enumerate(stamps):
+        for k in range(len(acc)):
+            head = (stamp + 700, stamp)
+            out += [message(b"D", struct.pack("<HQQ4f", 2 * k, *head, *acc[k, n], 30 + k))]
+            out += [message(b"D", struct.pack("<HQQ3f", 2 * k + 1, *head, *gyro[k, n]))]
+    return b"".join(out)
+
+
+def dataflash(
+    stamps: Stamps, acc: Array, gyro: Array, *, old: bool = False, junk: bytes = b""
+) -> bytes:
+    """The same; old : numbered by name, not by a field; junk : bytes in the middle."""
+
+    def fmt(kind: int, name: str, letters: str, names: str, size: int) -> bytes:
+        text = (name.encode(), letters.encode(), names.encode())
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *text)
+
+    out = [fmt(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)]
+    out += [fmt(90, "MODE", "QM", "TimeUS,Mode", 12)]
+    if old:
+        columns = "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,Temp"
+        out += [fmt(100 + k, n, "Qfffffff", columns, 39) for k, n in enumerate(("IMU", "IMU2"))]
+    else:
+        columns = "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,T"
+        out += [fmt(100, "IMU", "QBfffffff", columns, 40)]
+    for n, stamp in enumerate(stamps):
+        for k in range(len(acc)):
+            values = (*gyro[k, n], *acc[k, n], 30 + k)
+            head = struct.pack("<Q", stamp) if old else struct.pack("<QB", stamp, k)
+            kind = bytes([100 + k]) if old else b"\x64"
+            out += [b"\xa3\x95" + kind + head + struct.pack("<7f", *values)]
+        # What a message holds may look like a header.
+        out += [b"\xa3\x95\x5a" + b"\xa3\x95\x64" + bytes(6)]
+        out += [junk] if n == len(stamps) // 2 else []
+    return b"".join(out)
