@@ -34,7 +34,9 @@ def ulog(stamps: Stamps, acc: Array, gyro: Array, *, combined: bool = False) -> 
     for n, stamp in enumerate(stamps):
         for k in range(len(acc)):
             head = (stamp + 700, stamp)
-            out += [message(b"D", struct.pack("<HQQ4f", 2 * k, *head, *acc[k, n], 30 + k))]
+            out += [
+                message(b"D", struct.pack("<HQQ4f", 2 * k, *head, *acc[k, n], 30 + k + n / 1024))
+            ]
             out += [message(b"D", struct.pack("<HQQ3f", 2 * k + 1, *head, *gyro[k, n]))]
     return b"".join(out)
 
@@ -58,7 +60,7 @@ def dataflash(
         out += [fmt(100, "IMU", "QBfffffff", columns, 40)]
     for n, stamp in enumerate(stamps):
         for k in range(len(acc)):
-            values = (*gyro[k, n], *acc[k, n], 30 + k)
+            values = (*gyro[k, n], *acc[k, n], 30 + k + n / 1024)
             head = struct.pack("<Q", stamp) if old else struct.pack("<QB", stamp, k)
             kind = bytes([100 + k]) if old else b"\x64"
             out += [b"\xa3\x95" + kind + head + struct.pack("<7f", *values)]

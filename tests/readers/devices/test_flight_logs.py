@@ -81,5 +81,6 @@ def _both(found) -> None:  # type: ignore[no-untyped-def]
         np.testing.assert_array_equal(acc.values, ACC[k])
         np.testing.assert_array_equal(gyro.values, GYRO[k])
         np.testing.assert_allclose(acc.t, STAMPS / 1e6, atol=1e-9)
-        np.testing.assert_allclose(found.channels[f"imu{k}/temperature"].values, 30 + k)
+        warm = found.channels[f"imu{k}/temperature"].values[:, 0]
+        np.testing.assert_allclose(warm, 30 + k + np.arange(N) / 1024)
     assert acc.rate == pytest.approx(250.0)

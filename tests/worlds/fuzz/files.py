@@ -370,6 +370,9 @@ def _flight(
         series = {
             "acceleration": tuple(Series(ns, a.astype(float)) for a in acc),
             "angular_rate": tuple(Series(ns, w.astype(float)) for w in gyro),
+            "temperature": tuple(
+                Series(ns, 30.0 + k + np.arange(ns.size)[:, None] / 1024) for k in range(2)
+            ),
         }
         edges = [k for k in range(len(data)) if data.startswith(magic, k)]
         return Made(data, Truth(series), [*edges, len(data)])
