@@ -382,7 +382,9 @@ def _flight(
 
 def _bag(rng: np.random.Generator, folder: Path) -> Made:
     rows, truth = _readings(rng, 2)
-    path = ros1_bag(folder / "made.bag", {f"/imu{k}/data": r for k, r in enumerate(rows)})
+    path = folder / "made.bag"
+    path.unlink(missing_ok=True)  # its writer refuses to write over another
+    ros1_bag(path, {f"/imu{k}/data": r for k, r in enumerate(rows)})
     return Made(path.read_bytes(), truth)
 
 
