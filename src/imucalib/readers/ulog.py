@@ -6,6 +6,8 @@ one instance a sensor; sensor_combined (accelerometer_m_s2, gyro_rad). Stamps ar
 
 from __future__ import annotations
 
+import contextlib
+import io
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -51,8 +53,8 @@ class UlogReader:
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
         """Yield blocks of about `block_samples` rows; the log's sensors are held in memory."""
-        log = _log(path)
-        notes = _damage(log, path, strict=strict)
+        log, said = _log(path)
+        notes = _damage(log, said, path, strict=strict)
         blocks = blocks_in_memory(
             lambda held: _fill(held, log.data_list, path), path, mapping,
             block_samples=block_samples, strict=strict, name=self.name,
@@ -65,7 +67,8 @@ class UlogReader:
 READER = UlogReader()
 
 
-def _log(path: Path) -> Any:
+def _log(path: Path) -> tuple[Any, str]:
+    """The log, and what the package says of it, which must not reach our stdout."""
     try:
         from pyulog import ULog
     except ImportError as error:
@@ -74,17 +77,20 @@ def _log(path: Path) -> Any:
             where=str(path),
             remedy="install the extra: pip install 'imucalib[px4]'",
         ) from error
+    said = io.StringIO()
     try:
-        return ULog(str(path), ["sensor_accel", "sensor_gyro", "sensor_combined"])
+        with contextlib.redirect_stdout(said):
+            log = ULog(str(path), ["sensor_accel", "sensor_gyro", "sensor_combined"])
+        return log, said.getvalue()
     except Exception as error:  # what the package raises on damage depends on where the damage is
         raise UnreadableInput(
             f"the log cannot be read: {error}", where=str(path), remedy="download it again"
         ) from error
 
 
-def _damage(log: Any, path: Path, *, strict: bool) -> tuple[str, ...]:
+def _damage(log: Any, said: str, path: Path, *, strict: bool) -> tuple[str, ...]:
     notes = []
-    if log.file_corruption:
+    if log.file_corruption or "corrupt" in said:
         notes.append("parts of the log are damaged: what they held is missing")
     if log.dropouts:
         lost = sum(d.duration for d in log.dropouts) / 1e3

@@ -35,6 +35,19 @@ def test_every_imu_of_a_dataflash_log(old: bool, tmp_path: Path) -> None:
     assert found.format == "dataflash"
 
 
+def test_a_damaged_px4_log_is_told_in_notes_not_on_stdout(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = ulog(tmp_path / "1.ulg")
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b"D\x01\x00")  # a message of an unknown number
+    data[at + 1 : at + 3] = b"\xff\x3f"
+    path.write_bytes(bytes(data))
+    found = read(path)
+    assert any("damaged" in note for note in found.notes)
+    assert capsys.readouterr().out == ""
+
+
 def test_every_sensor_of_a_px4_log(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
     found = read(ulog(tmp_path / "1.ulg"), strict=True)
