@@ -121,3 +121,11 @@ def test_the_gains_picture_says_what_its_interval_holds(low: float, word: str) -
     assert bars.low is not None
     assert (np.isnan(bars.low[0]), bars.low[2]) == (True, low)
     assert gain_plot(Findings("nothing missing")) == ()
+
+
+def test_a_card_of_a_result_that_passes_has_no_caution() -> None:
+    left = replace(CARD, found=(Text("Left without a name: x.", "warning"),))
+    for tone, shown in (("ok", "plain"), ("warning", "warning")):
+        made = replace(document(tone), card=left).calm()  # type: ignore[arg-type]
+        assert made.card is not None
+        assert made.card.found[0].tone == shown

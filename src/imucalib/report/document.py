@@ -121,13 +121,16 @@ class Document:
     terms: tuple[tuple[str, str], ...] = ()
 
     def calm(self) -> Document:
-        """The same, without a tick beside a verdict that is none."""
-        if self.verdict.tone not in ("warning", "bad"):
-            return self
-        sections = tuple(replace(s, blocks=tuple(map(_unticked, s.blocks))) for s in self.sections)
+        """The same, without a tick beside a verdict that is none, and without a caution on the
+        card of a result that passes: what is left then is within what the user accepts."""
+        calm = self.verdict.tone not in ("warning", "bad")
+        loud = "warning" if calm else "ok"
         card = self.card and replace(
-            self.card, found=tuple(t if t.tone != "ok" else Text(t.text) for t in self.card.found)
+            self.card, found=tuple(t if t.tone != loud else Text(t.text) for t in self.card.found)
         )
+        if calm:
+            return replace(self, card=card)
+        sections = tuple(replace(s, blocks=tuple(map(_unticked, s.blocks))) for s in self.sections)
         return replace(self, sections=sections, card=card)
 
 
