@@ -8,7 +8,7 @@ LogStructure.h (accelerations m/s², rates rad/s, T in °C, TimeUS and SampleUS 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -66,13 +66,10 @@ class DataflashReader:
             notes = (f"{found.lost} bytes belong to no message: what they held is missing",)
             if strict:
                 raise UnreadableInput(notes[0], where=str(path), remedy="read it without --strict")
-        blocks = blocks_in_memory(
+        yield from blocks_in_memory(
             lambda held: _fill(held, found.rows, path), path, mapping,
-            block_samples=block_samples, strict=strict, name=self.name,
+            block_samples=block_samples, strict=strict, name=self.name, notes=notes,
         )  # fmt: skip
-        for block in blocks:
-            yield replace(block, notes=(*notes, *block.notes))
-            notes = ()
 
 
 READER = DataflashReader()

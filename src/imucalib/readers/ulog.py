@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,13 +54,10 @@ class UlogReader:
         """Yield blocks of about `block_samples` rows; the log's sensors are held in memory."""
         log, said = _log(path)
         notes = _damage(log, said, path, strict=strict)
-        blocks = blocks_in_memory(
+        yield from blocks_in_memory(
             lambda held: _fill(held, log.data_list, path), path, mapping,
-            block_samples=block_samples, strict=strict, name=self.name,
+            block_samples=block_samples, strict=strict, name=self.name, notes=notes,
         )  # fmt: skip
-        for block in blocks:
-            yield replace(block, notes=(*notes, *block.notes))
-            notes = ()
 
 
 READER = UlogReader()

@@ -22,16 +22,21 @@ def blocks_in_memory(
     block_samples: int,
     strict: bool,
     name: str,
+    notes: tuple[str, ...] = (),
 ) -> Iterator[Recording]:
-    """Blocks of what `fill` puts into an HDF5 file that is nowhere but in memory; name : of the
-    format that the numbers came from."""
+    """Blocks of what `fill` puts into an HDF5 file that is nowhere but in memory.
+
+    name : of the format that the numbers came from; notes : what was lost there, for the first
+    block
+    """
     import h5py
 
     with h5py.File(f"{path.name}-in-memory", "w", driver="core", backing_store=False) as held:
         fill(held)
         file = File(held, str(path), strict)
         for block in blocks_of(file, path, mapping, block_samples):
-            yield replace(block, format=name)
+            yield replace(block, format=name, notes=(*notes, *block.notes))
+            notes = ()
 
 
 def put_channel(held: Any, name: str, seconds: Array, values: Array, units: str) -> None:
