@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imucalib.calibrators.array.against_rests import held_against_rests
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.drawing.check import compared, refuse_contradiction
 from imucalib.calibrators.array.drawing.sketch import sketched
@@ -84,6 +85,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
     loop, state = _fitted(moving, rests, board, request)
     if loop is not None:
+        loop = _doubted(loop, laid, rests)
         say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
     rng = np.random.default_rng(request.seed)
     found, motion = sampled_positions(
@@ -107,6 +109,16 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
         moving=moving, final=final, total=total, gyros=gyros, loop=loop, state=state,
         linear=linear, notes=(*laid.notes, *final.notes, *unsearched),
     )  # fmt: skip
+
+
+def _doubted(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:
+    """With the word of the rests on what was found in motion."""
+    segments, t = laid.segments, 0.5 * (laid.segments.start + laid.segments.stop)
+    read, rate = (
+        np.einsum("kij,nkj->nki", laid.board.rotations, values[:, laid.order])
+        for values in (segments.mean, segments.rate)
+    )
+    return held_against_rests(loop, rests.corrected(read, t), rate, t)
 
 
 def _laid(recording: Recording, request: ArrayRequest) -> _Laid:
