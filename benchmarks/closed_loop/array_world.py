@@ -159,7 +159,7 @@ class _Log:
 
     def _recording(self, felt: Array, rate: Array, rng: np.random.Generator) -> Recording:
         """The log as a recorder saves it, each chip in its own axes."""
-        k, t = BOARD.count, self.motion.t
+        k, t = BOARD.count, self.motion.context["time"]
         # The triads' mean is the board's frame: a mean error would turn it against the gyros.
         gain = rng.normal(size=(k, 3, 3)) * PLAN.gain
         gain += np.eye(3) - gain.mean(axis=0)
