@@ -2,6 +2,7 @@
 
     python benchmarks/closed_loop/worn_walk.py clean 40        # per noise
     python benchmarks/closed_loop/worn_walk.py planted 6       # per effect, noise and strength
+    python benchmarks/closed_loop/worn_walk.py junk 60         # effects declared that are not there
 
 The equations are written anew here. λ is the length of the effect's columns in units of the true
 noise, walk included, beside the nine parameters. The oracle is told the effect.
@@ -157,6 +158,19 @@ class Case:
         got = fit.model.correct(fit.theta, reading[:, None], whole.take(rows))[:, 0]
         return float(np.mean(np.abs(np.linalg.norm(got, axis=1) - G))) / MG
 
+    def anew(self, fit: Fit, k: int) -> float:
+        """mg, mean | |a| - g | on another recording of the same clean sensor, with its noise."""
+        rng = np.random.default_rng((k, 7))
+        time, direction, warm, windows = world(rng)
+        off = SCATTER * rng.standard_normal((RUNS, 3))
+        off += WINDOW * rng.standard_normal((RUNS, 3)) / np.sqrt(windows)[:, None]
+        reading = self.sensed(direction, warm, time / SPAN - 0.5) + MG * off
+        runs, scan = recording(time, reading, warm, windows)
+        got = fit.model.correct(
+            fit.theta, reading[:, None], Context(RUNS, covariates_of(runs, scan))
+        )
+        return float(np.mean(np.abs(np.linalg.norm(got[:, 0], axis=1) - G))) / MG
+
     def oracle_name(self) -> str:
         at = 0.57 * SPAN
         curved = {"converter": "converter@xyz", "dead_band": "converter@xyz"}
@@ -215,7 +229,25 @@ def planted(count: int, aims: tuple[float, ...] = (10.0, 15.0)) -> None:
           f"{np.quantile(ratios, 0.9):.2f}; explained and worse {wrong}")  # fmt: skip
 
 
+def junk(count: int) -> None:
+    """What the held-out error says of three effects that are not there, and new recordings say."""
+    told, new = np.zeros(count), np.zeros(count)
+    names = ("temperature_bias", "temperature_scale", "bias_drift", "scale_drift", "warm_up",
+             "quadratic", "cubic", "asymmetry", "cross_axis")  # fmt: skip
+    for n in range(count):
+        case, rng = Case("white", "", 0.0, 4000 + n), np.random.default_rng((n, 3))
+        some = tuple(str(name) for name in rng.choice(names, 3, replace=False))
+        plain, full = (case.solved(ActigraphRequest(loop=False, declare=d)) for d in ((), some))
+        told[n] = np.mean(full.base_held.size) / MG - np.mean(plain.base_held.size) / MG
+        pairs = [(case.anew(full.base, k), case.anew(plain.base, k)) for k in range(10)]
+        new[n] = float(np.mean([a - b for a, b in pairs]))
+    draws = np.random.default_rng(0).integers(0, count, (2000, count))
+    low, high = np.quantile(told[draws].mean(1) / new[draws].mean(1), (0.025, 0.975))
+    print(f"junk: held out {told.mean():+.4f} mg, on new recordings {new.mean():+.4f} mg; "
+          f"ratio {told.mean() / new.mean():.2f} ({low:.2f} to {high:.2f})")  # fmt: skip
+
+
 if __name__ == "__main__":
     started = clock.process_time()
-    {"clean": clean, "planted": planted}[sys.argv[1]](int(sys.argv[2]))
+    {"clean": clean, "planted": planted, "junk": junk}[sys.argv[1]](int(sys.argv[2]))
     print(f"{clock.process_time() - started:.0f} CPU s")
