@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from imucalib import cli
 from imucalib.calibration.file import write
+from imucalib.calibrators.array.fused.recording import determined
 from imucalib.errors import ImucalError
 from imucalib.readers import read
 from imucalib.writers import write as write_recording
@@ -166,3 +167,10 @@ def test_a_log_without_gyros_is_corrected_and_says_why_not_fused(files: Files) -
     assert result.return_value == 0
     assert "not fused" in result.stderr
     assert files.apply("acc_only.h5", "--fused", source="acc.h5").return_value == 3
+
+
+def test_a_sample_that_nothing_determines_is_left_out() -> None:
+    covariance = np.tile(np.diag([0.01] * 3 + [1e6] * 3 + [1e-4] * 3), (4, 1, 1))
+    covariance[1, 1, 1] = 700.0**2  # m/s²: most readings clip
+    covariance[2, 8, 8] = 20.0**2  # rad/s
+    assert determined(covariance).tolist() == [True, False, False, True]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags
 from imucalib.calibration.apply import apply_to_recording, write_over
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.mark import mark_of, refuse_second
@@ -21,7 +21,7 @@ from imucalib.calibrators.array.fused.survey import Survey, survey
 from imucalib.readers import blocks, read, reader_for
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
-from imucalib.units import DEG
+from imucalib.units import DEG, STANDARD_GRAVITY
 from imucalib.writers import ChannelsChange, write, write_blocks
 
 TRIAD = "fused"
@@ -29,6 +29,9 @@ _BLOCK = 1 << 15  # samples of a block, so that memory is bounded by it
 _ROWS = 2048  # samples that are fused at a time
 _EDGE = 16  # samples that both sides of a cut see, for what neighbours tell
 _OF_MESSAGES = ("mcap", "rosbag")
+#: Standard deviations, m/s² and rad/s, from which on a sample is not determined by what is left of
+#: its readings where most of them clip.
+_OPEN = (STANDARD_GRAVITY, 500.0 * DEG)
 
 
 @dataclass
@@ -37,6 +40,7 @@ class Told:
 
     samples: int = 0
     alone: int = 0
+    open: int = 0
     left_out: Array = field(default_factory=lambda: np.zeros(0))
     moving: int = 0
     timed: int = 0
@@ -145,7 +149,7 @@ def fuse_file(
             told, notes = Told(), {}
             (whole,) = fused_blocks([read(source, mapping, strict=strict)])
             write(whole, target)
-    return (*notes, *_words(found, told))
+    return (*notes, *_words(found, told), *_lost(found, told))
 
 
 def _unmarked(given: Iterable[Recording], again: bool) -> Iterator[Recording]:
@@ -189,7 +193,18 @@ def _outputs(
 
 def _channels(stretch: Stretch, found: Survey, told: Told) -> dict[str, Channel]:
     step = float(np.median(np.diff(stretch.t))) if len(stretch.t) > 1 else 1.0
-    return fused_channels(stretch.t, fused_stretch(found, stretch, told), 1.0 / step)
+    fused = fused_stretch(found, stretch, told)
+    keep = np.flatnonzero(determined(fused.motion.covariance))
+    told.open += len(stretch.t) - len(keep)
+    return fused_channels(stretch.t[keep], fused.take(keep), 1.0 / step)
+
+
+def determined(covariance: Array) -> Flags:
+    """(T,) whether force and rate are known at all, by the covariances (T, 9, 9) of force, dω/dt
+    and rate: what is not is left out rather than written with a value of no meaning."""
+    known = [0, 1, 2, 6, 7, 8]
+    variance = covariance[:, known, known]
+    return np.asarray(np.all(variance < np.repeat(_OPEN, 3) ** 2, axis=1))
 
 
 def _words(found: Survey, told: Told) -> Iterator[str]:
@@ -227,6 +242,15 @@ def _words(found: Survey, told: Told) -> Iterator[str]:
     names = found.instrument.beyond.left_out
     if names:
         yield f"not applied, since they belong to the calibrated log: {', '.join(names)}"
+
+
+def _lost(found: Survey, told: Told) -> Iterator[str]:
+    """Samples and readings that have no part in the result."""
+    if told.open:
+        yield (
+            f"{told.open} of {told.samples} samples left out: too many readings clip there to "
+            "determine the motion"
+        )
     lost = [
         f"{name} in {100.0 * n / max(told.samples, 1):.1f} %"
         for name, n in zip(found.instrument.imus, told.left_out, strict=False)
