@@ -157,6 +157,14 @@ def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
     }
 
 
+def lost_to_filters(calibration: Calibration, program: str) -> tuple[str, ...]:
+    """What a program that filters estimates by itself, or has no place for."""
+    words = [f"the biases: {program} estimates them in every recording"]
+    if late := late_of(calibration):
+        words.append(f"the gyros' delay of {1e3 * late:.3f} ms against the accelerometers")
+    return tuple(words)
+
+
 def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[str, ...]:
     """Effects that the form has no place for."""
     return tuple(

@@ -7,7 +7,7 @@ from typing import Any
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export
-from imucalib.exports.imus import Imu, imus_of, late_of, lost_noise, lost_of
+from imucalib.exports.imus import Imu, imus_of, lost_noise, lost_of, lost_to_filters
 from imucalib.recording.yaml_text import dump
 
 
@@ -18,7 +18,7 @@ def kalibr(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...
     The body is the board. Raises as `imus_of`.
     """
     imus = imus_of(calibration, "Kalibr")
-    lost = (*_lost(calibration), *lost_of(calibration), *lost_noise(imus))
+    lost = (*lost_to_filters(calibration, "Kalibr"), *lost_of(calibration), *lost_noise(imus))
     lines = [
         f"# IMUs of an array by imucal, from {filename}, status {calibration.status}.",
         "# SI units; T_i_b takes places in the board's frame into the IMU's. For Kalibr, one block",
@@ -27,13 +27,6 @@ def kalibr(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...
     ]
     content = {imu.name: _block(imu) for imu in imus}
     return "\n".join([*lines, dump(content)]), lost
-
-
-def _lost(calibration: Calibration) -> tuple[str, ...]:
-    words = ["the biases: Kalibr estimates them in every recording"]
-    if late := late_of(calibration):
-        words.append(f"the gyros' delay of {1e3 * late:.3f} ms against the accelerometers")
-    return tuple(words)
 
 
 def _block(imu: Imu) -> dict[str, Any]:

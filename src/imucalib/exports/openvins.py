@@ -8,7 +8,7 @@ import numpy as np
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export
-from imucalib.exports.imus import Imu, imus_of, late_of, lost_noise, lost_of
+from imucalib.exports.imus import Imu, imus_of, lost_noise, lost_of, lost_to_filters
 from imucalib.exports.kalibr import rows
 from imucalib.recording.yaml_text import dump
 
@@ -19,11 +19,12 @@ def openvins(calibration: Calibration, filename: str) -> tuple[str, tuple[str, .
     ov_msckf and its configurations). Raises as `imus_of`.
     """
     imus = imus_of(calibration, "OpenVINS")
-    words = ["the biases: OpenVINS estimates them in every recording"]
-    if late := late_of(calibration):
-        words.append(f"the gyros' delay of {1e3 * late:.3f} ms against the accelerometers")
     kept = ("gyro_delay", "gyro_g_sensitivity")
-    lost = (*words, *lost_of(calibration, kept), *lost_noise(imus))
+    lost = (
+        *lost_to_filters(calibration, "OpenVINS"),
+        *lost_of(calibration, kept),
+        *lost_noise(imus),
+    )
     lines = [
         "%YAML:1.0",
         f"# IMUs of an array by imucal, from {filename}, status {calibration.status}.",

@@ -6,7 +6,7 @@ correction carries, stand beside it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,36 +46,48 @@ def array_calibration(
     linear: LinearPart | None,
 ) -> Calibration:
     """The calibration of a log."""
-    mean, covariance = 1e3 * total.mean, 1e6 * total.covariance
+    return of_positions(
+        outcome, total, board.imus,
+        gravity=rests.gravity,
+        facts={name: details[name] for name in _SHARED if name in details},
+        triads=_triads(rests, moving, board, linear, 1.0 + gyros.value),
+    )  # fmt: skip
+
+
+def of_positions(
+    outcome: Outcome,
+    total: Total,
+    imus: Sequence[str],
+    *,
+    gravity: float,
+    facts: Mapping[str, Any],
+    triads: tuple[Triad, ...],
+) -> Calibration:
+    """The calibration of one log or of several: places of all IMUs but the first are its
+    parameters."""
+    covariance = 1e6 * total.covariance
     # Standard deviations are the covariance's, to the last bit.
-    sd = np.zeros_like(mean)
-    sd[1:] = np.sqrt(np.diag(covariance)).reshape(-1, 3)
-    parameters = tuple(
-        StoredParameter(
-            f"{imu}.{axis}", "positions", "array", float(mean[k, i]), float(sd[k, i]), "mm"
-        )
-        for k, imu in enumerate(board.imus)
-        if k
-        for i, axis in enumerate("xyz")
-    )
-    facts = {name: details[name] for name in _SHARED if name in details}
-    settings = outcome.provenance.settings
+    sd = np.sqrt(np.diag(covariance))
+    names = [f"{imu}.{axis}" for imu in imus[1:] for axis in "xyz"]
     return Calibration(
         calibrator="array",
-        parameters=parameters,
+        parameters=tuple(
+            StoredParameter(name, "positions", "array", float(value), float(own), "mm")
+            for name, value, own in zip(names, 1e3 * total.mean[1:].ravel(), sd, strict=True)
+        ),
         covariance=covariance,
         raw_unit="m/s2",
         raw_to_si=1.0,
-        gravity=rests.gravity,
+        gravity=gravity,
         status=outcome.status,
         reasons=outcome.reasons,
         facts={
-            "gravity_source": settings["gravity_source"],
+            "gravity_source": outcome.provenance.settings["gravity_source"],
             "errors": [error.as_dict() for error in outcome.errors],
             **facts,
             "provenance": outcome.provenance.as_dict(),
         },
-        triads=_triads(rests, moving, board, linear, 1.0 + gyros.value),
+        triads=triads,
     )
 
 

@@ -14,6 +14,8 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 
+#: Rests from which they contradict an effect, and times their scatter that it would make of it.
+ATTITUDES, _WORSE = 4, 1.2
 SCALE_TOLERANCE = 0.03  # of one gyro's scale, by the data sheets of consumer parts
 
 
@@ -64,6 +66,19 @@ def relative_gyros(rate: Array, rows: Index) -> Gyros:
     inside = np.all(np.abs(apart) < 4.0 * width, axis=1)
     covariance = apart[inside].T @ apart[inside] / inside.sum() / freedom
     return Gyros(gain, mean, scatter, covariance)
+
+
+def contradicted(rate: Array, made: Array) -> bool:
+    """Whether what an effect adds to gyros at rest makes the rests scatter more.
+
+    rate, made : (n, K, 3) rad/s at n rests, as read and as the effect has it
+    """
+    return _scatter(rate - made) > _WORSE * _scatter(rate)
+
+
+def _scatter(values: Array) -> float:
+    """Root mean square about the means over the rests."""
+    return float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
 
 
 def gyro_drift(rate: Array, t: Array) -> tuple[Array, Array]:

@@ -8,11 +8,11 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.fused.instrument import Biases, Instrument
-from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
+from imucalib.calibrators.array.gyros import ATTITUDES, contradicted
+from imucalib.calibrators.array.loop.motion import BoardMotion, motion_at_rest
 from imucalib.rests.segments import Segments
 
 _WANDER, _REST = 1e-2, 2e-3  # m/s²: what biases do from log to log, and one rest's own error
-_ATTITUDES, _WORSE = 4, 1.2  # rests, and times their scatter, from which they contradict an effect
 _MOST = 200  # groups of rests, at most
 #: Variance that a bias walks in the mean time between rests over what differs from rest to rest.
 _SHARES = np.concatenate([[0.0], np.geomspace(1e-3, 1e2, 26)])
@@ -46,23 +46,19 @@ def held_against(segments: Segments, order: dict[int, int], instrument: Instrume
     force, turned = instrument.corrected(middle, acceleration, rate)
     there = np.all(np.isfinite(acceleration) & np.isfinite(rate), axis=2)
     whole = there.all(axis=0)
-    if segments.n < _ATTITUDES or not whole.any():
+    if segments.n < ATTITUDES or not whole.any():
         return instrument
     motion = _at_rest(instrument, force[:, whole].mean(axis=1))
-    plain, wrong = _scatter(turned[:, whole]), []
-    for part in instrument.beyond.parts:
-        if part.gyro and not part.late:
-            left = _scatter((turned - part.added(motion))[:, whole])
-            if left > _WORSE * plain:
-                wrong.append(part.term.name)
+    wrong = [
+        part.term.name
+        for part in instrument.beyond.parts
+        if part.gyro
+        and not part.late
+        and contradicted(turned[:, whole], part.added(motion)[:, whole])
+    ]
     if not wrong:
         return instrument
     return replace(instrument, beyond=instrument.beyond.without(wrong))
-
-
-def _scatter(values: Array) -> float:
-    """Root mean square about the means over the rests."""
-    return float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
 
 
 def means_at_rest(
@@ -78,13 +74,9 @@ def means_at_rest(
 
 def _at_rest(instrument: Instrument, force: Array) -> BoardMotion:
     """The board at rest under forces (n, 3)."""
-    n, k = len(force), len(instrument.triads)
-    still = np.zeros((n, 3))
-    return board_motion(
-        imus=instrument.imus, rotations=instrument.beyond.rotations, t=np.arange(float(n)),
-        order=np.full(n, 0.5), rate=still, spin=still,
-        force=np.broadcast_to(force[:, None], (n, k, 3)), jerk=np.zeros((n, k, 3)),
-    )  # fmt: skip
+    each = np.repeat(force[:, None], len(instrument.triads), axis=1)
+    t = np.arange(float(len(force)))
+    return motion_at_rest(instrument.imus, instrument.beyond.rotations, each, t)
 
 
 def _over_time(segments: Segments, middle: Array, turned: Array) -> tuple[Array, Array]:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError, Limit, Outcome, Run
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibration.triads import Triad
+from imucalib.calibrators.array.calibration import of_positions
 from imucalib.calibrators.array.estimate.size import GyroScale, frame_sd, gravity_sd, gyro_scale
 from imucalib.calibrators.array.estimate.total import Total, total_of
 from imucalib.calibrators.array.estimate.turns import Turns
@@ -133,31 +134,11 @@ def _calibration(
     runs: tuple[ArrayRun, ...], outcome: Outcome, details: dict[str, Any], total: Total,
     gyros: GyroScale,
 ) -> Calibration:  # fmt: skip
-    covariance = 1e6 * total.covariance
-    sd = np.sqrt(np.diag(covariance))
-    names = [f"{imu}.{axis}" for imu in runs[0].board.imus[1:] for axis in "xyz"]
-    parameters = tuple(
-        StoredParameter(name, "positions", "array", float(value), float(own), "mm")
-        for name, value, own in zip(names, 1e3 * total.mean[1:].ravel(), sd, strict=True)
-    )
     first = runs[0]
-    return Calibration(
-        calibrator="array",
-        parameters=parameters,
-        covariance=covariance,
-        raw_unit="m/s2",
-        raw_to_si=1.0,
-        gravity=first.rests.gravity,
-        status=outcome.status,
-        reasons=outcome.reasons,
-        facts={
-            "gravity_source": outcome.provenance.settings["gravity_source"],
-            "errors": [error.as_dict() for error in outcome.errors],
-            **details,
-            "provenance": outcome.provenance.as_dict(),
-        },
+    return of_positions(
+        outcome, total, first.board.imus, gravity=first.rests.gravity, facts=details,
         triads=tuple(_triad(runs, k, gyros) for k in range(first.board.count)),
-    )
+    )  # fmt: skip
 
 
 def _triad(runs: tuple[ArrayRun, ...], k: int, gyros: GyroScale) -> Triad:

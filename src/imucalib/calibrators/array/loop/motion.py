@@ -62,3 +62,12 @@ def board_motion(
     truth = Truth(seen(force), Motion(seen(rate), seen(spin), seen(jerk)))
     context = Context(len(t), {"order": order, "time": t}, imus, attitude=rotations, moving=True)
     return BoardMotion(truth, context).aged(age)
+
+
+def motion_at_rest(imus: tuple[str, ...], rotations: Array, force: Array, t: Array) -> BoardMotion:
+    """The board at rest under forces (n, K, 3) m/s² in board axes; t : (n,) s."""
+    n, still = len(force), np.zeros((len(force), 3))
+    return board_motion(
+        imus=imus, rotations=rotations, t=t, order=np.full(n, 0.5), rate=still, spin=still,
+        force=force, jerk=np.zeros_like(force),
+    )  # fmt: skip
