@@ -62,6 +62,18 @@ def form_of(fit: Fit, curve: Score, rng: np.random.Generator) -> Formed | None:
     return Formed(replace(curve, candidate=named, evidence=of_kind[best]), effect, rivals)
 
 
+def forms_of(fit: Fit, kind: str, what: str, against: str) -> tuple[str, ...]:
+    """Names of the forms of a kind that a scan beside a fit tries."""
+    return tuple(
+        _name(what, against, kind, numbers)
+        for numbers in _numbers(kind, _driver(fit, what, against), what, against)
+    )
+
+
+def _name(what: str, against: str, kind: str, numbers: tuple[float, ...]) -> str:
+    return f"shape@{what}:{against}:{kind}:" + ":".join(f"{v:.4g}" for v in numbers)
+
+
 def better_form(
     fit: Fit, effect: Effect, named: Score, rng: np.random.Generator
 ) -> tuple[str, ...]:
@@ -86,7 +98,7 @@ def _scored(
     effects, kind_of = [], {}
     for kind, values in every.items():
         for numbers in values:
-            name = f"shape@{what}:{against}:{kind}:" + ":".join(f"{v:.4g}" for v in numbers)
+            name = _name(what, against, kind, numbers)
             effect = known(name)
             if effect is not None and name not in kind_of:
                 effects.append(effect)

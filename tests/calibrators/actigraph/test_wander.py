@@ -57,6 +57,15 @@ def test_a_form_that_a_name_only_resembles_is_not_certain(worn: ModuleType) -> N
     assert not any(s.certain for s in loop.steps if not s.effect.startswith("converter@"))
 
 
+@pytest.mark.parametrize(("noise", "seed"), [("walk 10 min", 2000), ("walk 12 h", 2000)])
+def test_a_dead_band_is_no_cubic(worn: ModuleType, noise: str, seed: int) -> None:
+    case = worn.Case(noise, "dead_band", 10.0, seed)
+    result = case.solved(WANTED)
+    assert [s.effect.split(":")[2:3] for s in result.loop.steps] == [["saturation"]]
+    assert not result.loop.steps[0].certain
+    assert case.error(result.final) < 0.7 * case.error(result.base)
+
+
 @pytest.mark.parametrize("noise", ["white", "walk 10 min", "walk 2 h", "walk 12 h", "t3"])
 def test_noise_is_no_effect(worn: ModuleType, noise: str) -> None:
     taken = 0

@@ -10,6 +10,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.effect import Effect
 from imucalib.loop.wander.bank import Bank, Mask, Split
+from imucalib.loop.wander.forms import outdone
 from imucalib.loop.wander.held_blocks import Judged, inside, judged
 from imucalib.loop.wander.likelihood import Level, Terms, best_level
 from imucalib.loop.wander.scores import Entry, Scored, finest, scored, usable_walks
@@ -26,6 +27,7 @@ _LEAST = 2.5
 _OF_A_KIND = 2
 Bar = Callable[[Bank, Terms, int], Array]
 Finer = Callable[[Entry], Sequence[tuple[str, Array]]]
+Forms = Callable[[], Sequence[tuple[str, Array]]]
 _TIME = ("order", "time", "time_of_day")
 
 
@@ -72,11 +74,13 @@ class Search:
 class Rules:
     """bar : (bank, terms, round) -> nats that a candidate must reach, (2,) by `timed`
     most : effects; same_tau : as in `usable_walks`
-    finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing"""
+    finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing
+    forms : () -> names and columns of the forms that a response of the axes may have"""
 
     bar: Bar
     most: int
     finer: Finer
+    forms: Forms
     same_tau: bool = False
 
 
@@ -160,7 +164,17 @@ def _choice(
             refused.append((candidate.entry.family or candidate.entry.name, reason))
         else:
             held.append(trial)
-    return bank, _best_of(held) if held else None
+    if not held:
+        return bank, None
+    best = _best_of(held)
+    if best.found.entry.kind != "shape":
+        return bank, best
+    bank, form = outdone(bank, terms, keep, best.found, rules.forms()) or (bank, None)
+    if form is None:
+        return bank, best
+    trial = replace(_judged_with(bank, terms, form, now, design), rivals=best.rivals)
+    taken = not _objection(trial, "shape") and trial.gains.sum() > best.gains.sum()
+    return bank, trial if taken else best
 
 
 def _first_of(passing: Sequence[Scored], kind: str) -> list[Scored]:

@@ -102,7 +102,7 @@ def _searched(
         bars.append(np.quantile(chances[-1], 1.0 - min(rules.alpha, _ALPHA) / 2.0, axis=1))
         return bars[-1]
 
-    decide = Rules(bar, rules.most_effects, problem.finer)
+    decide = Rules(bar, rules.most_effects, problem.finer, problem.forms)
     found = search(bank, terms, problem.entries, problem.splits, keep, decide)
     if not bars:  # nothing came near a bar, which only the report asks for
         bar(bank, terms, 0)
@@ -144,6 +144,7 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
         lambda bank, terms, turn: bars[min(turn, len(bars) - 1)],
         asked.rules.most_effects,
         problem.finer,
+        problem.forms,
         same_tau=True,
     )
     each = predicted(problem, folds, rules)

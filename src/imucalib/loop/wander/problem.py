@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from imucalib.loop.evidence import Candidate
 from imucalib.loop.search import thinned
 from imucalib.loop.wander.bank import Bank, Split, bank_of, splits_of
 from imucalib.loop.wander.choice import Taken, kind_of
+from imucalib.loop.wander.forms import form_columns
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.noise import Noise, natural
 from imucalib.loop.wander.scores import Entry
@@ -56,6 +58,15 @@ class Problem:
         found, _ = effect_candidates(self.small, [family.member(value) for value in near])
         unit = self.small.at.sigma[:, :1] / MG / self.noise.scatter
         return [(c.name, c.columns * unit) for c in found]
+
+    @cached_property
+    def _forms(self) -> list[tuple[str, Array]]:
+        unit = self.small.at.sigma[:, :1] / MG / self.noise.scatter
+        return [(name, columns * unit) for name, columns in form_columns(self.small)]
+
+    def forms(self) -> list[tuple[str, Array]]:
+        """Forms that a response of the axes may have, with their columns."""
+        return self._forms
 
     def effect(self, name: str) -> Effect:
         found = self.effects.get(name) or known(name)

@@ -185,27 +185,38 @@ def finest(
 ) -> tuple[Bank, Scored]:
     """The best of the values near the one that a scan found, under its walk and at its size; its
     columns join the bank."""
+    gain = beside(bank, terms, keep, found.walk, [c for _, c in finer], (found.size,))[:, 0]
+    name, columns = finer[int(np.argmax(gain))]
+    return joined(bank, found, name, columns)
+
+
+def joined(bank: Bank, found: Scored, name: str, columns: Array) -> tuple[Bank, Scored]:
+    """The bank with the columns (n, c) behind all others, and the score under their name."""
+    at = np.arange(bank.columns.shape[1], bank.columns.shape[1] + columns.shape[1])
+    return bank.plus(columns), replace(found, entry=replace(found.entry, name=name, columns=at))
+
+
+def beside(
+    bank: Bank, terms: Terms, keep: Mask, walk: int, blocks: Sequence[Array], sizes: Sequence[float]
+) -> Array:
+    """(blocks, sizes) nats that columns (n, c) which are not in the bank gain beside a model."""
     rows = keep[bank.course.part]
-    blocks = np.concatenate([columns for _, columns in finer], axis=1)
-    white, _ = whitened(bank.course, (bank.walks[found.walk],), blocks)
-    base = bank.white[found.walk][rows]
+    white, _ = whitened(bank.course, (bank.walks[walk],), np.concatenate(blocks, axis=1))
+    base = bank.white[walk][rows]
     x, y, z = base[:, terms.columns], base[:, bank.data], white[0][rows]
     precise = x.T @ x + np.diag(terms.precision)
     solved = np.linalg.solve(precise, x.T @ np.column_stack([z, y]))
     gram = z.T @ z - (x.T @ z).T @ solved[:, :-1]
     along = z.T @ y - (x.T @ z).T @ solved[:, -1]
-    power = float(y @ y - (x.T @ y) @ solved[:, -1])
-    ends = np.cumsum([0] + [columns.shape[1] for _, columns in finer])
+    power = np.array([float(y @ y - (x.T @ y) @ solved[:, -1])])
+    ends = np.cumsum([0] + [columns.shape[1] for columns in blocks])
     entries = [np.arange(a, b) for a, b in pairwise(ends)]
     size, turns = directions(gram, entries)
     own = np.concatenate([t.T @ along[e] for e, t in zip(entries, turns, strict=True)]) ** 2
     freedom = int(rows.sum()) - terms.base
-    gain = best_evidence(
-        own[:, None], np.array([power]), size, ends[:-1], freedom, np.array([found.size])
-    )
-    name, columns = finer[int(np.argmax(gain[:, 0]))]
-    at = np.arange(bank.columns.shape[1], bank.columns.shape[1] + columns.shape[1])
-    return bank.plus(columns), replace(found, entry=replace(found.entry, name=name, columns=at))
+    every = (np.array([size_]) for size_ in sizes)
+    gains = [best_evidence(own[:, None], power, size, ends[:-1], freedom, t)[:, 0] for t in every]
+    return np.stack(gains, axis=1)
 
 
 def _facts(view: _View, entries: Sequence[Entry], size: Array, own: Array, starts: Index) -> Array:
