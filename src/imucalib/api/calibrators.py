@@ -46,7 +46,7 @@ def load(path: Place) -> Calibration:
 
 
 def lab(
-    table: Place,
+    table: Place | Sequence[Place],
     *,
     recording: Place | None = None,
     gravity: float | None = None,
@@ -62,7 +62,8 @@ def lab(
 ) -> Result:
     """Calibrate a tool's accelerometer on a bench, or at rest by gravity alone.
 
-    table : positions with angles and readings, or angles alone with a `recording` of the rests
+    table : positions with angles and readings, or angles alone with a `recording` of the rests;
+        several are power-ups of one sensor
     gravity : local, m/s²; reference : "vector", "direction" or "norm"
     fix : (row from 1, column, value) of cells to repair; exclude : rows from 1 to leave out
     declare : effects of the base model; loop : whether to search for what it lacks
@@ -87,9 +88,10 @@ def lab(
     if exclude is not None:
         asked = replace(asked, exclude=tuple(exclude))
     asked = replace(asked, seed=asked.seed if seed is None else seed)
+    first, *others = (table,) if isinstance(table, str | Path) else table
     files = LabFiles(
-        Path(table), None if recording is None else Path(recording),
-        mapping=mapping or FieldMapping(),
+        Path(first), None if recording is None else Path(recording),
+        mapping=mapping or FieldMapping(), others=tuple(map(Path, others)),
     )  # fmt: skip
     run = calibrate_files(files, asked, say)
     return Result(run, lab_document(run))

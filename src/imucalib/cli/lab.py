@@ -14,14 +14,17 @@ from imucalib.cli.recording_options import mapping_of, shortest_rest_option, sti
 
 
 @click.command("lab", short_help="Calibrate on a bench with known angles.")
-@click.argument("table", type=click.Path(path_type=Path))
+@click.argument(
+    "tables", metavar="TABLE...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
 @lab_options
 @shortest_rest_option
 @calibrating
-def command(table: Path, **options: Any) -> int:
+def command(tables: tuple[Path, ...], **options: Any) -> int:
     """Calibrate a tool's accelerometer on a bench with known tool-face and inclination.
 
-    TABLE is a CSV or HDF5 file with one row a position. Writes calibration.yaml, report.html and
+    TABLE is a CSV or HDF5 file with one row a position. Several are power-ups of one sensor, as is
+    a column session: what changes between them is told. Writes calibration.yaml, report.html and
     report.json into the folder given by -o, and prints the report.
 
     \b
@@ -29,14 +32,15 @@ def command(table: Path, **options: Any) -> int:
       imucal lab positions.csv -o out --gravity 9.8061
       imucal lab positions.csv -o out --recording log.mcap
       imucal lab rests.csv -o out --reference norm --latitude 59.3
+      imucal lab monday.csv tuesday.csv friday.csv -o out
     """
     from imucalib.calibrators.lab.files import LabFiles, calibrate_files
     from imucalib.report.files import Report
     from imucalib.report.lab.document import lab_document
 
     files = LabFiles(
-        table, options["recording"], pairs(options["columns"], "--columns"), mapping_of(options),
-        still_of(options),
+        tables[0], options["recording"], pairs(options["columns"], "--columns"),
+        mapping_of(options), still_of(options), others=tables[1:],
     )  # fmt: skip
     with calibrating_of(options) as say:
         run = calibrate_files(files, request_of(options), say)

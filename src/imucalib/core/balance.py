@@ -134,10 +134,11 @@ def balanced(prediction: Prediction, eta: Array, observations: Observations) -> 
 
 
 def _shared_columns(at: Balanced, noise: SharedNoise) -> Array:
-    n, q = noise.factor.shape
+    n = len(noise.factor)
     triads = at.sigma.shape[1] // 3
-    block = np.einsum("nq,ij->niqj", noise.factor, np.eye(3)).reshape(n, 1, 3, 3 * q)
-    return at.columns(np.broadcast_to(block, (n, triads, 3, 3 * q)))
+    basis = np.broadcast_to(np.eye(3), (n, 3, 3)) if noise.basis is None else noise.basis
+    block = np.einsum("nq,nij->niqj", noise.factor, basis).reshape(n, 1, 3, -1)
+    return at.columns(np.broadcast_to(block, (n, triads, 3, block.shape[3])))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,10 +14,11 @@ from imucalib.core.references import Reference
 
 @dataclass(frozen=True)
 class SharedNoise:
-    """A random bias of each axis that observations share, of unknown size.
+    """A random error of each reading that observations share, of unknown size.
 
     name : of its variance component; factor : (n, q), factor factorᵀ is its correlation
-    memory : observations after which it forgets
+    memory : observations after which it forgets; infinite where it is that of whole sessions
+    basis : (n, 3, m) what its m numbers do to a reading; None for a bias of each axis
     without : of the other components the sd over the noise factor where this one is left out
     """
 
@@ -24,9 +26,16 @@ class SharedNoise:
     factor: Array
     memory: float
     without: tuple[float, ...] = ()
+    basis: Array | None = None
+
+    @property
+    def wanders(self) -> bool:
+        """Whether it forgets in the order of recording."""
+        return math.isfinite(self.memory)
 
     def take(self, rows: Index) -> SharedNoise:
-        return replace(self, factor=self.factor[rows])
+        basis = None if self.basis is None else self.basis[rows]
+        return replace(self, factor=self.factor[rows], basis=basis)
 
 
 @dataclass(frozen=True)
@@ -53,6 +62,16 @@ class Observations:
     @property
     def n(self) -> int:
         return len(self.reading)
+
+    @property
+    def walk(self) -> SharedNoise | None:
+        """The noise that neighbours share, which stands last, if there is any."""
+        return self.shared[-1] if self.shared and self.shared[-1].wanders else None
+
+    @property
+    def of_sessions(self) -> tuple[SharedNoise, ...]:
+        """What whole sessions share."""
+        return tuple(noise for noise in self.shared if not noise.wanders)
 
     def take(self, rows: Index) -> Observations:
         """A subset; settings that no remaining row used disappear with their rows."""

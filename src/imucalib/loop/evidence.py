@@ -124,8 +124,9 @@ def _score_few(
             at.settings,
             fitted,
             [candidates[k].columns / noise.factor for k in live],
-            without=fit.observations.shared[-1].without if fit.observations.shared else None,
+            without=fit.observations.walk.without if fit.observations.walk else None,
             coarse=draws == 0,
+            held=(at.free, at.free + len(fit.observations.of_sessions)),
         )
         found = grid.evidence(at.residual[:, None] / noise.factor)
         for part in (*_PARTS, draws):

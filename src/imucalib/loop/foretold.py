@@ -32,7 +32,7 @@ def foretold(fit: Fit, theta: Array, data: Observations, fold: Fold) -> float:
     eta = reference.start(fit.model.correct(theta, data.reading, data.context))
     at = _cut(balance(fit.model, theta, eta, data), fold.rows)
     both = np.concatenate([fold.rows, fold.rest])
-    return _restricted(_of(at, both), fit.noise) - _restricted(_of(at, fold.rest), fit.noise)
+    return restricted(_of(at, both), fit.noise) - restricted(_of(at, fold.rest), fit.noise)
 
 
 def foretold_stretches(fit: Fit) -> Array:
@@ -43,7 +43,7 @@ def foretold_stretches(fit: Fit) -> Array:
     for rows in np.array_split(order, min(order.size, _STRETCHES)):
         at = _cut(fit.at, rows)
         rest = _of(at, np.setdiff1d(order, rows))
-        every.append(_restricted(at, fit.noise) - _restricted(rest, fit.noise))
+        every.append(restricted(at, fit.noise) - restricted(rest, fit.noise))
     return np.array(every)
 
 
@@ -62,7 +62,7 @@ def _of(at: Balanced, rows: NDArray[np.intp]) -> Balanced:
     )
 
 
-def _restricted(at: Balanced, noise: Noise) -> float:
+def restricted(at: Balanced, noise: Noise) -> float:
     """Restricted log likelihood (nats, up to a constant) at a given noise."""
     white = whitener(at.settings, noise.ratio)
     columns, residual = white(at.jacobian) / noise.factor, white(at.residual) / noise.factor

@@ -162,7 +162,7 @@ def log_predictives(fit: Fit) -> Array:
     Closed form: with P = V⁻¹ - V⁻¹J(JᵀV⁻¹J)⁻¹JᵀV⁻¹, group g has the predictive residual
     P_gg⁻¹ (P r)_g and the precision P_gg (Sundararajan and Keerthi 2001).
     """
-    if fit.observations.shared:
+    if fit.observations.walk:
         return foretold_stretches(fit)
     at, noise = fit.at, fit.noise
     white, q = fit.white_basis()

@@ -67,7 +67,9 @@ def predict_record(fit: Fit, row: int) -> Prediction:
     free = (predicted.d_truth @ directions.derivative)[0, 0]
     spread = np.array([fit.noise.sd[fit.noise.component.index(c)] for c in directions.component])
     noise = np.diag((fit.noise.factor * one.sigma[0, 0]) ** 2)
-    noise += sum(sd**2 for sd in fit.noise.sd[fit.at.free :]) * np.eye(3)
+    for shared, sd in zip(one.shared, fit.noise.sd[fit.at.free :], strict=True):
+        basis = np.eye(3) if shared.basis is None else shared.basis[0]
+        noise += sd**2 * basis @ basis.T
     slope = predicted.d_theta[0, 0]
     known = [k for n, s in slices.items() if not is_record_error(n) for k in range(s.start, s.stop)]
     covariance = slope[:, known] @ fit.covariance[np.ix_(known, known)] @ slope[:, known].T

@@ -46,7 +46,7 @@ def search(
             values = family.values(current.observations.context)
             catalogue += family_candidates(current, family, values)
     everything = catalogue + probes(current)
-    if not current.observations.shared:
+    if current.observations.walk is None:
         everything += correlated_noise(current)
     draws = rules.draws if rules.bar is None else 0
     scores = score(current, everything, rng, draws=draws, alpha=rules.alpha)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.lab.conventions import Conventions
@@ -92,7 +93,11 @@ def swapped_angles(table: PositionTable) -> PositionTable:
 
 def held_settings(angle: Array) -> Index:
     """Setting ids: consecutive rows with the same dial value were not re-set in between."""
-    return np.concatenate([[0], np.cumsum(np.diff(angle) != 0.0)]).astype(np.intp)
+    return _runs(np.diff(angle) != 0.0)
+
+
+def _runs(new: NDArray[np.bool_]) -> Index:
+    return np.concatenate([[0], np.cumsum(new)]).astype(np.intp)
 
 
 def position_observations(
@@ -165,7 +170,9 @@ def still_observations(
 def _setting(table: PositionTable, role: str, angle: Array) -> Index:
     if role in table:
         return np.unique(table.columns[role], return_inverse=True)[1].astype(np.intp)
-    return held_settings(angle)
+    if "session" not in table:
+        return held_settings(angle)
+    return _runs((np.diff(angle) != 0.0) | (np.diff(table.columns["session"]) != 0.0))
 
 
 def _sigmas(table: PositionTable, sigma: float) -> Array:

@@ -17,7 +17,8 @@ from imucalib.arrays import Array, Index
 from imucalib.calibration.outcome import ErrorSummary
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.errors import Split, error_summary, held_out_splits
+from imucalib.calibrators.lab.errors import LeftOut, Split, error_summary, held_out_splits
+from imucalib.calibrators.lab.sessions.between import session_folds
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
@@ -31,10 +32,10 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
 from imucalib.loop.asked import Searched, searched
 from imucalib.loop.closed_loop import close_loop
-from imucalib.loop.cross_fit import by_folds, cross_fitted, judged
-from imucalib.loop.design import folds_of
+from imucalib.loop.cross_fit import CrossFit, by_folds, cross_fitted, judged
+from imucalib.loop.design import Fold, folds_of
 from imucalib.loop.found import FitLoop, LoopSettings
-from imucalib.loop.held_out import Held, fitted
+from imucalib.loop.held_out import fitted
 from imucalib.loop.rivals import Rival, rivals_of
 
 Objective = Literal["settings", "vector", "angles", "paper"]
@@ -116,22 +117,22 @@ def calibrate(
     demand_enough(model, data)
     start = full_matrix_start(model, data)
     rules = replace(settings.rules, declared=settings.sigma is not None)
-    loop, held = None, None
+    loop, left = None, LeftOut()
     if settings.objective in OBJECTIVES:
         final = base = fit_corrected(model, data, settings.objective, start)
     elif settings.loop:
-        loop, held = _closed(model, data, wanted, rng, rules, start)
+        loop, left = _closed(model, data, wanted, rng, rules, start)
         base, final = loop.plain, loop.as_recorded
     else:
         final = base = fit_model(model, data, start=start)
-        held = (by_folds(base, folds_of(data)),) * 2
+        left = _left_out(base)
     # A wrong record inflates the noise until everything looks open: judge without it.
     clean = loop.base if loop else base
     if clean.null_directions and not faulty and settings.objective not in OBJECTIVES:
         raise undetermined(clean)
     if not final.converged:
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
-    splits = held_out_splits(base, final, observations, used, settings.objective, held)
+    splits = held_out_splits(base, final, observations, used, settings.objective, left)
     known = isinstance(data.reference, KnownVector)
     angles = attitude_errors(fitted(final), gravity_of(data)) if known else None
     error = error_summary(base, final, data, splits, settings.sigma)
@@ -151,8 +152,9 @@ def calibrate(
 def _closed(
     model: Model, data: Observations, wanted: Searched, rng: np.random.Generator,
     rules: LoopSettings, start: Array,
-) -> tuple[FitLoop, tuple[Held, Held]]:  # fmt: skip
-    """The search, and held-out errors before and after by the one design of the data."""
+) -> tuple[FitLoop, LeftOut]:  # fmt: skip
+    """The search, and held-out errors before and after by the one design of the data, and of whole
+    sessions where there are several."""
     loop = close_loop(
         model=model,
         observations=data,
@@ -162,12 +164,26 @@ def _closed(
         start=start,
         families=wanted.families,
     )
-    folds = folds_of(data)
     if not loop.steps:
-        return loop, (by_folds(loop.plain, folds),) * 2
-    held = cross_fitted(loop, folds, wanted.effects, rng, rules, wanted.families)
-    loop = judged(loop, held, "rms")
-    return loop, (held.before, held.after if loop.steps else held.before)
+        return loop, _left_out(loop.plain)
+
+    def repeated(folds: tuple[Fold, ...]) -> CrossFit:
+        return cross_fitted(loop, folds, wanted.effects, rng, rules, wanted.families)
+
+    found, apart = repeated(folds_of(data)), session_folds(loop.plain)
+    across = repeated(apart) if apart else None
+    loop = judged(loop, found, "rms")
+    if not loop.steps:
+        return loop, _left_out(loop.plain)
+    by_session = (across.before, across.after) if across else None
+    return loop, LeftOut((found.before, found.after), by_session)
+
+
+def _left_out(fit: Fit) -> LeftOut:
+    """Of a model that nothing was chosen for."""
+    apart = session_folds(fit)
+    across = (by_folds(fit, apart),) * 2 if apart else None
+    return LeftOut((by_folds(fit, folds_of(fit.observations)),) * 2, across)
 
 
 def base_model(settings: LabSettings, observations: Observations) -> Model:

@@ -17,6 +17,7 @@ from imucalib.calibrators.lab.dial import dial_of
 from imucalib.calibrators.lab.errors import setting_noise, shared_noise
 from imucalib.calibrators.lab.faults import Faults
 from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.sessions.between import Sessions
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import errors
@@ -40,6 +41,8 @@ def lab_calibration(
     if "fixture" in details:
         facts["conventions"] = asdict(result.settings.conventions)
         facts["fixture"] = details["fixture"]
+    if "between_sessions" in details:
+        facts["between_sessions"] = details["between_sessions"]
     facts["left_out"] = details["left_out"]
     facts["provenance"] = outcome.provenance.as_dict()
     return from_fit(
@@ -55,7 +58,11 @@ def lab_calibration(
 
 
 def lab_details(
-    result: LabResult, excluded: tuple[str, ...], undecided: tuple[str, ...], faults: Faults
+    result: LabResult,
+    excluded: tuple[str, ...],
+    undecided: tuple[str, ...],
+    faults: Faults,
+    sessions: Sessions | None = None,
 ) -> dict[str, Any]:
     """What only a bench has to say, for report.json; the shorter blocks also for the YAML."""
     details: dict[str, Any] = {
@@ -68,7 +75,29 @@ def lab_details(
     }
     if isinstance(result.observations.reference, KnownVector):
         details["fixture"] = fixture_block(result)
+    if sessions:
+        details["between_sessions"] = sessions_block(sessions)
     return details
+
+
+def sessions_block(sessions: Sessions) -> dict[str, Any]:
+    """How much power-ups scatter, each session's own offset, and the next one's parameters."""
+    scatter = [
+        {
+            "what": one.name, "unit": one.unit, "sd": one.sd, "low_95": one.interval[0],
+            "high_95": one.interval[1], "offsets": one.offsets.tolist(),
+            "offsets_sd": one.offsets_sd.tolist(),
+        }
+        for one in sessions.between
+    ]  # fmt: skip
+    following = [
+        {
+            "parameter": p.name, "unit": p.unit, "value": p.value, "sd_of_mean": p.mean,
+            "sd_next_power_up": p.sd, "half_of_95": p.half,
+        }
+        for p in sessions.parameters
+    ]  # fmt: skip
+    return {"sessions": list(sessions.names), "scatter": scatter, "next_power_up": following}
 
 
 def noise_block(fit: Fit) -> dict[str, Any]:

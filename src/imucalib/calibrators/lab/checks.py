@@ -18,6 +18,7 @@ from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
+from imucalib.core.sessions import with_sessions
 from imucalib.errors import UsageError
 from imucalib.units import DEG, MG
 
@@ -26,7 +27,13 @@ _FAR = 0.35
 
 
 def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> Observations:
-    """All rows as observations. Raises UsageError for angles that cannot be degrees."""
+    """All rows as observations, with what their sessions share. Raises UsageError for angles that
+    cannot be degrees."""
+    data = _observations(table, raw, request)
+    return with_sessions(data, table.columns["session"].astype(int)) if table.sessions else data
+
+
+def _observations(table: PositionTable, raw: RawUnit, request: LabRequest) -> Observations:
     reading = table.raw() * raw.si
     sigma = request.settings.sigma or MG
     if request.reference == "norm":

@@ -30,23 +30,33 @@ class Split:
     final: Held
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """Errors before and after on what was left out: by the folds of the design, and by whole
+    sessions where there are several."""
+
+    folds: tuple[Held, Held] | None = None
+    sessions: tuple[Held, Held] | None = None
+
+
 def held_out_splits(
     base: Fit,
     final: Fit,
     whole: Observations,
     used: Index,
     objective: str,
-    folds: tuple[Held, Held] | None = None,
+    left: LeftOut,
 ) -> tuple[Split, ...]:
-    """Each fitted row in turn; the folds of the design, for which everything was chosen without
-    them; and the rows that were kept apart when there are any."""
+    """Each fitted row in turn; whole sessions, and the folds of the design, for which everything
+    was chosen without them; and the rows that were kept apart when there are any."""
     found: list[Split] = []
     if objective in OBJECTIVES:
-        left = refitted(final, objective)
-        found += [Split("leave one out", used, left, left)] if left else []
+        alone = refitted(final, objective)
+        found += [Split("leave one out", used, alone, alone)] if alone else []
     else:
         found = [Split("leave one out", used, held_out(base), held_out(final))]
-        found += [Split("held out", used, *folds)] if folds else []
+        found += [Split("another session", used, *left.sessions)] if left.sessions else []
+        found += [Split("held out", used, *left.folds)] if left.folds else []
     rest = np.setdiff1d(np.arange(whole.n), used)
     if rest.size:
         test = whole.take(rest)
@@ -133,6 +143,5 @@ def setting_noise(fit: Fit) -> dict[str, float]:
 def shared_noise(fit: Fit) -> tuple[float, float]:
     """Of the noise that neighbours share its standard deviation (m/s²) and after how many
     observations it forgets; zero where there is none."""
-    if not fit.observations.shared:
-        return 0.0, 0.0
-    return fit.noise.sd[-1], fit.observations.shared[-1].memory
+    walk = fit.observations.walk
+    return (fit.noise.sd[-1], walk.memory) if walk else (0.0, 0.0)

@@ -11,6 +11,7 @@ import numpy as np
 from imucalib.calibrators.lab.position_table import PositionTable, read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
+from imucalib.calibrators.lab.sessions.joined_tables import joined
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
@@ -24,18 +25,27 @@ _MOST_POSITIONS = 2000
 
 @dataclass(frozen=True)
 class LabFiles:
-    """Inputs of `lab`. columns : role -> heading of the table; mapping : of the recording; still :
-    what counts as a rest in it."""
+    """Inputs of `lab`. table : or a recording at rest; others : more power-ups of the same sensor
+    columns : role -> heading of the table; mapping : of the recording; still : what counts as a
+    rest in it."""
 
     table: Path
     recording: Path | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     mapping: FieldMapping = field(default_factory=FieldMapping)
     still: StillSettings = field(default_factory=StillSettings)
+    others: tuple[Path, ...] = ()
+
+    @property
+    def each(self) -> tuple[LabFiles, ...]:
+        """Every power-up by itself."""
+        return tuple(replace(self, table=t, others=()) for t in (self.table, *self.others))
 
 
 def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -> LabRun:
     """Read, check and calibrate. `say` gets one line for each thing worth knowing on the way."""
+    if files.others:
+        return _sessions(files, request, say)
     if files.recording is not None:
         positions = _table(files, request, need_raw=False)
         recording, segments = _still(files.recording, files, say)
@@ -44,12 +54,40 @@ def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], N
     if request.reference == "norm" and not _is_table(files):
         recording, segments = _still(files.table, files, say)
         return _run(_rests(segments, recording), recording, request)
+    return run_lab(_ordered(files, request, say), request)
+
+
+def _sessions(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -> LabRun:
+    """Several power-ups of one sensor, of tables or all of recordings at rest."""
+    if files.recording is not None:
+        raise UsageError(
+            "--recording goes with one table",
+            remedy="give each power-up a table with its readings, and no --recording",
+        )
+    of_rests = request.reference == "norm" and not _is_table(files)
+    tables, notes = list[PositionTable](), list[str]()
+    for one in files.each:
+        if not of_rests:
+            tables.append(_ordered(one, request, say))
+            continue
+        recording, segments = _still(one.table, one, say)
+        tables.append(_rests(segments, recording))
+        notes += recording.notes
+    table, joining = joined(tables)
+    for note in joining:
+        say(note)
+    if of_rests:
+        request = replace(request, unit=None, lsb_per_g=None)
+    return run_lab(table, request, notes=(*notes, *joining))
+
+
+def _ordered(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -> PositionTable:
     read = _table(files, request)
     table = read.by_time
     if not np.array_equal(table.row, read.row):
         say("rows are taken in the order of their time, not of the file")
     say(f"read {table.n} positions from {files.table}")
-    return run_lab(table, request)
+    return table
 
 
 def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> PositionTable:

@@ -24,6 +24,7 @@ ROLES: dict[str, tuple[str, ...]] = {
     "inclination_setting": ("inclination_setting",),
     "tool_face_setting": ("tool_face_setting", "toolface_setting"),
     "samples": ("samples", "n"),
+    "session": ("session", "power_up", "powerup", "sitzung"),
     "ux": ("ux", "u_x"),
     "uy": ("uy", "u_y"),
     "uz": ("uz", "u_z"),

@@ -28,6 +28,8 @@ from imucalib.recording.mapping import FieldMapping
 #: A column of words stands for the direction ux, uy, uz: the axis that reads +g in the position.
 _FACE_NAMES = ("face", "up", "face_up", "face up")
 _FACES = tuple(f"{sign}{letter}" for sign in "+-" for letter in "xyz")
+#: Rows that sessions have on average, at least.
+_OF_A_SESSION = 3
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -38,6 +40,7 @@ class PositionTable:
     unit : role -> unit that the heading states, when it does; inclination_zero : the same of
     where inclination 0 is, "vertical" or "horizontal"
     names : role -> heading; row : (n,) row numbers from 1; sha256 : of the file
+    sessions : names of the power-ups, which the column session counts from 0, in order
     """
 
     columns: Mapping[str, Array]
@@ -47,6 +50,7 @@ class PositionTable:
     path: str
     sha256: str
     inclination_zero: str = ""
+    sessions: tuple[str, ...] = ()
 
     def __contains__(self, role: object) -> bool:
         return role in self.columns
@@ -95,7 +99,11 @@ def read_position_table(
     wanted = dict(chosen or {})
     face = _face_heading(list(cells), wanted.pop("face", ""), str(path)) if need_direction else ""
     names = roles_of(list(cells), wanted, str(path))
-    columns = {role: _numbers(cells[name], name, str(path)) for role, name in names.items()}
+    numbers = {role: name for role, name in names.items() if role != "session"}
+    columns = {role: _numbers(cells[name], name, str(path)) for role, name in numbers.items()}
+    sessions: tuple[str, ...] = ()
+    if "session" in names:
+        sessions, columns["session"] = _sessions(cells[names["session"]], names["session"], path)
     if face:
         columns |= _directions(cells[face], face, str(path))
         names["face"] = face
@@ -107,8 +115,29 @@ def read_position_table(
     count = len(next(iter(columns.values())))
     row = np.arange(1, count + 1)
     return PositionTable(
-        columns, names, unit, row, path=str(path), sha256=sha256_of(path), inclination_zero=zero
-    )
+        columns, names, unit, row, path=str(path), sha256=sha256_of(path), inclination_zero=zero,
+        sessions=sessions,
+    )  # fmt: skip
+
+
+def _sessions(cells: Array | list[str], name: str, path: Path) -> tuple[tuple[str, ...], Array]:
+    """Names of sessions in order, and the number of each row's."""
+    words = [f"{c:g}" if isinstance(c, float) else str(c).strip() for c in cells]
+    if "" in words:
+        where = f"{path}, row {words.index('') + 1}, column {name}"
+        raise UnreadableInput(
+            "the session is empty",
+            where=where,
+            remedy="name each row's power-up, or drop the column",
+        )
+    every = list(dict.fromkeys(words))
+    if len(every) > 1 and len(words) < _OF_A_SESSION * len(every):
+        raise UnreadableInput(
+            f"{len(every)} sessions of {len(words)} rows: too few each to tell them apart",
+            where=f"{path}, column {name}",
+            remedy=f"give each power-up {_OF_A_SESSION} positions or more, or drop the column",
+        )
+    return tuple(every), np.array([float(every.index(word)) for word in words])
 
 
 def _demand(

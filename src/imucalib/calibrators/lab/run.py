@@ -26,6 +26,7 @@ from imucalib.calibrators.lab.faults import Faults, doubts, look_for_faults, wor
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.repairs import repaired
 from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.sessions.between import Sessions, sessions_of
 from imucalib.core.observations import Observations
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.loop.found import FitLoop
@@ -42,6 +43,7 @@ class LabRun(Run):
     request: LabRequest
     excluded: tuple[str, ...]
     faults: Faults
+    sessions: Sessions | None = None
 
 
 def run_lab(
@@ -76,7 +78,8 @@ def run_lab(
         result=result, raw=raw, request=request, provenance=provenance, undecided=undecided,
         why=why, notes=(raw.sentence, *notes),
     )  # fmt: skip
-    details = lab_details(result, excluded, undecided, faults)
+    sessions = sessions_of(result.final, table.sessions)
+    details = lab_details(result, excluded, undecided, faults, sessions)
     return LabRun(
         outcome=outcome,
         calibration=lab_calibration(outcome, result, raw, request, details),
@@ -87,6 +90,7 @@ def run_lab(
         request=request,
         excluded=excluded,
         faults=faults,
+        sessions=sessions,
     )
 
 

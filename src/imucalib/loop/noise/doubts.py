@@ -34,7 +34,8 @@ def noise_doubts(
     # Twice the gain of a variance on its border and of its memory: chi-square of two overstates p.
     if (p := math.exp(-nats)) < rules.noise_alpha:
         size = fit.noise.sd[-1] / MG
-        memory = fit.observations.shared[-1].memory
+        assert fit.observations.walk is not None
+        memory = fit.observations.walk.memory
         name = f"noise that neighbours share, {size:.2g} mg, forgotten in {memory:.2g} positions"
         own = [s for s in scores if s.candidate.kind == "effect" and s.evidence > 0.0]
         likely = [s.name for s in own if s.evidence > 0.5 * own[0].evidence]

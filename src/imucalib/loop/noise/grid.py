@@ -24,6 +24,8 @@ TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 SHRINK = (0.0, 0.15, 0.4, 0.72, 0.92, 1.15, 1.6)
 #: The same beside noise that neighbours share, and inside folds.
 _COARSE = (0.0, 0.4, 0.92, 1.6)
+#: The same of what sessions share: effects within a session do not explain it.
+_HELD = (0.92,)
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class EvidenceGrid:
     without : the same ratios where the last component, noise that neighbours share, is left out: it
         may have taken over what a candidate explains, and the other components with it
     coarse : fewer hypotheses of the noise, for a part of data whose whole has been searched
+    held : first and end of the components that sessions share
     """
 
     def __init__(
@@ -57,13 +60,14 @@ class EvidenceGrid:
         blocks: Sequence[Array],
         without: tuple[float, ...] | None = None,
         coarse: bool = False,
+        held: tuple[int, int] = (0, 0),
     ) -> None:
         columns = np.column_stack(blocks)
         self._starts = np.cumsum([0] + [b.shape[1] for b in blocks])[:-1]
         shrink = _COARSE if coarse else SHRINK
-        points = _around(ratio, shrink if without is None else _COARSE)
+        points = _around(ratio, shrink if without is None else _COARSE, held)
         if without is not None:
-            points += [(*point, 0.0) for point in _around(without, shrink)]
+            points += [(*point, 0.0) for point in _around(without, shrink, held)]
         self._points = [
             _at_point(jacobian, whitener(settings, point), columns, self._starts)
             for point in dict.fromkeys(points)
@@ -91,8 +95,12 @@ class EvidenceGrid:
         return best - nothing
 
 
-def _around(ratio: tuple[float, ...], shrink: tuple[float, ...]) -> list[tuple[float, ...]]:
-    return list(product(*(tuple(dict.fromkeys(s * r for s in shrink)) for r in ratio)))
+def _around(
+    ratio: tuple[float, ...], shrink: tuple[float, ...], held: tuple[int, int]
+) -> list[tuple[float, ...]]:
+    each = (_HELD if held[0] <= k < held[1] else shrink for k in range(len(ratio)))
+    sizes = zip(ratio, each, strict=True)
+    return list(product(*(tuple(dict.fromkeys(s * r for s in some)) for r, some in sizes)))
 
 
 def _at_point(jacobian: Array, white: Whitener, columns: Array, starts: NDArray[np.intp]) -> _Point:

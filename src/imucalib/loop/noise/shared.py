@@ -39,18 +39,18 @@ def with_shared_noise(fit: Fit) -> Fit:
     Up to `SHARED_NUMBERS` numbers in one order; the noise is otherwise left as it is.
     """
     own = fit.observations
-    bare = replace(own, shared=())
+    bare = replace(own, shared=own.of_sessions)
     if "order" not in own.context or own.n < _FEWEST or fit.at.residual.size > SHARED_NUMBERS:
         return fit
-    alone = fit if not own.shared else _refitted(fit, bare)
+    alone = fit if own.walk is None else _refitted(fit, bare)
     longest = max(bare.n * _LONGEST, _MEMORY[0])
     tried = _tried(bare, tuple(m for m in _MEMORY if m <= longest))
     found = [(_estimated(alone, data), data) for data in tried]
     best, data = max(found, key=lambda one: one[0].log_likelihood)
     if best.log_likelihood - alone.log_likelihood <= SHARED_NATS:
         return alone
-    shared = replace(data.shared[0], without=alone.noise.ratio)
-    return _refitted(alone, replace(data, shared=(shared,)), best.noise)
+    shared = replace(data.shared[-1], without=alone.noise.ratio)
+    return _refitted(alone, replace(data, shared=(*bare.shared, shared)), best.noise)
 
 
 def lead_over_a_walk(fit: Fit, nats: float) -> float:
@@ -58,9 +58,9 @@ def lead_over_a_walk(fit: Fit, nats: float) -> float:
     a whole recording the two can look alike."""
     if "order" not in fit.observations.context or fit.at.residual.size > SHARED_NUMBERS:
         return nats
-    bare = replace(fit.observations, shared=())
-    own = fit.observations.shared
-    alone = replace(fit, noise=_without(fit.noise)) if own else fit
+    bare = replace(fit.observations, shared=fit.observations.of_sessions)
+    walk = fit.observations.walk
+    alone = replace(fit, noise=_without(fit.noise)) if walk else fit
     memories = tuple(bare.n * share for share in _SLOW)
     slow = max(_estimated(alone, data).log_likelihood for data in _tried(bare, memories))
     return fit.log_likelihood + nats - max(slow, fit.log_likelihood)
@@ -74,7 +74,7 @@ def _tried(bare: Observations, memories: tuple[float, ...]) -> list[Observations
     position = np.argsort(np.argsort(bare.context["order"], kind="stable")).astype(float)
     apart = np.abs(position[:, None] - position)
     return [
-        replace(bare, shared=(SharedNoise(NAME, _root(apart, memory), memory),))
+        replace(bare, shared=(*bare.shared, SharedNoise(NAME, _root(apart, memory), memory)))
         for memory in memories
     ]
 
@@ -103,8 +103,8 @@ def _refitted(fit: Fit, data: Observations, begin: Noise | None = None) -> Fit:
 
 
 def shared_evidence(fit: Fit) -> float:
-    """Nats that a fit's shared noise gains over none; zero where there is none."""
-    if not fit.observations.shared or fit.noise.sd[-1] == 0.0:
+    """Nats that a fit's noise that neighbours share gains over none; zero where there is none."""
+    if fit.observations.walk is None or fit.noise.sd[-1] == 0.0:
         return 0.0
     at = replace(fit.at, settings=fit.at.settings[:-1], component=fit.at.component[:-1])
     noise = _without(fit.noise)

@@ -25,8 +25,22 @@ def lab_card(run: LabRun) -> Card:
     reference = run.result.observations.reference
     known = isinstance(reference, KnownVector)
     metric = "vector" if known else run.outcome.error.metric.partition(",")[0]
-    good = (error_worth(run.outcome.error, metric, "positions"),)
+    good = (error_worth(run.outcome.error, metric, "positions"), *_next_power_up(run))
     return card_of(run.outcome, (*good, *(_angles(run) if known else ())))
+
+
+def _next_power_up(run: LabRun) -> tuple[Worth, ...]:
+    """How far what changes between sessions lets a calibration carry, by the worst axis."""
+    if run.sessions is None:
+        return ()
+    count = len(run.sessions.names)
+    worst_of = dict[str, Worth]()
+    for p in sorted(run.sessions.parameters, key=lambda p: p.half):
+        detail = f"95 %, worst axis, from {count} sessions; their mean ± {1.96 * p.mean:.2g}"
+        worst_of[p.effect] = Worth(
+            f"{p.effect} after a power-up", f"± {p.half:.2g} {p.unit}", detail
+        )
+    return tuple(worst_of.values())
 
 
 def _angles(run: LabRun) -> tuple[Worth, ...]:

@@ -17,6 +17,7 @@ from imucalib.report.gain import gain_plot
 from imucalib.report.lab.card import lab_card
 from imucalib.report.lab.plots import dial_section, uncertainty_section
 from imucalib.report.lab.residuals import attitude_map, residual_plots
+from imucalib.report.lab.sessions import sessions_section
 from imucalib.report.lab.tables import iscwsa_table, position_table, published_table, training_note
 from imucalib.report.loop import advice_section, candidate_section, floor_words, loop_section
 from imucalib.report.sections import parameter_table, sensor_section, verdict
@@ -38,6 +39,7 @@ def lab_document(run: LabRun) -> Document:
         _angle_section(run),
         _parameter_section(run),
         _bench_section(run),
+        sessions_section(run.sessions),
         dial_section(run),
         advice_section(outcome),
         sensor_section(run.calibration, iscwsa_table(run.calibration)),

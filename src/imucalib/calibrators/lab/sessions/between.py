@@ -1,0 +1,177 @@
+"""What changes from one power-up to the next, and how far it carries: this session and the next.
+
+The errors that sessions share are variance components of the fit (`core/sessions`). Their sizes
+are known from as many sessions as there are: a prediction for the next power-up is a mixture over
+the sizes that the restricted likelihood allows, with the prior 1 / (size + what noise alone does to
+a session's mean), so that few sessions give wide intervals and none of size zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.balance import Noise, whitener
+from imucalib.core.fit import Fit
+from imucalib.core.sessions import BIAS, MOUNTING, session_of
+from imucalib.loop.design import Fold
+from imucalib.loop.foretold import restricted
+from imucalib.units import DEG, MG
+
+#: What sessions change: the effect whose parameters carry it, and the unit that people read.
+_CARRIED = {BIAS: ("bias", "mg", MG), MOUNTING: ("mounting", "deg", DEG)}
+_SIZES, _REACH = 80, (0.02, 30.0)
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Between:
+    """The scatter of one component between sessions.
+
+    effect : whose parameters carry it; unit, si : that it is given in; sd : REML estimate
+    sizes, weights : (q,) what the data allow, in that unit
+    offsets, offsets_sd : (sessions, 3) of each session from the mean, in that unit
+    """
+
+    name: str
+    effect: str
+    unit: str
+    sd: float
+    sizes: Array
+    weights: Array
+    offsets: Array
+    offsets_sd: Array
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % of what the data allow."""
+        below = np.cumsum(self.weights) - 0.5 * self.weights
+        low, high = np.interp((0.5 - _LEVEL / 2, 0.5 + _LEVEL / 2), below, self.sizes)
+        return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class NextPowerUp:
+    """A parameter after the next power-up: mean : sd of the mean over power-ups, sd : of the next
+    one, half : half of its 95 % interval"""
+
+    name: str
+    effect: str
+    unit: str
+    value: float
+    mean: float
+    sd: float
+    half: float
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """names : of the sessions, in the order of the offsets; between : what scatters between them"""
+
+    names: tuple[str, ...]
+    between: tuple[Between, ...]
+    fit: Fit
+
+    @cached_property
+    def parameters(self) -> tuple[NextPowerUp, ...]:
+        """Every parameter that changes with power-ups."""
+        slices = self.fit.model.slices(self.fit.observations.context)
+        found = list[NextPowerUp]()
+        for one in self.between:
+            part = slices.get(one.effect)
+            for k in range(part.start, part.stop) if part else ():
+                found.append(_next(self.fit, k, one, len(self.names)))
+        return tuple(found)
+
+
+def sessions_of(fit: Fit, names: tuple[str, ...]) -> Sessions | None:
+    """The sessions of a fit, or None where it has only one. names : by number"""
+    session = session_of(fit.observations)
+    if session is None:
+        return None
+    used = np.unique(session)
+    of = fit.observations.of_sessions
+    found = tuple(_between(fit, fit.at.free + k, noise.name, used) for k, noise in enumerate(of))
+    return Sessions(tuple(names[k] for k in used), found, fit)
+
+
+def session_folds(fit: Fit) -> tuple[Fold, ...]:
+    """Each session left out by itself."""
+    session = session_of(fit.observations)
+    if session is None:
+        return ()
+    each = (session == k for k in np.unique(session))
+    return tuple(Fold(np.flatnonzero(own), np.flatnonzero(~own)) for own in each)
+
+
+def _between(fit: Fit, k: int, name: str, used: Index) -> Between:
+    effect, unit, si = _CARRIED[name]
+    sizes, weights = _allowed(fit, k, len(used))
+    offsets, sd = _offsets(fit, k)
+    own = (3 * used[:, None] + np.arange(3)).ravel()
+    shape = (len(used), 3)
+    return Between(
+        name=name, effect=effect, unit=unit, sd=fit.noise.sd[k] / si, sizes=sizes / si,
+        weights=weights, offsets=offsets[own].reshape(shape) / si,
+        offsets_sd=sd[own].reshape(shape) / si,
+    )  # fmt: skip
+
+
+def _allowed(fit: Fit, k: int, sessions: int) -> tuple[Array, Array]:
+    """Sizes of a component (SI) and their weights, the other components at their estimates."""
+    matrix = fit.at.settings[k]
+    length = float(np.sqrt(np.mean(np.sum(matrix**2, axis=0)[np.any(matrix, axis=0)])))
+    noise_alone = fit.noise.factor / max(length, 1e-300)
+    unit = max(fit.noise.sd[k], noise_alone)
+    sizes = np.concatenate([[0.0], np.geomspace(_REACH[0] * noise_alone, _REACH[1] * unit, _SIZES)])
+    nats = np.array([restricted(fit.at, _sized(fit, k, float(size))) for size in sizes])
+    width = np.gradient(sizes)
+    weights = np.exp(nats - nats.max()) * width / (sizes + noise_alone)
+    return sizes, weights / weights.sum()
+
+
+def _sized(fit: Fit, k: int, size: float) -> Noise:
+    sd = list(fit.noise.sd)
+    sd[k] = size
+    return replace(fit.noise, sd=tuple(sd))
+
+
+def _offsets(fit: Fit, k: int) -> tuple[Array, Array]:
+    """(q,) best linear unbiased prediction of a component and its sd (Henderson 1975), with θ
+    integrated out: u = s² Nᵀ P r, var(u - û) = s² - s² Nᵀ P N s²."""
+    at, noise = fit.at, fit.noise
+    white = whitener(at.settings, noise.ratio)
+    columns = white(np.column_stack([at.jacobian, at.settings[k], at.residual])) / noise.factor
+    p, q = at.jacobian.shape[1], at.settings[k].shape[1]
+    basis = np.linalg.qr(columns[:, :p])[0]
+    rest = columns[:, p:] - basis @ (basis.T @ columns[:, p:])
+    of, data = rest[:, :q], rest[:, q]
+    variance = noise.sd[k] ** 2
+    spread = variance - variance**2 * np.einsum("nq,nq->q", of, of)
+    return variance * of.T @ data, np.sqrt(np.maximum(spread, 0.0))
+
+
+def _next(fit: Fit, k: int, one: Between, sessions: int) -> NextPowerUp:
+    p = fit.parameters[k]
+    own = float(fit.covariance[k, k])
+    # The mean's variance holds a share of what the scatter is taken to be.
+    var = np.maximum(own + (one.sizes**2 - one.sd**2) / sessions, 0.1 * own) + one.sizes**2
+    effect = one.effect
+    return NextPowerUp(
+        name=p.name, effect=effect, unit=p.unit, value=float(fit.theta[k]), mean=float(own**0.5),
+        sd=float(np.sqrt(one.weights @ var)), half=_half(np.sqrt(var), one.weights),
+    )  # fmt: skip
+
+
+def _half(sd: Array, weights: Array) -> float:
+    """Half of the central 95 % of a mixture of normals of one centre."""
+    from scipy.optimize import brentq
+    from scipy.special import ndtr
+
+    def missing(half: float) -> float:
+        return float(weights @ (2.0 * ndtr(half / sd) - 1.0)) - _LEVEL
+
+    return float(brentq(missing, 0.0, 50.0 * float(sd.max())))

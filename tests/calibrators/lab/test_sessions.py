@@ -1,0 +1,153 @@
+"""What sessions share: its size, each session's own, and what the next power-up will be."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.lab.sessions.between import NextPowerUp
+from imucalib.core.sessions import turned
+from imucalib.errors import UnreadableInput, UsageError
+
+HEADER = ("session", "inclination", "tool_face", "x (mg)", "y (mg)", "z (mg)")
+SETTINGS = [(i, t + i / 2.0) for i in (-60.0, -20.0, 20.0, 60.0) for t in (0.0, 90.0, 180.0, 270.0)]
+REQUEST = replace(LabRequest(), settings=replace(LabRequest().settings, loop=False))
+
+
+def rows_of(bias: np.ndarray, turn: np.ndarray, seed: int = 0, noise: float = 0.2) -> list[tuple]:
+    """A table of some sessions by plain numpy. bias : (s, 3) mg; turn : (s, 3) deg"""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for session, (b, phi) in enumerate(zip(bias, np.radians(turn), strict=True)):
+        for i, t in SETTINGS:
+            a, c = np.radians(i), np.radians(t)
+            force = 1000.0 * np.array([np.cos(a) * np.sin(c), np.cos(a) * np.cos(c), np.sin(a)])
+            reading = force + np.cross(phi, force) + b + noise * rng.standard_normal(3)
+            rows.append((f"day {session}", i, t, *np.round(reading, 4)))
+    return rows
+
+
+def write(path: Path, rows: list[tuple], header: tuple[str, ...] = HEADER) -> Path:
+    with path.open("w", newline="") as out:
+        writer = csv.writer(out)
+        writer.writerow(header)
+        writer.writerows(rows)
+    return path
+
+
+def run(*paths: Path, request: LabRequest = REQUEST) -> LabRun:
+    files = LabFiles(paths[0], others=paths[1:])
+    return calibrate_files(files, request, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def planted() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(5)
+    return 8.0 + 0.8 * rng.standard_normal((5, 3)), 0.1 * rng.standard_normal((5, 3))
+
+
+@pytest.fixture(scope="module")
+def told(planted, tmp_path_factory) -> LabRun:
+    folder = tmp_path_factory.mktemp("sessions")
+    return run(write(folder / "five.csv", rows_of(*planted)))
+
+
+def test_each_session_has_its_own_offset(told: LabRun, planted) -> None:
+    for one, truth in zip(told.sessions.between, planted, strict=True):
+        off = one.offsets - (truth - truth.mean(axis=0))
+        assert np.abs(off).max() < 4.0 * one.offsets_sd.max()
+        # The offsets are those of the population's mean, which has five sessions to say it.
+        assert np.abs(off - off.mean(axis=0)).max() < 0.25 * truth.std()
+        low, high = one.interval
+        assert low < one.sd < high
+
+
+def test_the_scatter_is_that_of_the_analysis_of_variance(told: LabRun, planted) -> None:
+    """Balanced data: REML's size of the bias is the sample sd of the sessions' own means, with the
+    noise of a mean, 0.2 mg / 4, far below it."""
+    for one, truth in zip(told.sessions.between, planted, strict=True):
+        assert one.sd == pytest.approx(np.sqrt(truth.var(axis=0, ddof=1).mean()), rel=0.06)
+
+
+def test_the_next_power_up_is_less_certain_than_the_mean(told: LabRun) -> None:
+    scatter = {one.effect: one.sd for one in told.sessions.between}
+    assert {p.effect for p in told.sessions.parameters} == {"bias", "mounting"}
+    for p in told.sessions.parameters:
+        assert p.sd > scatter[p.effect] > p.mean
+        assert p.half > 1.96 * np.hypot(scatter[p.effect], p.mean)
+
+
+def test_a_session_that_was_left_out_errs_by_the_scatter(told: LabRun) -> None:
+    held = {split.name: split.final.rms() for split in told.result.splits}
+    assert held["another session"] > 1.05 * held["held out"]
+
+
+def test_files_are_sessions_as_a_column_is(told: LabRun, planted, tmp_path: Path) -> None:
+    rows = rows_of(*planted)
+    each = [
+        write(tmp_path / f"day {k}.csv", [r[1:] for r in rows if r[0] == f"day {k}"], HEADER[1:])
+        for k in range(5)
+    ]
+    several = run(*each)
+    assert several.sessions.names == told.sessions.names
+    assert np.allclose(several.result.final.theta, told.result.final.theta, atol=1e-9)
+    assert several.table.row.tolist() == list(range(1, 81))
+    assert any("day 1.csv 17-32" in note for note in several.outcome.notes)
+
+
+def test_one_session_changes_nothing(planted, tmp_path: Path) -> None:
+    rows = rows_of(planted[0][:1], planted[1][:1])
+    with_name = run(write(tmp_path / "a.csv", rows))
+    without = run(write(tmp_path / "b.csv", [r[1:] for r in rows], HEADER[1:]))
+    assert with_name.sessions is None
+    assert np.array_equal(with_name.result.final.theta, without.result.final.theta)
+
+
+def test_sessions_alike_state_what_they_could_not_see(tmp_path: Path) -> None:
+    """Without any scatter the next power-up is nearly as good as the mean, and not exactly so."""
+    same = run(write(tmp_path / "a.csv", rows_of(np.full((4, 3), 5.0), np.zeros((4, 3)))))
+    own: list[NextPowerUp] = [p for p in same.sessions.parameters if p.effect == "bias"]
+    assert all(p.mean < p.sd < 0.15 for p in own)
+
+
+def test_rests_have_sessions_too(planted, tmp_path: Path) -> None:
+    rows = rows_of(planted[0], np.zeros((5, 3)))
+    path = write(tmp_path / "a.csv", [(r[0], *r[3:]) for r in rows], (HEADER[0], *HEADER[3:]))
+    found = run(path, request=replace(REQUEST, reference="norm")).sessions
+    assert [one.effect for one in found.between] == ["bias"]
+    truth = np.sqrt(planted[0].var(axis=0, ddof=1).mean())
+    assert found.between[0].sd == pytest.approx(truth, rel=0.25)
+
+
+def test_a_turn_is_a_cross_product() -> None:
+    rng = np.random.default_rng(0)
+    reading, phi = rng.standard_normal((4, 3)), rng.standard_normal(3)
+    assert np.allclose(turned(reading) @ phi, np.cross(phi, reading))
+
+
+def test_what_is_mistaken_is_told(planted, tmp_path: Path) -> None:
+    rows = rows_of(*planted)
+    whole = write(tmp_path / "a.csv", rows)
+    with pytest.raises(UsageError, match="column session beside several files"):
+        run(whole, whole)
+    bare = write(tmp_path / "b.csv", [r[1:] for r in rows], HEADER[1:])
+    other = write(
+        tmp_path / "c.csv", [r[1:] for r in rows], (*HEADER[1:3], "x (g)", "y (g)", "z (g)")
+    )
+    with pytest.raises(UsageError, match="its units"):
+        run(bare, other)
+    empty = write(tmp_path / "d.csv", [("", *rows[0][1:]), *rows[1:]])
+    with pytest.raises(UnreadableInput, match="session is empty"):
+        run(empty)
+    each = write(tmp_path / "e.csv", [(k, *row[1:]) for k, row in enumerate(rows)])
+    with pytest.raises(UnreadableInput, match="80 sessions of 80 rows"):
+        run(each)
+    with pytest.raises(UsageError, match="--recording goes with one table"):
+        calibrate_files(LabFiles(bare, tmp_path / "x.mcap", others=(bare,)), REQUEST, print)
