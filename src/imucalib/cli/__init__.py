@@ -25,6 +25,7 @@ COMMANDS = {
     "convert": "Rewrite a recording in another format.",
     "batch": "Calibrate a cohort, one recording a task.",
     "collect": "Make one table of a cohort's entries.",
+    "fleet": "Calibrate devices of one kind together.",
     "simulate": "Make a table or recording with planted effects and faults.",
     "effects": "List the catalogue of effects.",
     "validate": "Check a calibration file.",

@@ -1,0 +1,135 @@
+"""imucal fleet"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from imucalib.cli.calibrating import command_line
+from imucalib.cli.gravity_options import gravity_of, gravity_options
+from imucalib.cli.output import (
+    color,
+    emit_json,
+    json_option,
+    note,
+    numbers,
+    pairs,
+    quiet_option,
+    seed_option,
+    width,
+)
+from imucalib.cli.recording_options import (
+    force_option,
+    mapping_of,
+    one_scale,
+    recording_options,
+    shortest_rest_option,
+    still_of,
+)
+from imucalib.cli.working import verbose_option, working
+
+
+@click.command("fleet", short_help="Calibrate devices of one kind together.")
+@click.argument("tables", metavar="TABLE...", nargs=-1, required=True,
+                type=click.Path(path_type=Path))  # fmt: skip
+@click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False),
+              help="Folder for report.html, report.json and each device's calibration.yaml.",
+              )  # fmt: skip
+@click.option("--reference", type=click.Choice(["vector", "direction", "norm"]), default="vector",
+              show_default=True, help="As of imucal lab.")  # fmt: skip
+@click.option("--columns", multiple=True, metavar="ROLE=NAME,...", help="Columns by heading.")
+@click.option("--exclude", default="", metavar="ROWS", help="Rows to leave out of every table.")
+@click.option("--only", multiple=True, metavar="EFFECT", help="Search only these effects.")
+@click.option("--without", multiple=True, metavar="EFFECT",
+              help="Leave effects out of the search.")  # fmt: skip
+@click.option("--draws", type=click.IntRange(min=99), default=1000, show_default=True,
+              help="Simulated fleets behind each p-value.")  # fmt: skip
+@click.option("--full", is_flag=True, help="Print every section, not one page.")
+@gravity_options
+@recording_options
+@shortest_rest_option
+@force_option
+@seed_option
+@json_option
+@verbose_option
+@quiet_option
+def command(tables: tuple[Path, ...], **options: Any) -> int:
+    """Calibrate devices of one kind together: effects too small for one device, found in all.
+
+    Each TABLE is one device, as imucal lab reads it. An effect exists in all of them or in none,
+    and each has its own size, for which the others are a prior. Exit 5 where something stays open:
+    a suspicion, a device that is not of the kind, a table that could not be calibrated.
+
+    \b
+    Examples:
+      imucal fleet sample_logs/cave_*.csv --reference norm -o fleet
+      imucal fleet devices/*/positions.csv --json
+    """
+    from imucalib.calibrators.lab.files import LabFiles
+    from imucalib.cohort.fleet.run import run_fleet
+    from imucalib.cohort.fleet.search import Rules
+    from imucalib.report.fleet import fleet_dict, fleet_document
+    from imucalib.report.render.text import render_text
+
+    columns, mapping = pairs(options["columns"], "--columns"), mapping_of(options)
+    files = [LabFiles(table, None, columns, mapping, still_of(options)) for table in tables]
+    folder, quiet = options["output"], options["quiet"]
+    if folder is not None and not options["force"]:
+        _demand(folder)
+    with working("calibrating", quiet=quiet, verbose=options["verbose"]) as say:
+        fleet = run_fleet(files, _request(options), Rules(draws=options["draws"]), say)
+    document = fleet_document(fleet)
+    if folder is not None:
+        _write(fleet, folder, quiet)
+    if options["as_json"]:
+        emit_json(fleet_dict(fleet))
+    elif not quiet:
+        text = render_text(document, width(), color=color(), full=options["full"])
+        click.echo(text, nl=False)
+    return fleet.exit_code
+
+
+def _request(options: dict[str, Any]) -> Any:
+    from imucalib.calibrators.lab.calibrate import LabSettings
+    from imucalib.calibrators.lab.request import LabRequest
+
+    gravity, source = gravity_of(options)
+    return LabRequest(
+        unit=options["unit"],
+        lsb_per_g=one_scale(options["lsb"]),
+        gravity=gravity,
+        gravity_source=source,
+        reference=options["reference"],
+        exclude=numbers(options["exclude"], "--exclude"),
+        settings=LabSettings(only=options["only"], without=options["without"]),
+        seed=options["seed"],
+        command=command_line(),
+    )
+
+
+def _demand(folder: Path) -> None:
+    """Refuse a folder that holds something before the work is done."""
+    from imucalib.errors import UsageError
+
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(
+            "it is not empty", where=str(folder), remedy="name another folder, or give --force"
+        )
+
+
+def _write(fleet: Any, folder: Path, quiet: bool) -> None:
+    import json
+
+    from imucalib.calibration.file import to_yaml, write_together
+    from imucalib.report.fleet import fleet_dict, fleet_document
+    from imucalib.report.render.html import render_html
+
+    texts = {
+        folder / "report.html": render_html(fleet_document(fleet)),
+        folder / "report.json": json.dumps(fleet_dict(fleet), indent=2, allow_nan=False) + "\n",
+        **{folder / m.name / "calibration.yaml": to_yaml(m.calibration) for m in fleet.members},
+    }
+    write_together(texts)
+    note(f"wrote {folder}: report.html, report.json, {len(fleet.members)} calibrations", quiet)

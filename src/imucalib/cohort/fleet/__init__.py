@@ -1,0 +1,1 @@
+"""Many devices of one kind: what they share, and what each is by itself."""

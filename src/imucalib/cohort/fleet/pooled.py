@@ -1,0 +1,184 @@
+"""Evidence of an effect in a whole fleet: it exists in all devices or in none, and each device has
+its own size of it.
+
+Device d says of the sizes θ_d (typical sizes, base model taken out) exp(a_dᵀθ - θᵀG_dθ/2). With
+
+    θ_d ~ N(μ, τ² 1),   μ ~ N(0, γ² 1)
+
+everything is closed: w = Σ (1 + τ²G)⁻¹ a and Λ = Σ (1 + τ²G)⁻¹ G over the devices give
+
+    ln m = Σ [τ² aᵀ(1 + τ²G)⁻¹a - ln det(1 + τ²G)] / 2 + wᵀ(Λ + γ⁻²)⁻¹w / 2 - ln det(1 + γ²Λ) / 2
+
+The evidence is the mean of m over a grid of τ and γ: all alike, all different, and between. It
+ranks effects. Whether the best is chance is asked of what stands out most, one size for all (χ² of
+k) or each device its own (χ² of devices times k), on fleets that lack nothing, drawn with each
+device's own products of all candidates and Student's tails of its noise, through the same code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.cohort.fleet.device import Device
+
+#: Sizes of the scatter τ between devices and of the common size γ, in typical sizes.
+_TAU = (0.0, 0.1, 0.3, 1.0, 3.0)
+_GAMMA = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)
+#: Of the estimate of τ: its range in sds of one device's own size, values, and a flat prior of μ.
+_ALLOWED, _SIZES, _WIDE = (0.03, 30.0), 40, 30.0
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """An effect over a fleet. evidence : nats; p : family-wise, of fleets that lack nothing
+    devices : how many can show it; draws : of the null"""
+
+    effect: str
+    evidence: float
+    p: float
+    devices: int
+    draws: int
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What a fleet says of an effect's size, in typical sizes.
+
+    common, common_covariance : (k,), (k, k) of μ; scatter : τ, root of its mean square
+    each, covariance : (devices, k), (devices, k, k) of the devices, with the whole fleet's word
+    """
+
+    common: Array
+    common_covariance: Array
+    scatter: float
+    each: Array
+    covariance: Array
+
+
+def pooled(devices: Sequence[Device], rng: np.random.Generator, draws: int) -> tuple[Pooled, ...]:
+    """Every effect that two devices or more can show, best first."""
+    names = dict.fromkeys(name for device in devices for name in device.columns)
+    data = [np.column_stack([d.along, _null(d, rng, draws)]) for d in devices]
+    found, null = list[tuple[str, float, float, int]](), np.zeros(draws)
+    for name in names:
+        able = [(d, a) for d, a in zip(devices, data, strict=True) if name in d.columns]
+        if len(able) < 2:
+            continue
+        gram = np.stack([d.gram[np.ix_(d.columns[name], d.columns[name])] for d, _ in able])
+        along = np.stack([a[d.columns[name]] for d, a in able])
+        stands = outstanding(gram, along)
+        nats = float(evidence(gram, along[..., :1])[0])
+        found.append((name, nats, float(stands[0]), len(able)))
+        null = np.maximum(null, stands[1:])
+    best = [
+        Pooled(name, nats, float((1 + np.sum(null >= own)) / (draws + 1)), count, draws)
+        for name, nats, own, count in found
+    ]
+    return tuple(sorted(best, key=lambda one: -one.evidence))
+
+
+def outstanding(gram: Array, along: Array) -> Array:
+    """(draws,) -ln p of an effect alike in all devices or of each device's own, the smaller p.
+
+    Shapes as of `evidence`.
+    """
+    from scipy.special import chdtrc
+
+    def square(products: Array, sums: Array) -> Array:
+        inverse = np.linalg.pinv(products, rcond=1e-9, hermitian=True)
+        return np.asarray(np.einsum("...in,...ij,...jn->...n", sums, inverse, sums))
+
+    k = gram.shape[1]
+    alike = chdtrc(k, square(gram.sum(axis=0), along.sum(axis=0)))
+    own = chdtrc(k * len(gram), square(gram, along).sum(axis=0))
+    return np.asarray(-np.log(np.maximum(np.minimum(alike, own), 1e-300)))
+
+
+def evidence(gram: Array, along: Array) -> Array:
+    """(draws,) nats of one effect. gram : (devices, k, k); along : (devices, k, draws)"""
+    nats = [
+        _nats(*sums, gamma)
+        for tau in _TAU
+        for sums in [_sums(gram, along, tau)]
+        for gamma in _GAMMA
+        if tau or gamma
+    ]
+    every = np.stack(nats)
+    top = every.max(axis=0)
+    return np.asarray(top + np.log(np.mean(np.exp(every - top), axis=0)))
+
+
+def sizes(gram: Array, along: Array) -> Sizes:
+    """The sizes of an effect. gram : (devices, k, k); along : (devices, k)
+
+    The scatter is the root of its mean square over what the data allow, with the prior
+    1 / (τ + sd of a device's own size): few devices that look alike are not taken for equal.
+    """
+    alone = float(np.sqrt(np.mean(1.0 / np.maximum(np.einsum("dii->di", gram), 1e-12))))
+    tau = np.concatenate([[0.0], alone * np.geomspace(*_ALLOWED, _SIZES)])
+    nats = np.array([_nats(*_sums(gram, along[..., None], float(t)), _WIDE)[0] for t in tau])
+    weight = np.exp(nats - nats.max()) * np.gradient(tau) / (tau + alone)
+    scatter = float(np.sqrt(weight @ tau**2 / weight.sum()))
+    _, w, inside = _sums(gram, along[..., None], scatter)
+    spread = np.linalg.inv(inside + np.eye(len(inside)) / _WIDE**2)
+    common = spread @ w[:, 0]
+    # Given μ each device is N((1/τ² + G)⁻¹ (μ/τ² + a), ...); the doubt about μ comes on top.
+    eye = np.eye(gram.shape[1])
+    shrink = np.linalg.inv(eye + scatter**2 * gram)
+    each = np.einsum("dij,dj->di", shrink, scatter**2 * along + common)
+    own = scatter**2 * shrink + np.einsum("dij,jk,dlk->dil", shrink, spread, shrink)
+    return Sizes(common, np.asarray(spread, np.float64), scatter, each, own)
+
+
+def told_by_others(gram: Array, along: Array, groups: int) -> tuple[tuple[Array, Array], ...]:
+    """Mean (k,) and covariance (k, k) of each device's size, by the devices of other groups."""
+    group = np.arange(len(gram)) % groups
+    every = []
+    for k in range(groups):
+        said = sizes(gram[group != k], along[group != k])
+        spread = said.common_covariance + said.scatter**2 * np.eye(gram.shape[1])
+        every.append((said.common, spread))
+    return tuple(every[k] for k in group)
+
+
+def predictive(gram: Array, along: Array, groups: int) -> Array:
+    """(devices,) nats that each device's data gain by what the others say of the effect:
+    ln ∫ N(θ; m, S) exp(aᵀθ - θᵀGθ/2) dθ."""
+    nats = np.zeros(len(gram))
+    for k, (mean, spread) in enumerate(told_by_others(gram, along, groups)):
+        own = gram[k]
+        inner = np.linalg.inv(np.eye(len(own)) + own @ spread)
+        away = along[k] - own @ mean
+        gain = along[k] @ mean - 0.5 * mean @ own @ mean + 0.5 * away @ spread @ inner @ away
+        nats[k] = gain + 0.5 * np.linalg.slogdet(inner)[1]
+    return nats
+
+
+def _sums(gram: Array, along: Array, tau: float) -> tuple[Array, Array, Array]:
+    """(draws,) the part without μ, (k, draws) w and (k, k) Λ."""
+    shrunk = np.linalg.inv(np.eye(gram.shape[1]) + tau**2 * gram)
+    near = np.einsum("dij,djn->din", shrunk, along)
+    own = 0.5 * tau**2 * np.einsum("din,din->n", along, near)
+    own = own + 0.5 * float(np.linalg.slogdet(shrunk)[1].sum())
+    inside = np.einsum("dij,djk->ik", shrunk, gram)
+    return own, near.sum(axis=0), 0.5 * (inside + inside.T)
+
+
+def _nats(own: Array, w: Array, inside: Array, gamma: float) -> Array:
+    if gamma == 0.0:
+        return own
+    grown = np.eye(len(inside)) + gamma**2 * inside
+    gain = 0.5 * gamma**2 * np.einsum("in,in->n", w, np.linalg.solve(grown, w))
+    return np.asarray(own + gain - 0.5 * np.linalg.slogdet(grown)[1])
+
+
+def _null(device: Device, rng: np.random.Generator, draws: int) -> Array:
+    """(m, draws) products of data that lack nothing, with the tails of an estimated noise."""
+    values, vectors = np.linalg.eigh(device.gram)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    tails = np.sqrt(device.dof / rng.chisquare(max(device.dof, 1.0), draws))
+    return np.asarray(root @ rng.standard_normal((len(values), draws)) * tails)

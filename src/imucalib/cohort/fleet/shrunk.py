@@ -1,0 +1,87 @@
+"""A device's calibration with an effect of its fleet: its own data and what the others say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.effect import Effect
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.cross_fit import by_folds
+from imucalib.loop.design import folds_of
+from imucalib.loop.held_out import Held, errors
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What others say of an effect's size, in typical sizes: mean (k,), covariance (k, k)."""
+
+    effect: Effect
+    mean: Array
+    covariance: Array
+
+
+def with_priors(fit: Fit, priors: Sequence[Prior]) -> Fit:
+    """The fit with effects whose sizes have priors: θ and covariance of both together."""
+    if not priors:
+        return fit
+    model = Model((*fit.model.effects, *(prior.effect for prior in priors)))
+    return _combined(_extended(fit, model), priors)
+
+
+def held_out(fit: Fit, priors: Sequence[Prior]) -> tuple[Held, Held]:
+    """Errors on each fold of the design, predicted by the rest, without and with the effects."""
+    folds = folds_of(fit.observations)
+    before = by_folds(fit, folds)
+    if not priors:
+        return before, before
+    model = Model((*fit.model.effects, *(prior.effect for prior in priors)))
+    parts = []
+    for fold in folds:
+        rest = fit.observations.take(fold.rest)
+        start = _start(fit, model)
+        own = fit_model(model, rest, start=start, noise=fit.noise)
+        parts.append(errors(own, _combined(own, priors).theta, fit.observations.take(fold.rows)))
+    order = np.argsort(np.concatenate([fold.rows for fold in folds]))
+
+    def each(name: str) -> Array:
+        return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])
+
+    return before, Held(each("corrected"), each("expected"), each("error"))
+
+
+def _extended(fit: Fit, model: Model) -> Fit:
+    return fit_model(model, fit.observations, start=_start(fit, model), begin=fit.noise)
+
+
+def _start(fit: Fit, model: Model) -> Array:
+    context = fit.observations.context
+    start, slices = model.start(context), model.slices(context)
+    for name, part in fit.model.slices(context).items():
+        start[slices[name]] = fit.theta[part]
+    return start
+
+
+def _combined(fit: Fit, priors: Sequence[Prior]) -> Fit:
+    """Normal prior times normal likelihood, in typical sizes so that rounding stays small."""
+    context = fit.observations.context
+    typical = np.array([p.typical for p in fit.parameters])
+    slices = fit.model.slices(context)
+    precision = np.linalg.pinv(fit.covariance / np.outer(typical, typical), hermitian=True)
+    whole, towards = precision.copy(), precision @ (fit.theta / typical)
+    for prior in priors:
+        part = slices[prior.effect.name]
+        inverse = np.linalg.inv(prior.covariance + 1e-8 * np.eye(len(prior.mean)))
+        whole[part, part] += inverse
+        towards[part] += inverse @ prior.mean
+    covariance = np.linalg.inv(whole)
+    theta = covariance @ towards * typical
+    return replace(
+        fit, theta=theta, covariance=covariance * np.outer(typical, typical),
+        slope=np.zeros_like(fit.slope),
+    )  # fmt: skip

@@ -1,0 +1,173 @@
+"""A fleet: effects too small for one device, sizes by what the others say, devices of another kind.
+
+Tables by plain numpy: reading = matrix force + bias + q force² + noise (mg).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from imucalib.calibration.file import read
+from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.cli import cli
+from imucalib.cohort.fleet.pooled import evidence, outstanding, predictive, sizes
+from imucalib.cohort.fleet.run import Fleet, run_fleet
+from imucalib.cohort.fleet.search import Rules
+from imucalib.cohort.fleet.spread import outliers, spread_of
+from imucalib.errors import UsageError
+from worlds.places import SAMPLES
+
+REQUEST = replace(LabRequest(), reference="norm")
+RULES = Rules(draws=199)
+
+
+def direction(n: int) -> np.ndarray:
+    """(n, 3) spread evenly, by the golden angle."""
+    z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
+    turn = np.pi * (1.0 + 5.0**0.5) * np.arange(n)
+    return np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
+
+
+def write(path: Path, square: np.ndarray, seed: int, bias: float = 20.0) -> Path:
+    rng = np.random.default_rng(seed)
+    force = direction(24)
+    matrix = np.eye(3) + 0.01 * rng.standard_normal((3, 3))
+    reading = 1000.0 * force @ matrix.T + bias * rng.standard_normal(3) + square * force**2
+    reading = reading + rng.standard_normal((24, 3))
+    lines = ["x (mg),y (mg),z (mg)", *(",".join(f"{v:.3f}" for v in row) for row in reading)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def squares(count: int, size: float) -> np.ndarray:
+    return size * (1.0 + 0.3 * np.random.default_rng(3).standard_normal((count, 3)))
+
+
+def fleet(folder: Path, planted: np.ndarray) -> Fleet:
+    paths = [write(folder / f"d{k}.csv", q, 100 + k) for k, q in enumerate(planted)]
+    return run_fleet([LabFiles(path) for path in paths], REQUEST, RULES, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def eight(tmp_path_factory: pytest.TempPathFactory) -> Fleet:
+    return fleet(tmp_path_factory.mktemp("eight"), squares(8, 2.0))
+
+
+def test_what_no_device_shows_alone_is_found_in_all(eight: Fleet) -> None:
+    found = eight.search.found[0]
+    assert "quadratic" in (found.effect, *found.rivals)
+    assert len(found.able) == 8
+    assert found.nats.sum() > 3.0
+    assert eight.difference.gain > 0.0
+
+
+def test_one_such_device_shows_nothing(tmp_path: Path) -> None:
+    path = write(tmp_path / "d0.csv", squares(8, 2.0)[0], 100)
+    alone = calibrate_files(LabFiles(path), REQUEST, lambda _: None)
+    assert not alone.result.loop.steps
+
+
+def test_each_device_has_its_own_size_with_its_doubt(tmp_path: Path) -> None:
+    planted = squares(8, 2.0)
+    request = replace(REQUEST, settings=replace(REQUEST.settings, only=("quadratic",)))
+    paths = [write(tmp_path / f"d{k}.csv", q, 100 + k) for k, q in enumerate(planted)]
+    found = run_fleet([LabFiles(p) for p in paths], request, RULES, lambda _: None)
+    z = []
+    for member, truth in zip(found.members, planted, strict=True):
+        own = [p for p in member.calibration.parameters if p.effect == "quadratic"]
+        z += [(p.value - q) / p.sd for p, q in zip(own, truth, strict=True)]
+    assert len(z) == 24
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_a_clean_fleet_stays_clean(tmp_path: Path) -> None:
+    clean = fleet(tmp_path, np.zeros((6, 3)))
+    assert clean.verdict == "nothing found"
+    assert clean.exit_code == 0
+    assert {m.base for m in clean.members} == {m.final for m in clean.members}
+
+
+def test_a_device_of_another_kind_and_a_bad_table_are_told(tmp_path: Path) -> None:
+    paths = [write(tmp_path / f"d{k}.csv", np.zeros(3), k, bias=2.0) for k in range(7)]
+    odd = write(tmp_path / "odd.csv", np.zeros(3), 50, bias=400.0)
+    bad = tmp_path / "bad.csv"
+    bad.write_text("x (mg),y (mg),z (mg)\n1,2,oops\n")
+    files = [LabFiles(path) for path in (*paths, odd, bad)]
+    found = run_fleet(files, REQUEST, RULES, lambda _: None)
+    assert {o.device for o in found.outliers} == {"odd"}
+    assert [name for name, _ in found.failed] == ["bad"]
+    assert "oops" in found.failed[0][1]
+    assert found.exit_code == 5
+    with pytest.raises(UsageError, match="two devices or more"):
+        run_fleet(files[-2:], REQUEST, RULES, lambda _: None)
+
+
+def test_five_cave_instruments_have_squares(tmp_path: Path) -> None:
+    tables = [str(SAMPLES / f"cave_{name}.csv") for name in ("ab", "ai", "bi", "fb", "jd")]
+    out = tmp_path / "fleet"
+    done = CliRunner().invoke(
+        cli, ["fleet", *tables, "--reference", "norm", "-o", str(out), "--draws", "199"],
+        standalone_mode=False,
+    )  # fmt: skip
+    assert "quadratic, in every device" in done.stdout
+    for name in ("ab", "jd"):
+        stored = read(out / f"cave_{name}" / "calibration.yaml")
+        assert {p.effect for p in stored.parameters} >= {"bias", "quadratic"}
+    again = CliRunner().invoke(cli, ["fleet", *tables, "-o", str(out)], standalone_mode=False)
+    assert "not empty" in str(again.exception)
+
+
+def test_evidence_is_the_integral_over_sizes() -> None:
+    """One τ and γ by brute force: nine devices, one parameter."""
+    from imucalib.cohort.fleet.pooled import _nats, _sums
+
+    rng = np.random.default_rng(2)
+    gram, along = rng.uniform(0.5, 4.0, (9, 1, 1)), rng.normal(0.0, 2.0, (9, 1, 1))
+    tau, gamma = 0.7, 1.3
+    grid = np.linspace(-12.0, 12.0, 4001)
+    step = grid[1] - grid[0]
+    own = np.exp(along[:, 0, 0, None] * grid - 0.5 * gram[:, 0, 0, None] * grid**2)
+    spread = np.exp(-0.5 * ((grid - grid[:, None]) / tau) ** 2) / (tau * np.sqrt(2 * np.pi))
+    whole = np.prod(own @ spread * step, axis=0)
+    common = np.exp(-0.5 * (grid / gamma) ** 2) / (gamma * np.sqrt(2 * np.pi))
+    expected = np.log(np.sum(whole * common) * step)
+    assert _nats(*_sums(gram, along, tau), gamma)[0] == pytest.approx(expected, abs=1e-6)
+
+
+def test_what_stands_out_is_chance_as_often_as_said() -> None:
+    """-ln p of the smaller of two: P(p_min < x) lies between x and 2x. 4000 null fleets; a rate
+    that is twice too large would be seen at 30 standard errors."""
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((5, 3, 3))
+    gram = root @ root.transpose(0, 2, 1)
+    along = root @ rng.standard_normal((5, 3, 4000))
+    share = np.mean(outstanding(gram, along) > -np.log(0.05))
+    assert 0.045 < share < 0.11
+    assert np.all(np.isfinite(evidence(gram, along)))
+
+
+def test_sizes_of_devices_that_are_alike_and_that_are_not() -> None:
+    gram = np.full((20, 1, 1), 25.0)
+    alike = sizes(gram, np.full((20, 1), 25.0 * 2.0))
+    assert alike.scatter < 0.5 * 0.2  # 0.2 : a device's own sd
+    assert alike.common[0] == pytest.approx(2.0, rel=1e-3)
+    truth = 2.0 + 1.5 * np.random.default_rng(0).standard_normal(20)
+    unlike = sizes(gram, 25.0 * truth[:, None])
+    assert unlike.scatter == pytest.approx(np.sqrt(truth.var(ddof=1) - 1 / 25.0), rel=0.1)
+    assert np.abs(unlike.each[:, 0] - truth).max() < 0.2
+    assert predictive(gram, np.full((20, 1), 50.0), 20).min() > 30.0
+
+
+def test_the_scatter_between_devices_is_that_beyond_their_own() -> None:
+    values = np.random.default_rng(1).normal(5.0, 2.0, 400)
+    found = spread_of("bias_x", "mg", values, np.full(400, 1.0))
+    assert found.scatter == pytest.approx(np.sqrt(values.var(ddof=1) - 1.0), rel=1e-6)
+    assert outliers([str(k) for k in range(400)], [found]) == ()
+    none = spread_of("bias_x", "mg", np.array([1.0, 1.1, 0.9]), np.full(3, 1.0))
+    assert none.scatter == 0.0
