@@ -146,16 +146,14 @@ def _allowed(fit: Fit, k: int) -> tuple[Array, Array, Array]:
 
 
 def _nats(fit: Fit, k: int, axis: int, size: float) -> float:
-    """Restricted log likelihood with the scatter of one axis at a size, the others' as estimated."""
+    """Restricted log likelihood with the scatter of one axis at a size, all else as estimated."""
     at, noise = fit.at, fit.noise
-    own, rest = (
-        at.settings[k][:, axis::3],
-        np.delete(at.settings[k], np.arange(axis, at.settings[k].shape[1], 3), axis=1),
-    )
-    settings = (*at.settings[:k], rest, *at.settings[k + 1 :], own)
-    name = noise.component[k]
-    parted = Noise(noise.factor, (*noise.component, name), (*noise.sd, size))
-    return restricted(replace(at, settings=settings, component=parted.component), parted)
+    whole = at.settings[k]
+    own = np.arange(whole.shape[1]) % 3 == axis
+    settings = (*at.settings[:k], whole[:, ~own], *at.settings[k + 1 :], whole[:, own])
+    component = (*noise.component, noise.component[k])
+    parted = Noise(noise.factor, component, (*noise.sd, size))
+    return restricted(replace(at, settings=settings, component=component), parted)
 
 
 def _offsets(fit: Fit, k: int) -> tuple[Array, Array]:
