@@ -94,14 +94,14 @@ def planted(
         theta = np.full(basis.shape[3], size)
         if basis.shape[3] > 1:
             theta = rng.normal(size=basis.shape[3]) * size
-        return np.asarray(basis @ theta)
+        return np.asarray((basis @ theta).swapaxes(0, 1))
     # A mean over all gyros' scales is the array's size, which no motion shows.
     theta = rng.normal(size=(motion.shape[1], basis.shape[3])) * size
     theta -= theta.mean()
     if only:
         theta[:] = 0.0
         theta[motion.context.triads.index(only)] = size
-    return np.asarray(np.einsum("tkim,km->tki", basis, theta))
+    return np.asarray(np.einsum("ktim,km->tki", basis, theta))
 
 
 def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, RestFit]:

@@ -127,8 +127,8 @@ def test_the_motion_is_taken_out_exactly() -> None:
     weights = Weights(rng.uniform(50.0, 150.0, (t, k)), rng.uniform(5e3, 2e4, (t, k)))
     sampled = fit_samples(Readings(y, g), weights, r, w)
     blocks = [
-        Columns(rng.normal(size=(t, k, 3, 2)), False, False),
-        Columns(rng.normal(size=(t, k, 3, 3)), True, True),
+        Columns(rng.normal(size=(k, t, 3, 2)), False, False),
+        Columns(rng.normal(size=(k, t, 3, 3)), True, True),
     ]
     found = gram(sampled, blocks, np.arange(t))
     dense = np.zeros((t, 6 * k, 2 * k + 3))
@@ -136,8 +136,8 @@ def test_the_motion_is_taken_out_exactly() -> None:
     for i in range(k):
         a, b = slice(3 * i, 3 * i + 3), slice(3 * (k + i), 3 * (k + i) + 3)
         root = np.sqrt(weights.acceleration[:, i])[:, None], np.sqrt(weights.rate[:, i])[:, None]
-        dense[:, a, 2 * i : 2 * i + 2] = blocks[0].basis[:, i] * root[0][..., None]
-        dense[:, b, 2 * k :] = blocks[1].basis[:, i] * root[1][..., None]
+        dense[:, a, 2 * i : 2 * i + 2] = blocks[0].basis[i] * root[0][..., None]
+        dense[:, b, 2 * k :] = blocks[1].basis[i] * root[1][..., None]
         residual[:, a] = sampled.off.acceleration[:, i] * root[0]
         residual[:, b] = sampled.off.rate[:, i] * root[1]
         motion[:, a] = sampled.arms[:, i] * root[0][..., None]
@@ -179,7 +179,7 @@ def test_the_catalogue_knows_the_chip_axes() -> None:
     for k in range(3):
         turn = motion.context.attitude[k]
         expected = 0.01 * turn @ np.diag([2.0, 0.0, -1.0]) @ turn.T @ rate[1, k]
-        assert basis[1, k] @ np.array([2.0, 0.0, -1.0]) == pytest.approx(expected)
+        assert basis[k, 1] @ np.array([2.0, 0.0, -1.0]) == pytest.approx(expected)
 
 
 def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:

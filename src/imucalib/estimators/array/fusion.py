@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.estimators.array.samples import turning
+from imucalib.estimators.array.samples import slope_of, turning
 
 #: rad/s² and rad/s, standard deviations about zero and the start: far beyond what moves by hand, so
 #: that they only matter where the readings leave a direction open.
@@ -85,7 +85,7 @@ class FusedMotion:
     def doubt(self, r: Array) -> Array:
         """(T, K) mean variance of an axis of `felt`, (m/s²)²."""
         place = np.concatenate([np.ones((len(r), 1)), r], axis=1)
-        slope = _slope(self.rate)
+        slope = slope_of(self.rate)
         whole = slope @ self.covariance @ slope.swapaxes(1, 2)
         each = np.einsum("tiaib->tab", whole.reshape(-1, 3, 4, 3, 4))
         return np.asarray(np.einsum("ka,tab,kb->tk", place, each, place, optimize=True) / 3.0)
@@ -182,7 +182,7 @@ def _turning_alone(sensed: Sensed, start: Array) -> tuple[Array, Array]:
 
 def _newton(x: Array, said: _Said, rows: Index) -> tuple[Array, Array]:
     """Matrix (n, 9, 9) and gradient (n, 9) of a step from the motions x (n, 9)."""
-    slope = _slope(x[:, 6:])
+    slope = slope_of(x[:, 6:])
     state = np.concatenate([x[:, :3, None], turning(x[:, 6:], x[:, 3:6])], axis=2).reshape(-1, 12)
     heavy = np.matmul(said.normal[rows], slope)
     matrix = np.matmul(slope.transpose(0, 2, 1), heavy)
@@ -191,18 +191,6 @@ def _newton(x: Array, said: _Said, rows: Index) -> tuple[Array, Array]:
     matrix[:, 3:, 3:] += said.own[rows]
     gradient[:, 3:] += said.pull[rows] - np.matmul(said.own[rows], x[:, 3:, None])[..., 0]
     return matrix, gradient
-
-
-def _slope(rate: Array) -> Array:
-    """(n, 12, 9) derivative of (s, W), row by row, by s, dω/dt and ω."""
-    out = np.zeros((len(rate), 3, 4, 9))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[:, i, 0, i] = 1.0
-        out[:, i, 1 + j, 3 + k], out[:, j, 1 + i, 3 + k] = -1.0, 1.0
-        out[:, i, 1 + i, 6 + j], out[:, i, 1 + i, 6 + k] = -2.0 * rate[:, j], -2.0 * rate[:, k]
-        for a, b in ((i, j), (j, i)):
-            out[:, a, 1 + b, 6 + i], out[:, a, 1 + b, 6 + j] = rate[:, j], rate[:, i]
-    return out.reshape(-1, 12, 9)
 
 
 def _solved(matrix: Array, gradient: Array) -> Array:

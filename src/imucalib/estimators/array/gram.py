@@ -18,8 +18,9 @@ from imucalib.estimators.array.samples import Sampled
 
 @dataclass(frozen=True)
 class Columns:
-    """basis : (T, K, 3, m) per unit; gyro : which kind of sensor it acts on; shared : one set of
-    parameters for all triads instead of one a triad"""
+    """basis : (K, T, 3, m) per unit, so that each triad's columns lie side by side in memory; gyro :
+    which kind of sensor it acts on; shared : one set of parameters for all triads instead of one a
+    triad"""
 
     basis: Array
     gyro: bool
@@ -27,10 +28,14 @@ class Columns:
 
     @property
     def size(self) -> int:
-        return int(self.basis.shape[3] * (1 if self.shared else self.basis.shape[1]))
+        return int(self.basis.shape[3] * (1 if self.shared else self.basis.shape[0]))
 
-    def take(self, rows: Index) -> Columns:
-        return Columns(self.basis[rows], self.gyro, self.shared)
+    def at(self, theta: Array) -> Array:
+        """(T, K, 3) what parameters (size,) add to the readings."""
+        k, t, _, width = self.basis.shape
+        table = np.broadcast_to(theta.reshape(-1, width, 1), (k, width, 1))
+        made = np.matmul(self.basis.reshape(k, 3 * t, width), table)
+        return np.asarray(made.reshape(k, t, 3).swapaxes(0, 1))
 
 
 @dataclass(frozen=True)
@@ -150,12 +155,14 @@ def _by_triad(blocks: Sequence[Columns], triads: int) -> tuple[Index, int]:
 def gradient(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
     """(M,) products of the columns with the residual alone; at the samples' best motion, which
     leaves nothing along it, the same as `Gram.along`."""
+    of = [np.zeros((sampled.force.shape[1], len(sampled.rate), 3)) for _ in range(2)]
+    for gyro, heavy in enumerate(of):
+        heavy[:, rows] = _heavy(sampled, rows, gyro=bool(gyro))
     parts = []
     for block in blocks:
-        heavy = _heavy(sampled, block, rows)
-        each = np.matmul(block.basis[rows].transpose(1, 3, 0, 2).reshape(
-            heavy.shape[1], block.basis.shape[3], -1
-        ), heavy.transpose(1, 0, 2).reshape(heavy.shape[1], -1, 1))[:, :, 0]  # fmt: skip
+        k, t, _, width = block.basis.shape
+        flat = of[block.gyro].reshape(k, 1, 3 * t)
+        each = np.matmul(flat, block.basis.reshape(k, 3 * t, width))[:, 0]
         parts.append(each.sum(axis=0) if block.shared else each.ravel())
     return np.concatenate(parts)
 
@@ -164,17 +171,17 @@ def scores(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
     """(rows, M) the same of each sample by itself."""
     parts = []
     for block in blocks:
-        heavy = _heavy(sampled, block, rows)[..., None]
-        each = np.matmul(block.basis[rows].swapaxes(2, 3), heavy)[..., 0]
+        heavy = _heavy(sampled, rows, gyro=block.gyro)
+        each = np.einsum("ktim,kti->tkm", block.basis[:, rows], heavy)
         parts.append(each.sum(axis=1) if block.shared else each.reshape(len(rows), -1))
     return np.concatenate(parts, axis=1)
 
 
-def _heavy(sampled: Sampled, block: Columns, rows: Index) -> Array:
-    """(rows, K, 3) weighted residuals of the sensors that a block acts on."""
-    weight = sampled.weights.rate if block.gyro else sampled.weights.acceleration
-    off = sampled.off.rate if block.gyro else sampled.off.acceleration
-    return np.asarray(off[rows] * weight[rows][..., None])
+def _heavy(sampled: Sampled, rows: Index, *, gyro: bool) -> Array:
+    """(K, rows, 3) weighted residuals of one kind of sensor."""
+    weight = sampled.weights.rate if gyro else sampled.weights.acceleration
+    off = sampled.off.rate if gyro else sampled.off.acceleration
+    return np.asarray((off[rows] * weight[rows][..., None]).swapaxes(0, 1))
 
 
 def _side_by_side(bases: list[Array], rows: Index, weight: Array) -> Array:
@@ -184,8 +191,7 @@ def _side_by_side(bases: list[Array], rows: Index, weight: Array) -> Array:
     at = 0
     for basis in bases:
         width = basis.shape[3]
-        part = basis[rows].transpose(1, 0, 2, 3)
-        np.multiply(part, weight.T[:, :, None, None], out=x[..., at : at + width])
+        np.multiply(basis[:, rows], weight.T[:, :, None, None], out=x[..., at : at + width])
         at += width
     return x
 

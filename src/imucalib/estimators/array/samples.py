@@ -7,6 +7,7 @@ kept of it (`Sampled`) is all that a score test needs to take the motion out of 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +48,8 @@ class Sampled:
     rate, spin, origin : (T, 3) ω, dω/dt and s; force : (T, K, 3) predicted specific force
     turn : (T, 3, 3) W, the derivative of a force by its position
     off : residuals; weights : what they were weighted by
-    arms : (T, K, 3, 9) derivative of the forces by s, dω/dt, ω; root : (T, 9, 9) with
-        root rootᵀ the covariance of the nine
+    r : (K, 3) m, the positions; root : (T, 9, 9), upper triangular, with root rootᵀ the covariance
+        of the nine
     """
 
     rate: Array
@@ -58,14 +59,22 @@ class Sampled:
     turn: Array
     off: Readings
     weights: Weights
-    arms: Array
+    r: Array
     root: Array
 
-    @property
+    @cached_property
+    def arms(self) -> Array:
+        """(T, K, 3, 9) derivative of the forces by s, dω/dt, ω."""
+        return _arms(self.rate, self.r)
+
+    @cached_property
     def left(self) -> tuple[Array, Array]:
         """(T, K) shares of the variance of a triad's axis that its residual keeps."""
-        inner = np.matmul(self.arms, self.root[:, None])
-        acceleration = np.einsum("tkij,tkij->tk", inner, inner) * self.weights.acceleration / 3.0
+        t, place = len(self.rate), _place(self.r)
+        reach = np.matmul(slope_of(self.rate), self.root).reshape(t, 3, 4, 9)
+        each = reach.transpose(0, 2, 1, 3).reshape(t, 4, 27)
+        each = np.matmul(each, each.transpose(0, 2, 1)).reshape(t, 16)
+        acceleration = each @ _pairs(place).T * self.weights.acceleration / 3.0
         own = np.einsum("tij,tij->t", self.root[:, 6:], self.root[:, 6:])
         rate = own[:, None] * self.weights.rate / 3.0
         floor = 0.02
@@ -98,47 +107,93 @@ def _arms(rate: Array, r: Array) -> Array:
     return out
 
 
+def slope_of(rate: Array) -> Array:
+    """(T, 12, 9) derivative of (s, W), row by row, by s, dω/dt and ω."""
+    out = np.zeros((len(rate), 3, 4, 9))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, i, 0, i] = 1.0
+        out[:, i, 1 + j, 3 + k], out[:, j, 1 + i, 3 + k] = -1.0, 1.0
+        out[:, i, 1 + i, 6 + j], out[:, i, 1 + i, 6 + k] = -2.0 * rate[:, j], -2.0 * rate[:, k]
+        for a, b in ((i, j), (j, i)):
+            out[:, a, 1 + b, 6 + i], out[:, a, 1 + b, 6 + j] = rate[:, j], rate[:, i]
+    return out.reshape(-1, 12, 9)
+
+
+def _place(r: Array) -> Array:
+    """(K, 4): a force is (s, W) times (1, r)."""
+    return np.concatenate([np.ones((len(r), 1)), r], axis=1)
+
+
+def _pairs(place: Array) -> Array:
+    """(K, 16) products of the four."""
+    return np.asarray((place[:, :, None] * place[:, None, :]).reshape(len(place), 16))
+
+
+def _normal(weights: Weights, r: Array) -> Array:
+    """(T, 12, 12) what all accelerometers together say of (s, W): its size does not grow with
+    their number."""
+    pairs = (weights.acceleration @ _pairs(_place(r))).reshape(-1, 4, 4)
+    out = np.zeros((len(pairs), 3, 4, 3, 4))
+    for i in range(3):
+        out[:, i, :, i] = pairs
+    return out.reshape(-1, 12, 12)
+
+
+def _matrix(normal: Array, slope: Array, weights: Weights) -> Array:
+    """(T, 9, 9) information on the nine."""
+    out = np.matmul(slope.transpose(0, 2, 1), np.matmul(normal, slope))
+    out[:, range(3, 6), range(3, 6)] += _SPIN
+    out[:, range(6, 9), range(6, 9)] += weights.rate.sum(axis=1)[:, None]
+    return np.asarray(out)
+
+
 def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | Sampled) -> Sampled:
-    """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby."""
+    """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby.
+
+    What the accelerometers say of (s, W) are twelve numbers and a matrix, made once; each step runs
+    on these.
+    """
     rate = start.rate if isinstance(start, Sampled) else start
-    count = readings.acceleration.shape[1]
-    own = weights.rate.sum(axis=1)
-    unknown = np.zeros((len(rate), 9))
+    x = np.zeros((len(rate), 9))
+    x[:, 6:] = rate
     if isinstance(start, Sampled):
-        unknown[:, :3], unknown[:, 3:6] = start.origin, start.spin
+        x[:, :3], x[:, 3:6] = start.origin, start.spin
+    place, own = _place(r), weights.rate.sum(axis=1)[:, None]
+    normal = _normal(weights, r)
+    heavy = (readings.acceleration * weights.acceleration[..., None]).transpose(0, 2, 1)
+    along = np.matmul(heavy, place).reshape(-1, 12)
+    pulled = np.einsum("tk,tki->ti", weights.rate, readings.rate)
     for _ in range(_ROUNDS):
-        arms = _arms(rate, r)
-        turn = turning(rate, unknown[:, 3:6])
-        force = unknown[:, None, :3] + np.einsum("tij,kj->tki", turn, r)
-        off = Readings(readings.acceleration - force, readings.rate - rate[:, None])
-        flat = arms.reshape(len(rate), 3 * count, 9)
-        heavy = (arms * weights.acceleration[..., None, None]).reshape(flat.shape)
-        normal = np.matmul(heavy.transpose(0, 2, 1), flat)
-        normal[:, range(3, 6), range(3, 6)] += _SPIN
-        normal[:, range(6, 9), range(6, 9)] += own[:, None]
-        right = np.matmul(heavy.transpose(0, 2, 1), off.acceleration.reshape(len(rate), -1, 1))
-        right[:, 3:6, 0] -= _SPIN * unknown[:, 3:6]
-        right[:, 6:, 0] += np.einsum("tk,tki->ti", weights.rate, off.rate)
+        slope = slope_of(x[:, 6:])
+        state = np.concatenate([x[:, :3, None], turning(x[:, 6:], x[:, 3:6])], axis=2)
+        off = along - np.matmul(normal, state.reshape(-1, 12, 1))[..., 0]
+        right = np.matmul(off[:, None], slope)[:, 0]
+        right[:, 3:6] -= _SPIN * x[:, 3:6]
+        right[:, 6:] += pulled - own * x[:, 6:]
         # In like units: a spin that only its prior holds is a small number beside the others.
-        size = 1.0 / np.sqrt(np.einsum("tii->ti", normal))
-        unit = normal * size[:, :, None] * size[:, None]
-        step = size * np.linalg.solve(unit, right * size[:, :, None])[:, :, 0]
-        unknown = unknown + step
-        rate = rate + step[:, 6:]
+        matrix = _matrix(normal, slope, weights)
+        size = 1.0 / np.sqrt(np.einsum("tii->ti", matrix))
+        unit = matrix * size[:, :, None] * size[:, None]
+        step = size * np.linalg.solve(unit, (right * size)[..., None])[..., 0]
+        x = x + step
         if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
             break
-    force = force + np.matmul(flat, step[:, :, None]).reshape(force.shape)
-    off = Readings(readings.acceleration - force, readings.rate - rate[:, None])
+    return _at(x, readings, weights, r, _root(matrix))
+
+
+def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -> Sampled:
+    rate, turn = x[:, 6:], turning(x[:, 6:], x[:, 3:6])
+    force = x[:, None, :3] + r @ turn.transpose(0, 2, 1)
     return Sampled(
         rate=rate,
-        spin=unknown[:, 3:6],
-        origin=unknown[:, :3],
+        spin=x[:, 3:6],
+        origin=x[:, :3],
         force=force,
-        turn=turning(rate, unknown[:, 3:6]),
-        off=off,
+        turn=turn,
+        off=Readings(readings.acceleration - force, readings.rate - rate[:, None]),
         weights=weights,
-        arms=arms,
-        root=_root(normal),
+        r=r,
+        root=root,
     )
 
 
@@ -153,9 +208,5 @@ def _root(normal: Array) -> Array:
 def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     """The same motion with all weights of each kind of sensor times a factor."""
     weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
-    flat = sampled.arms.reshape(len(sampled.rate), -1, 9)
-    heavy = (sampled.arms * weights.acceleration[..., None, None]).reshape(flat.shape)
-    normal = np.matmul(heavy.transpose(0, 2, 1), flat)
-    normal[:, range(3, 6), range(3, 6)] += _SPIN
-    normal[:, range(6, 9), range(6, 9)] += weights.rate.sum(axis=1)[:, None]
-    return replace(sampled, weights=weights, root=_root(normal))
+    matrix = _matrix(_normal(weights, sampled.r), slope_of(sampled.rate), weights)
+    return replace(sampled, weights=weights, root=_root(matrix))

@@ -21,7 +21,7 @@ class Base:
 
     def __init__(self, state: ArrayState) -> None:
         k = state.setup.triads
-        turn = np.broadcast_to(state.sampled.turn[:, None], (len(state.sampled.turn), k, 3, 3))
+        turn = np.broadcast_to(state.sampled.turn, (k, *state.sampled.turn.shape))
         blocks = [Columns(np.asarray(turn), False, False)]
         blocks += [term.columns(state.motion) for term in state.terms]
         self.blocks: Sequence[Columns] = blocks

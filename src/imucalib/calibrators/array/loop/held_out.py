@@ -47,12 +47,7 @@ def held_out_residuals(state: ArrayState) -> Residuals:
             theta = live @ step[at : at + live.shape[1]]
             at += live.shape[1]
             target = rate if block.gyro else acceleration
-            basis = block.basis[rows]
-            if block.shared:
-                target -= basis @ theta
-            else:
-                table = theta.reshape(basis.shape[1], basis.shape[3], 1)
-                target -= np.matmul(basis, table)[..., 0]
+            target -= block.at(theta)[rows]
         parts.append(_without_motion(state, rows, acceleration, rate))
     a = np.concatenate([p[0].ravel() for p in parts])
     g = np.concatenate([p[1].ravel() for p in parts])

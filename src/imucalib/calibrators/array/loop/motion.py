@@ -24,13 +24,17 @@ class BoardMotion:
         return self.context.n, len(self.context.triads)
 
     def turned(self, basis: Array) -> Array:
-        """(T, K, 3, m) in board axes, of a basis in each package's."""
+        """(K, T, 3, m) in board axes, of a basis (T, K, 3, m) in each package's."""
         attitude = self.context.attitude
         assert attitude is not None
-        out = np.zeros_like(basis)
-        # Mountings are mostly signed permutations: of nine products a few are not zero.
-        for i, j in zip(*np.nonzero(np.any(attitude != 0.0, axis=0)), strict=True):
-            out[:, :, i] += attitude[:, i, j, None] * basis[:, :, j]
+        t, k, _, m = basis.shape
+        out = np.empty((k, t, 3, m))
+        # Mountings are mostly signed permutations: of nine products three are not zero.
+        for triad, i in np.ndindex(k, 3):
+            first, *others = np.flatnonzero(attitude[triad, i])
+            np.multiply(basis[:, triad, first], attitude[triad, i, first], out=out[triad, :, i])
+            for j in others:
+                out[triad, :, i] += attitude[triad, i, j] * basis[:, triad, j]
         return out
 
     def aged(self, age: Array | None) -> BoardMotion:

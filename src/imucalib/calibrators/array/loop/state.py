@@ -141,8 +141,9 @@ def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
 def _climbed(state: ArrayState) -> ArrayState:
     """Newton with the matrix of the start: what changes on the way is the residual."""
     converged, matrix, made = False, np.empty((0, 0)), np.zeros(2)
+    base: Base | None = None
     for k in range(_ROUNDS):
-        state = moved_motion(state)
+        state = moved_motion(state, base)
         base = state.base
         sigma = np.array([noise.sigma for noise in state.noise])
         if k in _AGAIN or np.any(np.abs(made / sigma - 1.0) > _STALE):
@@ -160,7 +161,7 @@ def _climbed(state: ArrayState) -> ArrayState:
         converged = float(step @ inner @ step) < _CLOSE and float(np.abs(moved).max()) < _STALE
         if converged:
             break
-    return replace(moved_motion(state), converged=converged)
+    return replace(moved_motion(state, base), converged=converged)
 
 
 def _measured(state: ArrayState) -> ArrayState:
@@ -188,23 +189,27 @@ def _moved(state: ArrayState, step: Array, covariance: Array) -> ArrayState:
     return replace(state, r=r, terms=tuple(terms))
 
 
-def moved_motion(state: ArrayState) -> ArrayState:
-    """The motion for the positions, terms and noise as they are."""
+def moved_motion(state: ArrayState, base: Base | None = None) -> ArrayState:
+    """The motion for the positions, terms and noise as they are.
+
+    base : with the columns of the same terms at the same motion, where they are made already
+    """
     speed, off = np.linalg.norm(state.sampled.rate, axis=1), state.sampled.off
     weights = Weights(
         state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
         state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
     )
-    sampled = fit_samples(corrected(state), weights, state.r, state.sampled)
+    sampled = fit_samples(corrected(state, base), weights, state.r, state.sampled)
     return replace(state, sampled=sampled, motion=motion_at(state.setup, sampled, state.motion.age))
 
 
-def corrected(state: ArrayState) -> Readings:
+def corrected(state: ArrayState, base: Base | None = None) -> Readings:
     """The readings less what the terms add to them."""
+    own = None if base is None else base.blocks[1:]
     acceleration = state.setup.readings.acceleration.copy()
     rate = state.setup.readings.rate.copy()
-    for term in state.terms:
-        columns = term.columns(state.motion)
+    for k, term in enumerate(state.terms):
+        columns = own[k] if own is not None else term.columns(state.motion)
         target = rate if columns.gyro else acceleration
         target -= term.reading(columns)
     return Readings(acceleration, rate)

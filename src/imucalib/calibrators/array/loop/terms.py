@@ -59,10 +59,7 @@ class Term:
 
     def reading(self, columns: Columns) -> Array:
         """(T, K, 3) what it adds to the readings of its sensors."""
-        if columns.shared:
-            return np.asarray(columns.basis @ self.theta)
-        table = self.theta.reshape(columns.basis.shape[1], columns.basis.shape[3], 1)
-        return np.asarray(np.matmul(columns.basis, table)[..., 0])
+        return columns.at(self.theta)
 
     def moved(self, step: Array, covariance: Array) -> Term:
         """After a step of its coordinates; the size of a found effect is learned along."""
@@ -97,9 +94,9 @@ def columns_of(effect: Response, motion: BoardMotion, only: int | None = None) -
     basis = motion.turned(effect.basis(motion.truth, motion.context))
     gyro = effect.channel == "angular_rate"
     if only is None:
-        return Columns(np.ascontiguousarray(basis), gyro, effect.shared)
+        return Columns(basis, gyro, effect.shared)
     alone = np.zeros_like(basis)
-    alone[:, only] = basis[:, only]
+    alone[only] = basis[only]
     return Columns(alone, gyro, shared=True)
 
 
