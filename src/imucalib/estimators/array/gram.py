@@ -74,20 +74,28 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
     k = sampled.force.shape[1]
     order, force = _by_triad(blocks, k)
     total = len(order)
-    matrix, along = np.zeros((total, total)), np.zeros(total)
-    parts = [_of_one_kind(sampled, blocks, rows, gyro=gyro) for gyro in (False, True)]
-    for part, at in zip(parts, (slice(0, force), slice(force, total)), strict=True):
-        matrix[at, at], along[at] = part.matrix, part.along
-    whole = np.diag(matrix).copy()
-    residual = parts[0].residual + parts[1].residual
-    # Gyros see ω only, and the root is upper triangular: of the nine rows a sample they have three.
-    flat = np.ascontiguousarray(parts[0].taken[:, :6]).reshape(-1, force)
+    along, residual, power = np.zeros(total), np.zeros((len(rows), 9)), 0.0
+    # What the motion takes. Gyros see ω only, and the root is upper triangular: of the nine rows a
+    # sample they have three.
+    six, three = np.zeros((len(rows), 6, force)), np.zeros((len(rows), 3, total))
+    own = []
+    for gyro, at in ((False, slice(0, force)), (True, slice(force, total))):
+        taken = _Taken(None if gyro else six, three[:, :, at], residual)
+        part = _of_one_kind(sampled, blocks, rows, taken, gyro=gyro)
+        own.append(part.matrix)
+        along[at] = part.along
+        power += part.power
+    whole = np.concatenate([np.diag(one) for one in own])
+    flat = three.reshape(-1, total)
+    matrix = -(flat.T @ flat)
+    for one, at in zip(own, (slice(0, force), slice(force, total)), strict=True):
+        matrix[at, at] += one
+    flat = six.reshape(-1, force)
     matrix[:force, :force] -= flat.T @ flat
     along[:force] -= flat.T @ residual[:, :6].ravel()
-    flat = np.concatenate([part.taken[:, -3:] for part in parts], axis=2).reshape(-1, total)
-    matrix -= flat.T @ flat
+    flat = three.reshape(-1, total)
     along -= flat.T @ residual[:, 6:].ravel()
-    power = parts[0].power + parts[1].power - float(np.sum(residual * residual))
+    power -= float(np.sum(residual * residual))
     back = np.argsort(order)
     return Gram(
         matrix[np.ix_(back, back)], along[back], power, (6 * k - 9) * len(rows), whole[back]
@@ -96,17 +104,26 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Products of the m columns of one kind of sensor: matrix (m, m), along (m,), power; taken :
-    (rows, 9 or 3, m) and residual (rows, 9), what the motion takes of them"""
+    """Products of the m columns of one kind of sensor: matrix (m, m), along (m,), power"""
 
     matrix: Array
     along: Array
     power: float
-    taken: Array
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """What the motion takes, filled in place: of columns, along s and dω/dt (rows, 6, m) and along
+    ω (rows, 3, m); of the residual (rows, 9), to which both kinds add."""
+
+    six: Array | None
+    three: Array
     residual: Array
 
 
-def _of_one_kind(sampled: Sampled, blocks: Sequence[Columns], rows: Index, *, gyro: bool) -> _Kind:
+def _of_one_kind(
+    sampled: Sampled, blocks: Sequence[Columns], rows: Index, taken: _Taken, *, gyro: bool
+) -> _Kind:
     k, root = sampled.force.shape[1], sampled.root[rows]
     weight = np.sqrt((sampled.weights.rate if gyro else sampled.weights.acceleration)[rows])
     off = (sampled.off.rate if gyro else sampled.off.acceleration)[rows] * weight[..., None]
@@ -116,7 +133,6 @@ def _of_one_kind(sampled: Sampled, blocks: Sequence[Columns], rows: Index, *, gy
     width = sum(b.shape[3] for b in own)
     size = k * width + x.shape[3] - width
     matrix, along, common = np.zeros((size, size)), np.zeros(size), slice(k * width, size)
-    taken, residual = np.zeros((len(rows), 3 if gyro else 9, size)), np.zeros((len(rows), 9))
     for triad in range(k):
         mine = slice(triad * width, (triad + 1) * width)
         one = x[triad].reshape(3 * len(rows), x.shape[3])
@@ -127,12 +143,14 @@ def _of_one_kind(sampled: Sampled, blocks: Sequence[Columns], rows: Index, *, gy
         along[mine], along[common] = seen[:width], along[common] + seen[width:]
         arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
         arms = arms * weight[:, triad, None, None]
-        lost = np.matmul(arms.transpose(0, 2, 1), x[triad])[:, -taken.shape[1] :]
-        taken[:, :, mine] = lost[:, :, :width]
-        taken[:, :, common] += lost[:, :, width:]
-        residual += np.einsum("tij,ti->tj", arms, off[:, triad])
+        for out, part in ((taken.six, arms[:, :, :6]), (taken.three, arms[:, :, 6:])):
+            if out is not None:
+                lost = np.matmul(part.transpose(0, 2, 1), x[triad])
+                out[:, :, mine] = lost[:, :, :width]
+                out[:, :, common] += lost[:, :, width:]
+        taken.residual[...] += np.einsum("tij,ti->tj", arms, off[:, triad])
     matrix[common, : common.start] = matrix[: common.start, common].T
-    return _Kind(matrix, along, float(np.sum(off * off)), taken, residual)
+    return _Kind(matrix, along, float(np.sum(off * off)))
 
 
 def _by_triad(blocks: Sequence[Columns], triads: int) -> tuple[Index, int]:

@@ -72,43 +72,102 @@ def log_density(noise: SensorNoise, square: Array, speed: Array) -> Array:
 def scaled(noise: SensorNoise, square: Array, speed: Array) -> SensorNoise:
     """The same with its most likely scale: a few steps of expectation maximisation."""
     unit = square / (noise.variance(speed) / noise.sigma**2)
-    if not np.isfinite(noise.freedom):
-        return replace(noise, sigma=float(np.sqrt(np.mean(unit) / 3.0)))
-    sigma, nu = noise.sigma, noise.freedom
+    size = _sizes(np.array([noise.freedom]), unit.reshape(1, -1), np.array([noise.sigma]))
+    return replace(noise, sigma=float(size[0]))
+
+
+def _sizes(freedom: Array, unit: Array, start: Array) -> Array:
+    """(n,) most likely scales of n shapes, whose squares over σ² = 1 are unit (n, N) or (1, N)."""
+    sigma = np.sqrt(np.mean(unit, axis=1) / 3.0) * np.ones(len(freedom))
+    tailed = np.flatnonzero(np.isfinite(freedom))
+    sigma[tailed] = start[tailed]
     for _ in range(12):
-        before, heavy = sigma, unit / (nu + unit / sigma**2)
-        sigma = float(np.sqrt((nu + 3.0) * np.mean(heavy) / 3.0))
-        if abs(sigma / before - 1.0) < 1e-3:
+        if not len(tailed):
             break
-    return replace(noise, sigma=sigma)
+        nu, own = freedom[tailed], unit if len(unit) == 1 else unit[tailed]
+        before = sigma[tailed]
+        heavy = own / (nu[:, None] + own / before[:, None] ** 2)
+        sigma[tailed] = np.sqrt((nu + 3.0) * np.mean(heavy, axis=1) / 3.0)
+        tailed = tailed[np.abs(sigma[tailed] / before - 1.0) >= 1e-3]
+    return np.asarray(sigma)
+
+
+def _levels(freedom: Array, unit: Array, base: Array, sigma: Array) -> Array:
+    """(n,) log densities of n shapes at those scales; base : (n,) or (1,) sums of the logarithms of
+    the variances over σ²."""
+    from scipy.special import gammaln
+
+    count = unit.shape[1]
+    flat = ~np.isfinite(freedom)
+    nu = np.where(flat, 1.0, freedom)
+    whole = 1.5 * (base + 2.0 * count * np.log(sigma))
+    d = unit / sigma[:, None] ** 2
+    level = gammaln(0.5 * (nu + 3.0)) - gammaln(0.5 * nu) - 1.5 * np.log(nu * np.pi)
+    tails = count * level - 0.5 * (nu + 3.0) * np.sum(np.log1p(d / nu[:, None]), axis=1)
+    plain = -0.5 * np.sum(d, axis=1) - 1.5 * count * np.log(2.0 * np.pi)
+    return np.asarray(np.where(flat, plain, tails) - whole)
 
 
 def _best(options: list[SensorNoise], square: Array, speed: Array) -> SensorNoise:
-    fitted = [scaled(option, square, speed) for option in options]
-    values = [float(log_density(f, square, speed).sum()) for f in fitted]
-    return fitted[int(np.argmax(values))]
+    """The most likely of shapes that differ in tails or in growth, each at its best scale."""
+    alike = all(o.growth == options[0].growth for o in options)
+    shown = options[:1] if alike else options
+    relative = np.stack([(o.variance(speed) / o.sigma**2).ravel() for o in shown])
+    unit = square.ravel() / relative
+    freedom = np.array([o.freedom for o in options])
+    sigma = _sizes(freedom, unit, np.array([o.sigma for o in options]))
+    levels = _levels(freedom, unit, np.sum(np.log(relative), axis=1), sigma)
+    best = int(np.argmax(levels))
+    return replace(options[best], sigma=float(sigma[best]))
 
 
 def fitted_noise(
     square: Array, speed: Array, *, growth: bool, tails: bool, each: bool = False
 ) -> SensorNoise:
     """Most likely noise of residuals with squared lengths (T, K), of the shapes allowed."""
-    unit = 1.0 / max(float(np.median(speed)), 1e-9)
+    noise = _shaped(_plain(square, speed), square, speed, growth=growth, tails=tails)
+    return _of_each(noise, square, speed) if each else noise
+
+
+def _plain(square: Array, speed: Array) -> SensorNoise:
     start = float(np.sqrt(np.median(square) / 2.366))
-    noise = scaled(
-        SensorNoise(max(start, 1e-12), 0.0, np.inf, np.ones(square.shape[1])), square, speed
-    )
+    noise = SensorNoise(max(start, 1e-12), 0.0, np.inf, np.ones(square.shape[1]))
+    return scaled(noise, square, speed)
+
+
+def _shaped(
+    noise: SensorNoise, square: Array, speed: Array, *, growth: bool, tails: bool
+) -> SensorNoise:
+    unit = 1.0 / max(float(np.median(speed)), 1e-9)
     for _ in range(2 if growth and tails else 1):
         if growth:
             noise = _best([noise, *(replace(noise, growth=g * unit) for g in _GROWTH)],
                           square, speed)  # fmt: skip
         if tails:
             noise = _best([noise, *(replace(noise, freedom=nu) for nu in _NU)], square, speed)
-    if each:
-        d = square / noise.variance(speed)
-        weight = noise.weight(square, speed) * noise.variance(speed)
-        noise = replace(noise, factor=np.sqrt(np.mean(weight * d, axis=0) / 3.0))
     return noise
+
+
+def _of_each(noise: SensorNoise, square: Array, speed: Array) -> SensorNoise:
+    d = square / noise.variance(speed)
+    weight = noise.weight(square, speed) * noise.variance(speed)
+    return replace(noise, factor=np.sqrt(np.mean(weight * d, axis=0) / 3.0))
+
+
+def _every_shape(square: Array, speed: Array) -> list[SensorNoise]:
+    """The most likely noise of each of `_SHAPES`: what they share is fitted once."""
+    plain = _plain(square, speed)
+    found = []
+    for growth in (False, True):
+        for tails in (False, True):
+            noise = _shaped(plain, square, speed, growth=growth, tails=tails)
+            found += [noise, _of_each(noise, square, speed)]
+    return found
+
+
+#: Growth, tails and factors of each, in the order of `_every_shape`.
+_SHAPES = [{"growth": g, "tails": t, "each": e}
+           for g in (False, True) for t in (False, True) for e in (False, True)]  # fmt: skip
 
 
 def chosen_noise(square: Array, speed: Array, first: Flags, *, robust: bool) -> SensorNoise:
@@ -116,22 +175,14 @@ def chosen_noise(square: Array, speed: Array, first: Flags, *, robust: bool) -> 
 
     first : (T,) which half each sample belongs to
     """
-    plain = fitted_noise(square, speed, growth=False, tails=False)
     if not robust or min(int(first.sum()), int((~first).sum())) < 10:
-        return plain
-    shapes = [{"growth": g, "tails": t, "each": e}
-              for g in (False, True) for t in (False, True) for e in (False, True)]  # fmt: skip
-    base, best, chosen = _held_out(square, speed, first, shapes[0]), 0.0, shapes[0]
-    for shape in shapes[1:]:
-        gain = _held_out(square, speed, first, shape) - base
-        if gain > best + HELD_OUT_NATS:
-            best, chosen = gain, shape
-    return replace(fitted_noise(square, speed, **chosen), gained=best)
-
-
-def _held_out(square: Array, speed: Array, first: Flags, shape: dict[str, bool]) -> float:
-    total = 0.0
+        return fitted_noise(square, speed, growth=False, tails=False)
+    totals = np.zeros(len(_SHAPES))
     for one, two in ((first, ~first), (~first, first)):
-        noise = fitted_noise(square[one], speed[one], **shape)
-        total += float(log_density(noise, square[two], speed[two]).sum())
-    return total
+        found = _every_shape(square[one], speed[one])
+        totals += [float(log_density(n, square[two], speed[two]).sum()) for n in found]
+    best, chosen = 0.0, _SHAPES[0]
+    for shape, gain in zip(_SHAPES[1:], totals[1:] - totals[0], strict=True):
+        if gain > best + HELD_OUT_NATS:
+            best, chosen = float(gain), shape
+    return replace(fitted_noise(square, speed, **chosen), gained=best)

@@ -170,11 +170,8 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
         right = np.matmul(off[:, None], slope)[:, 0]
         right[:, 3:6] -= _SPIN * x[:, 3:6]
         right[:, 6:] += pulled - own * x[:, 6:]
-        # In like units: a spin that only its prior holds is a small number beside the others.
         matrix = _matrix(normal, slope, weights)
-        size = 1.0 / np.sqrt(np.einsum("tii->ti", matrix))
-        unit = matrix * size[:, :, None] * size[:, None]
-        step = size * np.linalg.solve(unit, (right * size)[..., None])[..., 0]
+        step = _solved(matrix, right)
         x = x + step
         if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
             break
@@ -197,12 +194,36 @@ def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -
     )
 
 
-def _root(normal: Array) -> Array:
-    """(T, 9, 9) with root rootᵀ the inverse of each matrix, upper triangular."""
-    scale = 1.0 / np.sqrt(np.einsum("tii->ti", normal))
-    unit = normal * scale[:, :, None] * scale[:, None]
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(unit)).transpose(0, 2, 1)
-                      * scale[:, :, None])  # fmt: skip
+def _root(matrix: Array) -> Array:
+    """(T, 9, 9) with root rootᵀ the inverse of each matrix, upper triangular.
+
+    All accelerometers see s alike, so that its block is a number times one, and six are left.
+    """
+    own = matrix[:, 0, 0][:, None, None]
+    across = matrix[:, :3, 3:] / own
+    left = matrix[:, 3:, 3:] - own * np.matmul(across.transpose(0, 2, 1), across)
+    scale = 1.0 / np.sqrt(np.einsum("tii->ti", left))
+    unit = left * scale[:, :, None] * scale[:, None]
+    six = np.linalg.inv(np.linalg.cholesky(unit)).transpose(0, 2, 1) * scale[:, :, None]
+    root = np.zeros_like(matrix)
+    root[:, range(3), range(3)] = 1.0 / np.sqrt(own[:, 0])
+    root[:, 3:, 3:] = six
+    root[:, :3, 3:] = -np.matmul(across, six)
+    return np.asarray(root)
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    """(T, 9) solutions of such systems. In like units: a spin that only its prior holds is a small
+    number beside the others."""
+    own = matrix[:, 0, 0][:, None]
+    across = matrix[:, :3, 3:] / own[..., None]
+    left = matrix[:, 3:, 3:] - own[..., None] * np.matmul(across.transpose(0, 2, 1), across)
+    size = 1.0 / np.sqrt(np.einsum("tii->ti", left))
+    unit = left * size[:, :, None] * size[:, None]
+    pull = (right[:, 3:] - np.matmul(right[:, None, :3], across)[:, 0]) * size
+    six = size * np.linalg.solve(unit, pull[..., None])[..., 0]
+    first = right[:, :3] / own - np.matmul(across, six[..., None])[..., 0]
+    return np.concatenate([first, six], axis=1)
 
 
 def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:

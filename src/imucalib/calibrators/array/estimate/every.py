@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.calibrators.array.loop.setup import Setup, every_sample, motion_at
-from imucalib.calibrators.array.loop.state import ArrayState, settled
+from imucalib.calibrators.array.loop.state import ArrayState, followed, settled
 from imucalib.calibrators.array.moving import Moving
 from imucalib.estimators.array.samples import Weights, fit_samples
 
 #: Readings of one kind, samples times IMUs, that a fit takes where nobody says how many: beyond
 #: them memory and time grow, and positions are known far better than they repeat.
 READINGS = 60_000
+_FOLLOWED = 2  # rounds of the motion at new samples, so that a fit there begins with its noise
 
 
 def samples_taken(moving: Moving, asked: int | None) -> int:
@@ -30,7 +31,12 @@ def on_all(state: ArrayState, moving: Moving, most: int) -> ArrayState:
 
 def fitted_on_all(state: ArrayState, moving: Moving, most: int) -> ArrayState:
     """The joint fit at `most` of all informative samples, with the noise in the shape it has."""
-    return settled(on_all(state, moving, most), shaped=False)
+    return settled_there(on_all(state, moving, most))
+
+
+def settled_there(state: ArrayState) -> ArrayState:
+    """The joint fit at samples that the state was moved to, with the noise in the shape it has."""
+    return settled(followed(state, _FOLLOWED), shaped=False)
 
 
 def transferred(state: ArrayState, setup: Setup) -> ArrayState:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
-from imucalib.calibrators.array.estimate.every import fitted_on_all, on_all
+from imucalib.calibrators.array.estimate.every import fitted_on_all, on_all, settled_there
 from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted
@@ -17,7 +17,7 @@ from imucalib.calibrators.array.loop.held_out import held_out_residuals
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Search, absorbed
 from imucalib.calibrators.array.loop.setup import Setup
-from imucalib.calibrators.array.loop.state import ArrayState, settled, start_state
+from imucalib.calibrators.array.loop.state import ArrayState, start_state
 from imucalib.calibrators.array.loop.subject import MotionSubject, without_a_name
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.moving import Moving
@@ -169,4 +169,4 @@ def _on_all(
     again = found_ages(moved, moving, all_rows=True)
     if again is None:
         return state, path.ages
-    return settled(kept_ages(moved, again, voting=False), shaped=False), again
+    return settled_there(kept_ages(moved, again, voting=False)), again

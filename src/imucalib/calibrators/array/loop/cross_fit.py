@@ -18,7 +18,7 @@ from imucalib.calibrators.array.estimate.every import transferred
 from imucalib.calibrators.array.loop.ages import ages_elsewhere, kept_ages, voting
 from imucalib.calibrators.array.loop.held_out import Residuals
 from imucalib.calibrators.array.loop.setup import FEWEST, Setup, part_of
-from imucalib.calibrators.array.loop.state import ArrayState, moved_motion
+from imucalib.calibrators.array.loop.state import ArrayState, followed
 from imucalib.calibrators.array.loop.subject import MotionSubject
 from imucalib.calibrators.array.moving import Moving
 from imucalib.loop.difference import Difference
@@ -26,8 +26,7 @@ from imucalib.units import DEG
 
 Searching = Callable[[Setup], tuple[MotionSubject, MotionSubject]]
 _HALVES = 2
-#: Rounds of the motion, with its weights, under positions and terms that do not move.
-_FOLLOWED = 6
+_FOLLOWED = 6  # rounds of the motion, with its weights, under a model that does not move
 _COUNTS = (
     0.1  # share of an error from which on a loss of one sensor counts against the other's gain
 )
@@ -93,7 +92,7 @@ def _predicted(path: MotionSubject, setup: Setup, moving: Moving) -> ArrayState:
     moved = transferred(replace(state, motion=state.motion.aged(None)), setup)
     if path.ages is not None and state.motion.age is not None:
         moved = kept_ages(moved, ages_elsewhere(path.ages, setup, moving), voting=False)
-    return followed(moved)
+    return followed(moved, _FOLLOWED)
 
 
 def _sizes(state: ArrayState, rows: Flags) -> Array:
@@ -124,10 +123,3 @@ def difference_of_medians(before: Array, after: Array, block: Index, folds: int)
     start, end = float(np.median(before)), float(np.median(after))
     low, high = start - end - wide * reach, start - end + wide * reach
     return Difference(start, end, low, high, start - end - reach, n)
-
-
-def followed(state: ArrayState) -> ArrayState:
-    """The motion of every sample for positions, terms and noise that are held as they are."""
-    for _ in range(_FOLLOWED):
-        state = moved_motion(state)
-    return state

@@ -31,7 +31,8 @@ _APART = 0.2  # share of a curve's direction that the base must leave
 @dataclass(frozen=True)
 class Search(Searched):
     """entries by name; whole : columns of all candidates with the base taken
-    out; total : their Gram matrix before that; halves : as whole, of the two held-out halves
+    out; total : their Gram matrix before that; halves : products of the two held-out halves, with
+    the base, whose prior inverse variances are `prior`
     index : where a candidate's columns are; null : the best evidences of simulated data
     impact : m rms that a candidate's typical size moves the positions"""
 
@@ -39,7 +40,8 @@ class Search(Searched):
     index: dict[str, Index]
     whole: Reduced
     total: Array
-    halves: tuple[Reduced, Reduced]
+    halves: tuple[Gram, Gram]
+    prior: Array
     null: Array
     impact: dict[str, float]
 
@@ -49,13 +51,12 @@ class Search(Searched):
 
     def held_out(self, name: str) -> tuple[float, float]:
         """Nats that each half gains when the other has estimated the candidate and its size."""
-        at = self.index[name]
+        base, own = np.arange(len(self.prior)), self.index[name] + len(self.prior)
+        halves = [reduced(h, base, self.prior, 0.0 * self.prior, own) for h in self.halves]
         gains = []
-        for one, two in (self.halves, self.halves[::-1]):
-            value = _most_likely(one.matrix[np.ix_(at, at)], one.along[at])
-            gains.append(
-                float(two.along[at] @ value - 0.5 * value @ two.matrix[np.ix_(at, at)] @ value)
-            )
+        for one, two in (halves, halves[::-1]):
+            value = _most_likely(one.matrix, one.along)
+            gains.append(float(two.along @ value - 0.5 * value @ two.matrix @ value))
         return gains[0], gains[1]
 
     def moves(self, name: str, coordinates: int) -> float:
@@ -122,7 +123,6 @@ def search(
     prior = state.base.rests
     total = free[0] + free[1]
     whole = reduced(total, base, prior, state.base.pull * (prior > 0.0), others)
-    halves = [reduced(one, base, prior, 0.0 * prior, others) for one in free]
     starts = starts_of(found.blocks)
     index = {e.name: starts[e.block] + e.part for e in found.entries}
     diagonal = np.diag(total.matrix)[b:], np.diag(whole.matrix)
@@ -150,7 +150,8 @@ def search(
         index=index,
         whole=whole,
         total=total.matrix[b:, b:],
-        halves=(halves[0], halves[1]),
+        halves=free,
+        prior=prior,
         null=null,
         impact=impact,
     )

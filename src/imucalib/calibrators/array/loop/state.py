@@ -203,6 +203,14 @@ def moved_motion(state: ArrayState, base: Base | None = None) -> ArrayState:
     return replace(state, sampled=sampled, motion=motion_at(state.setup, sampled, state.motion.age))
 
 
+def followed(state: ArrayState, rounds: int) -> ArrayState:
+    """The motion of every sample, with its weights, for positions, terms and noise that are held
+    as they are."""
+    for _ in range(rounds):
+        state = moved_motion(state)
+    return state
+
+
 def corrected(state: ArrayState, base: Base | None = None) -> Readings:
     """The readings less what the terms add to them."""
     own = None if base is None else base.blocks[1:]
