@@ -199,7 +199,7 @@ def _null(
 
 def _root(correlation: Array) -> Array:
     """Cholesky factor; rounding and absorbed columns need a little on the diagonal."""
-    for jitter in (1e-13, 1e-11, 1e-10, 1e-9):
+    for jitter in (1e-13, 1e-11, 1e-10):
         try:
             return np.asarray(np.linalg.cholesky(correlation + jitter * np.eye(len(correlation))))
         except np.linalg.LinAlgError:
