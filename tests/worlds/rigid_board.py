@@ -190,3 +190,8 @@ def calibration(made: Board) -> Calibration:
             for k, name in enumerate(made.names)
         ),
     )  # fmt: skip
+
+
+def turned_by(turn: Array, vectors: Array) -> Array:
+    """Vectors (..., 3), or a matrix's rows, turned by small angles (3,) rad about the axes."""
+    return np.asarray(vectors + np.cross(turn, vectors))

@@ -119,7 +119,7 @@ def beyond_linear(calibration: Calibration) -> Beyond:
     span = 0.0
     for block in calibration.facts.get("effects", ()):
         name = str(block["effect"])
-        term = _term(block, imus)
+        term = term_of(block, imus)
         if term is None:
             left_out.append(name)
             continue
@@ -153,7 +153,7 @@ def _is_linear(part: _Part, imus: tuple[str, ...], rotations: Array) -> bool:
     return bool(np.abs(part.added(motion)).max() <= _SMALL * np.abs(whole).max())
 
 
-def _term(block: Mapping[str, Any], imus: Sequence[str]) -> Term | None:
+def term_of(block: Mapping[str, Any], imus: Sequence[str]) -> Term | None:
     """An effect of the file that any motion drives; None for all others."""
     name = str(block["effect"]).removeprefix(AT_REST)
     whole, _, imu = name.partition("@")

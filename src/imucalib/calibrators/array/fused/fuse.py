@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
+from imucalib.calibrators.array.fused.doubt import of_the_calibration
 from imucalib.calibrators.array.fused.instrument import Instrument
 from imucalib.calibrators.array.fused.neighbours import spin_by_neighbours
 from imucalib.calibrators.array.fused.noise import ChipNoise
@@ -24,7 +25,7 @@ _SLOW = 1.5  # median intervals between samples from which on they are no neighb
 
 @dataclass(frozen=True)
 class Fused:
-    """motion : of every sample, its covariance that of the noise
+    """motion : of every sample, its covariance that of the noise, or with the calibration's doubt
     off, rate_off : (T, K, 3) what the sensors' axes read beside it, m/s² and rad/s
     live, rate_live : (T, K, 3) axes that took part; alone : (T,) no gyro saw some part of the rate
     weights : (T, K, 3) of the axes, (m/s²)^-2 and (rad/s)^-2
@@ -82,12 +83,14 @@ def fuse(
     *,
     rounds: int = 4,
     tied: bool = True,
+    whole: bool = False,
 ) -> Fused:
     """Fuse the samples of a stretch.
 
     noise : of accelerometers and gyros
     age : (T, K) sawtooths of the gyros' clocks, NaN for a clock that was not found, or None
     tied : whether neighbours tell of dω/dt; the samples must then follow each other
+    whole : whether the covariance holds what the calibration leaves open beside the noise
     """
     start = start_of(instrument, stretch)
     late = instrument.beyond.late(stretch.t, None if age is None else np.nan_to_num(age))
@@ -104,8 +107,13 @@ def fuse(
     if tied and (known := spin_by_neighbours(stretch.t, motion, late)) is not None:
         sensed = replace(sensed, spin=known[0], spin_precision=known[1])
         motion = fused_motion(sensed, instrument.r, motion.rate)
+    own = _widened(motion, noise)
+    if whole and instrument.doubt is not None:
+        seen = _seen(instrument, stretch.t, motion)
+        more = of_the_calibration(instrument.doubt, motion, sensed, instrument.r, seen)
+        own = replace(own, covariance=own.covariance + more)
     return Fused(
-        motion=_widened(motion, noise), off=off[0], rate_off=off[1], live=start.live,
+        motion=own, off=off[0], rate_off=off[1], live=start.live,
         rate_live=state.rate_live, alone=start.alone, weights=weights,
     )  # fmt: skip
 

@@ -12,6 +12,7 @@ from imucalib.arrays import Array, Flags
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.array.fused.beyond import Beyond, beyond_linear
+from imucalib.calibrators.array.fused.doubt import Doubt, doubt_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.units import DEG, STANDARD_GRAVITY
 
@@ -54,6 +55,7 @@ class Instrument:
     beyond : what found effects add beyond the linear correction
     biases : what the log's own rests show beside the calibration's
     accelerometer_range, gyroscope_range : m/s² and rad/s; inf where not known
+    doubt : what the calibration leaves open, None where its file does not say
     """
 
     triads: tuple[Triad, ...]
@@ -63,6 +65,7 @@ class Instrument:
     biases: Biases
     accelerometer_range: float
     gyroscope_range: float
+    doubt: Doubt | None = None
 
     @property
     def imus(self) -> tuple[str, ...]:
@@ -123,6 +126,7 @@ def instrument_of(calibration: Calibration, at: Array | None = None) -> Instrume
         biases=no_biases(len(triads)),
         accelerometer_range=_range(ranges, "accelerometer_g", STANDARD_GRAVITY),
         gyroscope_range=_range(ranges, "gyroscope_deg_per_s", DEG),
+        doubt=doubt_of(calibration, places - places[0]),
     )
 
 

@@ -16,7 +16,6 @@ from imucalib.estimators.array.fusion import FusedMotion
 
 _SLOW = 0.3  # share of the usual interval by which neighbours may be off
 _WINDOW = 9  # samples over which the error of the difference is judged
-_DOUBT = 1.25  # times the third difference's own estimate, since that is of first order
 _JUDGED = 25  # samples over which the accelerometers may contradict it
 _ODD = 2.5  # times what noise explains, from which they do
 
@@ -47,7 +46,7 @@ def spin_by_neighbours(
     third -= variance[3:] + 9.0 * (variance[2:-1] + variance[1:-2]) + variance[:-3]
     whole = near[2:] & near[1:-1] & near[:-2]
     bent[1:-2] = np.where(whole[:, None], third, 0.0) / (6.0 * usual) ** 2
-    error = _DOUBT**2 * np.maximum(_local(bent), 0.0)
+    error = np.maximum(_local(bent), 0.0)
     # What the accelerometers see beside it, where that is more than noise: aliased motion.
     theirs = np.einsum("tii->ti", motion.covariance)[:, 3:6]
     known = np.isfinite(own)

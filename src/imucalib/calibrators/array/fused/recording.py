@@ -65,7 +65,7 @@ def fused_stretch(found: Survey, stretch: Stretch, told: Told) -> Fused:
         stop = min(start + _ROWS, len(stretch.t))
         first, last = max(start - _EDGE, 0), min(stop + _EDGE, len(stretch.t))
         own = None if age is None else age[first:last]
-        one = fuse(found.instrument, stretch.take(slice(first, last)), found.noise, own)
+        one = fuse(found.instrument, stretch.take(slice(first, last)), found.noise, own, whole=True)
         one = one.take(slice(start - first, stop - first))
         told.add(one, None if age is None else age[start:stop])
         parts.append(one)
@@ -212,7 +212,12 @@ def _words(found: Survey, told: Told) -> Iterator[str]:
     x, y, z = 1e3 * found.instrument.at
     yield (
         f"{TRIAD}: force at x {x:.2f}, y {y:.2f}, z {z:.2f} mm of the board's frame, rate and "
-        "angular acceleration in the board's axes; covariances are those of the noise"
+        "angular acceleration in the board's axes; covariances hold the noise and "
+        + (
+            "what the calibration leaves open"
+            if found.instrument.doubt
+            else "nothing of the calibration, whose file does not say how well it is known"
+        )
     )
     if found.rests > 0.0:
         yield f"gyro biases taken anew from {found.rests:.0f} s of rest in this recording"
