@@ -190,20 +190,26 @@ def _null(
     """White numbers (M, draws), the root (M, M) that gives them the columns' covariance, and the
     powers (draws,) of data that lack nothing."""
     length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    correlation = gram / length[:, None] / length
-    root = _root(correlation) * length[:, None]
+    correlation = gram / length[:, None]
+    correlation /= length
+    root = _root(correlation)
+    root *= length[:, None]
     white = rng.standard_normal((len(gram), draws))
     beside = rng.chisquare(max(freedom - len(gram), 1), draws)
     return white, root, np.einsum("ij,ij->j", white, white) + beside
 
 
 def _root(correlation: Array) -> Array:
-    """Cholesky factor; rounding and absorbed columns need a little on the diagonal."""
-    for jitter in (1e-13, 1e-11, 1e-10):
+    """Cholesky factor; rounding and absorbed columns need a little on the diagonal, which is used
+    up: of many columns a copy would be large."""
+    own = np.diag(correlation).copy()
+    for jitter in (1e-13, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7):
+        np.fill_diagonal(correlation, own + jitter)
         try:
-            return np.asarray(np.linalg.cholesky(correlation + jitter * np.eye(len(correlation))))
+            return np.asarray(np.linalg.cholesky(correlation))
         except np.linalg.LinAlgError:
             continue
+    np.fill_diagonal(correlation, own)
     values, vectors = np.linalg.eigh(correlation)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 

@@ -43,6 +43,7 @@ from imucalib.rests.segments import Segments
 #: Curves do not speak against a name, and an error below 10 mg makes no rest a wrong one: what a
 #: chip's offset does from rest to rest is noise.
 REST_RULES = LoopSettings(draws=499, margin=np.inf, gross=GROSS, most_effects=3)
+_AT_A_TIME = 128  # samples of which columns are held at once
 _VAGUE = 0.02  # standard deviation of a gain entry above which the attitudes are too alike
 _LOOSE = 0.2  # largest believable deviation of a triad's gain from a plain one
 
@@ -110,9 +111,9 @@ class RestFit:
             e for e in self.fit.model.effects
             if isinstance(e, Response) and e.basis_dx is not None and e.name not in BASE
         )  # fmt: skip
-        zero = Truth(np.zeros((1, *force.shape[1:])))
+        still = Truth(np.zeros((1, *force.shape[1:])))
         for _ in range(3 if bent else 0):
-            more = self._added(bent, Truth(force), t) - self._added(bent, zero, t)
+            more = self._added(bent, Truth(force), t) - self._added(bent, still, t)
             force = np.einsum("kij,nkj->nki", inverse, own - more)
         return np.asarray(np.einsum("kij,nkj->nki", self.rotations, force))
 
@@ -124,10 +125,15 @@ class RestFit:
     def _added(self, effects: tuple[Effect, ...], truth: Truth, t: Array) -> Array:
         """(N, K, 3) m/s², what some effects add to the truth at times (N,) s."""
         data = self.fit.observations.context
-        context = rest_context(t, self.start, self.stop, data.triads)
         slices, total = self.fit.model.slices(data), np.zeros((len(t), *truth.shape[1:]))
-        for effect in effects:
-            total += effect.act(self.fit.theta[slices[effect.name]], truth, context).delta
+        # An effect gives the columns of all triads beside it: a few samples at a time.
+        for start in range(0, len(t), _AT_A_TIME):
+            part = slice(start, start + _AT_A_TIME)
+            some = truth if truth.shape[0] == 1 else Truth(truth.force[part])
+            context = rest_context(t[part], self.start, self.stop, data.triads)
+            for effect in effects:
+                theta = self.fit.theta[slices[effect.name]]
+                total[part] += effect.act(theta, some, context).delta
         return total
 
     def in_board_axes(self) -> tuple[Array, Array, Array]:

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.estimators.array.reduced import Gram
 from imucalib.estimators.array.samples import Sampled
 
 
 @dataclass(frozen=True)
 class Columns:
-    """basis : (K, T, 3, m) per unit, so that each triad's columns lie side by side in memory; gyro :
-    which kind of sensor it acts on; shared : one set of parameters for all triads instead of one a
-    triad"""
+    """basis : (K, T, 3, m) per unit: each triad's columns lie side by side in memory; gyro : which
+    kind of sensor it acts on; shared : one set of parameters for all triads, not one a triad"""
 
     basis: Array
     gyro: bool
@@ -36,32 +36,6 @@ class Columns:
         table = np.broadcast_to(theta.reshape(-1, width, 1), (k, width, 1))
         made = np.matmul(self.basis.reshape(k, 3 * t, width), table)
         return np.asarray(made.reshape(k, t, 3).swapaxes(0, 1))
-
-
-@dataclass(frozen=True)
-class Gram:
-    """matrix : (M, M); along : (M,) products with the residual; power : of the residual;
-    numbers : how many the residual has, less the motion's; whole : (M,) squares before the motion
-    is taken out"""
-
-    matrix: Array
-    along: Array
-    power: float
-    numbers: int
-    whole: Array
-
-    def __add__(self, other: Gram) -> Gram:
-        return Gram(
-            self.matrix + other.matrix, self.along + other.along, self.power + other.power,
-            self.numbers + other.numbers, self.whole + other.whole,
-        )  # fmt: skip
-
-    def over(self, factor: float) -> Gram:
-        """As if there were so many times fewer samples."""
-        return Gram(
-            self.matrix / factor, self.along / factor, self.power / factor,
-            round(self.numbers / factor), self.whole / factor,
-        )  # fmt: skip
 
 
 def starts_of(blocks: Sequence[Columns]) -> Index:
@@ -86,20 +60,19 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
         along[at] = part.along
         power += part.power
     whole = np.concatenate([np.diag(one) for one in own])
-    flat = three.reshape(-1, total)
-    matrix = -(flat.T @ flat)
-    for one, at in zip(own, (slice(0, force), slice(force, total)), strict=True):
-        matrix[at, at] += one
     flat = six.reshape(-1, force)
-    matrix[:force, :force] -= flat.T @ flat
+    own[0] -= flat.T @ flat
     along[:force] -= flat.T @ residual[:, :6].ravel()
-    flat = three.reshape(-1, total)
-    along -= flat.T @ residual[:, 6:].ravel()
-    power -= float(np.sum(residual * residual))
+    # In the order of the blocks from here on: one matrix of all columns, and no copy.
     back = np.argsort(order)
-    return Gram(
-        matrix[np.ix_(back, back)], along[back], power, (6 * k - 9) * len(rows), whole[back]
-    )
+    flat = three[:, :, back].reshape(-1, total)
+    matrix = flat.T @ flat
+    np.negative(matrix, out=matrix)
+    for one, at in zip(own, (order[:force], order[force:]), strict=True):
+        matrix[np.ix_(at, at)] += one
+    along = along[back] - flat.T @ residual[:, 6:].ravel()
+    power -= float(np.sum(residual * residual))
+    return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole[back])
 
 
 @dataclass(frozen=True)
@@ -212,51 +185,3 @@ def _side_by_side(bases: list[Array], rows: Index, weight: Array) -> Array:
         np.multiply(basis[:, rows], weight.T[:, :, None, None], out=x[..., at : at + width])
         at += width
     return x
-
-
-@dataclass(frozen=True)
-class Reduced:
-    """Columns with the base taken out: matrix (m, m), along (m,), power, and the base's own
-    solution : (b,) step and covariance (b, b); carry : (b, m) base per unit of each column."""
-
-    matrix: Array
-    along: Array
-    power: float
-    step: Array
-    covariance: Array
-    carry: Array
-
-
-def reduced(found: Gram, base: Index, prior: Array, pull: Array, others: Index) -> Reduced:
-    """Take the columns `base` out of the columns `others`.
-
-    prior : (b,) inverse variances of the base's parameters, zero for free ones; pull : (b,) prior
-    times how far they stand from their means
-    """
-    inner = found.matrix[np.ix_(base, base)] + np.diag(prior)
-    size = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    half = size[:, None] * _half(inner * size[:, None] * size)
-    across = half.T @ found.matrix[np.ix_(base, others)]
-    right = half.T @ (found.along[base] - pull)
-    return Reduced(
-        found.matrix[np.ix_(others, others)] - across.T @ across,
-        found.along[others] - across.T @ right,
-        found.power - float(right @ right),
-        half @ right,
-        half @ half.T,
-        half @ across,
-    )
-
-
-def _half(unit: Array) -> Array:
-    """(b, q) with half halfᵀ the inverse of a matrix of unit diagonal, its open directions left
-    out."""
-    try:
-        lower = np.linalg.cholesky(unit)
-        if float(np.diag(lower).min(initial=1.0)) > 1e-4:
-            return np.asarray(np.linalg.inv(lower).T)
-    except np.linalg.LinAlgError:
-        pass
-    values, vectors = np.linalg.eigh(unit)
-    use = values > 1e-11 * max(float(values[-1]), 1e-300)
-    return np.asarray(vectors[:, use] / np.sqrt(values[use]))

@@ -62,9 +62,7 @@ def z_of(seed: int) -> Array:
     made = board(rng)
     motion = moves(rng, still=STILL, moving=6.0, hz=HZ, twist=400.0)
     read = readings(made, motion, rng)
-    found = survey(
-        [recording(made, motion.t, *read)], instrument_of(wrong(calibration(made), rng))
-    )
+    found = survey([recording(made, motion.t, *read)], instrument_of(wrong(calibration(made), rng)))
     fused = fused_stretch(found, Stretch(motion.t, *read), Told()).motion
     at = found.instrument.at[None]
     force = motion.force + np.cross(motion.rate, np.cross(motion.rate, at))

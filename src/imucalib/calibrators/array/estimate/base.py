@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.estimators.array.gram import Columns, Gram, Reduced, gram, reduced
+from imucalib.estimators.array.gram import Columns, gram
+from imucalib.estimators.array.reduced import Gram, Reduced, reduced
 
 if TYPE_CHECKING:
     from imucalib.calibrators.array.loop.state import ArrayState
@@ -47,17 +48,15 @@ class Base:
         return one, two
 
     def free(self, found: Gram) -> Gram:
-        """The Gram matrix with the raw columns of the base replaced by its coordinates."""
+        """The Gram matrix with the raw columns of the base replaced by its coordinates, in its
+        place: of many IMUs a copy would be large."""
         from scipy.linalg import block_diag
 
         turn = block_diag(*self.lives)
         n, raw = turn.shape[1], self.raw
-        size = n + found.matrix.shape[0] - raw
-        matrix = np.empty((size, size))
-        matrix[:n, :n] = turn.T @ found.matrix[:raw, :raw] @ turn
-        matrix[:n, n:] = turn.T @ found.matrix[:raw, raw:]
-        matrix[n:, :n] = matrix[:n, n:].T
-        matrix[n:, n:] = found.matrix[raw:, raw:]
+        own, beside = turn.T @ found.matrix[:raw, :raw] @ turn, turn.T @ found.matrix[:raw, raw:]
+        matrix = found.matrix[raw - n :, raw - n :]
+        matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = own, beside, beside.T
         along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
         whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
         return Gram(matrix, along, found.power, found.numbers, whole)
@@ -70,5 +69,4 @@ class Base:
 
     def solved(self, found: Gram) -> Reduced:
         """One Gauss-Newton step of the base alone, from its free coordinates."""
-        every = np.arange(len(self.prior))
-        return reduced(found, every, self.prior, self.pull, every[:0])
+        return reduced(found, self.prior, self.pull)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.ages import found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import named_effect
@@ -15,7 +13,8 @@ from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, 
 from imucalib.calibrators.array.moving import Moving
 from imucalib.core.effect import Response
 from imucalib.errors import Undetermined
-from imucalib.estimators.array.gram import Columns, gram, reduced
+from imucalib.estimators.array.gram import Columns, gram
+from imucalib.estimators.array.reduced import reduced
 
 
 def with_declared(state: ArrayState, names: Sequence[str], moving: Moving) -> ArrayState:
@@ -54,5 +53,4 @@ def beside_the_fit(state: ArrayState, effect: Response, only: int | None = None)
     columns = Columns(columns.basis * typical, columns.gyro, columns.shared)
     found = state.base.free(gram(state.sampled, [*state.base.blocks, columns], state.setup.inner))
     rests = state.base.rests
-    base, others = np.arange(len(rests)), np.arange(len(rests), len(found.along))
-    return reduced(found, base, rests, 0.0 * rests, others).matrix
+    return reduced(found, rests, 0.0 * rests).matrix

@@ -8,7 +8,9 @@ standard normal.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +19,8 @@ from imucalib.calibrators.array.loop.candidates import Candidates, Entry, candid
 from imucalib.calibrators.array.loop.noise_tests import NoiseTest, noise_tests
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN, Term, determined, typical_of
-from imucalib.estimators.array.gram import Gram, Reduced, gram, reduced, starts_of
+from imucalib.estimators.array.gram import gram, starts_of
+from imucalib.estimators.array.reduced import Alone, Gram, Reduced, alone, reduced
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.evidence_gram import GramEvidence, block_evidence
 from imucalib.loop.subject import Searched
@@ -30,18 +33,17 @@ _APART = 0.2  # share of a curve's direction that the base must leave
 
 @dataclass(frozen=True)
 class Search(Searched):
-    """entries by name; whole : columns of all candidates with the base taken
-    out; total : their Gram matrix before that; halves : products of the two held-out halves, with
-    the base, whose prior inverse variances are `prior`
-    index : where a candidate's columns are; null : the best evidences of simulated data
+    """entries by name; index : where a candidate's columns are; whole : with the base taken out,
+    total : before that, halves : as whole, of the two held-out halves, each candidate by itself;
+    carry : (b, M) base per unit of each column; null : the best evidences of simulated data
     impact : m rms that a candidate's typical size moves the positions"""
 
     entries: dict[str, Entry]
     index: dict[str, Index]
-    whole: Reduced
-    total: Array
-    halves: tuple[Gram, Gram]
-    prior: Array
+    whole: dict[str, Alone]
+    total: dict[str, Array]
+    halves: tuple[dict[str, Alone], dict[str, Alone]]
+    carry: Array
     null: Array
     impact: dict[str, float]
 
@@ -51,8 +53,7 @@ class Search(Searched):
 
     def held_out(self, name: str) -> tuple[float, float]:
         """Nats that each half gains when the other has estimated the candidate and its size."""
-        base, own = np.arange(len(self.prior)), self.index[name] + len(self.prior)
-        halves = [reduced(h, base, self.prior, 0.0 * self.prior, own) for h in self.halves]
+        halves = [half[name] for half in self.halves]
         gains = []
         for one, two in (halves, halves[::-1]):
             value = _most_likely(one.matrix, one.along)
@@ -64,9 +65,8 @@ class Search(Searched):
         zero for noise, which has no columns."""
         if name not in self.index:
             return 0.0
-        at = self.index[name]
-        value = _most_likely(self.whole.matrix[np.ix_(at, at)], self.whole.along[at])
-        return float(np.sqrt(np.mean((self.whole.carry[:coordinates, at] @ value) ** 2)))
+        value = _most_likely(self.whole[name].matrix, self.whole[name].along)
+        return float(np.sqrt(np.mean((self.carry[:coordinates, self.index[name]] @ value) ** 2)))
 
     def correctable(self, name: str) -> bool:
         """Whether it is a curve that may be corrected. What all accelerometers share as a function
@@ -80,10 +80,10 @@ class Search(Searched):
         """A candidate as a new term: the directions that the data can determine, at zero."""
         entry, at = self.entries[name], self.index[name]
         assert entry.effect is not None
-        matrix = self.whole.matrix[np.ix_(at, at)]
+        matrix = self.whole[name].matrix
         if entry.kind == "effect":
             return determined(name, entry.effect, entry.only, matrix)
-        kept = _apart(matrix, self.total[np.ix_(at, at)])
+        kept = _apart(matrix, self.total[name])
         live = typical_of(entry.effect, len(at))[:, None] * kept
         n = kept.shape[1]
         return Term(name, entry.effect, entry.only, live, np.zeros(n), np.ones(n))
@@ -117,21 +117,23 @@ def search(
 ) -> Search:
     """Score all candidates at a fitted state."""
     found = candidates(state, rejected)
-    free = _grams(state, found)
-    b = len(state.base.prior)
-    base, others = np.arange(b), np.arange(b, free[0].matrix.shape[0])
-    prior = state.base.rests
-    total = free[0] + free[1]
-    whole = reduced(total, base, prior, state.base.pull * (prior > 0.0), others)
-    starts = starts_of(found.blocks)
+    starts, b = starts_of(found.blocks), len(state.base.prior)
     index = {e.name: starts[e.block] + e.part for e in found.entries}
-    diagonal = np.diag(total.matrix)[b:], np.diag(whole.matrix)
+    total, halves = _grams(state, found, index)
+    prior = state.base.rests
+    whole = reduced(total, prior, state.base.pull * (prior > 0.0))
+    before = {n: total.matrix[np.ix_(at + b, at + b)] for n, at in index.items()}
+    diagonal = np.diag(total.matrix)[b:].copy(), np.diag(whole.matrix).copy()
     left = {n: float(diagonal[1][at].sum() / max(diagonal[0][at].sum(), 1e-300))
             for n, at in index.items()}  # fmt: skip
     size = {n: float(np.sqrt(max(diagonal[1][at].sum(), 0.0))) for n, at in index.items()}
     live = [e for e in found.entries if left[e.name] >= ABSORBED and size[e.name] >= OPEN]
     own = [index[e.name] for e in live]
-    evidence = _evidence(whole, diagonal[0], own, total.numbers - b, rng, draws)
+    freedom = total.numbers - b
+    each = {n: Alone(whole.matrix[np.ix_(at, at)], whole.along[at]) for n, at in index.items()}
+    carry, contest = whole.carry, _contest(whole, diagonal[0], own, freedom, rng, draws)
+    del total, whole  # of many IMUs they are large
+    evidence = contest()
     noises = noise_tests(state, rng, draws)
     null = np.maximum(evidence.best, noises.null)
     value = dict(zip((e.name for e in live), evidence.evidence, strict=True))
@@ -141,34 +143,38 @@ def search(
         for e in found.entries
     ]
     scores += [_noise_score(test, null) for test in noises.tests]
-    carry = np.sqrt(np.sum(whole.carry[: state.positions] ** 2, axis=0) / state.positions)
-    impact = {e.name: float(np.linalg.norm(carry[index[e.name]])) for e in found.entries}
+    moved = np.sqrt(np.sum(carry[: state.positions] ** 2, axis=0) / state.positions)
+    impact = {e.name: float(np.linalg.norm(moved[index[e.name]])) for e in found.entries}
     return Search(
         scores=tuple(sorted(scores, key=lambda s: -s.evidence)),
         missing=found.missing,
         entries={e.name: e for e in found.entries},
         index=index,
-        whole=whole,
-        total=total.matrix[b:, b:],
-        halves=free,
-        prior=prior,
+        whole=each,
+        total=before,
+        halves=halves,
+        carry=carry,
         null=null,
         impact=impact,
     )
 
 
-def _evidence(
+def _contest(
     whole: Reduced, size: Array, own: list[Index], freedom: int, rng: np.random.Generator,
     draws: int,
-) -> GramEvidence:  # fmt: skip
-    """Evidence of blocks of columns; size : squared, of every column before anything was taken."""
+) -> Callable[[], GramEvidence]:  # fmt: skip
+    """Evidence of blocks of columns, to be called when `whole` is no longer held; size : squared,
+    of every column before anything was taken."""
     scale = whole.power / max(freedom, 1)
     # Absorbed columns are rounding errors: they must not enter the simulation.
     sound = np.diag(whole.matrix) > 1e-9 * size
     kept = [at[sound[at]] for at in own]
     used = np.unique(np.concatenate(kept))
-    return block_evidence(
-        gram=whole.matrix[np.ix_(used, used)] / scale,
+    matrix = whole.matrix[np.ix_(used, used)]
+    matrix /= scale
+    return partial(
+        block_evidence,
+        gram=matrix,
         along=whole.along[used] / scale,
         power=whole.power / scale,
         freedom=freedom,
@@ -180,16 +186,21 @@ def _evidence(
     )
 
 
-def _grams(state: ArrayState, found: Candidates) -> tuple[Gram, Gram]:
+def _grams(
+    state: ArrayState, found: Candidates, index: dict[str, Index]
+) -> tuple[Gram, tuple[dict[str, Alone], dict[str, Alone]]]:
+    """Products over all samples, and of each held-out half what a candidate alone needs."""
     setup, base = state.setup, state.base
     blocks = [*base.blocks, *found.blocks]
     # Many IMUs have many columns and many readings a sample: fewer samples say as much.
     most = int(np.clip(_READINGS / setup.triads, _FEWEST, _MOST))
     some = np.linspace(0, len(setup.inner) - 1, min(most, len(setup.inner))).astype(np.intp)
     first = setup.first[some]
-    one = gram(state.sampled, blocks, setup.inner[some[first]])
-    two = gram(state.sampled, blocks, setup.inner[some[~first]])
-    return base.free(one), base.free(two)
+    one = base.free(gram(state.sampled, blocks, setup.inner[some[first]]))
+    halves = [alone(one, index, base.rests)]
+    two = base.free(gram(state.sampled, blocks, setup.inner[some[~first]]))
+    halves.append(alone(two, index, base.rests))
+    return one.added(two), (halves[0], halves[1])
 
 
 def _score(
@@ -198,14 +209,9 @@ def _score(
     bare = Candidate(entry.name, entry.kind, np.zeros((0, len(entry.part))), entry.driver)
     if evidence is None:
         return Score(
-            candidate=bare,
-            evidence=0.0,
-            p=1.0,
-            draws=len(null),
-            left=0.0,
-            strength=strength,
+            candidate=bare, evidence=0.0, p=1.0, draws=len(null), left=0.0, strength=strength,
             share=0.0,
-        )
+        )  # fmt: skip
     p = float((1 + (null >= evidence).sum()) / (len(null) + 1))
     return Score(
         candidate=bare,

@@ -1,0 +1,118 @@
+"""Columns with others taken out of them, from their products alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+
+
+@dataclass(frozen=True)
+class Gram:
+    """matrix : (M, M); along : (M,) products with the residual; power : of the residual;
+    numbers : how many the residual has, less the motion's; whole : (M,) squares before the motion
+    is taken out"""
+
+    matrix: Array
+    along: Array
+    power: float
+    numbers: int
+    whole: Array
+
+    def __add__(self, other: Gram) -> Gram:
+        return Gram(
+            self.matrix + other.matrix, self.along + other.along, self.power + other.power,
+            self.numbers + other.numbers, self.whole + other.whole,
+        )  # fmt: skip
+
+    def added(self, other: Gram) -> Gram:
+        """The sum, in the place of the other's matrix: of many IMUs a third would be large."""
+        np.add(self.matrix, other.matrix, out=other.matrix)
+        return Gram(
+            other.matrix, self.along + other.along, self.power + other.power,
+            self.numbers + other.numbers, self.whole + other.whole,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Columns with the base taken out: matrix (m, m), along (m,), power, and the base's own
+    solution : (b,) step and covariance (b, b); carry : (b, m) base per unit of each column."""
+
+    matrix: Array
+    along: Array
+    power: float
+    step: Array
+    covariance: Array
+    carry: Array
+
+
+def reduced(found: Gram, prior: Array, pull: Array) -> Reduced:
+    """Take the base, the first columns, out of those that follow it.
+
+    prior : (b,) inverse variances of the base's parameters, zero for free ones; pull : (b,) prior
+    times how far they stand from their means
+    """
+    b = len(prior)
+    half = _inverse_root(found.matrix[:b, :b] + np.diag(prior))
+    across = half.T @ found.matrix[:b, b:]
+    right = half.T @ (found.along[:b] - pull)
+    matrix = across.T @ across
+    np.subtract(found.matrix[b:, b:], matrix, out=matrix)
+    return Reduced(
+        matrix,
+        found.along[b:] - across.T @ right,
+        found.power - float(right @ right),
+        half @ right,
+        half @ half.T,
+        half @ across,
+    )
+
+
+@dataclass(frozen=True)
+class Alone:
+    """Some columns with the base taken out, without any others: matrix (m, m), along (m,)."""
+
+    matrix: Array
+    along: Array
+
+
+def alone(found: Gram, index: Mapping[str, Index], prior: Array) -> dict[str, Alone]:
+    """Each of several sets of columns, counted after the base, with the base taken out of it, whose
+    parameters are believed to be where they stand.
+
+    prior : (b,) inverse variances of the base's parameters, which are the first
+    """
+    b = len(prior)
+    half = _inverse_root(found.matrix[:b, :b] + np.diag(prior))
+    across, right = half.T @ found.matrix[:b, b:], half.T @ found.along[:b]
+    return {
+        name: Alone(
+            found.matrix[np.ix_(b + at, b + at)] - across[:, at].T @ across[:, at],
+            found.along[b + at] - across[:, at].T @ right,
+        )
+        for name, at in index.items()
+    }
+
+
+def _inverse_root(inner: Array) -> Array:
+    """(b, q) with root rootᵀ the inverse of a matrix, its open directions left out."""
+    size = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    return np.asarray(size[:, None] * _half(inner * size[:, None] * size))
+
+
+def _half(unit: Array) -> Array:
+    """(b, q) with half halfᵀ the inverse of a matrix of unit diagonal, its open directions left
+    out."""
+    try:
+        lower = np.linalg.cholesky(unit)
+        if float(np.diag(lower).min(initial=1.0)) > 1e-4:
+            return np.asarray(np.linalg.inv(lower).T)
+    except np.linalg.LinAlgError:
+        pass
+    values, vectors = np.linalg.eigh(unit)
+    use = values > 1e-11 * max(float(values[-1]), 1e-300)
+    return np.asarray(vectors[:, use] / np.sqrt(values[use]))
