@@ -117,6 +117,8 @@ def command(
         load_file(options["effects_file"])
     loaded = read(calibration)
     check(loaded, str(calibration))
+    if angles is not None:
+        _refuse_array(loaded)
     if loaded.status != "ok":
         note(
             f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
@@ -135,19 +137,27 @@ def command(
     return 0
 
 
+def _refuse_array(calibration: Calibration) -> None:
+    """Angles are of one accelerometer; said before anything is written."""
+    from imucalib.errors import UsageError
+
+    if calibration.triads:
+        raise UsageError(
+            "--angles is of one accelerometer, this calibration is of an array",
+            remedy="leave it out: the fused specific force at rest has the array's tilt",
+        )
+
+
 def _angles(
     calibration: Calibration, corrected: Path, path: Path, triad: str | None, each: str
 ) -> str:
     """Write the angles of the corrected recording; what must be said of their frame."""
     from imucalib.calibration.angles import angles_at_rests, angles_of_samples
     from imucalib.calibrators.lab.conventions import Conventions
-    from imucalib.errors import UsageError
     from imucalib.readers import read
     from imucalib.report.angles import write_angles
     from imucalib.rests.segments import still_segments
 
-    if calibration.triads:
-        raise UsageError("--angles is of one accelerometer, this calibration is of an array")
     recording = read(corrected)
     rests = still_segments(recording)
     found = [c for c in recording.channels.values() if c.quantity == "acceleration"]

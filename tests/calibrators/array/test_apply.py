@@ -18,7 +18,7 @@ from imucalib.calibrators.array.loop.asked import Asked
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
-from imucalib.errors import UnreadableInput
+from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers import read as read_recording
 from imucalib.recording.recording import Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
@@ -107,6 +107,19 @@ def test_every_format_gives_the_same(
     found, want = read_recording(target), apply_to_recording(run.calibration, log.recording)
     for name, channel in want.channels.items():
         assert np.allclose(found.channels[name].values, channel.values, atol=1e-6), name
+
+
+def test_angles_of_an_array_are_refused_before_anything_is_written(
+    log: SimulatedLog, run: ArrayRun, tmp_path: Path
+) -> None:
+    source, target = tmp_path / "log.h5", tmp_path / "corrected.h5"
+    write_recording(log.recording, source)
+    write(run.calibration, tmp_path / "c.yaml")
+    arguments = ["apply", str(tmp_path / "c.yaml"), str(source), "-o", str(target)]
+    arguments += ["--angles", str(tmp_path / "angles.csv")]
+    with pytest.raises(UsageError, match="of an array"):
+        CliRunner().invoke(cli.cli, arguments, standalone_mode=False, catch_exceptions=False)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.yaml", "log.h5"]
 
 
 def test_one_imu_alone_and_other_names(log: SimulatedLog, run: ArrayRun) -> None:

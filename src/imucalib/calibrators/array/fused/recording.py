@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -133,7 +134,7 @@ def fuse_file(
     told, notes = Told(), dict[str, None]()
 
     def fused_blocks(given: Iterable[Recording]) -> Iterator[Recording]:
-        corrected = _each_corrected(calibration, found, told) if each else None
+        corrected = partial(apply_to_recording, calibration, again=True) if each else None
         for block in _outputs(given, found, told, corrected):
             marks = (*block.corrections, mark_of(calibration, TRIAD))
             notes.update(dict.fromkeys(block.notes))
@@ -162,10 +163,6 @@ def _unmarked(given: Iterable[Recording], again: bool) -> Iterator[Recording]:
 
 
 Corrected = Callable[[Recording], Recording]
-
-
-def _each_corrected(calibration: Calibration, found: Survey, told: Told) -> Corrected:
-    return lambda block: apply_to_recording(calibration, block, again=True)
 
 
 def _outputs(
@@ -210,14 +207,11 @@ def determined(covariance: Array) -> Flags:
 def _words(found: Survey, told: Told) -> Iterator[str]:
     """What was done, and what was done without."""
     x, y, z = 1e3 * found.instrument.at
+    known = found.instrument.doubt is not None
     yield (
         f"{TRIAD}: force at x {x:.2f}, y {y:.2f}, z {z:.2f} mm of the board's frame, rate and "
-        "angular acceleration in the board's axes; covariances hold the noise and "
-        + (
-            "what the calibration leaves open"
-            if found.instrument.doubt
-            else "nothing of the calibration, whose file does not say how well it is known"
-        )
+        "angular acceleration in the board's axes; covariances hold the noise"
+        + (" and what the calibration leaves open" if known else ", nothing of the calibration")
     )
     if found.rests > 0.0:
         yield f"gyro biases taken anew from {found.rests:.0f} s of rest in this recording"
