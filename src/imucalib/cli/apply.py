@@ -117,8 +117,7 @@ def command(
         load_file(options["effects_file"])
     loaded = read(calibration)
     check(loaded, str(calibration))
-    if angles is not None:
-        _refuse_array(loaded)
+    _refuse_angles(loaded, angles)
     if loaded.status != "ok":
         note(
             f"warning: this calibration is {loaded.status}: {'; '.join(loaded.reasons)}",
@@ -137,11 +136,11 @@ def command(
     return 0
 
 
-def _refuse_array(calibration: Calibration) -> None:
+def _refuse_angles(calibration: Calibration, path: Path | None) -> None:
     """Angles are of one accelerometer; said before anything is written."""
     from imucalib.errors import UsageError
 
-    if calibration.triads:
+    if path is not None and calibration.triads:
         raise UsageError(
             "--angles is of one accelerometer, this calibration is of an array",
             remedy="leave it out: the fused specific force at rest has the array's tilt",

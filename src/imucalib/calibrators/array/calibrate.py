@@ -75,6 +75,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     if request.limits and not (request.loop or request.asked.declare):
         raise UsageError("limits need held-out data", remedy="leave --no-loop out")
     laid = _laid(recording, request)
+    del recording  # from here on a log is side by side: held twice, one of many IMUs is large
     board, segments = laid.board, laid.segments
     rests = fit_rests(
         segments, board, laid.order, request.gravity,
@@ -136,7 +137,16 @@ def _laid(recording: Recording, request: ArrayRequest) -> _Laid:
         refuse_streams(taken, board.imus, log.interval)
         refuse_contradiction(compared(log, segments, board, order))
     log = replace(log, clipped=log.clipped | taken.held)
-    return _Laid(recording, board, log, segments, order, taken)
+    return _Laid(_without_values(recording), board, log, segments, order, taken)
+
+
+def _without_values(recording: Recording) -> Recording:
+    """The recording with what it is called and how long it is, but no readings."""
+    channels = {
+        name: replace(c, values=np.broadcast_to(np.nan, c.values.shape))
+        for name, c in recording.channels.items()
+    }
+    return replace(recording, channels=channels)
 
 
 def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
