@@ -6,7 +6,7 @@ import numpy as np
 
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.array.card import array_card
-from imucalib.report.array.growth import growth_plot
+from imucalib.report.array.growth import growth_blocks
 from imucalib.report.array.known import known_facts
 from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
 from imucalib.report.array.residuals import residual_plots
@@ -51,7 +51,7 @@ def array_document(run: ArrayRun) -> Document:
 
 
 def _board_section(run: ArrayRun) -> Section:
-    plots = (*board_plots(run), close_up(run), deviation_plot(run), *growth_plot(run))
+    plots = (*board_plots(run), close_up(run), deviation_plot(run), *growth_blocks(run))
     return Section("The board", plots, brief=False)
 
 

@@ -8,15 +8,15 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.errors import ImucalError
 from imucalib.estimators.array.mode import laplace_frame
-from imucalib.report.document import Plot, Series
+from imucalib.report.document import Plot, Series, Table
 
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 _FEWEST = 10  # samples below which a part is not shown
 
 
-def growth_plot(run: ArrayRun) -> tuple[Plot, ...]:
-    """Median standard deviation of each axis against the number of samples; empty where the
-    samples do not allow it."""
+def growth_blocks(run: ArrayRun) -> tuple[Plot | Table, ...]:
+    """Median standard deviation of each axis against the number of samples, drawn and as Table II
+    of paper 001 has it; empty where the samples do not allow it."""
     data, final = run.final.data, run.final
     if final.sampler == "gaussian":
         return ()
@@ -36,7 +36,9 @@ def growth_plot(run: ArrayRun) -> tuple[Plot, ...]:
         "samples, scaled to end at what is stated. Twice the precision takes four times the motion."
     )
     title = "Standard deviation against the samples used"
-    return (Plot(title, "samples used", "sd (mm)", tuple(series), caption, log_y=True),)
+    rows = tuple((f"{t:.0f}", *(f"{v:.2g}" for v in row)) for t, row in zip(n, sd, strict=True))
+    table = Table(title, ("T", "sd x", "sd y", "sd z"), rows, "rrrr", "mm, as drawn above.")
+    return Plot(title, "samples used", "sd (mm)", tuple(series), caption, log_y=True), table
 
 
 def _median_sd(run: ArrayRun, count: int) -> Array | None:

@@ -41,7 +41,26 @@ def _plan(run: ArrayRun, name: str, rows: NDArray[np.intp]) -> Plot:
             series.append(_joined(name_of, rings))
     series.append(Series("posterior mean", mean[:, 0], mean[:, 1], "points", names=names))
     caption = f"Seen from the top; {run.board.imus[0]} is the reference and stands where drawn."
+    held, of = centres_held(run, rows)
+    if of:
+        caption += f" The 97 % ellipses hold the package's centre in {held} of {of}"
+        caption += "." if held == of else (
+            ": accelerometers that sit beside the middle of their package, alike in all, are "
+            "beside it on the side that the reference is not on."
+        )  # fmt: skip
     return Plot(f"Positions, {name}", "x (mm)", "y (mm)", tuple(series), caption, equal=True)
+
+
+def centres_held(run: ArrayRun, rows: NDArray[np.intp]) -> tuple[int, int]:
+    """In how many of some IMUs, the reference left out, the 97 % ellipse holds the drawn place."""
+    chosen = [int(k) for k in rows if k > 0]
+    held = 0
+    for k in chosen:
+        at = slice(3 * (k - 1), 3 * (k - 1) + 2)
+        off = (run.final.mean - run.board.drawn)[k, :2]
+        square = float(off @ np.linalg.solve(run.final.covariance[at, at], off))
+        held += square <= _MOST**2
+    return held, len(chosen)
 
 
 def _magnified(run: ArrayRun, rows: NDArray[np.intp]) -> float:
