@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibrators.array.loop.held_out import NORMAL_MAD
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.document import Plot, Series
@@ -39,7 +40,7 @@ def _against_rate(run: ArrayRun) -> list[Plot]:
         plots.append(Plot(
             f"{what.capitalize()} residual against the rate", "speed of rotation (deg/s)",
             _axis(what, unit), tuple(series),
-            "One point a moving sample, rms over all sensors, its own motion taken out.",
+            f"One point a moving sample, rms of an axis, its own motion taken out. {_of(run)}",
             log_y=True,
         ))  # fmt: skip
     return plots
@@ -52,11 +53,13 @@ def _against_others(run: ArrayRun) -> list[Plot]:
         for what, unit, size, k in _SENSORS:
             series = []
             for name, state in _states(run):
-                x, y = _binned(_force(state) if words == "force" else _time(state), _rms(state, k))
+                drive = _force(state) if words == "force" else _time(state)
+                x, y = _binned(drive, _residual(state, k))
                 series.append(Series(name, x, y / size, "points"))
             plots.append(Plot(
                 f"{what.capitalize()} residual against {words}", label, _axis(what, unit),
-                tuple(series), f"Rms over all sensors and a {_BINS}th of the samples.", log_y=True,
+                tuple(series), f"1.4826 MAD of a {_BINS}th of the samples, of all sensors.",
+                log_y=True,
             ))  # fmt: skip
     return plots
 
@@ -71,13 +74,18 @@ def _of_each(run: ArrayRun) -> list[Plot]:
         )
         plots.append(Plot(
             f"{what.capitalize()} residual of each IMU", "IMU, in the board's order",
-            _axis(what, unit), series, "Rms over the moving samples.", log_y=True,
+            _axis(what, unit), series, f"1.4826 MAD over the moving samples. {_of(run)}",
         ))  # fmt: skip
     return plots
 
 
+def _of(run: ArrayRun) -> str:
+    before, after = (len(state.setup.inner) for _, state in _states(run))
+    return f"Before: {before} samples of the search; after: {after}."
+
+
 def _axis(what: str, unit: str) -> str:
-    return f"{what} residual ({unit} rms of an axis)"
+    return f"{what} residual ({unit})"
 
 
 def _ends(state: ArrayState) -> tuple[float, float]:
@@ -111,12 +119,13 @@ def _rms(state: ArrayState, sensor: int) -> Array:
 
 
 def _each(state: ArrayState, sensor: int) -> Array:
-    """(K,) over samples and axes."""
-    return np.asarray(np.sqrt(np.mean(_residual(state, sensor) ** 2, axis=(0, 2))), np.float64)
+    """(K,) 1.4826 MAD over samples and axes."""
+    size = np.abs(_residual(state, sensor))
+    return np.asarray(NORMAL_MAD * np.median(size, axis=(0, 2)), np.float64)
 
 
 def _binned(x: Array, y: Array) -> tuple[Array, Array]:
-    """Median of the driver and rms of the residual in bins of as many samples."""
+    """Median of the driver (n,) and 1.4826 MAD of residuals (n, K, 3) in bins of as many."""
     parts = [p for p in np.array_split(np.argsort(x), _BINS) if p.size]
     middle = np.array([np.median(x[p]) for p in parts])
-    return middle, np.array([np.sqrt(np.mean(y[p] ** 2)) for p in parts])
+    return middle, NORMAL_MAD * np.array([np.median(np.abs(y[p])) for p in parts])
