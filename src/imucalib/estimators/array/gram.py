@@ -68,8 +68,8 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
     flat = three[:, :, back].reshape(-1, total)
     matrix = flat.T @ flat
     np.negative(matrix, out=matrix)
-    for at in (order[:force], order[force:]):
-        matrix[np.ix_(at, at)] += own.pop(0)
+    for columns in (order[:force], order[force:]):
+        matrix[np.ix_(columns, columns)] += own.pop(0)
     along = along[back] - flat.T @ residual[:, 6:].ravel()
     power -= float(np.sum(residual * residual))
     return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole[back])

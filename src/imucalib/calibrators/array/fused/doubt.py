@@ -100,7 +100,7 @@ def of_the_calibration(
         by = by.sum(axis=1, keepdims=True) if columns.shared else by
         by = by * sd.reshape(-1, 1, by.shape[3])
         out += np.matmul(by, by.transpose(0, 1, 3, 2)).sum(axis=1)
-    return out + _of_the_whole(doubt, motion, sensed)
+    return np.asarray(out + _of_the_whole(doubt, motion, sensed))
 
 
 def _gains(motion: FusedMotion, sensed: Sensed, r: Array) -> tuple[Array, Array]:
