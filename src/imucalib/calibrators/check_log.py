@@ -149,8 +149,8 @@ def check_rests(
     asked: Asked,
     reading_sd: float,
 ) -> CheckLog:
-    """The rests of one accelerometer. reading_sd : m/s², noise of a reading; a rest that is averaged
-    so short that its samples alone scatter by more counts by that.
+    """The rests of one accelerometer. reading_sd : m/s², noise of a reading; a rest so short
+    that its samples alone leave more counts by that.
 
     Raises UsageError where it is not clear which sensor, or without a scale.
     """

@@ -40,14 +40,14 @@ if TYPE_CHECKING:
 @click.argument("calibration", type=click.Path(path_type=Path))
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("--limit", "limits", multiple=True, metavar="SIZE",
-              help="Change that matters: 2mg of bias, 0.1deg of mounting, 0.5deg/s of a gyroscope's "
+              help="Change that matters: 2mg of bias, 0.1deg of mounting, 0.5deg/s of a gyro's "
               "bias. Default: 5 sd of one corrected reading.")  # fmt: skip
 @click.option("--noise", metavar="SIZE", help="Scatter of one rest or position, for example 0.5mg; "
               "default: as the calibration states it.")  # fmt: skip
 @click.option("--between-sessions", metavar="SIZE", help="Scatter of the biases between power-ups, "
               "for example 0.5mg; default: as the calibration states it, else none.")  # fmt: skip
 @click.option("--history", type=click.Path(path_type=Path, dir_okay=False),
-              help="File of this calibration's checks: adds a line, and the evidence of all counts.",
+              help="File of this calibration's checks: adds a line; the evidence is of all lines.",
               )  # fmt: skip
 @click.option("--triad", help="Which sensor, when the log has several.")
 @click.option("--columns", multiple=True, metavar="ROLE=NAME,...",
@@ -81,7 +81,8 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     from imucalib.calibration.checking.limits import limits_of
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file
-    from imucalib.report.checking import check_dict, check_document
+    from imucalib.report.checking.data import check_dict
+    from imucalib.report.checking.document import check_document
     from imucalib.report.render.text import render_text
 
     inputs = inputs_of(options, calibration, log)

@@ -1,4 +1,4 @@
-"""Is a calibration still good? The verdict from a few rests or positions, and what they could see."""
+"""Is a calibration still good? The verdict of a few rests or positions, and what they can see."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ Lardy, de Heide and Grünwald 2024, Annals of Statistics 52, 1410-1432). `mixtur
 families, sizes κ and beginnings τ, weighted 1/(τ(τ+1)); what begins later counts 1.
 
 At one look a fixed level has more power, so most of the stake goes on it: look j pays w_j / α_j
-when its p is at most α_j = 0.7 α w_j, with w = 0.7 for the first and 0.3 / (j (j-1)) for the others:
+when its p is at most α_j = 0.7 α w_j, w = 0.7 for the first look and 0.3 / (j (j-1)) for others:
 each payment has a mean of at most w_j, and sums need no independence (Vovk and Wang 2021, Annals of
 Statistics 49, 1736-1754). By Ville's and Markov's inequalities E = 0.3 mixture + 0.7 payments ever
 reaches 1/α with a chance of at most α.
