@@ -177,17 +177,16 @@ def _judged(one: Measured, level: float, seed: int) -> SensorCheck:
         seen=seen,
         causes=tuple(sorted(causes, key=lambda n: tests[n].p)),
         together=statistic.rest_of_all() > _LEFT,
-        alone=_alone(statistic, tests, level),
+        alone=None if causes else _alone(statistic, level),
         gyro=one.gyro,
     )
 
 
-def _alone(statistic: Statistic, tests: Mapping[str, FamilyTest], level: float) -> int | None:
-    """The row without which nothing shows, of many; None where a kind of change shows by itself:
-    with few readings one of them may be all that sees a change."""
-    kinds = [test.p for name, test in tests.items() if name != ANYTHING]
+def _alone(statistic: Statistic, level: float) -> int | None:
+    """The row without which nothing shows, where no kind of change explains all rows; None of few:
+    one of these may be all that sees a change."""
     misfits = statistic.misfits
-    if misfits.n < _MANY or min(kinds) <= level or tests[ANYTHING].p > level:
+    if misfits.n < _MANY or statistic.p() > level:
         return None
     inverse = np.linalg.inv(misfits.covariance)
     power = []

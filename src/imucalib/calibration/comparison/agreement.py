@@ -10,7 +10,7 @@ and Mandel 1982; the iterated DerSimonian and Laird 1986), its interval Q(τ²) 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -79,6 +79,24 @@ def agreement(basis: Basis) -> Agreement:
         noise_dof=nu,
         without=without,
     )
+
+
+def odd_ones(basis: Basis, alpha: float) -> tuple[int, ...]:
+    """Calibrations without which the others agree, fewer than half of all; none where all agree,
+    and none where more would have to go: then they scatter."""
+    left, gone = list(range(len(basis.value))), list[int]()
+    while agreement(_some(basis, left)).p <= alpha:
+        if len(left) < 3 or 2 * (len(gone) + 1) >= len(basis.value):
+            return ()
+        rest = [[k for k in left if k != out] for out in left]
+        best = int(np.argmin([agreement(_some(basis, some)).chi2 for some in rest]))
+        gone.append(left[best])
+        left = rest[best]
+    return tuple(sorted(gone))
+
+
+def _some(basis: Basis, of: list[int]) -> Basis:
+    return replace(basis, value=basis.value[of], covariance=basis.covariance[of], dof=basis.dof[of])
 
 
 def noise_dof(covariance: Array, dof: Array) -> float:

@@ -11,7 +11,13 @@ import numpy as np
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.comparison.agreement import Agreement, Scatter, agreement, scatter
+from imucalib.calibration.comparison.agreement import (
+    Agreement,
+    Scatter,
+    agreement,
+    odd_ones,
+    scatter,
+)
 from imucalib.calibration.comparison.attitudes import Seen, largest_sd, seen
 from imucalib.calibration.comparison.basis import Basis, basis_of
 from imucalib.calibration.comparison.dates import Dates, dates_of
@@ -62,11 +68,13 @@ class Comparison:
 
     @property
     def verdict(self) -> Verdict:
-        """Beyond a limit and beyond chance they differ; beyond a limit only, they are too uncertain
-        to tell."""
+        """Beyond a limit and beyond chance they differ; beyond a limit that was stated but within
+        chance, they are too uncertain to tell."""
         if not any(m.beyond for m in self.meanings):
             return "agree"
-        return "differ" if self.differ else "undecided"
+        if self.differ:
+            return "differ"
+        return "undecided" if self.stated else "agree"
 
     @property
     def exit_code(self) -> int:
@@ -76,17 +84,8 @@ class Comparison:
 
     @property
     def odd(self) -> tuple[str, ...]:
-        """Of three and more, the files that differ from all others together (Holm)."""
-        if len(self.names) < 3:
-            return ()
-        found = []
-        order = np.argsort(self.agreement.without)
-        for rank, k in enumerate(order):
-            if self.agreement.without[k] * (len(order) - rank) > ALPHA:
-                break
-            found.append(self.names[k])
-        # Where most differ, none is the odd one: they scatter.
-        return tuple(found) if len(found) <= len(self.names) // 2 else ()
+        """Of three and more, the files without which the others agree."""
+        return tuple(self.names[k] for k in odd_ones(self.basis, ALPHA))
 
 
 def compared(

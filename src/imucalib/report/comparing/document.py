@@ -49,7 +49,7 @@ def verdict_words(found: Comparison) -> str:
     worst = "; ".join(_meaning_words(found, m) for m in found.meanings)
     beyond = [m for m in found.meanings if m.beyond]
     if found.verdict == "differ":
-        which = f" {', '.join(found.odd)} differs from the others." if found.odd else ""
+        which = f" Without {' and '.join(found.odd)} the others agree." if found.odd else ""
         return f"They differ beyond the limit ({proof}): {worst}.{which}"
     if found.verdict == "undecided":
         kinds = " and ".join(_QUANTITY[m.worst.unit] for m in beyond)
