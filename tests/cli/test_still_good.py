@@ -158,11 +158,11 @@ def test_compare_says_what_differs(folder: Path, tmp_path: Path) -> None:
     assert "within the limit" in text.stdout
     mixed = run("compare", norm, angles)
     assert mixed.return_value == 0
-    assert "only angles ties a frame" in mixed.stdout
+    assert "only angles ties a frame" in " ".join(mixed.stdout.split()).lower()
     assert run("compare", norm, angles, "--limit", "0.1deg").return_value == 2
     assert run("compare", norm).return_value == 2
     assert run("compare", norm, norm, "-q").stdout == ""
-    assert "same recording" in run("compare", norm, norm).stdout
+    assert "same recording" in " ".join(run("compare", norm, norm).stdout.split())
 
 
 def test_an_array_is_no_single_sensor(folder: Path, tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def _applied(calibration: Calibration) -> tuple[tuple[str, str], ...]:
 def _only(own: Sequence[tuple[tuple[str, str], ...]]) -> str:
     """What not all of them hold."""
     every = [{name for name, _ in names} for names in own]
-    some = sorted(set.union(*every) - set.intersection(*every))
+    some = sorted({n for names in every for n in names if not all(n in o for o in every)})
     more = f", and {len(some) - 4} more" if len(some) > 4 else ""
     return f"not in all: {', '.join(some[:4])}{more}" if some else "other units"
 

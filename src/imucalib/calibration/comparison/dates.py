@@ -37,12 +37,13 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
         return _dates([_parsed(text) for text in stated], "dates as given")
     starts = [(c.facts.get("clock") or {}).get("start_ns") for c in calibrations]
     if all(isinstance(s, int) for s in starts):
-        when = [datetime.fromtimestamp(s / 1e9, UTC) for s in starts if s is not None]
-        return _dates(when, "dates as the recordings have them")
+        known = [datetime.fromtimestamp(s / 1e9, UTC) for s in starts if s is not None]
+        return _dates(known, "dates as the recordings have them")
     runs = [(c.facts.get("provenance") or {}).get("time") for c in calibrations]
-    if not all(isinstance(r, str) for r in runs):
+    when = [_parsed(r) for r in runs if isinstance(r, str)]
+    if len(when) < len(runs):
         return None
-    found = _dates([_parsed(r) for r in runs], "dates are those of the runs of imucal, not of the "
+    found = _dates(when, "dates are those of the runs of imucal, not of the "
                    "recordings, which state none (--dates)")  # fmt: skip
     return found if found is not None and np.ptp(found.days) >= _APART else None
 

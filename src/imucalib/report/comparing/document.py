@@ -70,7 +70,8 @@ def _meaning_words(found: Comparison, meaning: Meaning) -> str:
 
 
 def _meanings(found: Comparison) -> Table:
-    rows, tones = [], dict[int, Tone]()
+    rows: list[tuple[str, ...]] = []
+    tones: dict[int, Tone] = {}
     for meaning in found.meanings:
         worst = meaning.worst
         if meaning.beyond:

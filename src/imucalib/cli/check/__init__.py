@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from imucalib.cli.gravity_options import gravity_of, gravity_options
+from imucalib.cli.check.log import append, measured_of, noise_of
+from imucalib.cli.gravity_options import gravity_options
 from imucalib.cli.output import (
     color,
     emit_json,
@@ -28,12 +29,6 @@ from imucalib.cli.recording_options import (
     still_of,
 )
 from imucalib.cli.working import working
-
-if TYPE_CHECKING:
-    from imucalib.calibration.calibration import Calibration
-    from imucalib.calibration.checking.check import Check, Measured
-    from imucalib.calibration.checking.history import PastCheck
-    from imucalib.calibration.checking.noise import CheckNoise
 
 
 @click.command("check", short_help="Is a calibration still good?")
@@ -95,15 +90,15 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     limits = limits_of(options["limits"])
     loaded = read(calibration)
     check(loaded, str(calibration))
-    noise = _noise(loaded, options)
+    noise = noise_of(loaded, options)
     past = read_history(options["history"], loaded.sha256) if options["history"] else ()
     with working("checking", quiet=options["quiet"]):
-        measured, notes = _measured(loaded, log, noise, options, past)
+        measured, notes = measured_of(loaded, log, noise, options, past)
         found = checked(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
     document = check_document(found, log.name, calibration.name)
     if options["history"] is not None:
-        _append(options["history"], past, found, content)
+        append(options["history"], past, found, content)
         note(f"wrote {options['history']}", options["quiet"])
     if options["html"] is not None:
         from imucalib.calibration.file import write_whole
@@ -116,56 +111,3 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     elif not options["quiet"]:
         click.echo(render_text(document, width(), color=color()), nl=False)
     return found.exit_code
-
-
-def _noise(calibration: Calibration, options: dict[str, Any]) -> CheckNoise:
-    from imucalib.calibration.checking.limits import size_of
-    from imucalib.calibration.checking.noise import check_noise
-    from imucalib.units import MG
-
-    stated = {
-        name: None if options[option] is None else MG * size_of(options[option], {"mg": "force"})[0]
-        for name, option in (("reading", "noise"), ("session", "between_sessions"))
-    }
-    return check_noise(calibration, **stated)
-
-
-def _measured(
-    calibration: Calibration,
-    log: Path,
-    noise: CheckNoise,
-    options: dict[str, Any],
-    past: tuple[PastCheck, ...],
-) -> tuple[list[Measured], tuple[str, ...]]:
-    """The log as misfits, sensor by sensor."""
-    from dataclasses import replace
-
-    from imucalib.calibrators.check_log import Asked, array_log, sensor_log
-    from imucalib.calibrators.lab.files import LabFiles
-
-    files = LabFiles(
-        log, None, pairs(options["columns"], "--columns"), mapping_of(options), still_of(options)
-    )
-    stated = options["gravity"] is not None or options["latitude"] is not None
-    gravity = gravity_of(options)[0] if stated else calibration.gravity
-    asked = Asked(gravity, options["unit"], one_scale(options["lsb"]), options["triad"])
-    make = array_log if calibration.triads else sensor_log
-    measured, notes = make(replace(calibration, gravity=gravity), files, noise, asked)
-    with_past = [
-        replace(m, past=tuple(one.sensors[m.name] for one in past if m.name in one.sensors))
-        for m in measured
-    ]
-    return with_past, notes
-
-
-def _append(path: Path, past: tuple[PastCheck, ...], found: Check, content: dict[str, Any]) -> None:
-    """One more line, with when it was written."""
-    from datetime import UTC, datetime
-
-    from imucalib.calibration.checking.check import look_of
-    from imucalib.calibration.checking.history import PastCheck, append_check
-
-    told = {k: content[k] for k in ("calibration_sha256", "log", "verdict", "p", "e_value")}
-    told["time"] = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    sensors = {s.name: look_of(s.misfits, s.p) for s in found.sensors}
-    append_check(path, past, PastCheck(sensors, told))
