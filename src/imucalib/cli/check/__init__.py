@@ -14,7 +14,6 @@ from imucalib.cli.output import (
     emit_json,
     json_option,
     note,
-    pairs,
     quiet_option,
     seed_option,
     width,
@@ -22,11 +21,8 @@ from imucalib.cli.output import (
 from imucalib.cli.recording_options import (
     force_option,
     inputs_of,
-    mapping_of,
-    one_scale,
     recording_options,
     shortest_rest_option,
-    still_of,
 )
 from imucalib.cli.working import working
 
