@@ -12,7 +12,7 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.check import Measured, checked
 from imucalib.calibration.checking.limits import Limits
 from imucalib.calibration.checking.misfit import Misfits, misfits_of
-from imucalib.calibration.checking.noise import check_noise
+from imucalib.calibration.checking.noise import Scatter, check_noise
 from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibrators.lab.bench import still_observations
 from imucalib.calibrators.lab.position_table import PositionTable
@@ -155,6 +155,22 @@ def test_two_rests_are_undecided_with_the_rests_to_add() -> None:
     assert again == pytest.approx(plan.seen["bias"], rel=0.1)
 
 
+def test_a_calibration_of_several_sessions_states_their_scatter() -> None:
+    made = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
+    scatter = [{"what": "session bias", "unit": "mg", "sd": 0.7},
+               {"what": "session mounting", "unit": "deg", "sd": 0.05}]  # fmt: skip
+    block = {"sessions": ["a", "b", "c"], "scatter": scatter}
+    noise = check_noise(replace(made, facts={**made.facts, "between_sessions": block}))
+    assert noise.session["bias"] == Scatter(0.7, 6.0)
+    assert noise.session["mounting"] == Scatter(0.05, 6.0)
+    reading = vectors(*four(np.random.default_rng(1)))
+    data = still_observations(rests(reading), reading, G, sigma=1.0)
+    found = misfits_of(made, data, noise)[0]
+    # Its few sessions, not the many readings, now tell how well the scale is known.
+    assert 6.0 < found.dof < 12.0
+    assert found.session == {"bias": pytest.approx(0.49)}
+
+
 def test_the_session_widens_what_must_be_seen() -> None:
     rng = np.random.default_rng(6)
     calibration = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
@@ -162,7 +178,7 @@ def test_the_session_widens_what_must_be_seen() -> None:
     data = still_observations(rests(reading), reading, G, sigma=1.0)
     sharp, wide = (
         misfits_of(calibration, data, check_noise(calibration, session=s))[0]
-        for s in (None, 0.7 * MG)
+        for s in (None, {"bias": 0.7})
     )
     assert Statistic(wide).p() > 0.2 > Statistic(sharp).p()
     change = wide.covariance - sharp.covariance

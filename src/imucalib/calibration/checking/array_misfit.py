@@ -49,14 +49,15 @@ def triad_misfits(
     )  # fmt: skip
     jacobian = np.einsum("ni,nip->np", keep, slope)
     bias = MG * keep
-    noisy = np.diag(noise.reading.sd**2 + more) + (noise.session.sd / MG) ** 2 * bias @ bias.T
+    session = noise.session["bias"].sd ** 2 if "bias" in noise.session else 0.0
+    noisy = np.diag(noise.reading.sd**2 + more) + session * bias @ bias.T
     return Misfits(
         value=np.einsum("ni,ni->n", keep, seen - truth @ triad.gain.T - triad.bias),
         covariance=noisy + jacobian @ triad.covariance @ jacobian.T,
         jacobian=jacobian,
         parameters=triad.covariance,
         noise=noisy,
-        session=(noise.session.sd / MG) ** 2,
+        session={"bias": session},
         changes={"bias": bias, "scale": 1e-3 * keep * truth},
         owner=np.arange(n, dtype=np.intp),
         dof=noise.reading.dof,

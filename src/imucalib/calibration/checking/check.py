@@ -37,7 +37,7 @@ class SensorCheck:
     """One sensor. name : of an array's IMU, else empty; p : that nothing changed, over all kinds of
     change; seen : per kind, the change in the worst direction that would have been found; causes :
     kinds of change that explain the misfits, the best first, none where none does alone
-    together : whether all kinds of change together explain them; alone : the row of the one reading
+    together : whether all kinds of change together explain them, None where they always would; alone : the row of the one reading
     without which nothing shows, where only a sum over many readings says that something is there
     """
 
@@ -47,7 +47,7 @@ class SensorCheck:
     p: float
     seen: Mapping[str, float]
     causes: tuple[str, ...]
-    together: bool = True
+    together: bool | None = None
     alone: int | None = None
     gyro: GyroRest | None = None
 
@@ -176,7 +176,7 @@ def _judged(one: Measured, level: float, seed: int) -> SensorCheck:
         p=statistic.p(),
         seen=seen,
         causes=tuple(sorted(causes, key=lambda n: tests[n].p)),
-        together=statistic.rest_of_all() > _LEFT,
+        together=None if statistic.saturated else statistic.rest_of_all() > _LEFT,
         alone=None if causes else _alone(statistic, level),
         gyro=one.gyro,
     )

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.checking.misfit import FAMILIES
+from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.units import DEG, MG
 
 #: Sizes of a change, in noise of one reading, that the mixture holds.

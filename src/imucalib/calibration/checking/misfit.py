@@ -10,13 +10,14 @@ rest) are projected out as in `core.balance`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import NEVER_APPLIED, Calibration
-from imucalib.calibration.checking.noise import CheckNoise
+from imucalib.calibration.checking.noise import FAMILIES, CheckNoise
 from imucalib.core.balance import Balanced, balance
 from imucalib.core.context import Context
 from imucalib.core.model import Model
@@ -24,11 +25,8 @@ from imucalib.core.observations import Observations
 from imucalib.core.truth import Truth
 from imucalib.effects import known, named
 from imucalib.errors import UnreadableInput
-from imucalib.units import MG
 
-#: Kinds of change: the effect whose columns they are, and the unit of its parameters.
-FAMILIES: dict[str, str] = {"bias": "mg", "scale": "mg/g", "mounting": "deg"}
-#: Of an effect's parameter in the unit above.
+#: Of an effect's parameter in the unit of its family.
 _PER_UNIT = {"bias": 1.0, "scale": 1e-3, "mounting": 1.0}
 
 
@@ -38,8 +36,8 @@ class Misfits:
 
     value : (N,) m/s²; covariance : (N, N), of an unchanged sensor; jacobian : (N, p) by all of the
     calibration's parameters, zero for those that do not act here; parameters : (p, p) covariance
-    noise : (N, N) the part of the covariance that is not the calibration's; session : mg², variance
-    of the biases of a power-up in it
+    noise : (N, N) the part of the covariance that is not the calibration's; session : per family,
+    the variance of a power-up in it, unit²
     changes : per family, (N, 3) m/s² per unit; owner : (N,) row of each
     dof : degrees of freedom of the covariance's scale (Satterthwaite)
     label : of the rows; force : (n, 3) m/s² corrected; angles : whether directions are known
@@ -50,8 +48,8 @@ class Misfits:
     jacobian: Array
     parameters: Array
     noise: Array
-    session: float
-    changes: dict[str, Array]
+    session: Mapping[str, float]
+    changes: Mapping[str, Array]
     owner: Index
     dof: float
     label: tuple[str, ...]
@@ -134,14 +132,14 @@ def misfits_of(
     jacobian[:, part.at] = at.jacobian * at.unit[:, None]
     changes = _changes(part, eta, observations, at)
     carried = jacobian @ calibration.covariance @ jacobian.T
-    noisy, dof = _noise_covariance(at, noise, changes["bias"], carried)
+    noisy, dof = _noise_covariance(at, noise, changes, carried)
     return Misfits(
         value=at.residual * at.unit,
         covariance=noisy + carried,
         jacobian=jacobian,
         parameters=calibration.covariance,
         noise=noisy,
-        session=(noise.session.sd / MG) ** 2,
+        session={name: noise.session[name].sd ** 2 for name in noise.session if name in changes},
         changes=changes,
         owner=at.owner,
         dof=dof,
@@ -185,12 +183,12 @@ def _complete(
 
 
 def _noise_covariance(
-    at: Balanced, noise: CheckNoise, bias: Array, carried: Array
+    at: Balanced, noise: CheckNoise, changes: Mapping[str, Array], carried: Array
 ) -> tuple[Array, float]:
     """(N, N), what rests or positions scatter by, and the degrees of freedom of the whole scale.
 
-    bias : (N, 3) m/s² per mg; carried : (N, N) of the calibration, which was estimated with the
-    noise of its readings. Each part counts by its share of the misfits' variance:
+    changes : per family (N, 3), m/s² per unit; carried : (N, N) of the calibration, which was
+    estimated with the noise of its readings. Each part counts by its share of the misfits' variance:
     ν = 1 / Σ share² / ν_part (Satterthwaite 1946, Biometrics Bulletin 2, 110-114).
     """
     parts = [(np.diag((noise.reading.sd * at.unit) ** 2), noise.reading.dof)]
@@ -199,9 +197,10 @@ def _noise_covariance(
         if scatter is not None:
             scaled = scatter.sd * matrix * at.unit[:, None]
             parts.append((scaled @ scaled.T, scatter.dof))
-    if noise.session.sd > 0.0:
-        columns = noise.session.sd / MG * bias
-        parts.append((columns @ columns.T, noise.session.dof))
+    for name, scatter in noise.session.items():
+        if name in changes and scatter.sd > 0.0:
+            columns = scatter.sd * changes[name]
+            parts.append((columns @ columns.T, scatter.dof))
     noisy = np.sum([part for part, _ in parts], axis=0)
     inverse = np.linalg.inv(noisy + carried)
     share = np.array([np.sum(inverse * part) for part, _ in parts])

@@ -121,8 +121,10 @@ def _joined(now: Misfits | None, pool: Misfits, rows: list[int]) -> Misfits:
     if now is None:
         covariance = part.noise + part.jacobian @ part.parameters @ part.jacobian.T
         return replace(part, covariance=covariance)
-    # A session's bias is in both noise blocks; between them it is what a change of bias would do.
-    cross = now.session * now.changes["bias"] @ part.changes["bias"].T
+    # A session's errors are in both noise blocks; between them they are what changes would do.
+    cross: Array = np.zeros((now.value.size, take.size))
+    for name, variance in now.session.items():
+        cross += variance * now.changes[name] @ part.changes[name].T
     noise = np.block([[now.noise, cross], [cross.T, part.noise]])
     jacobian = np.concatenate([now.jacobian, part.jacobian])
     return replace(

@@ -12,6 +12,10 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.errors import UnreadableInput
 from imucalib.units import DEG, MG
 
+#: Kinds of change, and the unit of their sizes.
+FAMILIES: dict[str, str] = {"bias": "mg", "scale": "mg/g", "mounting": "deg"}
+#: What a calibration of several sessions calls the errors that they share.
+_CHANGES = {"session bias": "bias", "session mounting": "mounting"}
 #: Degrees of freedom of a standard deviation that is taken at its word.
 KNOWN = 1e6
 
@@ -26,24 +30,27 @@ class Scatter:
 
 @dataclass(frozen=True)
 class CheckNoise:
-    """reading : of one rest or position; setting : by the name of the reference's component, of
-    what was set; session : a bias of each axis that one switching on brings, none if sd is 0
-    words : where each comes from
+    """reading : m/s², of one rest or position; setting : rad, by the name of the reference's
+    component, of what was set; session : what one switching on brings, by the kind of change and
+    in its unit; words : where each comes from
     """
 
     reading: Scatter
     setting: Mapping[str, Scatter]
-    session: Scatter
+    session: Mapping[str, Scatter]
     words: tuple[str, ...] = ()
 
 
 def check_noise(
-    calibration: Calibration, *, reading: float | None = None, session: float | None = None
+    calibration: Calibration,
+    *,
+    reading: float | None = None,
+    session: Mapping[str, float] | None = None,
 ) -> CheckNoise:
     """The noise of a later recording.
 
-    reading : m/s², instead of what the file states; session : m/s², scatter of the biases between
-    power-ups, where the file states none
+    reading : m/s², instead of what the file states; session : by the kind of change and in its
+    unit (bias mg, mounting deg), its scatter between power-ups instead of what the file states
     Raises UnreadableInput where neither tells the noise of a reading.
     """
     block = calibration.facts.get("noise") or {}
@@ -63,11 +70,11 @@ def check_noise(
             f"a reading scatters by {own.sd / MG:.3g} mg, as in the calibration "
             f"({own.dof:.0f} degrees of freedom)"
         )
-    between, said = _session(calibration, block, session)
+    between, said = _session(calibration, block, session or {})
     names = ("inclination setting", "tool-face setting", "tilt")
     found = {name: _stated(block, _key(name), "deg", DEG) for name in names}
     setting = {name: scatter for name, scatter in found.items() if scatter is not None}
-    return CheckNoise(own, setting, between, (*words, said))
+    return CheckNoise(own, setting, between, (*words, *said))
 
 
 def _of_rests(calibration: Calibration) -> Scatter | None:
@@ -80,23 +87,30 @@ def _of_rests(calibration: Calibration) -> Scatter | None:
 
 
 def _session(
-    calibration: Calibration, block: Mapping[str, Any], given: float | None
-) -> tuple[Scatter, str]:
-    """The bias of a power-up: as given, as the file states it, or none."""
-    if given is not None:
-        return Scatter(given), f"biases scatter by {given / MG:.3g} mg between power-ups, as given"
-    sessions = calibration.facts.get("between_sessions") or {}
-    stated = sessions.get("bias_mg") if isinstance(sessions, Mapping) else None
-    if isinstance(stated, int | float):
-        sd, spread = float(stated) * MG, float(sessions.get("bias_sd_mg") or 0.0) * MG
-        dof = 0.5 * (sd / spread) ** 2 if spread > 0.0 else KNOWN
-        return Scatter(sd, dof), f"biases scatter by {sd / MG:.3g} mg between power-ups, as stated"
-    shared = _stated(block, "shared", "mg", MG)
+    calibration: Calibration, block: Mapping[str, Any], given: Mapping[str, float]
+) -> tuple[dict[str, Scatter], tuple[str, ...]]:
+    """What a power-up brings: as given, as the file states it, or nothing."""
+    if given:
+        said = ", ".join(f"{size:.3g} {FAMILIES[name]} of {name}" for name, size in given.items())
+        words = f"power-ups scatter by {said}, as given"
+        return {name: Scatter(size) for name, size in given.items()}, (words,)
+    stated = calibration.facts.get("between_sessions")
+    if isinstance(stated, Mapping):
+        # One size for three axes, from so many sessions.
+        dof = 3.0 * (len(stated["sessions"]) - 1)
+        found = {
+            _CHANGES[row["what"]]: Scatter(float(row["sd"]), dof)
+            for row in stated["scatter"] if row["what"] in _CHANGES
+        }  # fmt: skip
+        said = ", ".join(f"{s.sd:.3g} {FAMILIES[name]} of {name}" for name, s in found.items())
+        return found, (f"power-ups scatter by {said}, as in the calibration",)
+    shared = _stated(block, "shared", "mg", 1.0)
     if shared is not None and shared.sd > 0.0:
-        return shared, f"neighbouring readings share {shared.sd / MG:.3g} mg, as in the calibration"
-    return Scatter(0.0), (
+        words = f"neighbouring readings share {shared.sd:.3g} mg, as in the calibration"
+        return {"bias": shared}, (words,)
+    return {}, (
         "the scatter of biases between power-ups is not in it: the file states none "
-        "(--between-sessions)"
+        "(--between-sessions)",
     )
 
 

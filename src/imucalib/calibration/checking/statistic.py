@@ -95,6 +95,11 @@ class Statistic:
         empty = np.zeros(0)
         return found | {ANYTHING: FamilyTest(whole / n, p, n, empty, empty, 1.0)}
 
+    @property
+    def saturated(self) -> bool:
+        """Whether all families together explain any readings."""
+        return self._beyond == 0
+
     def rest_of_all(self) -> float:
         """p of what all families together leave unexplained; 1 where nothing can be left."""
         from scipy.special import fdtrc

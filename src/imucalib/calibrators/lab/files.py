@@ -70,7 +70,7 @@ def _sessions(files: LabFiles, request: LabRequest, say: Callable[[str], None]) 
         if not of_rests:
             tables.append(_ordered(one, request, say))
             continue
-        recording, segments = _still(one.table, one, say)
+        recording, segments = still_rests(one.table, one, say)
         tables.append(_rests(segments, recording))
         notes += recording.notes
     table, joining = joined(tables)

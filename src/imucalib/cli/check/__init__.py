@@ -35,8 +35,9 @@ from imucalib.cli.working import working
               "bias. Default: 5 sd of one corrected reading.")  # fmt: skip
 @click.option("--noise", metavar="SIZE", help="Scatter of one rest or position, for example 0.5mg; "
               "default: as the calibration states it.")  # fmt: skip
-@click.option("--between-sessions", metavar="SIZE", help="Scatter of the biases between power-ups, "
-              "for example 0.5mg; default: as the calibration states it, else none.")  # fmt: skip
+@click.option("--between-sessions", multiple=True, metavar="SIZE",
+              help="Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as a "
+              "calibration of several sessions states it.")  # fmt: skip
 @click.option("--history", type=click.Path(path_type=Path, dir_okay=False),
               help="File of this calibration's checks: adds a line; the evidence is of all lines.",
               )  # fmt: skip

@@ -22,11 +22,10 @@ def noise_of(calibration: Calibration, options: dict[str, Any]) -> CheckNoise:
     from imucalib.calibration.checking.noise import check_noise
     from imucalib.units import MG
 
-    stated = {
-        name: None if options[option] is None else MG * size_of(options[option], {"mg": "force"})[0]
-        for name, option in (("reading", "noise"), ("session", "between_sessions"))
-    }
-    return check_noise(calibration, **stated)
+    reading = options["noise"] and MG * size_of(options["noise"], {"mg": "force"})[0]
+    sizes = [size_of(t, {"mg": "bias", "deg": "mounting"}) for t in options["between_sessions"]]
+    session = {"bias" if unit == "mg" else "mounting": size for size, unit in sizes}
+    return check_noise(calibration, reading=reading, session=session)
 
 
 def measured_of(

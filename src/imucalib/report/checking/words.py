@@ -8,7 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.checking.check import POWER, Check, SensorCheck
-from imucalib.calibration.checking.misfit import FAMILIES
+from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.checking.statistic import ANYTHING
 from imucalib.significant_digits import plus_minus, two_digits
 
@@ -73,6 +73,8 @@ def _causes(sensor: SensorCheck) -> str:
     if not sensor.causes:
         kinds = [name for name in sensor.tests if name != ANYTHING]
         text = f"neither {' nor '.join(kinds)} alone explains it, "
+        if sensor.together is None:
+            return text + "and these are too few readings to tell more"
         return text + ("all together do" if sensor.together else "nor do all together")
     first = f"the {sensor.causes[0]} has changed{size_words(sensor, sensor.causes[0])}"
     if len(sensor.causes) == 1:
