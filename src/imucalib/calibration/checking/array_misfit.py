@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.misfit import Misfits
+from imucalib.calibration.checking.misfit import Misfits, Part
 from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.triads import Triad
 from imucalib.core.references import tangents
@@ -49,18 +49,15 @@ def triad_misfits(
     )  # fmt: skip
     jacobian = np.einsum("ni,nip->np", keep, slope)
     bias = MG * keep
-    session = noise.session["bias"].sd ** 2 if "bias" in noise.session else 0.0
-    noisy = np.diag(noise.reading.sd**2 + more) + session * bias @ bias.T
     return Misfits(
         value=np.einsum("ni,ni->n", keep, seen - truth @ triad.gain.T - triad.bias),
-        covariance=noisy + jacobian @ triad.covariance @ jacobian.T,
+        reading=Part(np.diag(noise.reading.sd**2 + more), noise.reading.dof),
+        setting={},
+        session=noise.session,
         jacobian=jacobian,
         parameters=triad.covariance,
-        noise=noisy,
-        session={"bias": session},
         changes={"bias": bias, "scale": 1e-3 * keep * truth},
         owner=np.arange(n, dtype=np.intp),
-        dof=noise.reading.dof,
         label=tuple(f"rest {k + 1}" for k in range(n)),
         force=np.asarray(force, np.float64),
         directed=False,

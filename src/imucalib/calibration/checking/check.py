@@ -35,10 +35,10 @@ _MANY = 8
 @dataclass(frozen=True)
 class SensorCheck:
     """One sensor. name : of an array's IMU, else empty; p : that nothing changed, over all kinds of
-    change; seen : per kind, the change in the worst direction that would have been found; causes :
-    kinds of change that explain the misfits, the best first, none where none does alone
-    together : whether all kinds of change together explain them, None where they always would; alone : the row of the one reading
-    without which nothing shows, where only a sum over many readings says that something is there
+    change; seen : per kind, the change in the worst direction that would have been found
+    causes : kinds of change that explain the misfits, the best first, none where none does alone
+    together : whether all kinds together explain them, None where they always would
+    alone : the row of the one reading without which nothing shows
     """
 
     name: str

@@ -15,7 +15,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.misfit import Misfits, acting, misfits_of
+from imucalib.calibration.checking.linearised import acting, misfits_of
+from imucalib.calibration.checking.misfit import Misfits
 from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.checking.statistic import Statistic
 from imucalib.core.context import Context
@@ -67,9 +68,9 @@ def next_rests(
     total, chosen = now, np.zeros((0, 3))
     seen = {name: float("inf") for name in limits}
     for _ in range(most):
-        gains = [_information(_joined(total, pool, [k]), limits) for k in range(len(pool.label))]
+        gains = [_information(_joined(total, pool, k), limits) for k in range(len(pool.label))]
         best = int(np.argmax(np.round(gains, 9)))
-        total = _joined(total, pool, [best])
+        total = _joined(total, pool, best)
         chosen = np.concatenate([chosen, _direction(pool, best)[None]])
         say()
         statistic = Statistic(total, draws=_DRAWS)
@@ -105,39 +106,9 @@ def _direction(pool: Misfits, k: int) -> Array:
     return np.asarray(np.round(force / np.linalg.norm(force), 3) + 0.0)
 
 
-def _joined(now: Misfits | None, pool: Misfits, rows: list[int]) -> Misfits:
-    """The misfits of both; the calibration's errors and the session's bias are common to all."""
-    take = np.flatnonzero(np.isin(pool.owner, rows))
-    part = replace(
-        pool,
-        value=pool.value[take],
-        jacobian=pool.jacobian[take],
-        noise=pool.noise[np.ix_(take, take)],
-        changes={name: c[take] for name, c in pool.changes.items()},
-        owner=np.zeros(take.size, np.intp),
-        label=tuple(pool.label[r] for r in rows),
-        force=pool.force[rows],
-    )
-    if now is None:
-        covariance = part.noise + part.jacobian @ part.parameters @ part.jacobian.T
-        return replace(part, covariance=covariance)
-    # A session's errors are in both noise blocks; between them they are what changes would do.
-    cross: Array = np.zeros((now.value.size, take.size))
-    for name, variance in now.session.items():
-        cross += variance * now.changes[name] @ part.changes[name].T
-    noise = np.block([[now.noise, cross], [cross.T, part.noise]])
-    jacobian = np.concatenate([now.jacobian, part.jacobian])
-    return replace(
-        now,
-        value=np.concatenate([now.value, part.value]),
-        covariance=noise + jacobian @ now.parameters @ jacobian.T,
-        jacobian=jacobian,
-        noise=noise,
-        changes={n: np.concatenate([c, part.changes[n]]) for n, c in now.changes.items()},
-        owner=np.concatenate([now.owner, part.owner + now.n]),
-        label=(*now.label, *part.label),
-        force=np.concatenate([now.force, part.force]),
-    )
+def _joined(now: Misfits | None, pool: Misfits, row: int) -> Misfits:
+    more = pool.take(np.array([row], np.intp))
+    return more if now is None else now.joined(more)
 
 
 def _information(misfits: Misfits, limits: Mapping[str, float]) -> float:

@@ -6,10 +6,12 @@ With whitened misfits z and the family's whitened columns of rank r and orthonor
 
 since V's scale was estimated with ν degrees of freedom. The families and "anything" are tested
 together: the smallest of their p is compared with the smallest in simulated recordings of an
-unchanged sensor (Westfall and Young 1993, Resampling-Based Multiple Testing, ch. 2, minimum p).
+unchanged sensor (Westfall and Young 1993, Resampling-Based Multiple Testing, ch. 2, minimum p),
+in which each part of V has the sizes that its estimate allows.
 
 The power is that of a change of stated size. The stated size goes with the estimated noise, so both
-the threshold and the change are drawn at the same estimate: z = z₀ / √q + shift, q ~ χ²(ν) / ν.
+the threshold and the change are drawn at the same estimate: z = z₀ / √q + shift, q ~ χ²(ν) / ν of
+each part.
 """
 
 from __future__ import annotations
@@ -128,11 +130,10 @@ class Statistic:
     def _null(self) -> tuple[Array, Array]:
         """Whitened misfits of unchanged sensors by the stated noise: (draws, R) in the common
         basis, and (draws,) the squares of what lies beyond it."""
-        rng = np.random.default_rng([self.seed, 11])
-        inside = rng.standard_normal((self.draws, self._span.shape[1]))
-        beyond = rng.chisquare(self._beyond, self.draws) if self._beyond else np.zeros(self.draws)
-        q = rng.chisquare(self.misfits.dof, self.draws) / self.misfits.dof
-        return inside / np.sqrt(q)[:, None], beyond / q
+        white = self.misfits.drawn(np.random.default_rng([self.seed, 11]), self.draws)
+        inside = white @ self._span
+        beyond = np.sum(white**2, axis=1) - np.sum(inside**2, axis=1)
+        return inside, np.maximum(beyond, 0.0) * (self._beyond > 0)
 
     def _smallest_p(self, inside: Array, beyond: Array) -> Array:
         """(draws,) smallest p over families and anything."""

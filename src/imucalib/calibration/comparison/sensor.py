@@ -11,7 +11,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.misfit import Acting, acting
+from imucalib.calibration.checking.linearised import Acting, acting
 from imucalib.calibration.triads import Triad
 from imucalib.core.context import Context
 
