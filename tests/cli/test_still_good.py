@@ -14,7 +14,9 @@ from imucalib import cli
 from imucalib.calibration.calibration import StoredParameter
 from imucalib.calibration.file import read, write
 from imucalib.calibration.triads import Triad
+from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.errors import ImucalError
+from imucalib.writers import write as write_recording
 from worlds.instrument import Bench, four, instrument, positions
 
 SHEET = Bench(known=True, noise=0.25, setting=0.01)
@@ -85,6 +87,29 @@ def test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan(folder: Path) -
     wide = run("check", calibration, log, "--noise", "2mg", "--json")
     sizes = (json.loads(r.stdout)["sensors"][0]["changes"][0]["could_see"] for r in (wide, done))
     assert next(sizes) > 4.0 * next(sizes)
+
+
+def test_a_recording_with_rests_is_a_log_too(folder: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    table = simulated_table(BenchPlan("rings", 24), rng)
+    log = tmp_path / "log.csv"
+    write_recording(simulated_recording(table, rng, rate=50.0, rest=2.0), log)
+    options = ("--reference", "norm", "--no-loop", "-q")
+    assert run("lab", log, "-o", tmp_path / "log", *options).return_value == 0
+    done = run("check", tmp_path / "log" / "calibration.yaml", log, "--json")
+    content = json.loads(done.stdout)
+    assert done.return_value == 0
+    (sensor,) = content["sensors"]
+    assert sensor["readings"] == 24
+    assert sensor["misfits"][0]["reading"].startswith("rest at ")
+    corrected = tmp_path / "corrected.h5"
+    calibration = tmp_path / "log" / "calibration.yaml"
+    assert run("apply", calibration, log, "-o", corrected, "-q").return_value == 0
+    again = run("check", calibration, corrected)
+    assert again.return_value == 2
+    assert "is corrected" in str(again.exception)
+    lost = run("check", calibration, log, "--triad", "imu7")
+    assert lost.return_value == 2
 
 
 def test_a_history_multiplies_evidence(folder: Path, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from imucalib.calibration.checking.check import Measured
 from imucalib.calibration.checking.linearised import misfits_of
 from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.mark import refuse_second
+from imucalib.calibration.series import BLOCK
 from imucalib.calibration.triads import named_triads
 from imucalib.calibrators.lab.bench import raw_unit
 from imucalib.calibrators.lab.calibrate import LabSettings
@@ -86,6 +87,8 @@ def sensor_log(
         recording, segments = still_rests(files.table, files, lambda text: None)
         log = check_rests(calibration, segments, recording, asked, noise.reading.sd)
     misfits, notes = misfits_of(calibration, log.observations, noise)
+    if (calibration.facts.get(BLOCK) or {}).get("use") == "parts":
+        notes = ("of a calibration in parts the one of the whole is checked", *notes)
     return [Measured(misfits)], (*log.notes, *notes)
 
 
