@@ -18,6 +18,9 @@ FAMILIES: dict[str, str] = {"bias": "mg", "scale": "mg/g", "mounting": "deg"}
 _CHANGES = {"session bias": "bias", "session mounting": "mounting"}
 #: Degrees of freedom of a standard deviation that is taken at its word.
 KNOWN = 1e6
+#: Degrees of freedom that a setting's scatter has at least: below, its law has no mean, and one
+#: component that hardly counts would hide every change.
+_FEWEST = 4.0
 
 
 @dataclass(frozen=True)
@@ -73,8 +76,13 @@ def check_noise(
     between, said = _session(calibration, block, session or {})
     names = ("inclination setting", "tool-face setting", "tilt")
     found = {name: _stated(block, _key(name), "deg", DEG) for name in names}
-    setting = {name: scatter for name, scatter in found.items() if scatter is not None}
+    setting = {name: _at_most(scatter) for name, scatter in found.items() if scatter is not None}
     return CheckNoise(own, setting, between, (*words, *said))
+
+
+def _at_most(stated: Scatter) -> Scatter:
+    """A setting's scatter with its own sd added: few settings may show none where there is some."""
+    return Scatter(stated.sd * (1.0 + 0.5 / stated.dof) ** 0.5, max(stated.dof, _FEWEST))
 
 
 def _of_rests(calibration: Calibration) -> Scatter | None:
