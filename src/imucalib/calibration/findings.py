@@ -36,7 +36,8 @@ class FoundStep:
     size : in words where there are many parameters; checks : errors that the choice has seen or
     not, as their metric says; held_out : nats that data gain which did not estimate it; curve :
     what a correction without a name corrects, in words, or empty; formula : of a form that has no
-    cause, in words, or empty; certain : nothing else would do, and chance would not
+    cause, in words, or empty; certain : nothing else would do, and chance would not; e_value : see
+    `Step`
     """
 
     effect: str
@@ -51,6 +52,7 @@ class FoundStep:
     curve: str = ""
     formula: str = ""
     certain: bool = False
+    e_value: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -193,6 +195,7 @@ def _step(step: Step, final: Fit) -> FoundStep:
         curve=curve,
         formula=f"{form.sentence.rstrip('.')}, {form.equation}" if form else "",
         certain=step.certain,
+        e_value=step.e_value,
     )
 
 

@@ -20,6 +20,8 @@ COMMANDS = {
     "array": "Find the positions of the accelerometers of an inertial sensor array.",
     "design": "Judge a set of positions, and say which added ones help most.",
     "inspect": "Say what a recording holds and how it would be read.",
+    "check": "Say whether a calibration is still good, from a few rests or positions.",
+    "compare": "Compare calibrations: do they differ, what it means, how they drift.",
     "apply": "Correct a recording with a calibration.",
     "export": "Write a calibration's coefficients for another program.",
     "convert": "Rewrite a recording in another format.",

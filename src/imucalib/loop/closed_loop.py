@@ -22,6 +22,7 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects.shape import is_form
 from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.anytime.e_value import e_value
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.choice import Decided, Options, curve_of, decided
 from imucalib.loop.evidence import Score, score
@@ -200,6 +201,7 @@ class _State:
             (Checked("error", "m/s2", held_out_rms(self.fit), held_out_rms(fit)),),
             rivals,
             curve=curve,
+            e_value=math.nan if curve else self._e_value(scores),
         )
         own = tuple(s for s in self.steps if s.effect not in decided.drops)
         state = replace(self, fit=with_shared_noise(fit), steps=(*own, step))
@@ -211,6 +213,12 @@ class _State:
                 kept = tuple(r for r in state.records if r != (found, row))
                 state = replace(state, fit=without, records=kept)
         return state
+
+    def _e_value(self, scores: tuple[Score, ...]) -> float:
+        """That something is missing, from all effects that could be tested."""
+        single = [s.candidate for s in scores if s.candidate.kind == "effect" and not s.absorbed]
+        blocks = [c.columns for c in single if not c.family]
+        return e_value(self.fit, blocks, len(blocks) + len(self.families))
 
     def behind_a_record(self, rejected: Mapping[str, str]) -> _State | None:
         """Where neither a record nor an effect stands out, each may hide the other.

@@ -62,6 +62,7 @@ class Step:
     value : its size in words, where the parameters do not say it; gains : nats that each held-out
         part gains, where there are parts
     curve : whether it is a smooth correction of structure that has no name
+    e_value : evidence that stays valid while a table grows; NaN where there is none
     """
 
     effect: str
@@ -73,6 +74,7 @@ class Step:
     value: str = ""
     gains: tuple[float, ...] = ()
     curve: bool = False
+    e_value: float = math.nan
 
     @property
     def formed(self) -> bool:

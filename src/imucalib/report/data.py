@@ -136,6 +136,7 @@ def _step(step: FoundStep) -> dict[str, Any]:
         "size": step.size,
         "p_value": step.p,
         "draws": step.draws,
+        "e_value": step.e_value,
         "evidence_nats": step.evidence,
         "held_out_nats": list(step.held_out),
         "checks": [

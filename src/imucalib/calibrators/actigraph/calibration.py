@@ -37,6 +37,7 @@ def actigraph_calibration(
         "clock": {"start_ns": scanned.start_ns, "span_s": max(scanned.stop, 1.0)},
         "errors": [error.as_dict() for error in outcome.errors],
         "error_mg": details["error_mg"],
+        "noise": _noise_block(result.final),
         "coverage": details["coverage"],
         "from_data": details["from_data"],
         "provenance": outcome.provenance.as_dict(),
@@ -86,6 +87,12 @@ def _error_block(result: ActigraphResult) -> dict[str, Any]:
         "final_held_out_rms": result.final_held.rms() / MG,
         "held_out_blocks": int(np.unique(result.final.observations.group).size),
     }
+
+
+def _noise_block(fit: Fit) -> dict[str, float]:
+    """What one posture scatters by when it comes again, mg, with its sd."""
+    sigma = fit.noise.factor * float(np.median(fit.at.sigma)) / MG
+    return {"reading_mg": sigma, "reading_sd_mg": sigma * float(fit.noise_sd[0])}
 
 
 def _data_share_block(fit: Fit) -> dict[str, float]:

@@ -30,7 +30,7 @@ from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: Blocks of report.json that the YAML has, too.
 _SHARED = ("board", "reference", "reference_mm", "ranges", "sample_interval_s", "positions_mm",
-           "size", "gyro_scale", "frame", "residual_in_motion", "effects", "not_undone",
+           "size", "gyro_scale", "frame", "rests", "residual_in_motion", "effects", "not_undone",
            "diagnostics")  # fmt: skip
 
 

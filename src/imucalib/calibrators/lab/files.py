@@ -48,11 +48,11 @@ def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], N
         return _sessions(files, request, say)
     if files.recording is not None:
         positions = _table(files, request, need_raw=False)
-        recording, segments = _still(files.recording, files, say)
+        recording, segments = still_rests(files.recording, files, say)
         table = _in_order(positions, segments, recording)
         return _run(table, recording, request)
     if request.reference == "norm" and not _is_table(files):
-        recording, segments = _still(files.table, files, say)
+        recording, segments = still_rests(files.table, files, say)
         return _run(_rests(segments, recording), recording, request)
     return run_lab(_ordered(files, request, say), request)
 
@@ -70,7 +70,7 @@ def _sessions(files: LabFiles, request: LabRequest, say: Callable[[str], None]) 
         if not of_rests:
             tables.append(_ordered(one, request, say))
             continue
-        recording, segments = _still(one.table, one, say)
+        recording, segments = still_rests(one.table, one, say)
         tables.append(_rests(segments, recording))
         notes += recording.notes
     table, joining = joined(tables)
@@ -124,7 +124,10 @@ def _is_table(files: LabFiles) -> bool:
     return table.n <= _MOST_POSITIONS and "time" not in table
 
 
-def _still(path: Path, files: LabFiles, say: Callable[[str], None]) -> tuple[Recording, Segments]:
+def still_rests(
+    path: Path, files: LabFiles, say: Callable[[str], None]
+) -> tuple[Recording, Segments]:
+    """A recording and its rests; raises UnreadableInput where it has none."""
     recording = read(path, files.mapping)
     segments = still_segments(recording, files.still)
     span = max((float(c.t[-1]) for c in recording.channels.values() if c.t.size), default=0.0)

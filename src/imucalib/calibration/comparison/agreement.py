@@ -1,0 +1,158 @@
+"""Whether numbers agree with their stated covariances, and how much they scatter beyond.
+
+All agree: χ² = Σ (θ_i - θ̄)ᵀ C_i⁻¹ (θ_i - θ̄), θ̄ by generalised least squares, with (m-1) p degrees
+of freedom; since the covariances' scale was estimated, χ² / dof is held against F (ν by
+Satterthwaite).
+Scatter of one parameter beyond its sds: τ² solves Q(τ²) = Σ (y_i - ȳ)² / (v_i + τ²) = m - 1 (Paule
+and Mandel 1982; the iterated DerSimonian and Laird 1986), its interval Q(τ²) = the quantiles of
+χ²(m-1) (Viechtbauer 2007, Statistics in Medicine 26, 37-52).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.comparison.basis import Basis
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """mean, mean_sd : (p,) of all; z : (m, p) of each against the mean of the others, by its whole
+    sd; chi2, dof, p : that all agree; noise_dof : behind the covariances' scale
+    without : (m,) p of each calibration against the others, all parameters together
+    """
+
+    mean: Array
+    mean_sd: Array
+    z: Array
+    chi2: float
+    dof: int
+    p: float
+    noise_dof: float
+    without: Array
+
+    @property
+    def z_rms(self) -> float:
+        """1 where the scatter is what is stated."""
+        return float(np.sqrt(self.chi2 / self.dof))
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviation between calibrations beyond their own, (p,) each, with its 95 % interval;
+    z_rms : (p,) of each parameter alone"""
+
+    sd: Array
+    low: Array
+    high: Array
+    z_rms: Array
+
+
+def agreement(basis: Basis) -> Agreement:
+    """Of two or more."""
+    from scipy.special import fdtrc
+
+    value, covariance = basis.value, basis.covariance
+    m, p = value.shape
+    mean, own = _mean(value, covariance)
+    chi2 = sum(_square(v - mean, c) for v, c in zip(value, covariance, strict=True))
+    z, without = np.zeros((m, p)), np.zeros(m)
+    for k in range(m):
+        rest = np.arange(m) != k
+        other, spread = _mean(value[rest], covariance[rest])
+        whole = covariance[k] + spread
+        z[k] = (value[k] - other) / np.sqrt(np.diag(whole))
+        pair = np.array([covariance[k], spread])
+        dof = noise_dof(pair, np.array([basis.dof[k], basis.dof[rest].sum()]))
+        without[k] = fdtrc(p, dof, _square(value[k] - other, whole) / p)
+    dof, nu = (m - 1) * p, noise_dof(covariance, basis.dof)
+    return Agreement(
+        mean=mean,
+        mean_sd=np.sqrt(np.diag(own)),
+        z=z,
+        chi2=float(chi2),
+        dof=dof,
+        p=float(fdtrc(dof, nu, chi2 / dof)),
+        noise_dof=nu,
+        without=without,
+    )
+
+
+def odd_ones(basis: Basis, alpha: float) -> tuple[int, ...]:
+    """Calibrations without which the others agree, fewer than half of all; none where all agree,
+    and none where more would have to go: then they scatter."""
+    left, gone = list(range(len(basis.value))), list[int]()
+    while agreement(_some(basis, left)).p <= alpha:
+        if len(left) < 3 or 2 * (len(gone) + 1) >= len(basis.value):
+            return ()
+        rest = [[k for k in left if k != out] for out in left]
+        best = int(np.argmin([agreement(_some(basis, some)).chi2 for some in rest]))
+        gone.append(left[best])
+        left = rest[best]
+    return tuple(sorted(gone))
+
+
+def _some(basis: Basis, of: list[int]) -> Basis:
+    return replace(basis, value=basis.value[of], covariance=basis.covariance[of], dof=basis.dof[of])
+
+
+def noise_dof(covariance: Array, dof: Array) -> float:
+    """ν of a sum of covariances (k, p, p), each with its own dof (k,), by its share."""
+    total = np.linalg.pinv(covariance.sum(axis=0), hermitian=True)
+    share = np.einsum("ij,kji->k", total, covariance)
+    share = share / share.sum()
+    return float(1.0 / np.sum(share**2 / dof))
+
+
+def scatter(basis: Basis) -> Scatter | None:
+    """Parameter by parameter; None of fewer than three calibrations."""
+    m, p = basis.value.shape
+    if m < 3:
+        return None
+    variance = np.einsum("kii->ki", basis.covariance)
+    found = np.array([between(basis.value[:, k], variance[:, k]) for k in range(p)])
+    z_rms = np.array([np.sqrt(_q(0.0, basis.value[:, k], variance[:, k]) / (m - 1))
+                      for k in range(p)])  # fmt: skip
+    return Scatter(found[:, 0], found[:, 1], found[:, 2], z_rms)
+
+
+def between(value: Array, variance: Array) -> tuple[float, float, float]:
+    """Standard deviation between values (m,) beyond their variances, and its 95 % interval."""
+    from scipy.special import chdtri
+
+    m = value.size
+    wanted = (m - 1.0, float(chdtri(m - 1, 0.025)), float(chdtri(m - 1, 0.975)))
+    sd, low, high = (_solve(q, value, variance) for q in wanted)
+    return sd, low, high
+
+
+def _q(square: float, value: Array, variance: Array) -> float:
+    weight = 1.0 / (variance + square)
+    mean = float(weight @ value / weight.sum())
+    return float(weight @ (value - mean) ** 2)
+
+
+def _solve(wanted: float, value: Array, variance: Array) -> float:
+    """τ where Q(τ²) is so large; 0 where it never is."""
+    from scipy.optimize import brentq
+
+    if _q(0.0, value, variance) <= wanted:
+        return 0.0
+    high = float(np.ptp(value)) ** 2 + float(variance.max())
+    while _q(high, value, variance) > wanted:
+        high *= 4.0
+    return float(np.sqrt(brentq(lambda s: _q(s, value, variance) - wanted, 0.0, high)))
+
+
+def _mean(value: Array, covariance: Array) -> tuple[Array, Array]:
+    """Generalised least squares mean (p,) and its covariance (p, p)."""
+    weight = np.linalg.pinv(covariance, hermitian=True)
+    own = np.linalg.pinv(weight.sum(axis=0), hermitian=True)
+    return own @ np.einsum("kij,kj->i", weight, value), own
+
+
+def _square(difference: Array, covariance: Array) -> float:
+    return float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)

@@ -1,0 +1,110 @@
+"""imucal check"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from imucalib.cli.check.log import append, measured_of, noise_of
+from imucalib.cli.gravity_options import gravity_options
+from imucalib.cli.output import (
+    color,
+    emit_json,
+    json_option,
+    note,
+    quiet_option,
+    seed_option,
+    width,
+)
+from imucalib.cli.recording_options import (
+    force_option,
+    inputs_of,
+    recording_options,
+    shortest_rest_option,
+)
+from imucalib.cli.working import working
+
+
+@click.command("check", short_help="Is a calibration still good?")
+@click.argument("calibration", type=click.Path(path_type=Path))
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--limit", "limits", multiple=True, metavar="SIZE",
+              help="Change that matters: 2mg of bias, 0.1deg of mounting, 0.5deg/s of a gyro's "
+              "bias. Default: 5 sd of one corrected reading.")  # fmt: skip
+@click.option("--noise", metavar="SIZE", help="Scatter of one rest or position, for example 0.5mg; "
+              "default: as the calibration states it.")  # fmt: skip
+@click.option("--between-sessions", multiple=True, metavar="SIZE",
+              help="Scatter between power-ups: 0.5mg of bias, 0.05deg of mounting; default: as a "
+              "calibration of several sessions states it.")  # fmt: skip
+@click.option("--history", type=click.Path(path_type=Path, dir_okay=False),
+              help="File of this calibration's checks: adds a line; the evidence is of all lines.",
+              )  # fmt: skip
+@click.option("--triad", help="Which sensor, when the log has several.")
+@click.option("--columns", multiple=True, metavar="ROLE=NAME,...",
+              help="Columns of a table by heading: inclination, tool_face, face, x, y, z.",
+              )  # fmt: skip
+@click.option("--effects", "effects_file", type=click.Path(path_type=Path),
+              help="Python file with effects of your own that the calibration uses.")  # fmt: skip
+@click.option("--html", type=click.Path(path_type=Path), help="Also write the report as a page.")
+@shortest_rest_option
+@gravity_options
+@force_option
+@recording_options
+@seed_option
+@json_option
+@quiet_option
+def command(calibration: Path, log: Path, **options: Any) -> int:
+    """Say whether a calibration is still good, from a few rests or positions.
+
+    LOG is a recording with rests, or a table of positions as `lab` reads it; four suffice. Known
+    angles or faces also test directions. Exit 0 still good, 1 changed, 5 undecided: with the change
+    that could have been seen, and the rests to add.
+
+    \b
+    Examples:
+      imucal check out/calibration.yaml four_rests.csv --limit 2mg
+      imucal check out/calibration.yaml log.mcap --history checks.jsonl
+    """
+    from imucalib.atomic_file import demand_output
+    from imucalib.calibration.checking.check import checked
+    from imucalib.calibration.checking.history import read_history
+    from imucalib.calibration.checking.limits import limits_of
+    from imucalib.calibration.file import check, read
+    from imucalib.effects import load_file
+    from imucalib.report.checking.data import check_dict
+    from imucalib.report.checking.document import check_document
+    from imucalib.report.render.text import render_text
+
+    inputs = inputs_of(options, calibration, log)
+    if options["html"] is not None:
+        demand_output(options["html"], inputs, force=options["force"])
+    if options["history"] is not None:
+        demand_output(options["history"], inputs, force=True)
+    if options["effects_file"] is not None:
+        load_file(options["effects_file"])
+    limits = limits_of(options["limits"])
+    loaded = read(calibration)
+    check(loaded, str(calibration))
+    noise = noise_of(loaded, options)
+    past = read_history(options["history"], loaded.sha256) if options["history"] else ()
+    with working("checking", quiet=options["quiet"]):
+        measured, notes = measured_of(loaded, log, noise, options, past)
+        found = checked(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
+    content = check_dict(found, log.name, calibration.name, loaded.sha256)
+    document = check_document(found, log.name, calibration.name)
+    if options["history"] is not None:
+        append(options["history"], past, found, content)
+        note(f"wrote {options['history']}", options["quiet"])
+    if options["html"] is not None:
+        from imucalib.calibration.file import write_whole
+        from imucalib.report.render.html import render_html
+
+        write_whole(options["html"], render_html(document))
+        note(f"wrote {options['html']}", options["quiet"])
+    if options["as_json"]:
+        emit_json(content)
+    elif not options["quiet"]:
+        click.echo(render_text(document, width(), color=color()), nl=False)
+    return found.exit_code

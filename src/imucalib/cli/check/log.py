@@ -1,0 +1,69 @@
+"""The log of `imucal check`: its noise, its misfits, its line in the history."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from imucalib.cli.gravity_options import gravity_of
+from imucalib.cli.output import pairs
+from imucalib.cli.recording_options import mapping_of, one_scale, still_of
+
+if TYPE_CHECKING:
+    from imucalib.calibration.calibration import Calibration
+    from imucalib.calibration.checking.check import Check, Measured
+    from imucalib.calibration.checking.history import PastCheck
+    from imucalib.calibration.checking.noise import CheckNoise
+
+
+def noise_of(calibration: Calibration, options: dict[str, Any]) -> CheckNoise:
+    """What the options and the calibration say of the noise."""
+    from imucalib.calibration.checking.limits import size_of
+    from imucalib.calibration.checking.noise import check_noise
+    from imucalib.units import MG
+
+    reading = options["noise"] and MG * size_of(options["noise"], {"mg": "force"})[0]
+    sizes = [size_of(t, {"mg": "bias", "deg": "mounting"}) for t in options["between_sessions"]]
+    session = {"bias" if unit == "mg" else "mounting": size for size, unit in sizes}
+    return check_noise(calibration, reading=reading, session=session)
+
+
+def measured_of(
+    calibration: Calibration,
+    log: Path,
+    noise: CheckNoise,
+    options: dict[str, Any],
+    past: tuple[PastCheck, ...],
+) -> tuple[list[Measured], tuple[str, ...]]:
+    """The log as misfits, sensor by sensor."""
+    from dataclasses import replace
+
+    from imucalib.calibrators.check_log import Asked, array_log, sensor_log
+    from imucalib.calibrators.lab.files import LabFiles
+
+    files = LabFiles(
+        log, None, pairs(options["columns"], "--columns"), mapping_of(options), still_of(options)
+    )
+    stated = options["gravity"] is not None or options["latitude"] is not None
+    gravity = gravity_of(options)[0] if stated else calibration.gravity
+    asked = Asked(gravity, options["unit"], one_scale(options["lsb"]), options["triad"])
+    make = array_log if calibration.triads else sensor_log
+    measured, notes = make(replace(calibration, gravity=gravity), files, noise, asked)
+    with_past = [
+        replace(m, past=tuple(one.sensors[m.name] for one in past if m.name in one.sensors))
+        for m in measured
+    ]
+    return with_past, notes
+
+
+def append(path: Path, past: tuple[PastCheck, ...], found: Check, content: dict[str, Any]) -> None:
+    """One more line, with when it was written."""
+    from datetime import UTC, datetime
+
+    from imucalib.calibration.checking.check import look_of
+    from imucalib.calibration.checking.history import PastCheck, append_check
+
+    told = {k: content[k] for k in ("calibration_sha256", "log", "verdict", "p", "e_value")}
+    told["time"] = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    sensors = {s.name: look_of(s.misfits, s.p) for s in found.sensors}
+    append_check(path, past, PastCheck(sensors, told))

@@ -1,0 +1,1 @@
+"""Evidence that stays valid while a table grows and is looked at again."""

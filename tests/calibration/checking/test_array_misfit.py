@@ -1,0 +1,96 @@
+"""The rests of an array's IMU, written a second time, and its gyroscope."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.checking.array_misfit import gyro_rest, triad_misfits
+from imucalib.calibration.checking.check import Measured, checked
+from imucalib.calibration.checking.limits import Limits
+from imucalib.calibration.checking.noise import check_noise
+from imucalib.calibration.triads import Triad
+from worlds.instrument import DEG, MG, Array, G, four, rotation, vectors
+
+ROTATION = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+def imu(rng: np.random.Generator) -> Triad:
+    gain = np.eye(3) + 0.005 * rng.standard_normal((3, 3))
+    root = np.diag([2e-4] * 9 + [0.2 * MG] * 3) @ (np.eye(12) + 0.2 * rng.standard_normal((12, 12)))
+    return Triad("imu0", ROTATION, gain, 0.1 * rng.standard_normal(3), np.eye(3),
+                 0.5 * DEG * rng.standard_normal(3), root @ root.T, 0.03, 0.002)  # fmt: skip
+
+
+def board(triad: Triad) -> Calibration:
+    """Twelve rests of two IMUs that scatter by 0.25 mg."""
+    return Calibration(
+        "array", (), np.zeros((0, 0)), "m/s2", 1.0, G, "ok",
+        facts={"rests": {"count": 12, "residual_m_per_s2": 0.25 * MG}},
+        triads=(triad, replace(triad, name="imu1")),
+    )  # fmt: skip
+
+
+def test_the_misfit_is_the_length_of_the_corrected_force() -> None:
+    rng = np.random.default_rng(1)
+    triad, force = imu(rng), vectors(*four(rng))
+    reading = (force @ triad.gain.T + triad.bias) @ ROTATION + 0.5 * MG * rng.standard_normal(
+        (4, 3)
+    )
+    noise = check_noise(board(triad))
+    assert noise.reading.dof == 12 * 4 - 24  # 72 components, two directions a rest, 12 numbers each
+    found = triad_misfits(board(triad), triad, reading, noise, np.zeros(4))
+
+    def size(theta: Array) -> Array:
+        gain, bias = theta[:9].reshape(3, 3), theta[9:]
+        return np.linalg.norm(np.linalg.solve(gain, (reading @ ROTATION.T - bias).T), axis=0) - G
+
+    start = np.concatenate([triad.gain.ravel(), triad.bias])
+    slope = np.array([size(start + d) - size(start - d) for d in 1e-6 * np.eye(12)]).T / 2e-6
+    inverse = np.linalg.inv(triad.gain)
+    corrected = (reading @ ROTATION.T - triad.bias) @ inverse.T
+    length = np.linalg.norm(
+        corrected / np.linalg.norm(corrected, axis=1)[:, None] @ inverse, axis=1
+    )
+    assert np.abs(found.value) == pytest.approx(np.abs(size(start)) / length, rel=2e-3, abs=1e-7)
+    expected = ((slope / length[:, None]) @ triad.covariance * (slope / length[:, None])).sum(
+        axis=1
+    )
+    carried = np.diag(found.jacobian @ triad.covariance @ found.jacobian.T)
+    assert carried == pytest.approx(expected, rel=1e-3)
+    assert np.diag(found.reading.covariance) == pytest.approx((0.25 * MG) ** 2)
+
+
+def test_the_imu_that_changed_is_named() -> None:
+    rng = np.random.default_rng(2)
+    triad = imu(rng)
+    force = np.concatenate([vectors(*four(rng)) for _ in range(3)])
+    clean = (force @ triad.gain.T + triad.bias) @ ROTATION
+    calibration = board(triad)
+    noise = check_noise(calibration)
+    measured = []
+    for k, shift in enumerate((0.0, 2.5)):
+        reading = clean + 0.25 * MG * rng.standard_normal(clean.shape) + [shift * MG, 0.0, 0.0]
+        misfits = triad_misfits(calibration, triad, reading, noise, np.zeros(12))
+        measured.append(Measured(misfits, f"imu{k}"))
+    found = checked(calibration, measured, noise, Limits())
+    assert found.verdict == "changed"
+    assert [s.name for s in found.changed] == ["imu1"]
+    # A package's +x is the board's -y.
+    assert found.sensors[1].tests["bias"].size == pytest.approx([0.0, -2.5, 0.0], abs=1.0)
+
+
+def test_a_gyroscope_at_rest() -> None:
+    rng = np.random.default_rng(3)
+    triad = imu(rng)
+    turned = triad.gyro_bias + rotation(np.zeros(3))[0] * 0.2 * DEG
+    rate = (turned + 0.01 * DEG * rng.standard_normal((6, 3))) @ ROTATION
+    found = gyro_rest(triad, rate, {"count": 12})
+    assert found is not None
+    assert found.bias == pytest.approx([0.2, 0.0, 0.0], abs=0.02)
+    assert found.sd == pytest.approx(0.01 * np.sqrt(1 / 6 + 1 / 12), rel=0.7)
+    assert found.p < 1e-3
+    assert gyro_rest(triad, np.full((6, 3), np.nan), {}) is None

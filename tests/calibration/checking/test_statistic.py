@@ -1,0 +1,190 @@
+"""The test of "nothing has changed" and its power, against the physics written a second time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.checking.check import Measured, checked
+from imucalib.calibration.checking.limits import Limits
+from imucalib.calibration.checking.linearised import misfits_of
+from imucalib.calibration.checking.misfit import Misfits
+from imucalib.calibration.checking.noise import Scatter, check_noise
+from imucalib.calibration.checking.statistic import ANYTHING, Statistic
+from imucalib.calibrators.lab.bench import still_observations
+from imucalib.calibrators.lab.position_table import PositionTable
+from worlds.instrument import MG, Array, G, four, vectors
+
+NAMES = tuple(f"{what}_{axis}" for what in ("bias", "scale") for axis in "xyz")
+
+
+def six(bias: Array, scale: Array, covariance: Array, noise: float, dof: float) -> Calibration:
+    """A calibration of three biases (mg) and scales, whose readings scatter by `noise` mg."""
+    values, sd = np.concatenate([bias, scale]), np.sqrt(np.diag(covariance))
+    effects = ("bias",) * 3 + ("scale",) * 3
+    units = ("mg",) * 3 + ("1",) * 3
+    return Calibration(
+        calibrator="lab",
+        parameters=tuple(
+            StoredParameter(n, e, "sensor", float(v), float(s), u)
+            for n, e, v, s, u in zip(NAMES, effects, values, sd, units, strict=True)
+        ),
+        covariance=covariance,
+        raw_unit="m/s2", raw_to_si=1.0, gravity=G, status="ok",
+        facts={"noise": {"reading_mg": noise, "reading_sd_mg": noise / np.sqrt(2.0 * dof)}},
+    )  # fmt: skip
+
+
+def rests(reading: Array) -> PositionTable:
+    columns = dict(zip("xyz", reading.T, strict=True))
+    return PositionTable(columns, {}, {}, np.arange(len(reading)), "", "")
+
+
+def misfits(calibration: Calibration, reading: Array) -> Misfits:
+    data = still_observations(rests(reading), reading, G, sigma=1.0)
+    return misfits_of(calibration, data, check_noise(calibration))[0]
+
+
+def test_misfits_and_their_covariance_are_the_physics_written_again() -> None:
+    rng = np.random.default_rng(3)
+    bias, scale = np.array([12.0, -7.0, 30.0]), np.array([4e-3, -6e-3, 2e-3])
+    root = np.diag([0.2] * 3 + [3e-4] * 3) @ (np.eye(6) + 0.2 * rng.standard_normal((6, 6)))
+    calibration = six(bias, scale, root @ root.T, 0.3, 12.0)
+    force = vectors(*four(rng))
+    reading = force * (1.0 + scale) + bias * MG + 0.5 * MG * rng.standard_normal((4, 3))
+    found = misfits(calibration, reading)
+    # Along the reading's gradient of |f|: what is left when the attitude is free.
+    corrected = (reading - bias * MG) / (1.0 + scale)
+    u = corrected / np.linalg.norm(corrected, axis=1, keepdims=True)
+    along = u / (1.0 + scale)
+    length = np.linalg.norm(along, axis=1)
+    value = (np.linalg.norm(corrected, axis=1) - G) / length
+    slope = np.column_stack([MG * along, along * G * u]) / length[:, None]
+    expected = (0.3 * MG) ** 2 * np.eye(4) + slope @ root @ root.T @ slope.T
+    assert np.abs(found.value) == pytest.approx(np.abs(value), rel=1e-3)
+    assert np.diag(found.covariance) == pytest.approx(np.diag(expected), rel=1e-6)
+    assert found.dof == pytest.approx(12.0)
+    t = value @ np.linalg.inv(expected) @ value / 4
+    assert Statistic(found).tested()[ANYTHING].p == pytest.approx(stats.f.sf(t, 4, 12), rel=0.02)
+
+
+@pytest.mark.parametrize("dof", [4.0, 40.0])
+def test_the_level_and_the_power_stated_are_had(dof: float) -> None:
+    """Also where the noise was estimated from four numbers: the statement moves with it."""
+    rng = np.random.default_rng(int(dof) + 1)
+    force, noise, runs = vectors(*four(rng)), 0.4, 300
+    # The calibration: every axis up and down at 0.4 mg.
+    sign = np.concatenate([np.eye(3), -np.eye(3)])
+    design = np.column_stack([sign, 1e3 * np.abs(sign)])
+    covariance = noise**2 * np.linalg.inv(design.T @ design)
+    made = six(np.zeros(3), np.zeros(3), covariance, noise, dof)
+    reference = Statistic(misfits(made, force))
+    worst, stated = reference.worst("bias"), reference.seen("bias")
+    assert worst is not None
+    base, rows = reference.misfits, force / G
+    alarms = hits = 0
+    for _ in range(runs):
+        q = rng.chisquare(dof) / dof
+        theta = rng.multivariate_normal(np.zeros(6), covariance)
+        for size in (0.0, stated * np.sqrt(q)):  # the statement goes with the noise estimate
+            off = rows @ (size * worst - theta[:3]) - 1e3 * rows**2 @ theta[3:]
+            value = MG * (off + noise * rng.standard_normal(len(rows)))
+            sign = np.sign(base.changes["bias"] @ rows.T).diagonal()
+            reading = replace(base.reading, covariance=q * base.reading.covariance)
+            seen = replace(
+                base, value=value * sign, reading=reading, parameters=q * base.parameters
+            )
+            found = Statistic(seen, draws=1500).p() <= 0.05
+            alarms, hits = alarms + (found and not size), hits + (found and size > 0.0)
+    assert alarms / runs == pytest.approx(0.05, abs=0.03)
+    assert hits / runs == pytest.approx(0.90, abs=0.05)
+
+
+def test_a_shift_is_found_named_and_sized() -> None:
+    rng = np.random.default_rng(8)
+    force = np.concatenate([vectors(*four(rng)) for _ in range(3)])
+    calibration = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
+    for kind, size in (("bias", np.array([2.0, -1.0, 0.5])), ("scale", np.array([3.0, 0.0, -2.0]))):
+        moved = force + MG * size if kind == "bias" else force * (1.0 + 1e-3 * size)
+        moved = moved + 0.2 * MG * rng.standard_normal(force.shape)
+        found = checked(
+            calibration, [Measured(misfits(calibration, moved))], check_noise(calibration), Limits()
+        )
+        assert (found.verdict, found.exit_code) == ("changed", 1)
+        (sensor,) = found.sensors
+        assert sensor.causes[0] == kind
+        test = sensor.tests[kind]
+        assert np.abs(test.size - size) / test.sd == pytest.approx(0.0, abs=3.5)
+
+
+def test_one_rest_that_was_disturbed_is_no_change_of_the_sensor() -> None:
+    rng = np.random.default_rng(4)
+    force = np.concatenate([vectors(*four(rng)) for _ in range(5)])
+    calibration = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
+    reading = force + 0.2 * MG * rng.standard_normal(force.shape)
+    reading[13] *= 1.0 + 1.4e-3
+    found = checked(
+        calibration, [Measured(misfits(calibration, reading))], check_noise(calibration),
+        Limits(force=3.0),
+    )  # fmt: skip
+    assert found.verdict == "undecided"
+    assert found.disturbed[0].alone == 13
+
+
+def test_two_rests_are_undecided_with_the_rests_to_add() -> None:
+    rng = np.random.default_rng(5)
+    calibration = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
+    force = G * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    reading = force + 0.1 * MG * rng.standard_normal(force.shape)
+    found = checked(
+        calibration, [Measured(misfits(calibration, reading))], check_noise(calibration),
+        Limits(force=1.5),
+    )  # fmt: skip
+    assert (found.verdict, found.exit_code) == ("undecided", 5)
+    assert np.isinf(found.sensors[0].seen["bias"])
+    plan = found.following
+    assert plan is not None
+    assert plan.enough
+    assert plan.seen["bias"] <= 1.5
+    # The axis that no rest has shown comes first, and what is proposed does what it says.
+    assert abs(plan.direction[0][2]) > 0.5
+    added = np.concatenate(
+        [force, G * plan.direction / np.linalg.norm(plan.direction, axis=1)[:, None]]
+    )
+    again = Statistic(misfits(calibration, added)).seen("bias")
+    assert again == pytest.approx(plan.seen["bias"], rel=0.1)
+
+
+def test_a_calibration_of_several_sessions_states_their_scatter() -> None:
+    made = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
+    scatter = [{"what": "session bias", "unit": "mg", "sd": 0.7},
+               {"what": "session mounting", "unit": "deg", "sd": 0.05}]  # fmt: skip
+    block = {"sessions": ["a", "b", "c"], "scatter": scatter}
+    noise = check_noise(replace(made, facts={**made.facts, "between_sessions": block}))
+    assert noise.session["bias"] == Scatter(0.7, 6.0)
+    assert noise.session["mounting"] == Scatter(0.05, 6.0)
+    reading = vectors(*four(np.random.default_rng(1)))
+    data = still_observations(rests(reading), reading, G, sigma=1.0)
+    found = misfits_of(made, data, noise)[0]
+    # Its few sessions, not the many readings, now tell how well the scale is known.
+    assert 6.0 < found.dof < 15.0
+    assert len(found.parts) == 2  # the readings and the biases: no mounting without directions
+
+
+def test_the_session_widens_what_must_be_seen() -> None:
+    rng = np.random.default_rng(6)
+    calibration = six(np.zeros(3), np.zeros(3), np.diag([0.01] * 3 + [1e-8] * 3), 0.2, 30.0)
+    reading = vectors(*four(rng)) + np.array([1.0, 0.0, 0.0]) * MG
+    data = still_observations(rests(reading), reading, G, sigma=1.0)
+    sharp, wide = (
+        misfits_of(calibration, data, check_noise(calibration, session=s))[0]
+        for s in (None, {"bias": 0.7})
+    )
+    assert Statistic(wide).p() > 0.2 > Statistic(sharp).p()
+    change = wide.covariance - sharp.covariance
+    u = reading / np.linalg.norm(reading, axis=1, keepdims=True)
+    assert change == pytest.approx((0.7 * MG) ** 2 * u @ u.T, rel=0.02, abs=1e-9)

@@ -1,0 +1,193 @@
+"""Calibrations beside each other: levels, meaning at the worst attitude, scatter, drift."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.checking.limits import Limits
+from imucalib.calibration.comparison.agreement import between
+from imucalib.calibration.comparison.compare import compared
+from imucalib.calibration.comparison.drift import due, slope_of
+from imucalib.core.sphere import even_directions
+from imucalib.errors import UnreadableInput, UsageError
+from worlds.instrument import MG, Array, G, rotation
+
+KINDS = (("bias", "mg"), ("scale", "1"), ("mounting", "deg"))
+
+
+def made(
+    theta: Array, covariance: Array, dof: float = 1e5, *, mounted: bool = False
+) -> Calibration:
+    """Bias (mg), scale (1) and on request mounting (deg), three each."""
+    kinds = KINDS if mounted else KINDS[:2]
+    names = [(f"{kind}_{axis}", kind, unit) for kind, unit in kinds for axis in "xyz"]
+    stages = {"mounting": "mounting"}
+    sd = np.sqrt(np.diag(covariance))
+    return Calibration(
+        calibrator="lab",
+        parameters=tuple(
+            StoredParameter(n, kind, stages.get(kind, "sensor"), float(v), float(s), unit)
+            for (n, kind, unit), v, s in zip(names, theta, sd, strict=True)
+        ),
+        covariance=covariance, raw_unit="g", raw_to_si=9.80665, gravity=G, status="ok",
+        facts={"noise": {"reading_mg": 1.0, "reading_sd_mg": 1.0 / np.sqrt(2.0 * dof)}},
+    )  # fmt: skip
+
+
+def root(rng: np.random.Generator, size: int) -> Array:
+    units = np.array([0.3] * 3 + [4e-4] * 3 + [0.02] * 3)[:size]
+    return units[:, None] * (np.eye(size) + 0.3 * rng.standard_normal((size, size)))
+
+
+@pytest.mark.parametrize("dof", [6.0, 1e5])
+def test_calibrations_that_scatter_as_they_state_agree_in_95_of_100(dof: float) -> None:
+    """Also where their sds come from few readings each."""
+    rng = np.random.default_rng(int(dof) % 97)
+    half, p = root(rng, 6), []
+    for _ in range(300):
+        files = []
+        for _ in range(3):
+            q = rng.chisquare(dof) / dof if dof < 100 else 1.0
+            files.append(made(half @ rng.standard_normal(6), q * half @ half.T, dof))
+        value = np.array([[x.value for x in f.parameters] for f in files])
+        spread = np.array([f.covariance for f in files])
+        p.append(_p(value, spread, np.full(3, dof)))
+    assert np.mean(np.array(p) <= 0.05) == pytest.approx(0.05, abs=0.035)
+
+
+def _p(value: Array, covariance: Array, dof: Array) -> float:
+    from imucalib.calibration.comparison.agreement import agreement
+    from imucalib.calibration.comparison.basis import Basis
+
+    names = tuple("abcdef")
+    return agreement(Basis(names, names, value, covariance, dof, "")).p
+
+
+def test_the_difference_at_the_worst_attitude_is_the_plain_physics() -> None:
+    rng = np.random.default_rng(1)
+    half = root(rng, 9)
+    first = np.concatenate([[10.0, -5.0, 3.0], [2e-3, -3e-3, 1e-3], [0.5, -0.3, 0.2]])
+    other = first + np.array([1.5, 0.0, -1.0, 1e-3, 0.0, -5e-4, 0.1, 0.0, 0.2])
+    files = [made(t, half @ half.T, mounted=True) for t in (first, other)]
+    found = compared(files, ["a", "b"], Limits())
+    assert found.basis.words == "All hold the same parameters."
+    u = even_directions(400)
+
+    def forward(t: Array, f: Array) -> Array:
+        return f @ rotation(t[6:]).T * (1.0 + t[3:6]) + t[:3] * MG
+
+    def back(t: Array, r: Array) -> Array:
+        return ((r - t[:3] * MG) / (1.0 + t[3:6])) @ rotation(t[6:])
+
+    force = back(other, forward(first, G * u))
+    size = (np.linalg.norm(force, axis=1) - G) / MG
+    turn = np.degrees(
+        np.linalg.norm(force - u * np.einsum("ni,ni->n", force, u)[:, None], axis=1) / G
+    )
+    mg, deg = (m.worst for m in found.meanings)
+    assert mg.value == pytest.approx(np.abs(size).max(), rel=1e-6)
+    assert deg.value == pytest.approx(turn.max(), rel=1e-6)
+    # Its sd, by draws of both.
+    at = int(np.argmax(u @ mg.attitude))
+    drawn = []
+    for _ in range(1500):
+        a, b = (t + half @ rng.standard_normal(9) for t in (first, other))
+        drawn.append(np.linalg.norm(back(b, forward(a, G * u[at : at + 1]))))
+    assert np.std(drawn) / MG == pytest.approx(mg.sd, rel=0.08)
+
+
+def test_beyond_the_limit_and_beyond_chance_are_two_things() -> None:
+    sharp, vague = np.diag([0.01] * 3 + [1e-8] * 3), np.diag([9.0] * 3 + [1e-5] * 3)
+    away = np.array([2.0, 0, 0, 0, 0, 0])
+    for covariance, limit, verdict, code in (
+        (sharp, 1.0, "differ", 1), (sharp, 5.0, "agree", 0),
+        (vague, 1.0, "undecided", 5), (vague, 5.0, "agree", 0),
+    ):  # fmt: skip
+        files = [made(t, covariance) for t in (np.zeros(6), away)]
+        found = compared(files, ["a", "b"], Limits(force=limit))
+        assert (found.verdict, found.exit_code) == (verdict, code)
+        assert found.differ == (covariance is sharp)
+
+
+def test_the_file_that_differs_from_the_others_is_named() -> None:
+    rng = np.random.default_rng(2)
+    half = root(rng, 6)
+    files = [made(half @ rng.standard_normal(6), half @ half.T) for _ in range(5)]
+    names = list("abcde")
+    assert compared(files, names, Limits()).odd == ()
+    files[3] = made(np.array([8.0, 0, 0, 0, 0, 0]), half @ half.T)
+    found = compared(files, names, Limits())
+    assert (found.odd, found.exit_code) == (("d",), 1)
+    assert "d" in {names[k] for k in found.meanings[0].worst.pair}
+
+
+def test_the_scatter_between_calibrations_and_its_interval() -> None:
+    rng = np.random.default_rng(3)
+    true, inside, estimates = 0.5, 0, []
+    for _ in range(400):
+        variance = rng.uniform(0.01, 0.09, 8)
+        value = np.sqrt(variance + true**2) * rng.standard_normal(8)
+        sd, low, high = between(value, variance)
+        estimates.append(sd**2)
+        inside += low <= true <= high
+    assert inside / 400 == pytest.approx(0.95, abs=0.03)
+    assert np.mean(estimates) == pytest.approx(true**2, rel=0.12)
+
+
+def test_a_drift_and_when_the_limit_is_reached() -> None:
+    days = np.array([0.0, 100.0, 200.0, 300.0, 400.0])
+    attitude = np.eye(3)
+    value = np.outer(days, [0.01, 0.002, 0.0]) + 0.01 * np.sin(np.outer(days, [1.0, 2.0, 3.0]))
+    found = due(days, value, np.full((5, 3), 0.01), attitude, 2.0)
+    assert found.attitude == pytest.approx([1.0, 0.0, 0.0])
+    assert found.expected == pytest.approx(200.0, rel=0.02)
+    assert found.earliest < found.expected
+    rng, covered = np.random.default_rng(4), 0
+    for _ in range(400):
+        noisy = 0.003 * days + np.sqrt(0.04 + 0.25) * rng.standard_normal(5)
+        slope = slope_of(days, noisy, np.full(5, 0.04))
+        covered += abs(slope.value - 0.003) <= slope.half
+    assert covered / 400 == pytest.approx(0.95, abs=0.035)
+
+
+def test_other_effects_are_compared_by_what_they_do() -> None:
+    covariance = np.diag([0.04] * 3 + [1e-7] * 3)
+    theta = np.array([5.0, -3.0, 1.0, 1e-3, 2e-3, -1e-3])
+    plain = made(theta, covariance)
+    more = Calibration(**{
+        **vars(plain),
+        "parameters": (*plain.parameters, StoredParameter("cross_yx", "non_orthogonality", "sensor",
+                       0.0, 1e-4, "1"), StoredParameter("cross_zx", "non_orthogonality", "sensor",
+                       0.0, 1e-4, "1"), StoredParameter("cross_zy", "non_orthogonality", "sensor",
+                       0.0, 1e-4, "1")),
+        "covariance": np.diag([0.04] * 3 + [1e-7] * 3 + [1e-8] * 3),
+    })  # fmt: skip
+    found = compared([plain, more], ["a", "b"], Limits())
+    assert "different effects" in found.basis.words
+    assert found.verdict == "agree"
+    assert found.meanings[0].worst.value == pytest.approx(0.0, abs=1e-6)
+    sd = np.sqrt(found.basis.covariance[0].diagonal())
+    assert sd[:3] == pytest.approx(0.2, rel=1e-3)  # the offsets are the biases
+
+
+def test_what_cannot_be_compared_is_refused() -> None:
+    covariance = np.diag([0.04] * 3 + [1e-7] * 3)
+    one = made(np.zeros(6), covariance)
+    with pytest.raises(UsageError, match="nothing to compare"):
+        compared([one], ["a"], Limits())
+    with pytest.raises(UnreadableInput, match="no uncertainty"):
+        compared([one, made(np.zeros(6), 0.0 * covariance)], ["a", "b"], Limits())
+    tied = made(np.zeros(9), np.diag([0.04] * 3 + [1e-7] * 3 + [1e-4] * 3), mounted=True)
+    with pytest.raises(UsageError, match="not all tie a frame"):
+        compared([one, tied], ["a", "b"], Limits(direction=0.1))
+    assert any("only b ties" in n for n in compared([one, tied], ["a", "b"], Limits()).notes)
+    with pytest.raises(UsageError, match="3 dates"):
+        compared([one, one], ["a", "b"], Limits(), ("2026-01-01",) * 3)
+    with pytest.raises(UsageError, match="no date"):
+        compared([one, one], ["a", "b"], Limits(), ("2026-01-01", "soon"))
+    far = replace(one, gravity=G + 0.01)
+    assert any("gravities" in n for n in compared([one, far], ["a", "b"], Limits()).notes)

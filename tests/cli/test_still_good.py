@@ -1,0 +1,214 @@
+"""`imucal check` and `imucal compare` as they are typed: exit codes, JSON, files, bad input."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from imucalib import cli
+from imucalib.calibration.calibration import StoredParameter
+from imucalib.calibration.file import read, write
+from imucalib.calibration.triads import Triad
+from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
+from imucalib.errors import ImucalError
+from imucalib.writers import write as write_recording
+from worlds.instrument import Bench, four, instrument, positions
+
+SHEET = Bench(known=True, noise=0.25, setting=0.01)
+RESTS = Bench(noise=0.25)
+
+
+def run(*arguments: object) -> Result:
+    result = CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
+    if isinstance(result.exception, ImucalError):
+        result.return_value = result.exception.exit_code
+    return result
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Calibrations by angles and by gravity alone, and logs of the same tool before and after."""
+    at = tmp_path_factory.mktemp("tool")
+    rng = np.random.default_rng(12)
+    tool = instrument(rng)
+    for name, bench in (("angles", SHEET), ("norm", RESTS)):
+        table = at / f"{name}.csv"
+        table.write_text(bench.table(tool, positions(30, rng), rng))
+        options = () if bench.known else ("--reference", "norm")
+        assert run("lab", table, "-o", at / name, "--no-loop", "-q", *options).return_value == 0
+    turned = tool.changed("mounting", 0.15, np.array([0.6, 0.0, 0.8]))
+    moved = tool.changed("bias", 2.5, np.array([0.0, 1.0, 0.0]))
+    for name, one in (("same", tool), ("turned", turned), ("moved", moved)):
+        for kind, bench in (("sheet", SHEET), ("rests", RESTS)):
+            (at / f"{name}_{kind}.csv").write_text(bench.table(one, four(rng), rng))
+    return at
+
+
+@pytest.mark.parametrize(
+    ("calibration", "log", "code", "cause"),
+    [
+        ("angles", "same_sheet", 0, ""),
+        ("angles", "turned_sheet", 1, "mounting"),
+        ("angles", "moved_sheet", 1, "bias"),
+        ("angles", "turned_rests", 0, ""),  # gravity's size alone does not see it
+        ("norm", "same_rests", 0, ""),
+        ("norm", "moved_rests", 1, "bias"),
+        ("norm", "turned_sheet", 0, ""),
+    ],
+)
+def test_four_positions_tell(
+    folder: Path, calibration: str, log: str, code: int, cause: str
+) -> None:
+    done = run("check", folder / calibration / "calibration.yaml", folder / f"{log}.csv", "--json")
+    content = json.loads(done.stdout)
+    assert done.return_value == content["exit_code"] == code
+    (sensor,) = content["sensors"]
+    assert sensor["directions_known"] == (calibration == "angles" and log.endswith("sheet"))
+    if cause:
+        assert cause in sensor["causes"]
+        assert cause in content["explanation"][0]
+
+
+def test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan(folder: Path) -> None:
+    log, calibration = folder / "same_rests.csv", folder / "norm" / "calibration.yaml"
+    done = run("check", calibration, log, "--limit", "0.9mg", "--json")
+    content = json.loads(done.stdout)
+    assert done.return_value == 5
+    assert content["limits"]["bias"]["value"] == 0.9
+    assert 0 < len(content["next"]["rests"]) <= 12
+    text = run("check", calibration, log, "--limit", "0.9mg")
+    assert "Record this next" in text.stdout
+    assert run("check", calibration, log, "--limit", "0.9mg", "-q").stdout == ""
+    wide = run("check", calibration, log, "--noise", "2mg", "--json")
+    sizes = (json.loads(r.stdout)["sensors"][0]["changes"][0]["could_see"] for r in (wide, done))
+    assert next(sizes) > 4.0 * next(sizes)
+
+
+def test_a_recording_with_rests_is_a_log_too(folder: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    table = simulated_table(BenchPlan("rings", 24), rng)
+    log = tmp_path / "log.csv"
+    write_recording(simulated_recording(table, rng, rate=50.0, rest=2.0), log)
+    options = ("--reference", "norm", "--no-loop", "-q")
+    assert run("lab", log, "-o", tmp_path / "log", *options).return_value == 0
+    done = run("check", tmp_path / "log" / "calibration.yaml", log, "--json")
+    content = json.loads(done.stdout)
+    assert done.return_value == 0
+    (sensor,) = content["sensors"]
+    assert sensor["readings"] == 24
+    assert sensor["misfits"][0]["reading"].startswith("rest at ")
+    corrected = tmp_path / "corrected.h5"
+    calibration = tmp_path / "log" / "calibration.yaml"
+    assert run("apply", calibration, log, "-o", corrected, "-q").return_value == 0
+    again = run("check", calibration, corrected)
+    assert again.return_value == 2
+    assert "is corrected" in str(again.exception)
+    lost = run("check", calibration, log, "--triad", "imu7")
+    assert lost.return_value == 2
+
+
+def test_a_history_multiplies_evidence(folder: Path, tmp_path: Path) -> None:
+    history, calibration = tmp_path / "h.jsonl", folder / "norm" / "calibration.yaml"
+    found = []
+    for _ in range(3):
+        done = run("check", calibration, folder / "moved_rests.csv", "--history", history,
+                   "--json", "-q")  # fmt: skip
+        found.append(json.loads(done.stdout))
+    assert [f["looks"] for f in found] == [1, 2, 3]
+    assert found[2]["e_value"] > found[0]["e_value"]
+    assert len(history.read_text().splitlines()) == 3
+    other = run("check", folder / "angles" / "calibration.yaml", folder / "same_rests.csv",
+                "--history", history)  # fmt: skip
+    assert other.return_value == 2
+
+
+def test_a_page_and_no_file_overwritten(folder: Path, tmp_path: Path) -> None:
+    page, calibration = tmp_path / "p.html", folder / "norm" / "calibration.yaml"
+    for _ in range(2):
+        done = run("check", calibration, folder / "same_rests.csv", "--html", page, "-q")
+        assert done.return_value == (2 if done.exception else 0)
+    assert done.return_value == 2
+    assert "Readings" in page.read_text()
+    assert run("check", calibration, folder / "same_rests.csv", "--history",
+               calibration).return_value == 2  # fmt: skip
+
+
+def test_bad_input_is_told(folder: Path, tmp_path: Path) -> None:
+    calibration, log = folder / "norm" / "calibration.yaml", folder / "same_rests.csv"
+    for options, code, words in (
+        (("--limit", "2"), 2, "no size"),
+        (("--limit", "2mm"), 0, ""),
+        (("--noise", "0.1deg"), 2, "no size"),
+        (("--unit", "ug"), 3, "norm would be"),
+    ):
+        done = run("check", calibration, log, *options)
+        assert done.return_value == code, done.output
+        assert words in str(done.exception or "")
+    loaded = read(calibration)
+    bare = replace(loaded, facts={k: v for k, v in loaded.facts.items() if k != "noise"})
+    write(bare, tmp_path / "bare.yaml")
+    done = run("check", tmp_path / "bare.yaml", log)
+    assert done.return_value == 3
+    assert "--noise" in str(done.exception)
+    assert run("check", tmp_path / "bare.yaml", log, "--noise", "0.25mg").return_value == 0
+    (tmp_path / "empty.csv").write_text("t,x,y,z\n")
+    assert run("check", calibration, tmp_path / "empty.csv").return_value == 3
+
+
+def test_compare_says_what_differs(folder: Path, tmp_path: Path) -> None:
+    angles, norm = folder / "angles" / "calibration.yaml", folder / "norm" / "calibration.yaml"
+    rng, tool = np.random.default_rng(11), instrument(np.random.default_rng(12))
+    table = tmp_path / "later.csv"
+    moved = tool.changed("bias", 3.0, np.array([1.0, 0.0, 0.0]))
+    table.write_text(RESTS.table(moved, positions(30, rng), rng))
+    assert run("lab", table, "-o", tmp_path / "later", "--no-loop", "-q", "--reference",
+               "norm").return_value == 0  # fmt: skip
+    later = tmp_path / "later" / "calibration.yaml"
+    done = run("compare", norm, later, "--limit", "1.5mg", "--json",
+               "--dates", "2026-01-01,2026-04-11", "--html", tmp_path / "c.html")  # fmt: skip
+    content = json.loads(done.stdout)
+    assert done.return_value == content["exit_code"] == 1
+    (worst,) = content["worst"]
+    assert worst["difference"] == pytest.approx(3.0, abs=4.0 * worst["sd"])
+    assert abs(content["drift"]["per_day"]) == pytest.approx(0.03, rel=0.3)
+    assert "2026-0" in content["drift"]["reached"]
+    assert "Control chart" in (tmp_path / "c.html").read_text()
+    text = run("compare", norm, later, "--limit", "5mg")
+    assert text.return_value == 0
+    assert "within the limit" in text.stdout
+    mixed = run("compare", norm, angles)
+    assert mixed.return_value == 0
+    assert "only angles ties a frame" in " ".join(mixed.stdout.split()).lower()
+    assert run("compare", norm, angles, "--limit", "0.1deg").return_value == 2
+    assert run("compare", norm).return_value == 2
+    assert run("compare", norm, norm, "-q").stdout == ""
+    assert "same recording" in " ".join(run("compare", norm, norm).stdout.split())
+
+
+def test_an_array_is_no_single_sensor(folder: Path, tmp_path: Path) -> None:
+    norm = read(folder / "norm" / "calibration.yaml")
+    unit = np.eye(3)
+    imu = Triad("a", unit, unit, np.zeros(3), unit, np.zeros(3), 1e-8 * np.eye(12), 0.01, 0.001)
+    places = tuple(StoredParameter(f"b.{x}", "positions", "array", 1.0, 0.1, "mm") for x in "xyz")
+    pair = replace(
+        norm, triads=(imu, replace(imu, name="b")), parameters=places,
+        covariance=0.01 * np.eye(3),
+    )  # fmt: skip
+    write(pair, tmp_path / "two.yaml")
+    write(replace(pair, covariance=0.04 * np.eye(3), parameters=tuple(
+        replace(p, sd=0.2, value=1.4) for p in places)), tmp_path / "later.yaml")  # fmt: skip
+    done = run("compare", folder / "norm" / "calibration.yaml", tmp_path / "two.yaml")
+    assert done.return_value == 2
+    assert "an array of 2 IMUs" in str(done.exception)
+    content = json.loads(run("compare", tmp_path / "two.yaml", tmp_path / "later.yaml",
+                             "--limit", "0.1mm", "--limit", "1deg/s", "--json").stdout)  # fmt: skip
+    place, rate = content["worst"]
+    assert (place["unit"], place["sensor"]) == ("mm", "b")
+    assert place["difference"] == pytest.approx(0.4 * np.sqrt(3.0))
+    assert place["sd"] == pytest.approx(np.hypot(0.1, 0.2))
+    assert rate["difference"] == 0.0
