@@ -25,6 +25,9 @@ def fleet_document(fleet: Fleet) -> Document:
                             _candidates(fleet), _failed(fleet))
             if section.blocks
         ),
+        (("command", fleet.request.command), ("seed", str(fleet.request.seed)))
+        if fleet.request.command
+        else (),
     )  # fmt: skip
 
 
