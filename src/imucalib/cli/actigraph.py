@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.calibrating import calibrating, calibrating_of, finish, shared_of
+from imucalib.cli.calibrating import (
+    calibrating,
+    calibrating_of,
+    finish,
+    limit_option,
+    shared_of,
+)
 from imucalib.cli.recording_options import mapping_of
 
 if TYPE_CHECKING:
@@ -22,7 +28,7 @@ if TYPE_CHECKING:
               help="The paper's own method, as it was published.")  # fmt: skip
 @click.option("--arithmetic", type=click.Choice(["float", "int32", "int16"]), default="float",
               show_default=True, help="Of the gradient descent, with --as-published.")  # fmt: skip
-@click.option("--max-worst-error", type=float, help="Limit: largest held-out error, mg.")
+@limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
 def command(recording: Path, **options: Any) -> int:
     """Calibrate a worn accelerometer from days of recording: gravity in every posture at rest.
@@ -57,8 +63,9 @@ def command(recording: Path, **options: Any) -> int:
 
 def request_of(options: dict[str, Any]) -> ActigraphRequest:
     """The request that the options state; raises click's usage errors."""
+    from dataclasses import replace
+
     from imucalib.calibrators.actigraph.request import ActigraphRequest
-    from imucalib.loop.found import LoopSettings
 
     shared = shared_of(options)
     return ActigraphRequest(
@@ -73,7 +80,7 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         without=shared.without,
         loop=shared.loop,
         # The null of a wandering bias is simulated once a round: 200 place the bar well enough.
-        rules=LoopSettings(draws=shared.draws or 200),
+        rules=replace(shared.rules, draws=shared.draws or 200),
         extra_effects=shared.extra_effects,
         limits=shared.limits,
         seed=shared.seed,

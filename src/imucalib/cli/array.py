@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.calibrating import Together, calibrating, calibrating_of, finish, shared_of
+from imucalib.cli.calibrating import (
+    Together,
+    calibrating,
+    calibrating_of,
+    finish,
+    limit_option,
+    shared_of,
+)
 from imucalib.cli.output import note
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
 
@@ -41,8 +48,8 @@ if TYPE_CHECKING:
 @click.option("--chains", type=int, help="Number of chains.")
 @click.option("--ess", default=400.0, show_default=True, help="Effective sample size to reach.")
 @click.option("--iterations", default=100_000, show_default=True, help="Of --sampler pmmh.")
-@click.option("--max-gyro-error", type=float, help="Limit: held-out gyro error, deg/s.")
-@click.option("--max-position-sd", type=float, help="Limit: largest posterior sd, mm.")
+@limit_option("--max-gyro-error", "held-out gyro error, deg/s.")
+@limit_option("--max-position-sd", "largest posterior sd, mm.")
 @click.option("--save-draws", type=click.Path(path_type=Path),
               help="Also write the posterior's draws: .h5 or .nc.")  # fmt: skip
 @click.option("--checkpoint", type=click.Path(path_type=Path),

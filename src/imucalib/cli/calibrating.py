@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +36,17 @@ if TYPE_CHECKING:
 
 #: Where the root command leaves the arguments that it was called with.
 ARGUMENTS = "imucal.arguments"
+
+
+class _Limit(click.Option):
+    """What a result is held against."""
+
+
+def limit_option(name: str, what: str) -> Callable[[Command], Command]:
+    """An option whose breach is exit 1; `Shared.limits` holds those that were given."""
+    return click.option(name, type=float, cls=_Limit, help=f"Limit: {what}")
+
+
 _OPTIONS = (
     click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False),
                  help="Folder for calibration.yaml, report.html and report.json."),
@@ -53,8 +64,7 @@ _OPTIONS = (
                  "default yes, of an array no."),
     click.option("--draws", type=click.IntRange(min=1),
                  help="Simulated data sets behind each p-value; default 1000, of an array 499."),
-    click.option("--max-error", type=float,
-                 help="Limit: held-out error, in the report's unit (mg; array: m/s²); exit 1 "
+    limit_option("--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 "
                  "beyond."),
     click.option("--full", is_flag=True, help="Print every section, not one page."),
     click.option("--export", multiple=True, type=EXPORT_FORM,
@@ -138,13 +148,14 @@ class Shared:
 
 
 def shared_of(options: Mapping[str, Any]) -> Shared:
-    """The values of the shared options; all "--max-*" are limits. Raises click's usage errors."""
+    """The values of the shared options. Raises click's usage errors."""
     from imucalib.effects import load_file
 
+    asked = [p for p in click.get_current_context().command.params if isinstance(p, _Limit)]
     limits = {
-        name.replace("_", "-"): value
-        for name, value in options.items()
-        if name.startswith("max_") and value is not None
+        option.opts[0].removeprefix("--"): options[str(option.name)]
+        for option in asked
+        if options[str(option.name)] is not None
     }
     for name, limit in limits.items():
         if not limit >= 0.0:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from imucalib.cli.calibrating import Shared, shared_of
+from imucalib.cli.calibrating import Shared, limit_option, shared_of
 from imucalib.cli.output import numbers
 from imucalib.cli.recording_options import one_scale
 
@@ -130,15 +130,9 @@ _OPTIONS = (
     click.option(
         "--sigma", type=float, help="Declared noise of a reading, mg; default: from the data."
     ),
-    click.option(
-        "--max-inclination-error",
-        type=float,
-        help="Limit: largest held-out inclination error, deg.",
-    ),
-    click.option(
-        "--max-toolface-error", type=float, help="Limit: largest held-out tool-face error, deg."
-    ),
-    click.option("--max-norm-error", type=float, help="Limit: held-out error of |a|, mg rms."),
+    limit_option("--max-inclination-error", "largest held-out inclination error, deg."),
+    limit_option("--max-toolface-error", "largest held-out tool-face error, deg."),
+    limit_option("--max-norm-error", "held-out error of |a|, mg rms."),
 )
 
 

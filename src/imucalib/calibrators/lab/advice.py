@@ -69,10 +69,13 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
         elif effect is not None and effect.stage == "fixture":
             found.append(f"{effect.sentence} Check the bench ({effect.identify.rstrip('.')}).")
     for item in loop.unexplained if loop else ():
-        found.append(
-            f"Structure without a name, driven by {item.driver}: {item.name}. Record with "
-            f"{item.driver} varied on its own."
-        )
+        if item.driver:
+            found.append(
+                f"Structure without a name, driven by {item.driver}: {item.name}. Record with "
+                f"{item.driver} varied on its own."
+            )
+        else:
+            found.append(f"Structure without a name: {item.name}; no quantity drives it.")
     if isinstance(fit.observations.reference, KnownVector):
         found += _settings(fit)
     found += _positions(result)

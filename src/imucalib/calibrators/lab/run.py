@@ -61,14 +61,10 @@ def run_lab(
     rows, excluded = _kept(table, request, lost)
     faults = look_for_faults(table, raw, whole, rows, request)
     result = _first(whole, rows, request, faults)
-    if request.auto_exclude and _records(result):
-        excluded += tuple(
-            f"{r.where}: excluded automatically "
-            f"({r.channel} off by {r.size:.3g} {r.unit}, {r.likely})"
-            for r in _records(result)
-        )
-        bad = rows[result.used[[r.row for r in _records(result)]]]
-        rows = np.setdiff1d(rows, bad)
+    bad = _wrong_rows(result, faults, rows, table) if request.auto_exclude else {}
+    if bad:
+        excluded += tuple(bad.values())
+        rows = np.setdiff1d(rows, list(bad))
         faults = look_for_faults(table, raw, whole, rows, request)
         result = _calibrated(whole, rows, request)
     undecided = _undecided(result, faults, raw) or doubts(result, raw, request)
@@ -92,6 +88,23 @@ def run_lab(
         faults=faults,
         sessions=sessions,
     )
+
+
+def _wrong_rows(
+    result: LabResult, faults: Faults, rows: Index, table: PositionTable
+) -> dict[int, str]:
+    """Rows (from 0) that are wrong one by one, by the search or as slips of hand, and why."""
+    by_search = {
+        int(rows[result.used[r.row]]): f"{r.where}: excluded automatically "
+        f"({r.channel} off by {r.size:.3g} {r.unit}, {r.likely})"
+        for r in _records(result)
+    }
+    by_hand = {
+        int(np.flatnonzero(table.row == f.rows[0])[0]): f"{f.what}; excluded automatically"
+        for f in faults.slips
+        if f.kind in ("cell", "angle", "record")
+    }
+    return by_hand | by_search
 
 
 def _undecided(result: LabResult, faults: Faults, raw: RawUnit) -> tuple[str, ...]:

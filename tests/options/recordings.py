@@ -1,0 +1,194 @@
+"""Small recordings of the cases: worn sensors, boards, logs, and files written in odd ways."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_blocks
+from imucalib.calibrators.array.board import read_board
+from imucalib.calibrators.array.simulation import LogPlan, simulated_log
+from imucalib.readers.joining import join
+from imucalib.recording.recording import Channel, Recording
+from imucalib.writers import write
+from options.inputs import Make, Rows, rows, still
+from worlds.places import ROOT
+
+G = 9.80665
+BOARD = """name: four
+prior_sd: 3.0
+accelerometer_range: 16.0
+gyroscope_range: 2000.0
+imus:
+  - {name: imu0, position: [-9.0, 9.0, 1.0], axes: "x,y,z"}
+  - {name: imu1, position: [9.0, 9.0, -1.0], axes: "x,y,z"}
+  - {name: imu2, position: [-9.0, -9.0, -1.0], axes: "x,y,z"}
+  - {name: imu3, position: [9.0, -9.0, 1.0], axes: "x,y,z"}
+"""
+
+
+def _worn(path: Path, days: float = 0.2, seed: int = 1) -> None:
+    write(join(simulated_blocks(WeekPlan(days=days, rate=5.0), seed), "made"), path)
+
+
+def _worn_twice(path: Path) -> None:
+    """Two accelerometers on one wrist, the second with its x axis 3 % longer."""
+    made = join(simulated_blocks(WeekPlan(days=0.2, rate=5.0), 1), "made")
+    (name,) = (n for n, c in made.channels.items() if c.quantity == "acceleration")
+    one = made.channels[name]
+    other = replace(one, values=one.values * np.array([1.03, 1.0, 1.0]), triad="other")
+    write(replace(made, channels={**made.channels, "other/acceleration": other}), path)
+
+
+def _board(path: Path) -> None:
+    path.write_text(BOARD, encoding="utf-8")
+
+
+def board_log(path: Path, seed: int = 3) -> None:
+    folder = path.parent / "board.yaml"
+    _board(folder)
+    plan = LogPlan(poses=12, pose_seconds=3.0, seconds=10.0, gyro_gain=0.0)
+    write(simulated_log(read_board(folder), plan, np.random.default_rng(seed)).recording, path)
+
+
+def samples() -> Rows:
+    """(60, 8) t s, acceleration m/s², rate rad/s, temperature °C: any numbers."""
+    rng = np.random.default_rng(0)
+    t = np.arange(60) / 20.0
+    a = np.array([0.3, -0.2, 9.7]) + 0.3 * rng.standard_normal((60, 3))
+    w = 0.4 * rng.standard_normal((60, 3))
+    return np.round(np.column_stack([t, a, w, 20.0 + t]), 6)
+
+
+def _in_counts(table: Rows) -> Rows:
+    """256 counts a g, 3 counts at zero."""
+    table[:, 1:4] = table[:, 1:4] / G * 256.0 + 3.0
+    return table
+
+
+def _in_g(table: Rows) -> Rows:
+    table[:, 1:4] /= G
+    return table
+
+
+def _as_euroc(table: Rows) -> Rows:
+    return np.column_stack([table[:, 0], table[:, 4:7], table[:, 1:4]])
+
+
+def _more_axes(table: Rows) -> Rows:
+    """A second accelerometer, turned about x."""
+    return np.column_stack([table, table[:, 1], table[:, 3], -table[:, 2]])
+
+
+LOG = "time,ax,ay,az,gx,gy,gz,temp"
+
+
+def log(
+    heading: str = LOG, *, mark: str = ",", first: str = "", decimal: str = ".",
+    stamps: float = 1.0, of: Callable[[Rows], Rows] = lambda table: table,
+) -> Make:  # fmt: skip
+    """A CSV of `samples`."""
+
+    def made(path: Path) -> None:
+        table = of(samples() * np.array([stamps, *[1.0] * 7]))
+        lines = [mark.join(f"{v:.12g}".replace(".", decimal) for v in row) for row in table]
+        text = "\n".join([heading.replace(",", mark), *lines]) + "\n"
+        path.write_text(first + text, encoding="utf-8")
+
+    return made
+
+
+def _counts(path: Path) -> None:
+    path.write_text(
+        "time: time\nacc: [ax, ay, az]\nacc_unit: counts\nlsb_per_g: [256]\n"
+        "gyro: [gx, gy, gz]\ngyro_unit: rad/s\ntemperature: [temp]\n", encoding="utf-8"
+    )
+
+
+def _damaged(path: Path) -> None:
+    log("time_s,ax_m/s2,ay_m/s2,az_m/s2,gx_rad/s,gy_rad/s,gz_rad/s,temp_C")(path)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[30] = "1.45,oops,0,9.8,0,0,0,21"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _rests_of(path: Path) -> None:
+    """Rests of 2 s in the bench's positions, with motion between."""
+    still(path, seconds=2.0, table=rows()[:12])
+
+
+def _packed(path: Path) -> None:
+    t = np.arange(4000) / 100.0
+    values = np.tile([0.1, 0.2, 9.8], (4000, 1))
+    made = Recording(
+        {"imu0/acceleration": Channel(t, values, "m/s2", "acceleration", "imu0", 100.0)},
+        "made", "made", "",
+    )  # fmt: skip
+    write(made, path)
+
+
+def _external(path: Path) -> None:
+    """HDF5 whose acceleration lies in a file beside it."""
+    table = samples()
+    beside = path.with_suffix(".raw")
+    beside.write_bytes(table[:, 1:4].astype("<f8").tobytes())
+    with h5py.File(path, "w") as file:
+        file["time"] = np.round(table[:, 0] * 1e9).astype("i8")
+        file["time"].attrs["units"] = "ns"
+        file.create_dataset("acc", (60, 3), "<f8", external=[(str(beside), 0, 60 * 24)])
+        file["acc"].attrs["units"] = "m/s2"
+
+
+def _night(path: Path) -> None:
+    """Ten minutes still, with a gyroscope: enough for the noise of every axis."""
+    rng = np.random.default_rng(4)
+    t = np.arange(12000) / 20.0
+    a = np.array([0.0, 0.0, G]) + 0.02 * rng.standard_normal((12000, 3))
+    w = 0.002 * rng.standard_normal((12000, 3))
+    channels = {
+        "imu0/acceleration": Channel(t, a, "m/s2", "acceleration", "imu0", 20.0),
+        "imu0/angular_rate": Channel(t, w, "rad/s", "angular_rate", "imu0", 20.0),
+    }
+    write(Recording(channels, "made", "made", ""), path)
+
+
+def _cohort(path: Path) -> None:
+    for k in (1, 2):
+        _worn(path.parent / f"worn{k}.h5", 0.12, seed=k)
+    path.write_text("worn1.h5\nworn2.h5\n", encoding="utf-8")
+
+
+def _own_effects(path: Path) -> None:
+    page = (ROOT / "docs" / "own_effect.md").read_text(encoding="utf-8")
+    path.write_text(page.split("```python", 1)[1].split("\n", 1)[1].split("```")[0], encoding="utf-8")
+
+
+RECORDINGS: dict[str, Make] = {
+    "worn.h5": _worn,
+    "worn_twice.h5": _worn_twice,
+    "board.yaml": _board,
+    "log.h5": board_log,
+    "other_log.h5": lambda path: board_log(path, 4),
+    "samples.csv": log("time_s,ax_m/s2,ay_m/s2,az_m/s2,gx_rad/s,gy_rad/s,gz_rad/s,temp_C"),
+    "bare.csv": log(),
+    "counts.csv": log(of=_in_counts),
+    "in_g.csv": log(of=_in_g),
+    "other_axes.csv": log("time,ax,ay,az,gx,gy,gz,temp,bx,by,bz", of=_more_axes),
+    "comma_log.csv": log(mark=";", decimal=","),
+    "piped_log.csv": log(mark="^"),
+    "counts.yaml": _counts,
+    "titled_log.csv": log(first="1,2,3,4,5,6,7,8\n8,7,6,5,4,3,2,1\n"),
+    "columns.csv": log("c1,c2,c3,c4,c5,c6,c7", stamps=1e9, of=_as_euroc),
+    "stamps_ms.csv": log(stamps=1000.0),
+    "damaged.csv": _damaged,
+    "pauses.csv": _rests_of,
+    "packed.mcap": _packed,
+    "external.h5": _external,
+    "night.h5": _night,
+    "cohort.txt": _cohort,
+    "own.py": _own_effects,
+}

@@ -1,0 +1,19 @@
+"""Each option does what its case says, and nothing else."""
+
+from __future__ import annotations
+
+import pytest
+
+from options.bench import Bench
+from options.case import Case, held
+from options.cases import cases
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    return Bench(tmp_path_factory.mktemp("options"))
+
+
+@pytest.mark.parametrize("case", [pytest.param(c, id=c.label) for c in cases()])
+def test_the_option_does_it(case: Case, bench: Bench) -> None:
+    held(case, bench)
