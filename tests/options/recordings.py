@@ -12,6 +12,7 @@ import numpy as np
 from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_blocks
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
+from imucalib.readers import read
 from imucalib.readers.joining import join
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
@@ -35,6 +36,36 @@ def _worn(path: Path, days: float = 0.2, seed: int = 1) -> None:
     write(join(simulated_blocks(WeekPlan(days=days, rate=5.0), seed), "made"), path)
 
 
+def _bent(path: Path) -> None:
+    """Half a day of a converter with a ripple of 8 mg on x."""
+    made = join(simulated_blocks(WeekPlan(days=0.5, rate=5.0), 2), "made")
+    write(_rippled(made, 0.008, 7.0), path)
+
+
+def _rippled(made: Recording, size: float, waves: float) -> Recording:
+    """x axes that read `size` (g) sin(waves x / g) too much."""
+    out = dict(made.channels)
+    for name, c in made.channels.items():
+        if c.quantity == "acceleration":
+            ripple = size * G * np.sin(waves * c.values / G) * np.array([1.0, 0.0, 0.0])
+            out[name] = replace(c, values=c.values + ripple)
+    return replace(made, channels=out)
+
+
+def _loose(path: Path) -> None:
+    """A board whose imu1 wanders by half a millimetre while it is twisted."""
+    board_log(path)
+    made = read(path)
+    rate, felt = made.channels["imu1/angular_rate"], made.channels["imu1/acceleration"]
+    w = rate.values
+    off = np.array([6e-4, -4e-4, 4e-4])
+    late = np.clip((rate.t - 36.0) / 20.0, 0.0, 1.0)[:, None] - 0.5
+    spin = np.gradient(w, rate.t, axis=0)
+    moved = late * (np.cross(w, np.cross(w, off)) + np.cross(spin, off))
+    changed = replace(felt, values=felt.values + moved)
+    write(replace(made, channels={**made.channels, "imu1/acceleration": changed}), path)
+
+
 def _worn_twice(path: Path) -> None:
     """Two accelerometers on one wrist, the second with its x axis 3 % longer."""
     made = join(simulated_blocks(WeekPlan(days=0.2, rate=5.0), 1), "made")
@@ -51,7 +82,7 @@ def _board(path: Path) -> None:
 def board_log(path: Path, seed: int = 3) -> None:
     folder = path.parent / "board.yaml"
     _board(folder)
-    plan = LogPlan(poses=12, pose_seconds=3.0, seconds=10.0, gyro_gain=0.0)
+    plan = LogPlan(poses=12, pose_seconds=3.0, seconds=20.0, gyro_gain=0.0)
     write(simulated_log(read_board(folder), plan, np.random.default_rng(seed)).recording, path)
 
 
@@ -170,6 +201,8 @@ def _own_effects(path: Path) -> None:
 RECORDINGS: dict[str, Make] = {
     "worn.h5": _worn,
     "worn_twice.h5": _worn_twice,
+    "bent.h5": _bent,
+    "loose_log.h5": _loose,
     "board.yaml": _board,
     "log.h5": board_log,
     "other_log.h5": lambda path: board_log(path, 4),

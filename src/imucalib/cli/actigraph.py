@@ -63,9 +63,8 @@ def command(recording: Path, **options: Any) -> int:
 
 def request_of(options: dict[str, Any]) -> ActigraphRequest:
     """The request that the options state; raises click's usage errors."""
-    from dataclasses import replace
-
     from imucalib.calibrators.actigraph.request import ActigraphRequest
+    from imucalib.loop.found import LoopSettings
 
     shared = shared_of(options)
     return ActigraphRequest(
@@ -77,10 +76,11 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         every=_seconds(options["every"]) if options["every"] else None,
         declare=shared.declare,
         only=shared.only,
-        without=shared.without,
+        # Of a worn sensor the free curve is the converter's.
+        without=(*shared.without, *(() if shared.rules.curves else ("converter",))),
         loop=shared.loop,
         # The null of a wandering bias is simulated once a round: 200 place the bar well enough.
-        rules=replace(shared.rules, draws=shared.draws or 200),
+        rules=LoopSettings(draws=shared.draws or 200),
         extra_effects=shared.extra_effects,
         limits=shared.limits,
         seed=shared.seed,
