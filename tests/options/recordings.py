@@ -17,6 +17,7 @@ from imucalib.readers.joining import join
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
 from options.inputs import Make, Rows, rows, still
+from options.outcome import run
 from worlds.places import ROOT
 
 G = 9.80665
@@ -77,6 +78,11 @@ def _worn_twice(path: Path) -> None:
 
 def _board(path: Path) -> None:
     path.write_text(BOARD, encoding="utf-8")
+
+
+def _exchanged_board(path: Path) -> None:
+    swapped = BOARD.replace("imu1, pos", "imuX, pos").replace("imu2, pos", "imu1, pos")
+    path.write_text(swapped.replace("imuX, pos", "imu2, pos"), encoding="utf-8")
 
 
 def board_log(path: Path, seed: int = 3) -> None:
@@ -187,6 +193,14 @@ def _night(path: Path) -> None:
     write(Recording(channels, "made", "made", ""), path)
 
 
+def _noise_file(path: Path) -> None:
+    night = path.parent / "night.h5"
+    if not night.exists():
+        _night(night)
+    done = run(["inspect", str(night), "--save-noise", str(path)], path.parent)
+    assert done.code == 0, done.stderr
+
+
 def _cohort(path: Path) -> None:
     for k in (1, 2):
         _worn(path.parent / f"worn{k}.h5", 0.12, seed=k)
@@ -198,12 +212,41 @@ def _own_effects(path: Path) -> None:
     path.write_text(page.split("```python", 1)[1].split("\n", 1)[1].split("```")[0], encoding="utf-8")
 
 
+def _made_by(*arguments: str, keeps: str = "calibration.yaml") -> Make:
+    """What a command leaves behind; {name} is an input that is there already."""
+
+    def made(path: Path) -> None:
+        inputs = {name: str(path.parent / name) for name in ALL() if not name == path.name}
+        folder = path.parent / f"for_{path.name}"
+        words = []
+        for text in arguments:
+            if text.startswith("{"):
+                name = text.strip("{}")
+                if not (path.parent / name).exists():
+                    ALL()[name](path.parent / name)
+                text = inputs[name]
+            words.append(text)
+        done = run([*words, "-o", str(folder / keeps if keeps != "calibration.yaml" else folder)], folder)
+        assert done.code in (0, 5), done.stderr
+        (folder / keeps).rename(path)
+
+    return made
+
+
+def ALL() -> dict[str, Make]:
+    from options.bench import FILES
+
+    return FILES
+
+
 RECORDINGS: dict[str, Make] = {
     "worn.h5": _worn,
     "worn_twice.h5": _worn_twice,
     "bent.h5": _bent,
     "loose_log.h5": _loose,
     "board.yaml": _board,
+    "exchanged.yaml": _exchanged_board,
+    "tight.yaml": lambda path: path.write_text(BOARD.replace("prior_sd: 3.0", "prior_sd: 0.001")),
     "log.h5": board_log,
     "other_log.h5": lambda path: board_log(path, 4),
     "samples.csv": log("time_s,ax_m/s2,ay_m/s2,az_m/s2,gx_rad/s,gy_rad/s,gz_rad/s,temp_C"),
@@ -222,6 +265,18 @@ RECORDINGS: dict[str, Make] = {
     "packed.mcap": _packed,
     "external.h5": _external,
     "night.h5": _night,
+    "calibration.yaml": _made_by("lab", "{bench.csv}", "--no-loop"),
+    "own_calibration.yaml": _made_by(
+        "lab", "{bench.csv}", "--no-loop", "--effects", "{own.py}", "--declare", "xy_into_z"
+    ),
+    "parts.yaml": _made_by("actigraph", "{worn.h5}", "--no-loop", "--every", "80min"),
+    "board_calibration.yaml": _made_by(
+        "array", "{log.h5}", "--board", "{board.yaml}", "--no-loop", "--samples", "40"
+    ),
+    "corrected.csv": _made_by(
+        "apply", "{calibration.yaml}", "{samples.csv}", keeps="corrected.csv"
+    ),
+    "imu.yaml": _noise_file,
     "cohort.txt": _cohort,
     "own.py": _own_effects,
 }

@@ -1,0 +1,126 @@
+"""Cases of `imucal array` alone."""
+
+from __future__ import annotations
+
+
+import h5py
+import numpy as np
+
+from options.bench import Bench
+from options.case import USUAL, Case, Check, Of, both, ends, writes
+from options.cases.calibrating_block import searching
+from options.outcome import Outcome
+
+ARRAY = Of("array")
+PLAIN = USUAL["array"]
+
+
+def _mm(outcome: Outcome) -> np.ndarray:
+    """(3, 3) places of the IMUs beyond the first."""
+    return np.array([p["mean"] for p in outcome.content["positions_mm"][1:]])
+
+
+def _sd(outcome: Outcome) -> np.ndarray:
+    return np.array([p["sd"] for p in outcome.content["positions_mm"][1:]])
+
+
+def _alike(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """Another estimate of the same places: other numbers, within three standard deviations."""
+    assert done.code in (0, 5), done.stderr
+    assert (np.abs(_mm(done) - _mm(without)) < 3.0 * np.hypot(_sd(done), _sd(without))).all()
+
+
+def _diagnosed(name: str, value: object) -> Check:
+    def check(without: Outcome, done: Outcome, bench: Bench) -> None:
+        assert done.content["diagnostics"][name] == value
+        assert without.content["diagnostics"][name] != value
+        _alike(without, done, bench)
+
+    return check
+
+
+def _draws_to_reach(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The chains go on until every coordinate has as many."""
+    found = [o.content["diagnostics"]["smallest_bulk_ess"] for o in (without, done)]
+    assert found[0] < 2000.0 <= found[1]
+
+
+def _wider(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """With more noise in motion the same data say less."""
+    sd = [o.content["size"]["sd_of_motion"] for o in (without, done)]
+    assert sd[1] > 2.0 * sd[0]
+    _alike(without, done, bench)
+
+
+def _tied(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """A board file that says where the IMUs are to a micrometre is believed."""
+    drawn = np.array([[18.0, 0.0, -2.0], [0.0, -18.0, -2.0], [18.0, -18.0, 0.0]])
+    np.testing.assert_allclose(_mm(done), drawn, atol=0.005)
+    assert np.abs(_mm(without) - drawn).max() > 0.02
+
+
+def _longer(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The size is that of the measured distance, imu0 to imu1."""
+    drawn = np.hypot(18.0, 2.0)
+    lengths = [
+        next(d["distance"] for d in o.content["distances_mm"] if (d["from"], d["to"]) == ("imu0", "imu1"))
+        for o in (without, done)
+    ]
+    assert abs(lengths[1] - 1.05 * drawn) < 0.1 < abs(lengths[0] - 1.05 * drawn)
+
+
+def _accepted(unit: str, value: float) -> Check:
+    """What may stay unexplained, and nothing else."""
+
+    def check(without: Outcome, done: Outcome, bench: Bench) -> None:
+        (one,) = [x for x in done.content["left"] if x["unit"] == unit and x["accepted"] == value]
+        assert one["beyond"] == (one["value"] > value)
+
+    return check
+
+
+def _kept_draws(without: Outcome, done: Outcome, bench: Bench) -> None:
+    writes("draws.h5")(without, done, bench)
+    with h5py.File(done.folder / "draws.h5") as file:
+        draws = file["posterior/position_mm"][()]
+    count = done.content["diagnostics"]
+    assert draws.shape == (count["chains"], count["draws"] // count["chains"], 4, 3) or draws.size
+    np.testing.assert_allclose(draws.mean(axis=(0, 1))[1:], _mm(done), atol=1e-6)
+
+
+def _kept_chains(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """A second run goes on from the file, and ends alike."""
+    assert "chains.npz" in done.files
+    size = len(done.files["chains.npz"])
+    again = bench.run([a.replace("<out>", str(done.folder)) for a in (*PLAIN, *CHECKPOINT)])
+    assert again.code == done.code
+    np.testing.assert_allclose(_mm(again), _mm(done), atol=0.05)
+    assert size > 0
+
+
+CHECKPOINT = ("--checkpoint", "<out>/chains.npz")
+CASES: tuple[Case, ...] = (
+    ARRAY("--board <tight.yaml>", _tied),
+    # The log says that two IMUs are exchanged: exit 4; kept so, nothing fits.
+    ARRAY("--as-drawn", ends(6, "no mode"), *(a.replace("board.yaml", "exchanged.yaml") for a in PLAIN)),
+    ARRAY("--sampler pmmh", ends(6, "Algorithm 1 do not agree after 300"), *PLAIN,
+          "--iterations", "300", "--motion-prior", "flat"),
+    ARRAY("--samples 60", _alike),
+    ARRAY("--motion-prior flat", _alike),
+    ARRAY("--det-exponent 1", ends(6, "no mode"), *PLAIN, "--motion-prior", "flat"),
+    ARRAY("--acc-sigma 0.2", _wider),
+    ARRAY("--acc-sigma -1", ends(2)),
+    ARRAY("--gyro-covariance sample", _alike, *PLAIN, "--motion-prior", "flat"),
+    ARRAY("--chains 6", _diagnosed("chains", 6)),
+    ARRAY("--ess 2000", _draws_to_reach),
+    ARRAY("--iterations 200", ends(6, "Algorithm 1 do not agree after 200"), *PLAIN,
+          "--sampler", "pmmh", "--motion-prior", "flat", "--iterations", "300"),
+    Case("array", "--distance", ("--distance", "imu0", "imu1", f"{1.05 * np.hypot(18.0, 2.0):.4f}±0.01mm"), _longer),
+    ARRAY("--accept-mm 0.7", _accepted("mm", 0.7), *searching("array")),
+    ARRAY("--accept-mg 1e-6", both(_accepted("mg", 1e-6), ends(5))),
+    ARRAY("--accept-dps 1e-6", both(_accepted("deg/s", 1e-6), ends(5))),
+    ARRAY("--save-draws <out>/draws.h5", _kept_draws),
+    ARRAY(" ".join(CHECKPOINT), _kept_chains),
+    ARRAY("--shortest-rest 100", ends(4, "12 too short")),
+    ARRAY("--shortest-rest nan", ends(2)),
+)

@@ -1,0 +1,190 @@
+"""Cases of the commands that read and write files: inspect, convert, apply, export, validate."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.readers import read
+from options.bench import Bench
+from options.case import Case, Of, ends, writes
+from options.outcome import Outcome
+from options.recordings import G
+
+INSPECT, APPLY, EXPORT = Of("inspect"), Of("apply"), Of("export")
+REST = ("inspect", "<pauses.csv>", "--json")
+ARRAY = ("apply", "<board_calibration.yaml>", "<log.h5>", "-o", "<out>/corrected.h5")
+PARTS = ("apply", "<parts.yaml>", "<worn.h5>", "-o", "<out>/corrected.csv")
+
+
+def _rows(path: object) -> NDArray[np.float64]:
+    found = [c for c in read(str(path)).channels.values() if c.quantity == "acceleration"]
+    return found[0].values
+
+
+def _mapping_serves(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The file that was written reads the recording in the same way."""
+    writes("m.yaml")(without, done, bench)
+    again = bench.run(("inspect", "<samples.csv>", "--json", "--mapping", f"{done.folder}/m.yaml"))
+    assert again.content["mapping"] == done.content["mapping"]
+    assert "ax_m/s2" in done.text("m.yaml")
+
+
+def _every_rest(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert done.content["still_segments"] == 12
+    assert len(done.content["rests"]) >= 12 and "rests" not in without.content
+
+
+def _longer_rests(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """Twelve rests of two seconds; of three there is none."""
+    assert (without.content["still_segments"], done.content["still_segments"]) == (12, 0)
+
+
+def _noise_told(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """White noise of the samples: sd / sqrt(rate) of what was drawn, 0.02 m/s² at 20 Hz."""
+    found = json.dumps(done.content["noise"])
+    axes = [v for k, v in _numbers(json.loads(found)) if k.endswith("white")]
+    assert axes and "noise" not in without.content
+    density = 0.02 / np.sqrt(20.0)
+    assert np.isclose(np.median([v for v in axes if v > 1e-3 / 9]), density, rtol=0.2)
+
+
+def _numbers(node: object, name: str = "") -> list[tuple[str, float]]:
+    if isinstance(node, dict):
+        return [x for k, v in node.items() for x in _numbers(v, str(k))]
+    if isinstance(node, list):
+        return [x for v in node for x in _numbers(v, name)]
+    return [(name, float(node))] if isinstance(node, int | float) else []
+
+
+def _noise_saved(without: Outcome, done: Outcome, bench: Bench) -> None:
+    writes("imu.yaml")(without, done, bench)
+    line = next(x for x in done.text("imu.yaml").splitlines() if "accelerometer_noise_density" in x)
+    assert np.isclose(float(line.split(":")[1].split("#")[0]), 0.02 / np.sqrt(20.0), rtol=0.2)
+
+
+def _page(without: Outcome, done: Outcome, bench: Bench) -> None:
+    writes("page.html")(without, done, bench)
+    assert "<svg" in done.text("page.html")
+
+
+def _by_calibration(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """Only the second sensor is corrected."""
+    raw = read(bench.path("worn_twice.h5")).channels
+    out = read(done.folder / "corrected.h5").channels
+    moved = [n for n in raw if raw[n].quantity == "acceleration"
+             and np.abs(raw[n].values - out[n].values).max() > 1e-3]  # fmt: skip
+    assert moved == ["other/acceleration"]
+
+
+def _own_is_known(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert (without.code, done.code) == (2, 0), without.stderr + done.stderr
+    assert "--effects" in without.stderr
+
+
+def _parts_differ(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The parts' own numbers: near the whole's, not the same."""
+    one, two = _rows(without.folder / "corrected.csv"), _rows(done.folder / "corrected.csv")
+    away = np.abs(one - two).max()
+    assert 0.0 < away < 0.02 * G
+
+
+def _angles(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """A row a rest: the angles of the bench's positions, in order."""
+    writes("angles.csv")(without, done, bench)
+    with (done.folder / "angles.csv").open(newline="") as file:
+        found = list(csv.DictReader(file))
+    column = next(k for k in found[0] if k.startswith("inclination"))
+    values = [float(row[column]) for row in found]
+    np.testing.assert_allclose(values, np.repeat([-50.0, 10.0], 6), atol=0.3)
+
+
+def _angles_of_samples(without: Outcome, done: Outcome, bench: Bench) -> None:
+    rows = [len(o.text("angles.csv").splitlines()) - 1 for o in (without, done)]
+    assert rows[0] == 12
+    assert rows[1] > 12 * 50
+
+
+def _channels(outcome: Outcome) -> set[str]:
+    return set(read(outcome.folder / "corrected.h5").channels)
+
+
+def _only_fused(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert all(name.startswith("fused/") for name in _channels(done))
+    assert _channels(done) < _channels(without)
+
+
+def _none_fused(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert not any(name.startswith("fused/") for name in _channels(done))
+    assert _channels(done) < _channels(without)
+
+
+def _felt_elsewhere(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """a(p) - a(0) = dω/dt × p + ω × (ω × p), p from the middle, of what is written itself."""
+    files = [read(o.folder / "corrected.h5").channels for o in (without, done)]
+    force = [next(c for n, c in f.items() if n.startswith("fused/") and "acceleration" == c.quantity)
+             for f in files]  # fmt: skip
+    rate = next(c.values for n, c in files[0].items()
+                if n.startswith("fused/") and c.quantity == "angular_rate")  # fmt: skip
+    spin = next((c.values for n, c in files[0].items() if "angular_acceleration" in n), None)
+    assert spin is not None
+    p = np.array([0.03, 0.0, 0.0])
+    lever = np.cross(spin, p) + np.cross(rate, np.cross(rate, p))
+    fast = np.linalg.norm(rate, axis=1) > 3.0
+    assert fast.sum() > 100
+    left = force[1].values - force[0].values - lever
+    assert np.sqrt(np.mean(left[fast] ** 2)) < 0.05 * np.sqrt(np.mean(lever[fast] ** 2))
+
+
+def _twice(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert without.code != 0
+    assert "--again" in without.stderr
+    assert "corrected.csv" in done.files
+
+
+def _with_noise(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert "accelerometer_noise_density" in done.stdout
+    assert "accelerometer_noise_density" not in without.stdout or done.stdout != without.stdout
+
+
+def _into_a_file(without: Outcome, done: Outcome, bench: Bench) -> None:
+    writes("c.h")(without, done, bench)
+    assert done.text("c.h") == without.stdout
+
+
+CASES: tuple[Case, ...] = (
+    INSPECT("--save-mapping <out>/m.yaml", _mapping_serves),
+    INSPECT("--rests", _every_rest, *REST),
+    INSPECT("--shortest-rest 3", _longer_rests, *REST),
+    INSPECT("--shortest-rest nan", ends(2), *REST),
+    INSPECT("--noise", _noise_told, "inspect", "<night.h5>", "--json"),
+    INSPECT("--save-noise <out>/imu.yaml", _noise_saved, "inspect", "<night.h5>", "--json"),
+    INSPECT("--html <out>/page.html", _page, *REST),
+    INSPECT("--strict", ends(3, "31"), "inspect", "<damaged.csv>", "--json"),
+    APPLY("--strict", ends(3, "31"), "apply", "<calibration.yaml>", "<damaged.csv>", "-o",
+               "<out>/corrected.csv"),
+    APPLY("--triad other", _by_calibration, "apply", "<calibration.yaml>", "<worn_twice.h5>", "-o",
+          "<out>/corrected.h5"),
+    APPLY("--effects <own.py>", _own_is_known, "apply", "<own_calibration.yaml>", "<samples.csv>",
+          "-o", "<out>/corrected.csv"),
+    APPLY("--parts", _parts_differ, *PARTS, "--whole"),
+    APPLY("--whole", _parts_differ, *PARTS, "--parts"),
+    APPLY("--angles <out>/angles.csv", _angles, "apply", "<calibration.yaml>", "<pauses.csv>", "-o",
+          "<out>/corrected.csv"),
+    APPLY("--each sample", _angles_of_samples, "apply", "<calibration.yaml>", "<pauses.csv>", "-o",
+          "<out>/corrected.csv", "--angles", "<out>/angles.csv"),
+    APPLY("--fused", _only_fused, *ARRAY),
+    APPLY("--no-fused", _none_fused, *ARRAY),
+    APPLY("--at 30,0,0", _felt_elsewhere, *ARRAY, "--fused"),
+    APPLY("--at nan,0,0", ends(2), *ARRAY),
+    APPLY("--again", _twice, "apply", "<calibration.yaml>", "<corrected.csv>", "-o",
+          "<out>/corrected.csv"),
+    EXPORT("--output <out>/c.h", _into_a_file),
+    EXPORT("--noise <imu.yaml>", _with_noise, "export", "<board_calibration.yaml>", "--to",
+           "kalibr"),
+    EXPORT("--effects <own.py>", _own_is_known, "export", "<own_calibration.yaml>", "--to",
+           "c-header"),
+)  # fmt: skip
