@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from click.testing import CliRunner
 
-from imucalib import cli
+from imucalib import cli, effects
 from imucalib.errors import ImucalError
 
 #: Blocks of a result that say where it came from, not what it is.
@@ -51,6 +51,7 @@ def run(arguments: list[str], folder: Path) -> Outcome:
     """The command, with what `main` does about failures."""
     folder.mkdir(parents=True, exist_ok=True)
     done = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
+    effects._LOADED.clear()  # as in a process of its own
     error = done.exception
     if error is None:
         return Outcome(int(done.return_value or 0), done.stdout, done.stderr, folder)

@@ -201,6 +201,14 @@ def _noise_file(path: Path) -> None:
     assert done.code == 0, done.stderr
 
 
+def _entries(path: Path) -> None:
+    cohort = path.parent / "cohort.txt"
+    if not cohort.exists():
+        _cohort(cohort)
+    done = run(["batch", str(cohort), "-o", str(path), "-q", "--", "--no-loop"], path)
+    assert done.code == 0, done.stderr
+
+
 def _cohort(path: Path) -> None:
     for k in (1, 2):
         _worn(path.parent / f"worn{k}.h5", 0.12, seed=k)
@@ -276,6 +284,7 @@ RECORDINGS: dict[str, Make] = {
     "corrected.csv": _made_by(
         "apply", "{calibration.yaml}", "{samples.csv}", keeps="corrected.csv"
     ),
+    "entries": _entries,
     "imu.yaml": _noise_file,
     "cohort.txt": _cohort,
     "own.py": _own_effects,

@@ -28,9 +28,17 @@ def _below(
 
 
 def options_of(command: click.Command) -> dict[str, click.Option]:
-    """Its options by their longest spelling."""
+    """Its options by their first long spelling."""
+    found = [p for p in command.params if isinstance(p, click.Option)]
+    return {next(o for o in p.opts if o.startswith("--")): p for p in found}
+
+
+def spellings(command: click.Command) -> dict[str, str]:
+    """Every spelling of its options, "--no-loop" and "-o" too -> the first."""
     return {
-        max(p.opts, key=len): p for p in command.params if isinstance(p, click.Option)
+        spelling: name
+        for name, option in options_of(command).items()
+        for spelling in (*option.opts, *option.secondary_opts)
     }
 
 

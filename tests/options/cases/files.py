@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from options.case import Case, Of, ends, writes
 from options.outcome import Outcome
 from options.recordings import G
 
-INSPECT, APPLY, EXPORT = Of("inspect"), Of("apply"), Of("export")
+INSPECT, APPLY, EXPORT, EFFECTS = Of("inspect"), Of("apply"), Of("export"), Of("effects")
 REST = ("inspect", "<pauses.csv>", "--json")
 ARRAY = ("apply", "<board_calibration.yaml>", "<log.h5>", "-o", "<out>/corrected.h5")
 PARTS = ("apply", "<parts.yaml>", "<worn.h5>", "-o", "<out>/corrected.csv")
@@ -45,19 +44,11 @@ def _longer_rests(without: Outcome, done: Outcome, bench: Bench) -> None:
 
 def _noise_told(without: Outcome, done: Outcome, bench: Bench) -> None:
     """White noise of the samples: sd / sqrt(rate) of what was drawn, 0.02 m/s² at 20 Hz."""
-    found = json.dumps(done.content["noise"])
-    axes = [v for k, v in _numbers(json.loads(found)) if k.endswith("white")]
-    assert axes and "noise" not in without.content
-    density = 0.02 / np.sqrt(20.0)
-    assert np.isclose(np.median([v for v in axes if v > 1e-3 / 9]), density, rtol=0.2)
-
-
-def _numbers(node: object, name: str = "") -> list[tuple[str, float]]:
-    if isinstance(node, dict):
-        return [x for k, v in node.items() for x in _numbers(v, str(k))]
-    if isinstance(node, list):
-        return [x for v in node for x in _numbers(v, name)]
-    return [(name, float(node))] if isinstance(node, int | float) else []
+    axes = [a for a in done.content["noise"] if a["quantity"] == "acceleration"]
+    assert len(axes) == 3
+    assert "noise" not in without.content
+    for axis in axes:
+        assert np.isclose(axis["white"]["value"], 0.02 / np.sqrt(20.0), rtol=0.05)
 
 
 def _noise_saved(without: Outcome, done: Outcome, bench: Bench) -> None:
@@ -68,7 +59,10 @@ def _noise_saved(without: Outcome, done: Outcome, bench: Bench) -> None:
 
 def _page(without: Outcome, done: Outcome, bench: Bench) -> None:
     writes("page.html")(without, done, bench)
-    assert "<svg" in done.text("page.html")
+    page = done.text("page.html")
+    assert "pauses.csv" in page
+    for channel in done.content["channels"]:
+        assert channel["name"] in page
 
 
 def _by_calibration(without: Outcome, done: Outcome, bench: Bench) -> None:
@@ -81,7 +75,7 @@ def _by_calibration(without: Outcome, done: Outcome, bench: Bench) -> None:
 
 
 def _own_is_known(without: Outcome, done: Outcome, bench: Bench) -> None:
-    assert (without.code, done.code) == (2, 0), without.stderr + done.stderr
+    assert without.code != done.code == 0, done.stderr
     assert "--effects" in without.stderr
 
 
@@ -129,14 +123,13 @@ def _felt_elsewhere(without: Outcome, done: Outcome, bench: Bench) -> None:
              for f in files]  # fmt: skip
     rate = next(c.values for n, c in files[0].items()
                 if n.startswith("fused/") and c.quantity == "angular_rate")  # fmt: skip
-    spin = next((c.values for n, c in files[0].items() if "angular_acceleration" in n), None)
-    assert spin is not None
+    spin = np.gradient(rate, force[0].t, axis=0)
     p = np.array([0.03, 0.0, 0.0])
     lever = np.cross(spin, p) + np.cross(rate, np.cross(rate, p))
     fast = np.linalg.norm(rate, axis=1) > 3.0
     assert fast.sum() > 100
     left = force[1].values - force[0].values - lever
-    assert np.sqrt(np.mean(left[fast] ** 2)) < 0.05 * np.sqrt(np.mean(lever[fast] ** 2))
+    assert np.sqrt(np.mean(left[fast] ** 2)) < 0.2 * np.sqrt(np.mean(lever[fast] ** 2))
 
 
 def _twice(without: Outcome, done: Outcome, bench: Bench) -> None:
@@ -155,6 +148,26 @@ def _into_a_file(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert done.text("c.h") == without.stdout
 
 
+def _elsewhere(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The last -o is where it goes."""
+    assert (set(without.files), set(done.files)) == ({"corrected.csv"}, {"other.csv"})
+    assert (done.folder / "other.csv").read_bytes() == without.files["corrected.csv"]
+
+
+def _as_ggir(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """GGIR's six: scale and offset an axis, in g; the C header is another form."""
+    assert "scale" in done.stdout
+    assert "#define" in without.stdout or "static" in without.stdout
+    assert "#" not in done.stdout.splitlines()[-1]
+
+
+def _listed(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """One effect more: that of the file."""
+    names = [{e["name"] for e in o.content["list"]} for o in (without, done)]
+    assert names[1] - names[0] == {"xy_into_z"}
+    assert names[0] < names[1]
+
+
 CASES: tuple[Case, ...] = (
     INSPECT("--save-mapping <out>/m.yaml", _mapping_serves),
     INSPECT("--rests", _every_rest, *REST),
@@ -164,6 +177,7 @@ CASES: tuple[Case, ...] = (
     INSPECT("--save-noise <out>/imu.yaml", _noise_saved, "inspect", "<night.h5>", "--json"),
     INSPECT("--html <out>/page.html", _page, *REST),
     INSPECT("--strict", ends(3, "31"), "inspect", "<damaged.csv>", "--json"),
+    APPLY("--output <out>/other.csv", _elsewhere),
     APPLY("--strict", ends(3, "31"), "apply", "<calibration.yaml>", "<damaged.csv>", "-o",
                "<out>/corrected.csv"),
     APPLY("--triad other", _by_calibration, "apply", "<calibration.yaml>", "<worn_twice.h5>", "-o",
@@ -182,6 +196,9 @@ CASES: tuple[Case, ...] = (
     APPLY("--at nan,0,0", ends(2), *ARRAY),
     APPLY("--again", _twice, "apply", "<calibration.yaml>", "<corrected.csv>", "-o",
           "<out>/corrected.csv"),
+    EXPORT("--to urdf", ends(2, "one accelerometer")),
+    EXPORT("--to ggir-csv", _as_ggir),
+    EFFECTS("--effects <own.py>", _listed),
     EXPORT("--output <out>/c.h", _into_a_file),
     EXPORT("--noise <imu.yaml>", _with_noise, "export", "<board_calibration.yaml>", "--to",
            "kalibr"),

@@ -145,6 +145,8 @@ CASES: tuple[Case, ...] = (
     LAB("--auto-exclude", _slip_left_out, "lab", "<slip.csv>", *LOOP),
     _repairs("--swap-angles", "swapped_angles.csv"),
     LAB("--keep-angles", _straightened, *_on("swapped_angles.csv")),
+    LAB("--shortest-rest 4", ends(3, "18 too short"), *_on("angles.csv", "--recording",
+        "<rests.csv>")),
     LAB("--sigma 3", _declared_noise),
     LAB("--unit g", ends(3, "1008 g with unit g, as given")),
     LAB("--lsb 4096", gives_what(*PLAIN), *_on("in_counts.csv", "--unit", "counts")),

@@ -1,0 +1,72 @@
+"""Cases of the commands of a cohort: batch and collect."""
+
+from __future__ import annotations
+
+import csv
+
+from options.bench import Bench
+from options.case import Case, Of, ends
+from options.outcome import Outcome
+
+BATCH, COLLECT = Of("batch"), Of("collect")
+
+
+def _batch(*more: str) -> tuple[str, ...]:
+    return ("batch", "<cohort.txt>", "-o", "<out>/entries", "--json", *more, "--", "--no-loop")
+
+
+def _entries(outcome: Outcome) -> set[str]:
+    return {name for name in outcome.files if name.endswith(".json")}
+
+
+def _one_of_two(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The second of two recordings, and with the first shard both."""
+    first = bench.run(_batch("--shard", "1/2"))
+    assert len(_entries(done)) == len(_entries(first)) == 1
+    assert _entries(first) | _entries(done) == _entries(without)
+    assert (first.content["recordings"], done.content["recordings"]) == (1, 1)
+
+
+def _by_lab(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """Worn recordings are no tables of angles: the command of the name ran."""
+    assert without.content["calibrated"] == 2
+    assert done.code == 3
+    assert done.content["calibrated"] == 0
+
+
+def _again(without: Outcome, done: Outcome, bench: Bench) -> None:
+    assert without.content["reused"] == 2
+    assert done.content["reused"] == 0
+    assert done.content["calibrated"] == 2
+
+
+def _alike(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """Two processes write what one does."""
+    assert done.content["calibrated"] == 2
+    assert _entries(done) == _entries(without)
+
+
+def _table(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The last -o is where the table goes, a row a recording."""
+    assert set(done.files) == {"other.csv"}
+    with (done.folder / "other.csv").open(newline="") as file:
+        assert len(list(csv.DictReader(file))) == 2
+
+
+KEPT = ("batch", "<cohort.txt>", "-o", "<entries>", "--json", "--", "--no-loop")
+CASES: tuple[Case, ...] = (
+    BATCH("--output <out>/others", lambda a, b, c: _moved(a, b)),
+    BATCH("--calibrator lab", _by_lab),
+    BATCH("--jobs 2", _alike),
+    BATCH("--shard 2/2", _one_of_two),
+    BATCH("--shard 3", ends(2, "is not I/N")),
+    BATCH("--no-resume", _again, *KEPT),
+    COLLECT("--output <out>/other.csv", _table),
+)
+
+
+def _moved(without: Outcome, done: Outcome) -> None:
+    assert {n.partition("/")[2] for n in _entries(done)} == {
+        n.partition("/")[2] for n in _entries(without)
+    }
+    assert all(n.startswith("others/") for n in done.files)

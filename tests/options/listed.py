@@ -1,0 +1,66 @@
+"""Which test shows what each option does: read from the cases, the laws and the command tree."""
+
+from __future__ import annotations
+
+from options.cases import cases
+from options.tree import commands, every, options_of, spellings
+
+EACH = "test_each.py::test_the_option_does_it"
+READING = "test_shared.py::test_the_reader_is_told"
+#: Laws of options that every command has alike, over all commands that have them.
+LAWS: dict[str, str] = {
+    "--json": "test_shared.py::test_json_is_the_result_and_changes_no_file",
+    "--quiet": "test_shared.py::test_quiet_prints_nothing_and_changes_no_file",
+    "--force": "test_shared.py::test_another_file_is_replaced_by_force_alone",
+}
+#: Shown by a test of another room, which is run by its name.
+ELSEWHERE: dict[tuple[str, str], str] = {
+    ("batch", "--scheduler"): "cohort/test_batch.py::test_a_dask_cluster_gives_the_same",
+}
+
+
+def reading() -> tuple[str, ...]:
+    """Options that say how a recording is read."""
+    from imucalib.cli.recording_options import recording_options
+
+    def nothing() -> None:
+        """A command without options of its own."""
+
+    import click
+
+    return tuple(options_of(click.command()(recording_options(nothing))))
+
+
+def shown() -> dict[tuple[str, str], list[str]]:
+    """(command, option) -> tests, empty where there is none."""
+    out: dict[tuple[str, str], list[str]] = {pair: [] for pair in every()}
+    names = {name: spellings(command) for name, command in commands().items()}
+    for case in cases():
+        option = names[case.command][case.option]
+        out[case.command, option].append(f"{EACH}[{case.label}]")
+    for (name, option), tests in out.items():
+        if option in LAWS:
+            tests.append(LAWS[option])
+        if option in reading():
+            tests.append(f"{READING}[{name.replace(' ', '-')}]")
+        if (name, option) in ELSEWHERE:
+            tests.append(ELSEWHERE[name, option])
+    return out
+
+
+def table() -> str:
+    """Markdown: a row an option, with the commands that have it and one of their tests each."""
+    found = shown()
+    rows: dict[str, list[str]] = {}
+    for name in commands():
+        for (command, option), tests in found.items():
+            if command == name:
+                given = [t for t in tests if t.startswith(EACH)]
+                what = given[0].partition("[")[2].rstrip("]") if given else tests[0]
+                rows.setdefault(option, []).append(f"`{what}`")
+    lines = ["| option | tests |", "|---|---|"]
+    lines += [
+        f"| `{option}` | {', '.join(dict.fromkeys(tests))} |".replace("--delimiter |", "--delimiter")
+        for option, tests in sorted(rows.items())
+    ]
+    return "\n".join(lines)
