@@ -18,7 +18,7 @@ WHEEL = $(PYTHON) -m venv --clear $(VENV)/bare && \
 	$(VENV)/bare/bin/python -m pip install --quiet --disable-pip-version-check dist/imucalib-*.whl
 endif
 
-.PHONY: demo test slow check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz mutants clean
+.PHONY: demo test test-slow test-oldest test-costs check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz mutants clean
 
 $(BIN)/imucal: pyproject.toml
 	test -x $(BIN)/python || $(CREATE)
@@ -32,10 +32,10 @@ $(VENV)/.dev: pyproject.toml $(BIN)/imucal
 demo: $(BIN)/imucal ## calibrate the sample logs: errors before and after, and where the reports are
 	@$(BIN)/python sample_logs/demo.py $(BIN)/imucal demo
 
-test: $(VENV)/.dev ## run all tests
+test: $(VENV)/.dev ## run the tests, but for those of more than a second (make test-slow)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
-slow: $(VENV)/.dev ## run the tests that `make test` leaves out: the pages' long commands
+test-slow: $(VENV)/.dev ## run the tests that `make test` leaves out: those of more than a second
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m slow
 
 check: $(VENV)/.dev ## style, types and generated pages, as CI runs them
@@ -75,6 +75,9 @@ loop-benchmark: $(VENV)/.dev ## the acceptance benchmark of the closed loop; SCA
 
 stories: $(VENV)/.dev ## run the command on recorded data and write docs/closed_loop.md's stories
 	$(BIN)/python docs/stories.py
+
+test-costs: $(VENV)/.dev ## measure every test, and write the tiers and docs/testing.md's tables
+	$(BIN)/python tests/costs
 
 mutants: $(VENV)/.dev ## plant faults one at a time and list those that no test notices
 	$(BIN)/python tests/mutants --count $(or $(COUNT),10)

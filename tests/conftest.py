@@ -1,4 +1,4 @@
-"""What one test loads into the catalogue, the next must not see."""
+"""What holds for all tests: tiers, threads, and that none sees what another loaded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,17 @@ import pytest
 # As the command does: threads that wait for each other cost ten times the work on small matrices.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from costs.tiers import slow_tier
 from imucalib import effects
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of the slow tier are marked by their measured cost."""
+    slow = slow_tier()
+    for item in items:
+        if item.nodeid.removeprefix("tests/") in slow:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(autouse=True)

@@ -49,18 +49,20 @@ def shown() -> dict[tuple[str, str], list[str]]:
 
 
 def table() -> str:
-    """Markdown: a row an option, with the commands that have it and one of their tests each."""
-    found = shown()
-    rows: dict[str, list[str]] = {}
-    for name in commands():
-        for (command, option), tests in found.items():
-            if command == name:
-                given = [t for t in tests if t.startswith(EACH)]
-                what = given[0].partition("[")[2].rstrip("]") if given else tests[0]
-                rows.setdefault(option, []).append(f"`{what}`")
-    lines = ["| option | tests |", "|---|---|"]
-    lines += [
-        f"| `{option}` | {', '.join(dict.fromkeys(tests))} |".replace("--delimiter |", "--delimiter")
-        for option, tests in sorted(rows.items())
-    ]
+    """Markdown: a row an option, its commands, and the cases and laws that show what it does."""
+    of_option: dict[str, dict[str, list[str]]] = {}
+    for (command, option), tests in shown().items():
+        of_option.setdefault(option, {})[command] = tests
+    lines = ["| option | of | shown by |", "|---|---|---|"]
+    for option, found in sorted(of_option.items()):
+        tests = dict.fromkeys(_short(t) for each in found.values() for t in each)
+        lines.append(f"| `{option}` | {', '.join(found)} | {', '.join(tests)} |")
     return "\n".join(lines)
+
+
+def _short(test: str) -> str:
+    """A case by its call, a law by its name."""
+    name, _, case = test.partition("[")
+    if name == EACH:
+        return f"`{case.rstrip(']')}`"
+    return f"`{name.partition('::')[2]}`"

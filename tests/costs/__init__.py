@@ -1,0 +1,1 @@
+"""What each test costs, and which tier it belongs to by that."""
