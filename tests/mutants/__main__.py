@@ -1,9 +1,10 @@
 """Plant faults into the deciding modules, one at a time, and count those that a test notices.
 
-    python tests/mutants [--count 10] [--seed 0] [--only core loop ...]
+    python tests/mutants [--count 10] [--seed 0] [--only core loop ...] [--page]
 
 A fault is killed when a test of its room fails or does not end within ten times its usual time.
-Survivors are printed with their line: each is a test to write, or a fault that changes no number.
+Survivors are printed with their line: each is a test to write, or a fault that changes no number:
+then `harmless.txt` says why.
 """
 
 from __future__ import annotations
@@ -17,40 +18,72 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from mutants.faults import Fault, faults_of
+from testing_page import written
 
 ROOT = Path(__file__).parents[2]
 SOURCE = Path("src/imucalib")
-#: Rooms whose code decides a number, and the tests that stand guard over each, quickest first.
-ROOMS: dict[str, tuple[str, ...]] = {
-    "core": ("tests/oracle", "tests/core", "tests/effects", "tests/estimators/test_nist.py"),
-    "effects": ("tests/oracle", "tests/effects"),
-    "estimators": ("tests/core", "tests/estimators"),
-    "loop": ("tests/loop/test_design.py", "tests/loop/test_evidence.py", "tests/loop"),
-    "calibration": ("tests/calibration", "tests/writers", "tests/cli/test_apply.py"),
-    "calibrators/lab": ("tests/calibrators/lab",),
-    "calibrators/actigraph": ("tests/calibrators/actigraph",),
-    "calibrators/array": ("tests/calibrators/array",),
-    "rests": ("tests/rests",),
-    "recording": ("tests/recording", "tests/readers/csv"),
-    "units.py": ("tests/test_units.py", "tests/core"),
+OPTIONS = "tests/options/test_each.py"
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Tests that stand guard over a room, quickest first. only : pytest's -k, of OPTIONS alone;
+    slow : whether those of the slow tier are run too"""
+
+    tests: tuple[str, ...]
+    only: str = ""
+    slow: bool = False
+
+
+#: Rooms whose code decides a number.
+ROOMS: dict[str, Guard] = {
+    "units.py": Guard(("tests/test_units.py", "tests/core")),
+    "core": Guard(("tests/oracle", "tests/core", "tests/effects", "tests/estimators/test_nist.py")),
+    "effects": Guard(("tests/oracle", "tests/effects")),
+    "rests": Guard(("tests/rests",)),
+    "recording": Guard(("tests/recording", "tests/readers/csv"), "convert"),
+    "estimators": Guard(
+        ("tests/estimators/test_nist.py", "tests/estimators", "tests/core"), "array and motion"
+    ),
+    "loop": Guard(("tests/loop",), "lab and (only or seed or auto)"),
+    "calibration": Guard(("tests/calibration",), "apply or export or (output and not array)"),
+    "calibrators/lab/conventions.py": Guard(("tests/calibrators/lab/test_conventions.py",), "lab"),
+    "calibrators/lab": Guard(("tests/calibrators/lab",), "lab and not simulate"),
+    "calibrators/actigraph": Guard(("tests/calibrators/actigraph",), "actigraph"),
+    "calibrators/array": Guard(("tests/calibrators/array",), "array and not simulate"),
 }
+HARMLESS = Path(__file__).with_name("harmless.txt")
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One fault: killed, or survived; by : seconds that the tests took."""
+    """One fault: killed, or survived. harmless : why it changes no number, where that is known;
+    seconds : that the tests took"""
 
     room: str
     module: Path
     fault: Fault
     killed: bool
+    harmless: str
     seconds: float
+
+    @property
+    def where(self) -> str:
+        return f"{self.module.as_posix()}: {self.fault.text}"
+
+
+def harmless() -> dict[str, str]:
+    """Faults that change no number of a user's -> why, as they were judged by eye."""
+    lines = HARMLESS.read_text(encoding="utf-8").splitlines()
+    pairs = (line.split(" | ") for line in lines if line and not line.startswith("#"))
+    return {what: why for what, why in pairs}
 
 
 def drawn(room: str, count: int, rng: np.random.Generator) -> list[tuple[Path, Fault]]:
@@ -62,34 +95,29 @@ def drawn(room: str, count: int, rng: np.random.Generator) -> list[tuple[Path, F
     return [every[k] for k in sorted(picks)]
 
 
-def tested(tests: Sequence[str], source: Path, limit: float | None) -> bool:
+def tested(guard: Guard, source: Path, limit: float | None) -> bool:
     """Whether the tests pass on the package in a folder."""
     env = {**os.environ, "PYTHONPATH": str(source), "OPENBLAS_NUM_THREADS": "1"}
-    here = [t for t in tests if (ROOT / t).exists()]
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-x",
-        "-q",
-        "-m",
-        "not slow",
-        "-p",
-        "no:cacheprovider",
-    ]
-    command += ["-p", "no:randomly", *here]
+    tier = "" if guard.slow else "not slow"
+    pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-m", tier, "-p", "no:cacheprovider"]
+    calls = [[*pytest, *(t for t in guard.tests if (ROOT / t).exists())]]
+    if guard.only:
+        calls.append([*pytest, OPTIONS, "-k", guard.only])
     try:
-        run = subprocess.run(
-            command, cwd=ROOT, env=env, capture_output=True, timeout=limit, check=False
+        return all(
+            subprocess.run(
+                call, cwd=ROOT, env=env, capture_output=True, timeout=limit, check=False
+            ).returncode
+            == 0
+            for call in calls
         )
     except subprocess.TimeoutExpired:
         return False
-    return run.returncode == 0
 
 
 def trials(room: str, count: int, rng: np.random.Generator) -> list[Trial]:
     """Every drawn fault of a room against its tests."""
-    out = []
+    out, known = [], harmless()
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "src"
         shutil.copytree(ROOT / "src", source, ignore=shutil.ignore_patterns("__pycache__"))
@@ -104,24 +132,31 @@ def trials(room: str, count: int, rng: np.random.Generator) -> list[Trial]:
             began = time.monotonic()
             killed = not tested(ROOMS[room], source, 10.0 * usual + 30.0)
             (source / module).write_text(kept, encoding="utf-8")
-            out.append(Trial(room, module, fault, killed, time.monotonic() - began))
-            word = "killed" if killed else "SURVIVED"
-            print(
-                f"{word:8s} {module}:{fault.line}: {fault.text[:80]}", file=sys.stderr, flush=True
-            )
+            why = known.get(f"{module.as_posix()}: {fault.text}", "")
+            out.append(Trial(room, module, fault, killed, why, time.monotonic() - began))
+            word = "killed" if killed else "harmless" if why else "SURVIVED"
+            print(f"{word:8s} {module}:{fault.line}: {fault.text}", file=sys.stderr, flush=True)
     return out
 
 
 def table(found: Sequence[Trial]) -> str:
-    """Markdown: killed of planted, room by room, and every survivor."""
-    lines = ["| room | planted | killed |", "|---|---|---|"]
-    for room in dict.fromkeys(t.room for t in found):
-        own = [t for t in found if t.room == room]
-        lines.append(f"| {room} | {len(own)} | {sum(t.killed for t in own)} |")
-    killed = sum(t.killed for t in found)
-    share = 100.0 * killed / max(len(found), 1)
-    lines += [f"| all | {len(found)} | {killed} ({share:.0f} %) |", "", "Survivors:", ""]
-    lines += [f"- `{t.module}:{t.fault.line}`: `{t.fault.text}`" for t in found if not t.killed]
+    """Markdown: killed of those that change a number, room by room, and every survivor."""
+    head = "| room | planted | harmless | killed of the others |"
+    lines = [head, "|---|---|---|---|"]
+    for room in [*dict.fromkeys(t.room for t in found), "all"]:
+        own = [t for t in found if room in (t.room, "all")]
+        real = [t for t in own if t.killed or not t.harmless]
+        killed = sum(t.killed for t in real)
+        share = 100.0 * killed / max(len(real), 1)
+        lines.append(
+            f"| {room} | {len(own)} | {len(own) - len(real)} | {killed} of {len(real)} "
+            f"({share:.0f} %) |"
+        )
+    left = [t for t in found if not t.killed]
+    lines += ["", "Survivors that change a number:", ""]
+    lines += [f"- `{t.where}` (line {t.fault.line})" for t in left if not t.harmless] or ["- none"]
+    lines += ["", "Survivors that change none:", ""]
+    lines += [f"- `{t.where}`: {t.harmless}" for t in left if t.harmless] or ["- none"]
     return "\n".join(lines)
 
 
@@ -131,9 +166,17 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=10, help="faults of each room")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", choices=list(ROOMS), default=list(ROOMS))
+    parser.add_argument("--page", action="store_true", help="write docs/testing.md's table")
     options = parser.parse_args()
-    rng = np.random.default_rng(options.seed)
-    print(table([t for room in options.only for t in trials(room, options.count, rng)]))
+    found = []
+    for room in options.only:
+        rng = np.random.default_rng([options.seed, list(ROOMS).index(room)])
+        found += trials(room, options.count, rng)
+    print(table(found))
+    if options.page:
+        line = f"{date.today()}, `python tests/mutants --count {options.count} "
+        line += f"--seed {options.seed}`:\n\n"
+        written("mutants", line + table(found))
 
 
 if __name__ == "__main__":
