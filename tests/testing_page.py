@@ -12,7 +12,7 @@ def _marks(name: str) -> tuple[str, str]:
 
 
 def filled(name: str, text: str) -> str:
-    """The page with a text between the marks of a name. Raises ValueError where they are missing."""
+    """The page with a text between the marks of a name. ValueError where there are none."""
     page, (first, last) = PAGE.read_text(encoding="utf-8"), _marks(name)
     start, stop = page.index(first) + len(first), page.index(last)
     return page[:start] + "\n" + text.strip() + "\n\n" + page[stop:]

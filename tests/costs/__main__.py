@@ -1,7 +1,7 @@
 """Measure every test, decide the tiers, and write docs/testing.md's tables of costs.
 
-    python tests/costs [--fast]       --fast: the fast tier alone, tiers stay as they are
-    python tests/costs --from FILE    a file of `costs.measuring` instead of a run
+python tests/costs [--fast]       --fast: the fast tier alone, tiers stay as they are
+python tests/costs --from FILE    a file of `costs.measuring` instead of a run
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A pytest plugin that writes each test's CPU seconds, its processes included, into a file.
 
-    pytest -p costs.measuring          (IMUCAL_COSTS names the file)
+pytest -p costs.measuring          (IMUCAL_COSTS names the file)
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from types import ModuleType
 
 import pytest
 
+from gates.bounds import at_most
 from worlds.places import ROOT
 
 FOLDER = ROOT / "benchmarks" / "closed_loop"
@@ -29,13 +30,16 @@ def module(name: str) -> ModuleType:
     return importlib.import_module(name)
 
 
-@pytest.mark.parametrize("calibrator", ["lab", "actigraph"])
-def test_clean_data_stay_as_they_are(calibrator: str) -> None:
-    world, job = module("scenarios").world(calibrator), module("trial").Job
-    trials = [world.trial(job(calibrator, "clean", 70 + seed)) for seed in range(8)]
-    assert sum(t.alarm for t in trials) <= 4
-    assert sum(t.named for t in trials) <= 2
-    assert not any(t.refused for t in trials)
+def test_clean_data_stay_as_they_are() -> None:
+    """At the benchmark's marks: 6 % alarms of each kind of data, 2 % certain names of both."""
+    named = 0
+    for calibrator in ("lab", "actigraph"):
+        world, job = module("scenarios").world(calibrator), module("trial").Job
+        trials = [world.trial(job(calibrator, "clean", 70 + seed)) for seed in range(60)]
+        assert sum(t.alarm for t in trials) <= at_most(60, 0.06).most
+        assert not any(t.refused for t in trials)
+        named += sum(t.named for t in trials)
+    assert named <= at_most(120, 0.02).most
 
 
 @pytest.mark.parametrize(

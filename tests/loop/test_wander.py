@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gates.bounds import at_most
 from imucalib.loop.design import Fold
 from imucalib.loop.wander.bank import Bank, bank_of, parts_of, splits_of, walks_of
 from imucalib.loop.wander.choice import Rules, search
@@ -200,4 +201,4 @@ def test_noise_takes_no_effects_place_and_no_effect_the_noises() -> None:
             else:
                 passed += bool(found.taken)
     assert hit == 40
-    assert passed <= 6
+    assert passed <= at_most(40, 0.05).most

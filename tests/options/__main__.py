@@ -1,6 +1,6 @@
 """Write docs/testing.md's list of options and the tests that show what they do.
 
-    python tests/options
+python tests/options
 """
 
 from __future__ import annotations

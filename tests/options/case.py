@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 from options.bench import Bench
 from options.outcome import Outcome, blocks, differ, differences
@@ -148,5 +147,3 @@ def held(case: Case, bench: Bench) -> None:
         found = blocks(differences(without.content, done.content))
         assert found == case.changes, found ^ case.changes
     case.check(without, done, bench)
-
-

@@ -1,7 +1,7 @@
 """Small inputs of the cases, made when the first case asks for one: "<bench.csv>" in a case.
 
-Many are twins: the bench written otherwise (in rad, axes exchanged, a cell mistyped), which with the
-option that says so must give what the bench gives.
+Many are twins: the bench written otherwise (in rad, axes exchanged, a cell mistyped), which with
+the option that says so must give what the bench gives.
 """
 
 from __future__ import annotations
@@ -112,7 +112,9 @@ def _comma(table: Rows) -> str:
     return text_of(table, mark=";").replace(".", ",")
 
 
-def still(path: Path, *, seconds: float = 3.0, rate: float = 50.0, table: Rows | None = None) -> None:
+def still(
+    path: Path, *, seconds: float = 3.0, rate: float = 50.0, table: Rows | None = None
+) -> None:
     """A recording that rests in every position of the bench, in m/s², and moves between."""
     rng = np.random.default_rng(8)
     means = (rows() if table is None else table)[:, 2:] * 1e-3 * G

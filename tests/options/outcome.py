@@ -81,9 +81,7 @@ def differences(one: Any, two: Any, rtol: float = 1e-6) -> list[str]:
     return [
         place
         for place in [*first, *(p for p in second if p not in first)]
-        if place not in first
-        or place not in second
-        or not _same(first[place], second[place], rtol)
+        if place not in first or place not in second or not _same(first[place], second[place], rtol)
     ]
 
 
@@ -95,7 +93,7 @@ def _same(a: Any, b: Any, rtol: float) -> bool:
 
 def differ(one: Outcome, two: Outcome) -> bool:
     """Whether two runs say or wrote anything else, apart from where they did it."""
-    if one.code != two.code or one.code and one.stderr != two.stderr:
+    if one.code != two.code or (one.code and one.stderr != two.stderr):
         return True
     try:
         same = not differences(one.content, two.content) and _written(one) == _written(two)
@@ -111,13 +109,9 @@ def _told(one: Outcome) -> tuple[str, str]:
 
 
 def _written(one: Outcome) -> dict[str, bytes]:
-    return {
-        name: data.replace(str(one.folder).encode(), b"") for name, data in one.files.items()
-    }
+    return {name: data.replace(str(one.folder).encode(), b"") for name, data in one.files.items()}
 
 
 def blocks(places: list[str]) -> set[str]:
     """The outermost names of places."""
     return {place.split("/")[1] for place in places}
-
-

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from imucalib.readers import read
 from imucalib.readers.joining import join
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
-from options.inputs import Make, Rows, rows, still
+from options.inputs import TABLES, Make, Rows, rows, still
 from options.outcome import run
 from worlds.places import ROOT
 
@@ -142,7 +143,8 @@ def log(
 def _counts(path: Path) -> None:
     path.write_text(
         "time: time\nacc: [ax, ay, az]\nacc_unit: counts\nlsb_per_g: [256]\n"
-        "gyro: [gx, gy, gz]\ngyro_unit: rad/s\ntemperature: [temp]\n", encoding="utf-8"
+        "gyro: [gx, gy, gz]\ngyro_unit: rad/s\ntemperature: [temp]\n",
+        encoding="utf-8",
     )
 
 
@@ -216,35 +218,35 @@ def _cohort(path: Path) -> None:
 
 
 def _own_effects(path: Path) -> None:
+    """The worked example of the page."""
     page = (ROOT / "docs" / "own_effect.md").read_text(encoding="utf-8")
-    path.write_text(page.split("```python", 1)[1].split("\n", 1)[1].split("```")[0], encoding="utf-8")
+    found = re.search(r"```python[^\n]*\n(.*?)```", page, flags=re.S)
+    assert found
+    path.write_text(found[1], encoding="utf-8")
 
 
 def _made_by(*arguments: str, keeps: str = "calibration.yaml") -> Make:
-    """What a command leaves behind; {name} is an input that is there already."""
+    """What a command leaves behind; {name} is an input."""
 
     def made(path: Path) -> None:
-        inputs = {name: str(path.parent / name) for name in ALL() if not name == path.name}
         folder = path.parent / f"for_{path.name}"
-        words = []
-        for text in arguments:
-            if text.startswith("{"):
-                name = text.strip("{}")
-                if not (path.parent / name).exists():
-                    ALL()[name](path.parent / name)
-                text = inputs[name]
-            words.append(text)
-        done = run([*words, "-o", str(folder / keeps if keeps != "calibration.yaml" else folder)], folder)
+        words = [_placed(text, path.parent) for text in arguments]
+        target = folder if keeps == "calibration.yaml" else folder / keeps
+        done = run([*words, "-o", str(target)], folder)
         assert done.code in (0, 5), done.stderr
         (folder / keeps).rename(path)
 
     return made
 
 
-def ALL() -> dict[str, Make]:
-    from options.bench import FILES
-
-    return FILES
+def _placed(text: str, folder: Path) -> str:
+    """An argument, the input that it names made where it is not there yet."""
+    if not text.startswith("{"):
+        return text
+    path = folder / text.strip("{}")
+    if not path.exists():
+        {**TABLES, **RECORDINGS}[path.name](path)
+    return str(path)
 
 
 RECORDINGS: dict[str, Make] = {

@@ -23,9 +23,7 @@ Pair = tuple[Outcome, Outcome]
 
 def having(option: str) -> pytest.MarkDecorator:
     names = [name for name, command in commands().items() if option in options_of(command)]
-    return pytest.mark.parametrize(
-        "name", [pytest.param(n, id=n.replace(" ", "-")) for n in names]
-    )
+    return pytest.mark.parametrize("name", [pytest.param(n, id=n.replace(" ", "-")) for n in names])
 
 
 def with_and_without(bench: Bench, name: str, option: str, *more: str) -> Pair:
@@ -40,7 +38,9 @@ def bare(outcome: Outcome) -> dict[str, bytes]:
     out = {}
     for name, data in outcome.files.items():
         plain = data.replace(str(outcome.folder).encode(), b"")
-        out[name] = re.sub(rb'"(seconds|command|time)": [^,\n]*|--json ?|--quiet ?|-q ?', b"", plain)
+        out[name] = re.sub(
+            rb'"(seconds|command|time)": [^,\n]*|--json ?|--quiet ?|-q ?', b"", plain
+        )
     return out
 
 

@@ -14,9 +14,7 @@ def commands() -> dict[str, click.Command]:
     return dict(_below(cli.cli, ()))
 
 
-def _below(
-    command: click.Command, path: tuple[str, ...]
-) -> Iterator[tuple[str, click.Command]]:
+def _below(command: click.Command, path: tuple[str, ...]) -> Iterator[tuple[str, click.Command]]:
     if not isinstance(command, click.Group):
         yield " ".join(path), command
         return

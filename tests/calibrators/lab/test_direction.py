@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from gates.bounds import at_most
 from imucalib import cli
 from imucalib.arrays import Array
 from imucalib.calibrators.lab.calibrate import LabSettings
@@ -90,9 +91,9 @@ def _clean() -> tuple[LabRun, ...]:
 
 
 def test_no_row_of_a_clean_table_is_accused() -> None:
-    accused = [k for k, run in enumerate(_clean()) if run.result.loop and run.result.loop.records]
-    assert len(accused) <= 1
-    assert sum(bool(run.result.loop and run.result.loop.steps) for run in _clean()) <= 4
+    loops = [run.result.loop for run in _clean()]
+    alarms = sum(bool(loop and (loop.records or loop.steps)) for loop in loops)
+    assert alarms <= at_most(40, 0.05).most
 
 
 def _away(run: LabRun) -> dict[str, tuple[float, float, float]]:

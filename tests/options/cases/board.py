@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import h5py
 import numpy as np
 
@@ -51,13 +50,17 @@ def _draws(outcome: Outcome) -> np.ndarray:
         return np.asarray(file["posterior/position_mm"][()])
 
 
+def _apart(outcome: Outcome) -> float:
+    """mm from imu0 to imu1."""
+    found = outcome.content["distances_mm"]
+    (one,) = [d["distance"] for d in found if (d["from"], d["to"]) == ("imu0", "imu1")]
+    return float(one)
+
+
 def _longer(without: Outcome, done: Outcome, bench: Bench) -> None:
     """The size is that of the measured distance, imu0 to imu1."""
     drawn = np.hypot(18.0, 2.0)
-    lengths = [
-        next(d["distance"] for d in o.content["distances_mm"] if (d["from"], d["to"]) == ("imu0", "imu1"))
-        for o in (without, done)
-    ]
+    lengths = [_apart(o) for o in (without, done)]
     assert abs(lengths[1] - 1.05 * drawn) < 0.1 < abs(lengths[0] - 1.05 * drawn)
 
 
@@ -91,9 +94,20 @@ CASES: tuple[Case, ...] = (
     # A drawing that is right to a micrometre leaves the log nothing to say.
     ARRAY("--board <tight.yaml>", ends(4, "of its prior uncertainty")),
     # The log says that two IMUs are exchanged: exit 4; kept so, nothing fits.
-    ARRAY("--as-drawn", ends(6, "no mode"), *(a.replace("board.yaml", "exchanged.yaml") for a in PLAIN)),
-    ARRAY("--sampler pmmh", ends(6, "Algorithm 1 do not agree after 300"), *PLAIN,
-          "--iterations", "300", "--motion-prior", "flat"),
+    ARRAY(
+        "--as-drawn",
+        ends(6, "no mode"),
+        *(a.replace("board.yaml", "exchanged.yaml") for a in PLAIN),
+    ),
+    ARRAY(
+        "--sampler pmmh",
+        ends(6, "Algorithm 1 do not agree after 300"),
+        *PLAIN,
+        "--iterations",
+        "300",
+        "--motion-prior",
+        "flat",
+    ),
     ARRAY("--samples 60", _alike),
     ARRAY("--motion-prior flat", _alike),
     ARRAY("--det-exponent 1", ends(6, "no mode"), *PLAIN, "--motion-prior", "flat"),
@@ -102,9 +116,23 @@ CASES: tuple[Case, ...] = (
     ARRAY("--gyro-covariance sample", _alike, *PLAIN, "--motion-prior", "flat"),
     ARRAY("--chains 6", _diagnosed("chains", 6)),
     ARRAY("--ess 2000", _draws_to_reach),
-    ARRAY("--iterations 200", ends(6, "Algorithm 1 do not agree after 200"), *PLAIN,
-          "--sampler", "pmmh", "--motion-prior", "flat", "--iterations", "300"),
-    Case("array", "--distance", ("--distance", "imu0", "imu1", f"{1.05 * np.hypot(18.0, 2.0):.4f}±0.01mm"), _longer),
+    ARRAY(
+        "--iterations 200",
+        ends(6, "Algorithm 1 do not agree after 200"),
+        *PLAIN,
+        "--sampler",
+        "pmmh",
+        "--motion-prior",
+        "flat",
+        "--iterations",
+        "300",
+    ),
+    Case(
+        "array",
+        "--distance",
+        ("--distance", "imu0", "imu1", f"{1.05 * np.hypot(18.0, 2.0):.4f}±0.01mm"),
+        _longer,
+    ),
     ARRAY("--accept-mm 0.7", _accepted("mm", 0.7), *searching("array")),
     ARRAY("--accept-mg 1e-6", both(_accepted("mg", 1e-6), ends(5))),
     ARRAY("--accept-dps 1e-6", both(_accepted("deg/s", 1e-6), ends(5))),

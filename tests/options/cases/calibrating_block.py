@@ -168,7 +168,9 @@ def _curve_corrected(name: str) -> Check:
     def check(without: Outcome, done: Outcome, bench: Bench) -> None:
         plain, curved = (without, done) if name == "array" else (done, without)
         assert len(curved.content["loop"]["steps"]) > len(plain.content["loop"]["steps"]) == 0
-        before, after = (o.content["loop"]["errors"][0]["held_out"]["final"] for o in (plain, curved))
+        before, after = (
+            o.content["loop"]["errors"][0]["held_out"]["final"] for o in (plain, curved)
+        )
         assert after < 0.95 * before
 
     return check

@@ -34,7 +34,8 @@ def _mapping_serves(without: Outcome, done: Outcome, bench: Bench) -> None:
 
 def _every_rest(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert done.content["still_segments"] == 12
-    assert len(done.content["rests"]) >= 12 and "rests" not in without.content
+    assert len(done.content["rests"]) >= 12
+    assert "rests" not in without.content
 
 
 def _longer_rests(without: Outcome, done: Outcome, bench: Bench) -> None:
@@ -119,8 +120,7 @@ def _none_fused(without: Outcome, done: Outcome, bench: Bench) -> None:
 def _felt_elsewhere(without: Outcome, done: Outcome, bench: Bench) -> None:
     """a(p) - a(0) = dω/dt × p + ω × (ω × p), p from the middle, of what is written itself."""
     files = [read(o.folder / "corrected.h5").channels for o in (without, done)]
-    force = [next(c for n, c in f.items() if n.startswith("fused/") and "acceleration" == c.quantity)
-             for f in files]  # fmt: skip
+    force = [f["fused/acceleration"] for f in files]
     rate = next(c.values for n, c in files[0].items()
                 if n.startswith("fused/") and c.quantity == "angular_rate")  # fmt: skip
     spin = np.gradient(rate, force[0].t, axis=0)

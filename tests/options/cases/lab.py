@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from options.bench import Bench
-from options.case import USUAL, Case, Of, both, ends, gives_what, numbers_of, values, writes
+from options.case import USUAL, Case, Of, ends, gives_what, numbers_of, values
 from options.inputs import BIAS, GAIN, G, rows
 from options.outcome import Outcome
 
@@ -124,12 +124,21 @@ CASES: tuple[Case, ...] = (
     LAB(
         "--as-published",
         numbers_of(
-            *_on("aligned.csv", "--model", "linear12", "--objective", "paper", "--train", "1-20",
-                 "--gravity", "9.8061"),
+            *_on(
+                "aligned.csv",
+                "--model",
+                "linear12",
+                "--objective",
+                "paper",
+                "--train",
+                "1-20",
+                "--gravity",
+                "9.8061",
+            ),
             keys=("parameters", "covariance", "matrices", "held_out"),
         ),
         *_on("aligned.csv"),
-    ),  # fmt: skip
+    ),
     LAB("--train 1-12", _first_twelve),
     LAB("--exclude 3,8", _without_rows),
     _repairs(f"--fix 5:y={rows()[4, 3]:.10g}", "mistyped.csv"),
@@ -145,8 +154,11 @@ CASES: tuple[Case, ...] = (
     LAB("--auto-exclude", _slip_left_out, "lab", "<slip.csv>", *LOOP),
     _repairs("--swap-angles", "swapped_angles.csv"),
     LAB("--keep-angles", _straightened, *_on("swapped_angles.csv")),
-    LAB("--shortest-rest 4", ends(3, "18 too short"), *_on("angles.csv", "--recording",
-        "<rests.csv>")),
+    LAB(
+        "--shortest-rest 4",
+        ends(3, "18 too short"),
+        *_on("angles.csv", "--recording", "<rests.csv>"),
+    ),
     LAB("--sigma 3", _declared_noise),
     LAB("--unit g", ends(3, "1008 g with unit g, as given")),
     LAB("--lsb 4096", gives_what(*PLAIN), *_on("in_counts.csv", "--unit", "counts")),

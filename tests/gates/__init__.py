@@ -1,0 +1,1 @@
+"""Gates on rates: how often one fails by chance, and which rate it would see."""
