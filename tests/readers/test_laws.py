@@ -230,17 +230,17 @@ def test_a_forbidden_file_is_named(suffix: str, tmp_path: Path) -> None:
     if os.geteuid():
         with pytest.raises(UnreadableInput, match=r"secret.*[Pp]ermission"):
             readers.read(path)
-        return
-    child = os.fork()  # root may read everything, its child gives that up
-    if child == 0:
-        try:
-            os.setuid(65534)
-            readers.read(path)
-        except UnreadableInput as error:
-            os._exit(0 if "ermission" in str(error) and "secret" in str(error) else 2)
-        finally:
-            os._exit(1)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    else:
+        child = os.fork()  # root may read everything, its child gives that up
+        if child == 0:
+            try:
+                os.setuid(65534)
+                readers.read(path)
+            except UnreadableInput as error:
+                os._exit(0 if "ermission" in str(error) and "secret" in str(error) else 2)
+            finally:
+                os._exit(1)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def peak_of_blocks(path: Path) -> int:

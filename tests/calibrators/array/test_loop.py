@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gates.bounds import at_most
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.array.estimate.corrected import corrected_samples
@@ -56,8 +57,11 @@ def test_a_clean_log_is_left_alone(clean: MotionLoop) -> None:
     assert clean.verdict == "nothing missing"
     assert clean.base.noise[0].sigma == pytest.approx(PLAN.sigma, rel=0.05)
     assert clean.base.noise[1].sigma == pytest.approx(PLAN.sigma_gyro * DEG, rel=0.05)
-    again = [closed(planted_log("clean", seed)[0], 150) for seed in range(20, 26)]
-    assert sum(bool(found.steps) for found in again) <= 1
+
+
+def test_clean_logs_are_left_alone_as_often_as_stated() -> None:
+    again = [closed(planted_log("clean", seed)[0], 150) for seed in range(20, 60)]
+    assert sum(bool(found.steps) for found in again) <= at_most(40, 0.05).most
 
 
 def test_sizes_come_with_their_uncertainty() -> None:

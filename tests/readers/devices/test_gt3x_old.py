@@ -67,9 +67,9 @@ def test_a_flipped_bit_is_told(tmp_path: Path) -> None:
         read(path, strict=True)
     try:
         notes = read(path).notes
-    except UnreadableInput:
-        return
-    assert any("breaks off" in note for note in notes)
+    except UnreadableInput as error:
+        notes = (str(error),)
+    assert any("breaks off" in note or "no samples" in note for note in notes), notes
 
 
 def test_an_archive_made_to_cost_ends_soon(tmp_path: Path) -> None:
