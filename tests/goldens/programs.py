@@ -94,7 +94,11 @@ def diagnostics() -> tuple[str, str, Iterable[Array]]:
             array_stats.ess(x, chain_axis=0, draw_axis=1, method="tail", prob=(0.05, 0.95)),
             array_stats.mcse(x, chain_axis=0, draw_axis=1, method="mean"),
         ], dtype=float))  # fmt: skip
-    return "rhat(rank), ess(bulk), ess(tail, 0.05 and 0.95), mcse(mean)", "rhat,bulk,tail,mcse", rows
+    return (
+        "rhat(rank), ess(bulk), ess(tail, 0.05 and 0.95), mcse(mean)",
+        "rhat,bulk,tail,mcse",
+        rows,
+    )
 
 
 def gravity() -> tuple[str, str, Iterable[Array]]:

@@ -64,26 +64,28 @@ HARMLESS = Path(__file__).with_name("harmless.txt")
 
 @dataclass(frozen=True)
 class Trial:
-    """One fault: killed, or survived. harmless : why it changes no number, where that is known;
-    seconds : that the tests took"""
+    """One fault: killed, or survived. line : the source at it; harmless : why it changes no number,
+    where that is known; seconds : that the tests took"""
 
     room: str
     module: Path
     fault: Fault
+    line: str
     killed: bool
     harmless: str
     seconds: float
 
     @property
-    def where(self) -> str:
-        return f"{self.module.as_posix()}: {self.fault.text}"
+    def words(self) -> str:
+        """`what is changed` in its line."""
+        return f"`{self.module.as_posix()}`: `{self.fault.text}` in `{self.line}`"
 
 
-def harmless() -> dict[str, str]:
-    """Faults that change no number of a user's -> why, as they were judged by eye."""
+def harmless() -> dict[tuple[str, ...], str]:
+    """(module, line, what is changed) of faults that change no number -> why, judged by eye."""
     lines = HARMLESS.read_text(encoding="utf-8").splitlines()
-    pairs = (line.split(" | ") for line in lines if line and not line.startswith("#"))
-    return {what: why for what, why in pairs}
+    rows = (line.split(" | ") for line in lines if line and not line.startswith("#"))
+    return {tuple(what): why for *what, why in rows}
 
 
 def drawn(room: str, count: int, rng: np.random.Generator) -> list[tuple[Path, Fault]]:
@@ -100,9 +102,8 @@ def tested(guard: Guard, source: Path, limit: float | None) -> bool:
     env = {**os.environ, "PYTHONPATH": str(source), "OPENBLAS_NUM_THREADS": "1"}
     tier = "" if guard.slow else "not slow"
     pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-m", tier, "-p", "no:cacheprovider"]
-    calls = [[*pytest, *(t for t in guard.tests if (ROOT / t).exists())]]
-    if guard.only:
-        calls.append([*pytest, OPTIONS, "-k", guard.only])
+    calls = [[*pytest, OPTIONS, "-k", guard.only]] if guard.only else []
+    calls.append([*pytest, *(t for t in guard.tests if (ROOT / t).exists())])
     try:
         return all(
             subprocess.run(
@@ -132,8 +133,10 @@ def trials(room: str, count: int, rng: np.random.Generator) -> list[Trial]:
             began = time.monotonic()
             killed = not tested(ROOMS[room], source, 10.0 * usual + 30.0)
             (source / module).write_text(kept, encoding="utf-8")
-            why = known.get(f"{module.as_posix()}: {fault.text}", "")
-            out.append(Trial(room, module, fault, killed, why, time.monotonic() - began))
+            line = kept.splitlines()[fault.line - 1].strip()
+            why = known.get((module.as_posix(), line, fault.text), "")
+            spent = time.monotonic() - began
+            out.append(Trial(room, module, fault, line, killed, why, spent))
             word = "killed" if killed else "harmless" if why else "SURVIVED"
             print(f"{word:8s} {module}:{fault.line}: {fault.text}", file=sys.stderr, flush=True)
     return out
@@ -154,9 +157,9 @@ def table(found: Sequence[Trial]) -> str:
         )
     left = [t for t in found if not t.killed]
     lines += ["", "Survivors that change a number:", ""]
-    lines += [f"- `{t.where}` (line {t.fault.line})" for t in left if not t.harmless] or ["- none"]
+    lines += [f"- {t.words}" for t in left if not t.harmless] or ["- none"]
     lines += ["", "Survivors that change none:", ""]
-    lines += [f"- `{t.where}`: {t.harmless}" for t in left if t.harmless] or ["- none"]
+    lines += [f"- {t.words}: {t.harmless}" for t in left if t.harmless] or ["- none"]
     return "\n".join(lines)
 
 
