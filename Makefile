@@ -76,6 +76,12 @@ loop-benchmark: $(VENV)/.dev ## the acceptance benchmark of the closed loop; SCA
 stories: $(VENV)/.dev ## run the command on recorded data and write docs/closed_loop.md's stories
 	$(BIN)/python docs/stories.py
 
+test-oldest: ## run the tests on the oldest versions of the dependencies that pyproject.toml states
+	$(PYTHON) -m venv --clear $(VENV)/oldest
+	$(PYTHON) tests/oldest.py > $(VENV)/oldest.txt
+	$(VENV)/oldest/bin/python -m pip install --quiet --disable-pip-version-check -c $(VENV)/oldest.txt -e '.[dev]'
+	OPENBLAS_NUM_THREADS=1 $(VENV)/oldest/bin/python -m pytest -n auto
+
 test-costs: $(VENV)/.dev ## measure every test, and write the tiers and docs/testing.md's tables
 	$(BIN)/python tests/costs
 

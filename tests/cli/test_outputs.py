@@ -310,3 +310,12 @@ def test_convert_holds_blocks_not_the_recording(tmp_path: Path) -> None:
         last = list(readers.blocks(target))[-1].channels["imu0/acceleration"].t[-1]
         assert last == pytest.approx((n - 1) / 100)
     assert peaks[1] < 1.3 * peaks[0]
+
+
+@pytest.mark.parametrize("spelled", ["calibration.yaml", "d/../calibration.yaml"])
+def test_an_export_is_not_written_over_its_calibration(calibration: Path, spelled: str) -> None:
+    (calibration.parent / "d").mkdir()
+    before = calibration.read_bytes()
+    form = ("export", calibration, "--to", "c-header", "-o")
+    assert "input" in refused(*form, calibration.parent / spelled)
+    assert calibration.read_bytes() == before

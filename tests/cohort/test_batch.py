@@ -141,6 +141,17 @@ def test_a_dask_cluster_gives_the_same(cohort: Path, tmp_path: Path) -> None:
     assert summary["calibrated"] == 3
 
 
+def test_a_scheduler_that_does_not_answer_is_named(cohort: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    import dask
+
+    with dask.config.set({"distributed.comm.timeouts.connect": "0.2s"}):
+        result = run("batch", cohort / "cohort.txt", "-o", tmp_path / "out", "--scheduler",
+                     "127.0.0.1:1")  # fmt: skip
+    assert isinstance(result.exception, UsageError)
+    assert "127.0.0.1:1" in str(result.exception)
+
+
 def test_parquet(cohort: Path, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     batch(cohort, tmp_path / "out", "--shard", "1/3")

@@ -110,13 +110,14 @@ def gravity() -> tuple[str, str, Iterable[Array]]:
 
 
 def angles() -> tuple[str, str, Iterable[Array]]:
-    """Tilt has pitch = atan2(-ax, hypot(ay, az)) and roll = atan2(ay, az): inclination and tool-face
-    of (x, y, z) where its axes are (-z, x, y)."""
+    """Tilt has pitch = atan2(-ax, hypot(ay, az)) and roll = atan2(ay, az): inclination and
+    tool-face of (x, y, z) where its axes are (-z, x, y)."""
     from ahrs.filters import Tilt
 
     f = forces()
     found = Tilt(np.column_stack([-f[:, 2], f[:, 0], f[:, 1]]), representation="angles").Q
-    return "Tilt(acc, representation='angles'), rad", "roll,pitch", list(np.asarray(found)[:, :2])
+    rows = list(np.asarray(found)[:, :2])
+    return "Tilt(acc, representation='angles'), rad", "roll,pitch", rows
 
 
 MADE: dict[str, tuple[str, Callable[[], tuple[str, str, Iterable[Array]]]]] = {

@@ -110,5 +110,10 @@ def _workers(address: str | None) -> Iterator[Executor | None]:
     except ImportError:
         remedy = "pip install 'imucalib[cluster]'"
         raise UsageError("--scheduler needs Dask", remedy=remedy) from None
-    with Client(address) as client:  # type: ignore[no-untyped-call]
+    try:
+        client = Client(address)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        said = f"--scheduler: nothing answers at {address}"
+        raise UsageError(said, remedy="start it, or correct the address") from error
+    with client:
         yield client.get_executor(retries=2)

@@ -39,11 +39,14 @@ def command(
       imucal export out/calibration.yaml --to c-header -o calibration.h
       imucal export out/calibration.yaml --to kalibr --noise imu.yaml -o imus.yaml
     """
+    from imucalib.atomic_file import demand_output
     from imucalib.calibration.file import check, read, write_whole
     from imucalib.effects import load_file
     from imucalib.exports import exported
     from imucalib.exports.imus import with_noise
 
+    if output is not None:
+        demand_output(output, filter(None, (calibration, noise, effects_file)), force=True)
     if effects_file is not None:
         load_file(effects_file)
     loaded = read(calibration)
