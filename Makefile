@@ -32,10 +32,10 @@ $(VENV)/.dev: pyproject.toml $(BIN)/imucal
 demo: $(BIN)/imucal ## calibrate the sample logs: errors before and after, and where the reports are
 	@$(BIN)/python sample_logs/demo.py $(BIN)/imucal demo
 
-test: $(VENV)/.dev ## run the tests, but for those of more than a second (make test-slow)
+test: $(VENV)/.dev ## run the tests, but for those of more than 0.6 CPU s (make test-slow)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
-test-slow: $(VENV)/.dev ## run the tests that `make test` leaves out: those of more than a second
+test-slow: $(VENV)/.dev ## run the tests that `make test` leaves out: those of more than 0.6 CPU s
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m slow
 
 check: $(VENV)/.dev ## style, types and generated pages, as CI runs them

@@ -65,7 +65,7 @@ def main() -> None:
     options = parser.parse_args()
     costs = read(options.file) if options.file else measured(options.fast)
     if not options.fast:
-        head = "# Tests of more than a second, by `python tests/costs`: of `make test-slow`.\n"
+        head = "# Tests of more than 0.6 CPU s, by `python tests/costs`: of `make test-slow`.\n"
         LIST.write_text(head + "\n".join(chosen(costs)) + "\n", encoding="utf-8")
     written("costs", tables(costs))
 

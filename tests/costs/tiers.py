@@ -1,6 +1,6 @@
 """The two tiers: `make test` has what a change can break soon, `make test-slow` the rest.
 
-A test that costs more than a second is of the slow tier. Of a test with many members the cheapest
+A test that costs more than 0.6 CPU s is of the slow tier. Of a test with many members the cheapest
 stays in the fast one, so that nothing is without a guard there.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 LIST = Path(__file__).with_name("slow_tier.txt")
 #: CPU seconds beyond which a test is slow, and beyond which even the cheapest member is.
-SLOW, TOO_SLOW = 1.0, 3.0
+SLOW, TOO_SLOW = 0.6, 3.0
 
 
 def slow_tier() -> frozenset[str]:
