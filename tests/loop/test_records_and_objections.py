@@ -1,0 +1,61 @@
+"""Numbers inside the search that no story shows: how sure a record is foretold, when a model is too
+large for its data, and what a dial's error does to a reading."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucalib.core.model import Model
+from imucalib.effects import named
+from imucalib.estimators.least_squares import fit
+from imucalib.loop.faults.noise_grid import beside_rows
+from imucalib.loop.record_errors import predict_record
+from imucalib.loop.search import objection
+from worlds.bench import base_model, bench, draw, ordinary_theta, tumble
+from worlds.sheets import direction
+
+
+@pytest.mark.parametrize("declared", [0.2, 5.0])
+def test_a_record_is_foretold_as_well_as_is_said(declared: float) -> None:
+    """Squared distances of 60 clean records are chi-square with 3 degrees of freedom, whatever
+    noise was declared: mean 3, standard error sqrt(6/60)."""
+    base, data = base_model(), bench(3, 60)
+    made = draw(base, ordinary_theta(base, data, 3), data, 4)
+    found = fit(base, replace(made, sigma=declared * made.sigma))
+    assert found.noise.factor == pytest.approx(1.0 / declared, rel=0.3)
+    away = [predict_record(found, k).distance(made.reading[k, 0]) for k in range(60)]
+    assert abs(np.mean(away) - 3.0) < 4.0 * np.sqrt(6.0 / 60.0)
+
+
+@pytest.mark.parametrize(("count", "few"), [(17, True), (19, False), (24, False)])
+def test_twelve_parameters_need_eighteen_numbers(count: int, few: bool) -> None:
+    nine = base_model(("bias", "scale", "non_orthogonality"))
+    data = tumble(2, count)
+    made = draw(nine, ordinary_theta(nine, data, 2), data, 5)
+    before = fit(nine, made)
+    after = fit(Model((*nine.effects, named("cubic"))), made)
+    assert len(after.theta) == 12
+    assert ("too few numbers" in objection(before, after, -1e9, 1e9)) == few
+
+
+def test_a_dials_errors_turn_the_bench() -> None:
+    """Columns 0-7 by differences: one degree of zero, scale at 90 deg, sine and cosine of each."""
+    rng = np.random.default_rng(0)
+    i, t = rng.uniform(-80.0, 80.0, 30), rng.uniform(0.0, 360.0, 30)
+    a, b = np.deg2rad(i), np.deg2rad(t)
+    columns = beside_rows(1000.0, a, b, np.eye(3))
+    of_i = [np.ones(30), i / 90.0, np.sin(a), np.cos(a), np.sin(b), np.cos(b)]
+    small = 1e-4
+    for k, by in enumerate(of_i):
+        step = 1000.0 * (direction(i + small * by, t) - direction(i, t)) / small
+        np.testing.assert_allclose(columns[:, :, k], step, atol=1e-3)
+    for k, by in enumerate([np.sin(b), np.cos(b)]):
+        step = 1000.0 * (direction(i, t + small * by) - direction(i, t)) / small
+        np.testing.assert_allclose(columns[:, :, 6 + k], step, atol=1e-3)
+    # A square of the response is proportional to the square of the reading, axis by axis.
+    force = direction(i, t)
+    ratio = columns[:, [0, 1, 2], [8, 9, 10]] / force**2
+    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-9)
