@@ -14,8 +14,8 @@ from imucalib.core.context import MOTION, Context
 from imucalib.core.effect import Action, Effect
 from imucalib.core.model import Model
 from imucalib.core.truth import Motion, Truth
-from imucalib.effects import catalogue, load_file, named
-from imucalib.effects.record_error import record_error
+from imucalib.effects import catalogue, families, load_file, named
+from imucalib.effects.record_error import is_record_error, record_error
 from imucalib.errors import UsageError
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.candidates import effect_candidates
@@ -164,6 +164,7 @@ def test_words_and_sizes(effect: Effect) -> None:
     for p in parameters:
         assert p.unit in UNITS
         assert 0.0 < 5.0 * p.typical <= p.plausible
+        assert p.plausible <= 300.0 * p.typical or is_record_error(effect.name)
 
 
 def test_parameter_names_are_unique_over_the_catalogue() -> None:
@@ -327,3 +328,9 @@ def test_a_clock_needs_a_beat() -> None:
     covariates = {n: v for n, v in context.covariates.items() if n != "sample_age"}
     bare = replace(context, covariates=covariates)
     assert "no gyro shows a beat line" in named("gyro_sample_age").missing(bare)
+
+
+def test_a_step_is_tried_where_both_sides_have_six_rows() -> None:
+    """Twenty rows: the step comes before row 7 at the earliest and before row 15 at the latest."""
+    tried = families()["bias_step"].values(Context(20, {"record": np.arange(20.0)}))
+    assert tried == tuple(f"record{k}" for k in range(7, 16))

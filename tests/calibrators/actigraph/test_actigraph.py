@@ -122,6 +122,14 @@ def test_a_new_posture_begins_a_run() -> None:
     assert np.allclose(runs.mean / G, means[[0, 1, 3]], atol=1e-3)
 
 
+def test_the_scatter_of_windows_is_that_of_what_they_share() -> None:
+    """Windows of one posture whose size scatters by 2 mg beyond their white noise of 0.3 mg."""
+    size = 1.0 + 2e-3 * np.random.default_rng(3).standard_normal(400)
+    means = size[:, None] * np.array([0.0, 0.6, 0.8])
+    runs = posture_runs(scan([recorded(means, 10.0)], WORN.window))
+    assert runs.window_noise / MG == pytest.approx(2.0, rel=0.2)
+
+
 def test_a_slow_roll_is_cut_before_it_goes_far() -> None:
     angle = np.linspace(0.0, 0.5, 60)
     means = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1)
