@@ -24,6 +24,4 @@ def test_division_rounds_halves_away_from_zero(divisor: int) -> None:
 def test_a_shift_rounds_to_the_nearest() -> None:
     away = _shifted(VALUES, 3) - VALUES / 8.0
     assert np.abs(away).max() == 0.5
-    assert set(away[np.abs(away) == 0.5]) == {
-        0.5
-    }  # halves upwards, as an adder before a shift does
+    assert set(away[np.abs(away) == 0.5]) == {0.5}  # halves go up

@@ -11,6 +11,7 @@ import pytest
 from imucalib.core.model import Model
 from imucalib.effects import named
 from imucalib.estimators.least_squares import fit
+from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.faults.noise_grid import beside_rows
 from imucalib.loop.record_errors import predict_record
 from imucalib.loop.search import objection
@@ -59,3 +60,23 @@ def test_a_dials_errors_turn_the_bench() -> None:
     force = direction(i, t)
     ratio = columns[:, [0, 1, 2], [8, 9, 10]] / force**2
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-9)
+
+
+def test_each_block_is_judged_by_its_own_columns() -> None:
+    """Blocks of one, three and two columns: what is left of each beside the base, and the share of
+    the residual that it explains, by projections."""
+    rng = np.random.default_rng(1)
+    base = rng.normal(size=(80, 5))
+    blocks = [rng.normal(size=(80, k)) + base[:, :1] for k in (1, 3, 2)]
+    residual = rng.standard_normal(80) + 3.0 * blocks[2][:, 1]
+    found = gram_evidence(residual, base, blocks, 10.0 ** np.arange(-2.0, 1.1), rng, 19)
+    q = np.linalg.qr(base)[0]
+    rest = residual - q @ (q.T @ residual)
+    for k, block in enumerate(blocks):
+        beside = block - q @ (q.T @ block)
+        assert found.left[k] == pytest.approx(np.sum(beside**2) / np.sum(block**2), rel=1e-9)
+        own = np.linalg.qr(beside)[0]
+        gone = np.sum((own.T @ rest) ** 2) / np.sum(rest**2)
+        share = max(0.0, 1.0 - (1.0 - gone) * 75.0 / (75.0 - block.shape[1]))
+        assert found.share[k] == pytest.approx(share, abs=1e-9)
+    assert np.argmax(found.evidence) == 2
