@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import argparse
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 
@@ -74,6 +75,11 @@ class Trial:
     killed: bool
     harmless: str
     seconds: float
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """As `harmless` knows it."""
+        return self.module.as_posix(), self.line, self.fault.text
 
     @property
     def words(self) -> str:
@@ -169,14 +175,27 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=10, help="faults of each room")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", choices=list(ROOMS), default=list(ROOMS))
-    parser.add_argument("--page", action="store_true", help="write docs/testing.md's table")
+    parser.add_argument("--save", type=Path, help="keep the trials for --page")
+    parser.add_argument(
+        "--page",
+        nargs="*",
+        type=Path,
+        metavar="FILE",
+        help="write docs/testing.md's table, of the FILEs that --save kept",
+    )
     options = parser.parse_args()
-    found = []
-    for room in options.only:
+    found: list[Trial] = []
+    for path in options.page or ():
+        found += pickle.loads(path.read_bytes())
+    for room in () if found else options.only:
         rng = np.random.default_rng([options.seed, list(ROOMS).index(room)])
         found += trials(room, options.count, rng)
+        if options.save:
+            options.save.write_bytes(pickle.dumps(found))
+    known = harmless()
+    found = [replace(t, harmless=known.get(t.key, "")) for t in found]
     print(table(found))
-    if options.page:
+    if options.page is not None:
         line = f"{date.today()}, `python tests/mutants --count {options.count} "
         line += f"--seed {options.seed}`:\n\n"
         written("mutants", line + table(found))
