@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Iterator
+from functools import partialmethod
 
 import pytest
 
 # As the command does: threads that wait for each other cost ten times the work on small matrices.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from click.testing import CliRunner
+
 from costs.tiers import slow_tier
 from imucalib import effects
+
+if "mix_stderr" in inspect.signature(CliRunner.__init__).parameters:  # click 8.1
+    CliRunner.__init__ = partialmethod(CliRunner.__init__, mix_stderr=False)
 
 
 @pytest.hookimpl(tryfirst=True)
