@@ -116,4 +116,4 @@ def _workers(address: str | None) -> Iterator[Executor | None]:
         said = f"--scheduler: nothing answers at {address}"
         raise UsageError(said, remedy="start it, or correct the address") from error
     with client:
-        yield client.get_executor(retries=2)
+        yield client.get_executor(retries=2)  # type: ignore[no-untyped-call]

@@ -72,6 +72,25 @@ def test_the_fields_rule_finds_what_was_planted(scanned: Scan) -> None:
     )
 
 
+def test_the_fields_rule_ends_where_its_regression_changes_nothing(scanned: Scan) -> None:
+    """Van Hees et al. 2014, Appendix, by numpy's own line fit: at the end the nearest points of the
+    sphere lie on the corrected ones, with slope 1 and intercept 0, weighted by 1 / distance (at most
+    100)."""
+    rule, w = closest_point(scanned), scanned.windows
+    assert rule is not None
+    still = (np.sqrt(w.variance) < 13.0 * MG).all(axis=1)
+    assert rule.points == still.sum()
+    now = rule.scale * (w.mean[still] / STANDARD_GRAVITY + rule.offset)
+    nearest = now / np.linalg.norm(now, axis=1)[:, None]
+    weight = np.minimum(1.0 / np.linalg.norm(now - nearest, axis=1), 100.0)
+    for k in range(3):
+        slope, intercept = np.polyfit(now[:, k], nearest[:, k], 1, w=np.sqrt(weight))
+        assert slope == pytest.approx(1.0, abs=2e-5)
+        assert intercept == pytest.approx(0.0, abs=2e-5)
+    sizes = np.linalg.norm(now, axis=1)
+    assert rule.after == pytest.approx(1e3 * np.mean(np.abs(sizes - 1.0)), rel=1e-9)
+
+
 def test_the_field_needs_both_signs(scanned: Scan) -> None:
     one_side = np.flatnonzero(scanned.windows.mean[:, 0] > 0.0)
     w = scanned.windows
