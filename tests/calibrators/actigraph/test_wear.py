@@ -74,7 +74,7 @@ def test_the_fields_rule_finds_what_was_planted(scanned: Scan) -> None:
 
 def test_the_fields_rule_ends_where_its_regression_changes_nothing(scanned: Scan) -> None:
     """Van Hees et al. 2014, Appendix, by numpy's own line fit: at the end the nearest points of the
-    sphere lie on the corrected ones, with slope 1 and intercept 0, weighted by 1 / distance (at most
+    sphere lie on the corrected ones, with slope 1 and intercept 0; weights 1 / distance (at most
     100)."""
     rule, w = closest_point(scanned), scanned.windows
     assert rule is not None
