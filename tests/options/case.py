@@ -16,6 +16,8 @@ USUAL: dict[str, tuple[str, ...]] = {
     "actigraph": ("actigraph", "<worn.h5>", "--no-loop", "--json"),
     "array": ("array", "<log.h5>", "--board", "<board.yaml>", "--no-loop", "--samples", "40",
               "--json"),
+    "fleet": ("fleet", "<norms.csv>", "<norms2.csv>", "--reference", "norm", "--draws", "99",
+              "--only", "quadratic", "--json"),
     "design": ("design", "<bench.csv>", "--json"),
     "inspect": ("inspect", "<samples.csv>", "--json"),
     "apply": ("apply", "<calibration.yaml>", "<samples.csv>", "-o", "<out>/corrected.csv"),

@@ -97,6 +97,17 @@ def _faces(path: Path) -> None:
     path.write_text(text_of(np.column_stack([u, table[:, 2:]]), "ux,uy,uz,x_mg,y_mg,z_mg"))
 
 
+def _other_device(heading: str, leave: int | None = None) -> Make:
+    """A second device of the kind by norms: other bias, other noise; one row left out."""
+
+    def change(table: Rows) -> Rows:
+        noise = 0.5 * np.random.default_rng(9).standard_normal((18, 3))
+        made = np.round(table[:, 2:] + np.array([-4.0, 7.0, 3.0]) + noise, 4)
+        return made if leave is None else np.delete(made, leave, axis=0)
+
+    return sheet(change, heading)
+
+
 def _curved(path: Path) -> None:
     """48 norms with a ripple along x that has no name in the catalogue."""
     rng = np.random.default_rng(2)
@@ -140,6 +151,11 @@ TABLES: dict[str, Make] = {
     "angles.csv": sheet(lambda r: r[:, :2], "inclination,tool_face"),
     "faces.csv": _faces,
     "norms.csv": sheet(lambda r: r[:, 2:], "x_mg,y_mg,z_mg"),
+    "norms2.csv": _other_device("x_mg,y_mg,z_mg"),
+    "norms_abc.csv": sheet(lambda r: r[:, 2:], "p,q,r"),
+    "norms2_abc.csv": _other_device("p,q,r"),
+    "norms_short.csv": sheet(lambda r: np.delete(r[:, 2:], 2, axis=0), "x_mg,y_mg,z_mg"),
+    "norms2_short.csv": _other_device("x_mg,y_mg,z_mg", leave=2),
     "curved.csv": _curved,
     "renamed.csv": sheet(_same, "alpha,beta,x_mg,y_mg,z_mg"),
     "upward.csv": _angles(np.negative, _same),
@@ -162,4 +178,5 @@ TABLES: dict[str, Make] = {
     "comma.csv": _written(_comma),
     "piped.csv": _written(lambda r: text_of(r, mark="^")),
     "rests.csv": still,
+    "rests2.csv": still,
 }  # fmt: skip
