@@ -226,3 +226,12 @@ def test_idle_sleep_that_repeats_the_last_value_is_no_rest() -> None:
     assert any("idle sleep" in n for n in recording.notes)
     # The sensor's resolution is 1/256 g, and its noise a little below that.
     assert np.all((found.noise > 0.02) & (found.noise < 0.04))
+
+
+def test_a_rest_has_the_times_of_its_first_and_last_sample() -> None:
+    recording, _ = tumble(2, 6)
+    found = still_segments(recording)
+    t = recording.channels["imu0/acceleration"].t
+    np.testing.assert_array_equal(found.start, t[found.first[:, 0]])
+    np.testing.assert_array_equal(found.stop, t[found.last[:, 0] - 1])
+    assert found.first[0, 0] == 0  # the recording begins at rest
