@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imucalib.core.balance import Noise
 from imucalib.core.model import Model
 from imucalib.effects import named
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.faults.noise_grid import beside_rows
+from imucalib.loop.noise.shared import _without
 from imucalib.loop.record_errors import predict_record
 from imucalib.loop.search import objection
 from worlds.bench import base_model, bench, draw, ordinary_theta, tumble
@@ -80,3 +82,8 @@ def test_each_block_is_judged_by_its_own_columns() -> None:
         share = max(0.0, 1.0 - (1.0 - gone) * 75.0 / (75.0 - block.shape[1]))
         assert found.share[k] == pytest.approx(share, abs=1e-9)
     assert np.argmax(found.evidence) == 2
+
+
+def test_a_walk_is_taken_out_of_the_noise_alone() -> None:
+    noise = Noise(1.5, ("inclination", "tool_face", "walk"), (0.1, 0.2, 0.3))
+    assert _without(noise) == Noise(1.5, ("inclination", "tool_face"), (0.1, 0.2))
