@@ -80,7 +80,7 @@ def test_no_name_steers_the_terminal(make: object, tmp_path: Path) -> None:
 
 
 def test_json_keeps_the_name_itself(tmp_path: Path) -> None:
-    told = json.loads(run("inspect", hdf5(tmp_path, "m/s2"), "--json"))
+    told = json.loads(run("inspect", hdf5(tmp_path, "m/s2"), "--json", "--quiet"))
     assert EVIL in told["channels"][0]["name"]
 
 

@@ -7,7 +7,8 @@ from decimal import ROUND_HALF_UP, Decimal
 import numpy as np
 import pytest
 
-from imucalib.estimators.gradient_descent import _divided, _shifted
+from imucalib.errors import NotConverged
+from imucalib.estimators.gradient_descent import _demand, _divided, _shifted
 
 VALUES = np.arange(-50, 51)
 
@@ -25,3 +26,10 @@ def test_a_shift_rounds_to_the_nearest() -> None:
     away = _shifted(VALUES, 3) - VALUES / 8.0
     assert np.abs(away).max() == 0.5
     assert set(away[np.abs(away) == 0.5]) == {0.5}  # halves go up
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_what_leaves_the_range_is_refused(sign: int) -> None:
+    _demand(np.array([0, sign * (2**15 - 1)]), 16)
+    with pytest.raises(NotConverged):
+        _demand(np.array([0, sign * 2**15]), 16)
