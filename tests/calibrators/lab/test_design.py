@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.calibrators.lab.design import judge
+from imucalib.calibrators.lab.design import judge, uniform_directions
 from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.effects import named
@@ -25,3 +25,12 @@ def test_the_condition_is_that_of_the_norms_columns() -> None:
     values = np.linalg.svd(columns * typical * unit, compute_uv=False)
     found = judge(model, np.deg2rad(i), np.deg2rad(t), norm=True)
     assert found.condition == pytest.approx(values[0] / values[-1], rel=1e-6)
+
+
+def test_the_lattice_turns_by_the_golden_ratio() -> None:
+    i, t = uniform_directions(200)
+    k = np.arange(200) + 0.5
+    golden = 0.5 * (1.0 + np.sqrt(5.0))
+    np.testing.assert_allclose(np.sin(i), 1.0 - k / 100.0, atol=1e-12)
+    away = np.mod(t - 2.0 * np.pi * golden * k + np.pi, 2.0 * np.pi) - np.pi
+    np.testing.assert_allclose(away, 0.0, atol=1e-9)
