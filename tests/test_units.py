@@ -21,6 +21,7 @@ from imucalib.units import (
     detect_acceleration_unit,
     factor,
     local_gravity,
+    without_brackets,
 )
 
 
@@ -103,3 +104,11 @@ def test_gravity_falls_with_height_as_free_air(latitude: float, height: float) -
 def test_a_latitude_off_the_globe_is_refused(latitude: float) -> None:
     with pytest.raises(UsageError):
         local_gravity(latitude)
+
+
+@pytest.mark.parametrize(
+    ("text", "inside"),
+    [("[m/(s^2)]", "m/(s^2)"), ("((g))", "g"), ("(m)/(s)", "(m)/(s)"), ("[g", "[g"), ("", "")],
+)
+def test_brackets_go_where_they_are_a_pair(text: str, inside: str) -> None:
+    assert without_brackets(text) == inside
