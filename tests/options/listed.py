@@ -13,10 +13,30 @@ LAWS: dict[str, str] = {
     "--quiet": "test_shared.py::test_quiet_prints_nothing_and_changes_no_file",
     "--force": "test_shared.py::test_another_file_is_replaced_by_force_alone",
 }
+GOOD = "cli/test_still_good.py"
 #: Shown by a test of another room, which is run by its name.
 ELSEWHERE: dict[tuple[str, str], str] = {
     ("batch", "--scheduler"): "cohort/test_batch.py::test_a_dask_cluster_gives_the_same",
+    ("check", "--limit"): f"{GOOD}::test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan",
+    ("check", "--noise"): f"{GOOD}::test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan",
+    ("check", "--history"): f"{GOOD}::test_a_history_multiplies_evidence",
+    ("check", "--triad"): f"{GOOD}::test_a_recording_with_rests_is_a_log_too",
+    ("check", "--html"): f"{GOOD}::test_a_page_and_no_file_overwritten",
+    ("compare", "--limit"): f"{GOOD}::test_compare_says_what_differs",
+    ("compare", "--dates"): f"{GOOD}::test_compare_says_what_differs",
+    ("compare", "--html"): f"{GOOD}::test_compare_says_what_differs",
 }
+#: Options whose case is still owed; the list only gets shorter.
+OWED: frozenset[tuple[str, str]] = frozenset(
+    {("compare", "--effects")}
+    | {
+        ("check", option)
+        for option in (
+            "--between-sessions", "--columns", "--effects", "--shortest-rest", "--gravity",
+            "--latitude", "--height", "--seed",
+        )
+    }
+)  # fmt: skip
 
 
 def reading() -> tuple[str, ...]:
@@ -56,7 +76,7 @@ def table() -> str:
     lines = ["| option | of | shown by |", "|---|---|---|"]
     for option, found in sorted(of_option.items()):
         tests = dict.fromkeys(_short(t) for each in found.values() for t in each)
-        lines.append(f"| `{option}` | {', '.join(found)} | {', '.join(tests)} |")
+        lines.append(f"| `{option}` | {', '.join(found)} | {', '.join(tests) or 'owed'} |")
     return "\n".join(lines)
 
 

@@ -71,6 +71,8 @@ OUTPUTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "lab": (("-o", "<out>/made"),),
     "actigraph": (("-o", "<out>/made"),),
     "array": (("-o", "<out>/made"),),
+    "check": (("--html", "<out>/made"),),
+    "compare": (("--html", "<out>/made"),),
     "design": (("-o", "<out>/made"),),
     "fleet": (("-o", "<out>/made"),),
     "inspect": (("--save-mapping", "<out>/made"), ("--html", "<out>/made")),
@@ -121,6 +123,7 @@ VALUES: dict[str, tuple[str, object]] = {
 FIELDS = {"unit": "acc_unit", "lsb": "lsb_per_g", "gyro_lsb": "lsb_per_dps"}
 #: A recording where the usual call has a table.
 READS = {
+    "check": ("check", "<calibration.yaml>", "<rests.csv>", "--json"),
     "fleet": ("fleet", "<rests.csv>", "<rests2.csv>", "--reference", "norm", "--json"),
     "lab": ("lab", "<rests.csv>", "--reference", "norm", "--no-loop", "--json"),
 }
