@@ -9,6 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.effect import Effect, Family
+from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
 from imucalib.core.model import Prediction
 from imucalib.core.truth import Truth
@@ -147,7 +148,7 @@ def correlated_noise(fit: Fit) -> tuple[Candidate, ...]:
     if context.n > _EXACT_NOISE:
         return (_stretches(fit, position),)
     covariance = np.exp(-np.abs(position[:, None] - position[None]) / 2.0)
-    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = eigen(covariance)
     top = slice(max(0, context.n - 16), None)
     curves = vectors[:, top] * np.sqrt(values[top])
     k = fit.observations.reading.shape[1]

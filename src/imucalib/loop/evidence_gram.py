@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
+from imucalib.core.eigen import eigen
 
 #: (draws) -> projections (M, draws) of data that lack nothing, and their powers (draws,).
 Null = Callable[[int], tuple[Array, Array]]
@@ -167,7 +168,7 @@ def directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array]
     for m in np.unique(width):  # blocks of one width at once: a scan has hundreds
         same = np.flatnonzero(width == m)
         rows = np.stack([blocks[int(k)] for k in same])
-        values, vectors = np.linalg.eigh(gram[rows[:, :, None], rows[:, None, :]])
+        values, vectors = eigen(gram[rows[:, :, None], rows[:, None, :]])
         use = values > _OPEN * np.maximum(values[:, -1:], 1e-300)
         kept = np.where(use, values, 0.0)
         unit = np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
@@ -178,7 +179,7 @@ def directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array]
 
 def _turned(gram: Array) -> tuple[Array, Array]:
     """The same (m,) and (m, m) of one block, from its own Gram matrix."""
-    values, vectors = np.linalg.eigh(gram)
+    values, vectors = eigen(gram)
     use = values > _OPEN * max(float(values[-1]), 1e-300)
     turn = vectors * np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
     return np.where(use, values, 0.0), turn
@@ -210,7 +211,7 @@ def _root(correlation: Array) -> Array:
         except np.linalg.LinAlgError:
             continue
     np.fill_diagonal(correlation, own)
-    values, vectors = np.linalg.eigh(correlation)
+    values, vectors = eigen(correlation)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 

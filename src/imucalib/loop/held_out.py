@@ -13,6 +13,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.balance import whitener
+from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.truth import Truth
@@ -179,7 +180,7 @@ def log_predictives(fit: Fit) -> Array:
         if white.lower is None:
             values, along, plain = _independent_block(q[rows], rest[rows])
         else:
-            values, vectors = np.linalg.eigh(projector[np.ix_(rows, rows)])
+            values, vectors = eigen(projector[np.ix_(rows, rows)])
             along, plain = vectors.T @ rest[rows], (0, 0.0)
         # A direction that only this group determines predicts nothing: it carries no weight.
         use = values > 1e-9

@@ -17,6 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.checking.noise import Scatter
+from imucalib.core.eigen import eigen
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class Misfits:
         total: Array = np.zeros((draws, self.value.size))
         for part in self.parts:
             white = self.white(self.white(part.covariance).T)
-            values, vectors = np.linalg.eigh(0.5 * (white + white.T))
+            values, vectors = eigen(0.5 * (white + white.T))
             keep = values > 1e-12 * max(float(values[-1]), 1e-300)
             root = vectors[:, keep] * np.sqrt(values[keep])
             size = np.sqrt(part.dof / rng.chisquare(part.dof, draws))[:, None]

@@ -24,6 +24,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.checking.misfit import Misfits
+from imucalib.core.eigen import eigen
 
 ANYTHING = "anything"
 #: Simulated recordings; p is no finer than 1 / (draws + 1).
@@ -161,7 +162,7 @@ class Statistic:
     def worst(self, family: str) -> Array | None:
         """(3,) the direction in which a change of a family shows least; None where one is open."""
         gram = self.columns[family].T @ self.columns[family]
-        values, vectors = np.linalg.eigh(gram)
+        values, vectors = eigen(gram)
         return None if values[0] <= _NONE**2 * max(values[-1], 1e-300) else vectors[:, 0]
 
     def seen(self, family: str, *, alpha: float = 0.05, power: float = 0.9) -> float:

@@ -16,6 +16,7 @@ from imucalib.calibrators.lab.bench import held_settings
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.core.balance import balance
 from imucalib.core.context import Context
+from imucalib.core.eigen import eigen
 from imucalib.core.identifiability import null_directions
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -119,7 +120,7 @@ def judge(
             )
         )
     parameters = model.parameters(Context(1))
-    values, vectors = np.linalg.eigh(total)
+    values, vectors = eigen(total)
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     typical = np.array([q.typical for q in parameters])
     return Design(
@@ -159,7 +160,7 @@ def _efficiency(information: Array, count: int, best: float, p: int) -> float:
 
 def _sd(information: Array) -> Array:
     """Standard deviations in typical sizes; infinite where nothing is known."""
-    values, vectors = np.linalg.eigh(information)
+    values, vectors = eigen(information)
     open_ = values <= 1e-12 * values[-1]
     if open_.any():
         weight = (vectors[:, open_] ** 2).sum(axis=1)

@@ -24,6 +24,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.cohort.fleet.device import Device
+from imucalib.core.eigen import eigen
 
 #: Sizes of the scatter τ between devices and of the common size γ, in typical sizes.
 _TAU = (0.0, 0.1, 0.3, 1.0, 3.0)
@@ -178,7 +179,7 @@ def _nats(own: Array, w: Array, inside: Array, gamma: float) -> Array:
 
 def _null(device: Device, rng: np.random.Generator, draws: int) -> Array:
     """(m, draws) products of data that lack nothing, with the tails of an estimated noise."""
-    values, vectors = np.linalg.eigh(device.gram)
+    values, vectors = eigen(device.gram)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     tails = np.sqrt(device.dof / rng.chisquare(max(device.dof, 1.0), draws))
     return np.asarray(root @ rng.standard_normal((len(values), draws)) * tails)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.core.eigen import eigen
 from imucalib.errors import NotConverged
 from imucalib.estimators.array.likelihood import ArrayPosterior, conditionals
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
@@ -136,13 +137,13 @@ def _touching(posterior: ArrayPosterior, x: Array, root: Array) -> Array:
         slopes = posterior.value_and_gradient(np.vstack([x, x + step * root.T]))[1]
         rise = slopes[1:] - slopes[0]
     curvature = -rise @ root / step
-    values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    values, vectors = eigen(0.5 * (curvature + curvature.T))
     floor = 1e-6 * max(float(values[-1]), 1e-300)
     whitened = vectors / np.sqrt(np.maximum(np.abs(values), floor))
     covariance = root @ whitened @ (root @ whitened).T
     # A direction that the differences make open is still held by the prior.
     sd = posterior.prior.sd_vector
     scaled = covariance / np.outer(sd, sd)
-    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    values, vectors = eigen(0.5 * (scaled + scaled.T))
     values = np.clip(values, 1e-16, 1.5)
     return np.asarray(np.linalg.cholesky((vectors * values) @ vectors.T * np.outer(sd, sd)))

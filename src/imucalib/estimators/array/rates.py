@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
+from imucalib.core.eigen import eigen
 from imucalib.estimators.array.rotation import LINE, Local, Prepared, dot, local, times
 
 _EXACT = 1e-8  # Newton decrement below which the rest is taken by the parabola at the point
@@ -87,7 +88,7 @@ def modes(given: Prepared, start: Array, metric: Array | None = None) -> Mode:
 def _shifted(here: Local, step: Array, positive: NDArray[np.bool_]) -> Array:
     """Steps with a shifted Hessian where it is not positive definite."""
     b, t = np.nonzero(~positive)
-    values, vectors = np.linalg.eigh(here.hessian[b, :, t][:, LINE])
+    values, vectors = eigen(here.hessian[b, :, t][:, LINE])
     size = np.abs(values).max(axis=1, keepdims=True)
     values = np.maximum(np.abs(values), 1e-3 * size)
     g = here.gradient[b, :, t]

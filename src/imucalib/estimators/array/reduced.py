@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.eigen import eigen
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,6 @@ def _half(unit: Array) -> Array:
             return np.asarray(np.linalg.inv(lower).T)
     except np.linalg.LinAlgError:
         pass
-    values, vectors = np.linalg.eigh(unit)
+    values, vectors = eigen(unit)
     use = values > 1e-11 * max(float(values[-1]), 1e-300)
     return np.asarray(vectors[:, use] / np.sqrt(values[use]))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.core.eigen import eigen
 from imucalib.errors import Undetermined
 from imucalib.estimators.array.mode import Frame, laplace_frame, start_prior
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
@@ -172,7 +173,7 @@ def refuse_vague(positions: ArrayPositions) -> None:
 def open_direction(covariance: Array) -> str:
     """In words, the direction in space in which positions with covariance (d, d) are least known:
     of the least known combination of them, the axis that its IMUs share most."""
-    shift = np.linalg.eigh(covariance)[1][:, -1].reshape(-1, 3)
+    shift = eigen(covariance)[1][:, -1].reshape(-1, 3)
     axis = np.linalg.svd(shift)[2][0]
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
     return "along (" + ", ".join(f"{v:.2f}" for v in axis + 0.0) + ") of the board"

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.core.balance import Whitener, whitener
+from imucalib.core.eigen import eigen
 
 #: Sizes of a candidate, in its typical size, over which the evidence is maximised.
 TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
@@ -114,7 +115,7 @@ def _at_point(jacobian: Array, white: Whitener, columns: Array, starts: NDArray[
         # one width are decomposed together.
         at = starts[widths == width][:, None] + np.arange(width)
         blocks = projected[:, at].transpose(1, 0, 2)
-        values, vectors = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)
+        values, vectors = eigen(blocks.transpose(0, 2, 1) @ blocks)
         size[at] = np.maximum(values, 0.0)
         turned = blocks @ (vectors / np.sqrt(np.maximum(values, 1e-300))[:, None, :])
         turned[np.broadcast_to((values <= 1e-12 * values[:, -1:])[:, None, :], turned.shape)] = 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.calibrators.array.run import ArrayRun
+from imucalib.core.eigen import eigen
 from imucalib.report.array.card import array_card
 from imucalib.report.array.growth import growth_blocks
 from imucalib.report.array.known import known_facts
@@ -136,7 +137,7 @@ def _rests_section(run: ArrayRun) -> Section:
 def _observability(run: ArrayRun) -> tuple[Text, ...]:
     """What the motion did not determine, and which motion would."""
     w = run.final.data.rate
-    values, axes = np.linalg.eigh(w.T @ w / len(w))
+    values, axes = eigen(w.T @ w / len(w))
     rms = np.sqrt(np.maximum(values, 0.0)) / DEG
     least = axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0])
     words = []

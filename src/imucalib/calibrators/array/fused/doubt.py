@@ -19,6 +19,7 @@ from imucalib.calibrators.array.loop.at_rest import AT_REST
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.core.effect import cross_matrix
+from imucalib.core.eigen import eigen
 from imucalib.estimators.array.fusion import FusedMotion, Sensed
 from imucalib.estimators.array.samples import slope_of, turning
 from imucalib.units import DEG
@@ -65,7 +66,7 @@ def _by_motion(covariance: Array, places: Array, size: float, frame: Array) -> A
     """(d, d) m² less what size and frame have put into it."""
     about = np.stack([np.cross(axis, places).ravel() for axis in np.eye(3)], axis=1) * frame
     along = size * places.ravel()
-    values, vectors = np.linalg.eigh(covariance - about @ about.T - np.outer(along, along))
+    values, vectors = eigen(covariance - about @ about.T - np.outer(along, along))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.core.eigen import eigen
 
 _SMALLEST, _LARGEST = 1e-3, 1e2  # of what differs from log to log, in median stated deviations
 _GRID = 41
@@ -80,7 +81,7 @@ def between_logs(values: Array, covariances: Array) -> float:
     if unit == 0.0:
         unit = max(float(np.median(values.std(axis=0, ddof=1))), 1e-300)
     # Each V_i once in its own axes: a try of tau then costs no factorisation but the pooled one's.
-    turns = [tuple(np.linalg.eigh(v)) for v in covariances]
+    turns = [tuple(eigen(v)) for v in covariances]
     grid = unit * np.concatenate([[0.0], np.geomspace(_SMALLEST, _LARGEST, _GRID)])
     level = [_restricted(values, turns, tau) for tau in grid]
     best = int(np.argmax(level))

@@ -19,6 +19,7 @@ from imucalib.calibrators.array.loop.candidates import Candidates, Entry, candid
 from imucalib.calibrators.array.loop.noise_tests import NoiseTest, noise_tests
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN, Term, determined, typical_of
+from imucalib.core.eigen import eigen
 from imucalib.estimators.array.gram import gram, starts_of
 from imucalib.estimators.array.reduced import Alone, Gram, Reduced, alone, reduced
 from imucalib.loop.evidence import Candidate, Score
@@ -95,17 +96,17 @@ def _apart(matrix: Array, total: Array) -> Array:
 
     matrix, total : (p, p) Gram matrices with these taken out, and before
     """
-    values, vectors = np.linalg.eigh(total)
+    values, vectors = eigen(total)
     seen = values > 1e-9 * float(values[-1])
     white = vectors[:, seen] / np.sqrt(values[seen])
-    share, turn = np.linalg.eigh(white.T @ matrix @ white)
+    share, turn = eigen(white.T @ matrix @ white)
     kept = white @ turn[:, share >= _APART]
     return np.asarray(np.linalg.qr(kept)[0])
 
 
 def _most_likely(matrix: Array, along: Array) -> Array:
     """Estimate of a block of columns under the size that its own evidence prefers."""
-    values, vectors = np.linalg.eigh(matrix)
+    values, vectors = eigen(matrix)
     values, seen = np.maximum(values, 0.0), vectors.T @ along
     shrunk = TAU[:, None] ** 2 / (1.0 + TAU[:, None] ** 2 * values)
     evidence = np.sum(shrunk * seen**2 - np.log1p(TAU[:, None] ** 2 * values), axis=1)

@@ -12,6 +12,7 @@ from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.core.context import Context
 from imucalib.core.effect import Channel, Response
+from imucalib.core.eigen import eigen
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.estimators.array.gram import Columns
@@ -76,7 +77,7 @@ def determined(name: str, effect: Response, only: int | None, matrix: Array) -> 
 
     matrix : (p, p) Gram of its columns in typical sizes, with all else that is fitted taken out
     """
-    values, vectors = np.linalg.eigh(matrix)
+    values, vectors = eigen(matrix)
     use = values > max(OPEN**2, 1e-9 * float(values[-1]))
     live = typical_of(effect, len(matrix))[:, None] * vectors[:, use]
     rank = int(use.sum())
@@ -124,7 +125,7 @@ def _rest(name: str, channel: Channel, each: int) -> Response:
 def rest_terms(rests: RestFit) -> tuple[Term, ...]:
     """Errors of gains and offsets with the covariance that the rests left, in package axes."""
     size = 12 * len(rests.gain)
-    values, vectors = np.linalg.eigh(rests.covariance.reshape(size, size))
+    values, vectors = eigen(rests.covariance.reshape(size, size))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     count = 3 * len(rests.gain)
     back = np.zeros((count // 3, 3, count // 3, 3))
