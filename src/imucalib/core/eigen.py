@@ -8,9 +8,8 @@ does not.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from imucalib.arrays import Array
 
 
 def eigen(matrices: Array) -> tuple[Array, Array]:
