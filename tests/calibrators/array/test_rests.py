@@ -116,6 +116,17 @@ def test_corrected_readings_are_the_force() -> None:
     assert np.abs(found.corrected(seen, late) - force[:, None]).max() < 0.03
 
 
+def test_what_bends_at_rest_does_not_run_away_far_from_it() -> None:
+    segments, board, _, _ = simulated(5, n=40)
+    segments = replace(segments, mean=25.0 * np.tanh(segments.mean / 25.0))
+    found = fitted(segments, board)
+    assert found.loop is not None
+    assert found.loop.steps
+    own = np.full((1, K, 3), 80.0)
+    seen = np.einsum("kij,nkj->nki", board.rotations, own)
+    assert np.abs(found.corrected(seen, np.zeros(1))).max() < 1.2 * np.abs(seen).max()
+
+
 def test_a_warm_up_is_named() -> None:
     segments, board, _, _ = simulated(11, warm=2.0 * MG)
     found = fitted(segments, board)

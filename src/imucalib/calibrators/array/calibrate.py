@@ -84,7 +84,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     say(f"{segments.n} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
     moving = moving_part(laid.log, rests, board.imus)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
-    loop, state = _fitted(moving, rests, board, request)
+    loop, state = _fitted_or_told(moving, rests, board, request)
     if loop is not None:
         loop = _doubted(loop, laid, rests)
         say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
@@ -160,6 +160,19 @@ def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
             "`imucal inspect FILE --rests` lists what was refused",
         )
     return [segments.triads.index(name) for name in names]
+
+
+def _fitted_or_told(
+    moving: Moving, rests: RestFit, board: Board, request: ArrayRequest
+) -> tuple[MotionLoop | None, ArrayState | None]:
+    try:
+        return _fitted(moving, rests, board, request)
+    except np.linalg.LinAlgError as error:
+        raise Undetermined(
+            f"no motion of a rigid board fits these readings: {error}",
+            remedy="check `axes` and the ranges in the board file; `imucal inspect FILE` shows "
+            "where readings clip or freeze",
+        ) from error
 
 
 def _fitted(

@@ -46,6 +46,7 @@ REST_RULES = LoopSettings(draws=499, margin=np.inf, gross=GROSS, most_effects=3)
 _AT_A_TIME = 128  # samples of which columns are held at once
 _VAGUE = 0.02  # standard deviation of a gain entry above which the attitudes are too alike
 _LOOSE = 0.2  # largest believable deviation of a triad's gain from a plain one
+_FARTHEST = 1.2  # g: up to there a bend that rests show is undone
 
 
 @dataclass(frozen=True)
@@ -111,9 +112,12 @@ class RestFit:
             e for e in self.fit.model.effects
             if isinstance(e, Response) and e.basis_dx is not None and e.name not in BASE
         )  # fmt: skip
-        still = Truth(np.zeros((1, *force.shape[1:])))
+        still, most = Truth(np.zeros((1, *force.shape[1:]))), _FARTHEST * self.gravity
         for _ in range(3 if bent else 0):
-            more = self._added(bent, Truth(force), t) - self._added(bent, still, t)
+            # What bends at one g says nothing at six: a power may even turn back there. The
+            # motion has its own say on larger forces.
+            near = Truth(np.clip(force, -most, most))
+            more = self._added(bent, near, t) - self._added(bent, still, t)
             force = np.einsum("kij,nkj->nki", inverse, own - more)
         return np.asarray(np.einsum("kij,nkj->nki", self.rotations, force))
 

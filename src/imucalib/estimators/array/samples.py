@@ -151,7 +151,8 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
     """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby.
 
     What the accelerometers say of (s, W) are twelve numbers and a matrix, made once; each step runs
-    on these.
+    on these. Raises numpy.linalg.LinAlgError where a sample runs away: no motion near the start
+    fits its readings.
     """
     rate = start.rate if isinstance(start, Sampled) else start
     x = np.zeros((len(rate), 9))
@@ -171,8 +172,11 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
         right[:, 3:6] -= _SPIN * x[:, 3:6]
         right[:, 6:] += pulled - own * x[:, 6:]
         matrix = _matrix(normal, slope, weights)
-        step = _solved(matrix, right)
+        with np.errstate(invalid="ignore"):
+            step = _solved(matrix, right)
         x = x + step
+        if not np.isfinite(step).all():
+            raise np.linalg.LinAlgError("the motion of a sample runs away")
         if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
             break
     return _at(x, readings, weights, r, _root(matrix))

@@ -94,19 +94,46 @@ def test_what_one_half_refuses_of_the_other_is_not_taken(clean: Recording) -> No
     assert found.verdict in ("unexplained", "suspected")
 
 
-@pytest.mark.parametrize("gain", [0.0, 0.15])
-def test_the_interval_of_medians_holds_the_truth(gain: float) -> None:
+@pytest.mark.parametrize("blocks", [8, 20])
+@pytest.mark.parametrize("ratio", [1.0, 0.85])
+def test_the_interval_of_medians_holds_the_truth(ratio: float, blocks: int) -> None:
     rng = np.random.default_rng(5)
-    block, inside, wide = np.repeat(np.arange(20), 30), 0, []
-    for _ in range(200):
-        # Blocks differ by more than their samples say: as fast and slow motion do.
-        level = np.exp(0.3 * rng.normal(size=20))[block][:, None]
-        before = np.abs(rng.normal(size=(600, 6))) * level
-        after = np.abs(rng.normal(size=(600, 6))) * level * (1.0 - gain)
+    block, inside, wide = np.repeat(np.arange(blocks), 30), 0, []
+    for _ in range(400):
+        # Blocks differ by more than their samples say: as fast and slow motion do, and in what
+        # they gain.
+        level = np.exp(0.8 * rng.normal(size=blocks))[block][:, None]
+        gained = ratio * np.exp(0.1 * rng.normal(size=blocks))[block][:, None]
+        before = np.abs(rng.normal(size=(len(block), 6))) * level
+        after = np.abs(rng.normal(size=(len(block), 6))) * level * gained
         found = difference_of_medians(before, after, block, 2)
-        truth = gain * 0.6745 * float(np.median(level)) if gain else 0.0
-        plain = found.gain - found.plain_low
-        inside += abs(found.gain - truth) < plain
-        wide.append((found.high - found.low) / (2.0 * plain))
-    assert np.allclose(wide, np.sqrt(3.0))
-    assert 180 <= inside <= 200
+        truth = found.before * (1.0 - ratio)
+        inside += abs(found.gain - truth) < found.gain - found.plain_low
+        wide.append(found.low < truth < found.high)
+    # At 95 %: fewer than 365 by chance in one of 1e4, where 92 % hold in two of three.
+    assert 365 <= inside <= 398
+    assert np.mean(wide) >= np.mean(inside / 400.0)
+
+
+def test_an_error_that_falls_in_every_block_is_proved() -> None:
+    rng = np.random.default_rng(6)
+    block = np.repeat(np.arange(8), 40)
+    level = np.linspace(0.1, 3.0, 8)[block][:, None]
+    before = np.abs(rng.normal(size=(320, 6))) * level
+    after = np.abs(rng.normal(size=(320, 6))) * 0.1
+    found = difference_of_medians(before, after, block, 2)
+    assert found.proved
+    assert found.high < found.before
+
+
+def test_an_error_that_stays_is_not_proved() -> None:
+    rng = np.random.default_rng(7)
+    block = np.repeat(np.arange(8), 40)
+    proved = 0
+    for _ in range(200):
+        level = np.exp(rng.normal(size=8))[block][:, None]
+        gained = np.exp(0.2 * rng.normal(size=8))[block][:, None]
+        before = np.abs(rng.normal(size=(320, 6))) * level
+        proved += difference_of_medians(before, before * gained, block, 2).proved
+    # Widened for two halves: 2.5 % without that, 0.2 % with it; a false alarm in fifty is seen.
+    assert proved <= 4

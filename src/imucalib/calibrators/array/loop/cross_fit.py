@@ -30,6 +30,7 @@ _FOLLOWED = 6  # rounds of the motion, with its weights, under a model that does
 _COUNTS = (
     0.1  # share of an error from which on a loss of one sensor counts against the other's gain
 )
+_NO_ERROR = 1e-12  # m/s² or rad/s
 
 
 @dataclass(frozen=True)
@@ -102,24 +103,35 @@ def _sizes(state: ArrayState, rows: Flags) -> Array:
 
 
 def difference_of_medians(before: Array, after: Array, block: Index, folds: int) -> Difference:
-    """Median absolute deviations before and after, and the interval of their difference by leaving
-    out blocks in turn (the jackknife of grouped data), widened for the training data that folds
-    share as in `loop/difference`.
+    """Median absolute deviations before and after, and the interval of their difference.
+
+    What changes from block to block is how the board moves, and both errors with it; their ratio
+    stays. So the interval is that of the mean logarithm of the ratio over blocks (Student's
+    distribution), at the error before, widened for the training data that folds share as in
+    `loop/difference`.
 
     before, after : (n, m) sizes of the errors of n samples; block : (n,) of samples that belong
     together
     """
     from scipy.special import stdtrit
 
-    def gain(rows: Flags) -> float:
-        return float(np.median(before[rows]) - np.median(after[rows]))
-
-    every = np.unique(block)
-    left = np.array([gain(block != one) for one in every])
-    n = every.size
-    error = float(np.sqrt((n - 1) / n * np.sum((left - left.mean()) ** 2))) if n > 1 else np.inf
+    every, count = np.unique(block, return_counts=True)
+    n, share = every.size, count / count.sum()
+    ratio = np.array([_log_ratio(before[block == one], after[block == one]) for one in every])
+    off = share * (ratio - share @ ratio)
+    error = float(np.sqrt(n / (n - 1) * np.sum(off**2))) if n > 1 else np.inf
     reach = float(stdtrit(max(n - 1, 1), 0.975)) * error
     wide = float(np.sqrt(1.0 + folds / (folds - 1)))
     start, end = float(np.median(before)), float(np.median(after))
-    low, high = start - end - wide * reach, start - end + wide * reach
-    return Difference(start, end, low, high, start - end - reach, n)
+    middle = _log_ratio(before, after)
+
+    def gain(log_ratio: float) -> float:
+        return start * -float(np.expm1(-log_ratio))
+
+    low, high = gain(middle - wide * reach), gain(middle + wide * reach)
+    return Difference(start, end, low, high, gain(middle - reach), n)
+
+
+def _log_ratio(before: Array, after: Array) -> float:
+    one, two = (max(float(np.median(x)), _NO_ERROR) for x in (before, after))
+    return float(np.log(one / two))
