@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from imucalib.calibration.outcome import ErrorSummary, Limit, Outcome, Run
 from imucalib.calibration.provenance import Provenance, provenance_of
+from imucalib.calibrators.array.advice import advice
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.calibration import array_calibration, array_details
 from imucalib.calibrators.array.estimate.left import (
@@ -71,6 +72,7 @@ def finished(
     outcome = Outcome(
         "array", errors, _provenance(recording, request),
         findings=array_findings(loop) if loop else None, reasons=left_in_words(loop, left),
+        advice=advice(loop, rests) if loop else (),
         limits=_limits(request, errors, final), notes=notes, left=left,
     )  # fmt: skip
     details = array_details(
