@@ -41,7 +41,8 @@ class Decided:
 @dataclass(frozen=True)
 class Options:
     """What a choice may try. noise, data : to hold a refit at, where a search of the whole data has
-    estimated them; by default they are estimated anew."""
+    estimated them; by default they are estimated anew. terms : of the model that the noise is of:
+    with fewer, what is still missing is noise too, and the noise is estimated anew."""
 
     effects: Mapping[str, Effect]
     families: tuple[Family, ...]
@@ -49,12 +50,14 @@ class Options:
     rules: LoopSettings
     noise: Noise | None = None
     data: Observations | None = None
+    terms: int = 0
 
     def extended(self, fit: Fit, effect: Effect) -> Fit:
         """Refit with one more effect."""
         if self.data is not None:
             fit = replace(fit, observations=self.data)
-        return extended(fit, effect, noise=self.noise)
+        whole = len(fit.model.names) + 1 >= self.terms
+        return extended(fit, effect, noise=self.noise if whole else None)
 
 
 def decided(

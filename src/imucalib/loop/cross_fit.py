@@ -23,6 +23,7 @@ from imucalib.loop.difference import Metric, difference, with_density
 from imucalib.loop.foretold import foretold
 from imucalib.loop.found import FitLoop, LoopSettings, Unexplained
 from imucalib.loop.held_out import Held, errors, theta_without, without_records
+from imucalib.loop.records import record_names
 from imucalib.loop.search import choose, search
 from imucalib.loop.subject import Refused
 from imucalib.loop.thresholds import STRONG
@@ -134,11 +135,13 @@ def _searched(
     families: tuple[Family, ...],
 ) -> Fit:
     """The loop on a part of the data that has no wrong record. The noise is that of the whole,
-    before and after: it costs most of the time and tells nothing about the choice."""
+    before and after: it costs most of the time and tells nothing about the choice. In between it is
+    estimated: one of two effects leaves the other."""
     plain = loop.plain
     options = Options(
-        effects, families, rng, rules, loop.final.noise, loop.final.observations.take(rest)
-    )
+        effects, families, rng, rules, noise=loop.final.noise,
+        data=loop.final.observations.take(rest), terms=_terms(loop.final),
+    )  # fmt: skip
     own = loop.base.model.slices(loop.base.observations.context)
     start = np.concatenate([loop.base.theta[own[name]] for name in plain.model.names])
     fit = fit_model(plain.model, plain.observations.take(rest), start=start, noise=loop.base.noise)
@@ -160,6 +163,11 @@ def _searched(
             taken = smooth
         fit, last = taken.fit, taken.score.name
     return fit
+
+
+def _terms(fit: Fit) -> int:
+    """Of its model, without those that set a wrong record aside."""
+    return len(fit.model.names) - len(record_names(fit))
 
 
 def _joined(parts: list[Held], folds: tuple[Fold, ...]) -> Held:

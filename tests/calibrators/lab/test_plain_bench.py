@@ -83,3 +83,20 @@ def test_a_form_that_is_too_fine_for_a_smooth_curve_is_found(form: str, tmp_path
     assert float(steps[0].split(":")[-1]) == pytest.approx(float(period), rel=0.02)
     held = run.outcome.errors[0].held_out
     assert held.final < 0.7 * held.base
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [("temperature_scale", "cubic"), ("base_tilt_across", "hysteresis")],
+    ids=" and ".join,
+)
+def test_two_effects_are_proved_by_what_took_no_part(pair: tuple[str, str], tmp_path: Path) -> None:
+    """Without a position one effect was held against the noise of both, and none was taken."""
+    bench = plain_bench.Bench(plain_bench.Plan(3, tuple((name, 20.0) for name in pair), n=32))
+    table = read_position_table(bench.write(tmp_path / "sheet.csv"))
+    run = run_lab(table, LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    assert {s.effect for s in run.result.loop.steps} == set(pair)
+    assert run.result.loop.verdict == "explained"
+    held = run.outcome.errors[0].held_out
+    assert held.final < 0.7 * held.base
