@@ -13,9 +13,16 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from click.testing import CliRunner
+from hypothesis import HealthCheck, settings
 
 from costs.tiers import slow_tier
 from imucalib import effects
+
+# No test is timed: a busy machine is no defect.
+settings.register_profile(
+    "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("any machine")
 
 if "mix_stderr" in inspect.signature(CliRunner.__init__).parameters:  # click 8.1
     CliRunner.__init__ = partialmethod(CliRunner.__init__, mix_stderr=False)
