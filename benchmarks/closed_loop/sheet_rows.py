@@ -82,9 +82,15 @@ def _one(one: list[Trial], strong: list[Trial], two: list[Trial]) -> list[Row]:
          quantiles(_ratio(strong, "oracle"), 0.5, 0.9), "<= 1.05, 1.2"),
         ("one effect: wrong name as certain", len(one + strong),
          share(one + strong, lambda t: t.wrong), "-"),
+        ("one effect, λ >= 10: the word is 'explained'", len(strong), share(strong, _explained), "-"),
         ("two effects, λ 12 each: both reported", len(two), share(two, lambda t: t.within),
          ">= 92 %"),
+        ("two effects: the word is 'explained'", len(two), share(two, _explained), "-"),
     ]  # fmt: skip
+
+
+def _explained(t: Trial) -> bool:
+    return t.verdict == "explained" and t.told < 0.0
 
 
 def _wrong(t: Trial) -> bool:
