@@ -43,6 +43,7 @@ from imucalib.loop.search import (
     aliases,
     choose,
     effect_named,
+    looked_like,
     search,
     unexplained,
 )
@@ -91,6 +92,7 @@ def close_loop(
         rejected=tuple(end.rejected.items()),
         unexplained=(
             *unexplained(end.last.scores, rules),
+            *looked_like(final, effects, rng, rules, end.rejected),
             *noise_doubts(final, rng, rules, shared=not state.steps, scores=end.last.scores),
         ),
         scores=end.last.scores,

@@ -21,8 +21,11 @@ from imucalib.loop.thresholds import (
     HELD_OUT_NATS,
     HELD_OUT_RMS,
     MARGIN,
+    STRONG,
     WORSE,
 )
+
+_REFUSES = "it does not hold out"
 
 
 def search(
@@ -148,6 +151,32 @@ def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexpla
     )
 
 
+def looked_like(
+    current: Fit,
+    effects: Mapping[str, Effect],
+    rng: np.random.Generator,
+    rules: LoopSettings,
+    rejected: Mapping[str, str],
+) -> tuple[Unexplained, ...]:
+    """What effects that were not taken still explain of the final fit: structure, whatever it is.
+
+    An effect of implausible size, or one that other data refuse, names no cause; yet something is
+    there. The strongest is told, with why it was not taken.
+    """
+    some = {name: effect for name, effect in effects.items() if name in rejected}
+    if not some:
+        return ()
+    scores = search(current, some, rng, rules, {}).scores
+    for s in scores:
+        # By chance some stand out that other data refuse: only strong ones are more than that.
+        chance = _REFUSES in rejected.get(s.name, "") and s.evidence <= STRONG
+        if s.name in some and passes(s, rules) and not chance:
+            name = f"what looks like {s.name} and was not taken: {rejected[s.name]}"
+            driver = " and ".join(some[s.name].needs)
+            return (Unexplained(name, driver, "probe", s.p, s.evidence, s.share),)
+    return ()
+
+
 def objection(
     before: Fit, after: Fit, least_nats: float = HELD_OUT_NATS, most_rms: float = HELD_OUT_RMS
 ) -> str:
@@ -171,10 +200,10 @@ def objection(
         return "too few numbers for its parameters"
     gain = log_predictive(after) - log_predictive(before)
     if gain < least_nats or held_out_rms(after) >= most_rms * held_out_rms(before):
-        return f"it does not hold out: {gain:+.1f} nats on data that it was not fitted to"
+        return f"{_REFUSES}: {gain:+.1f} nats on data that it was not fitted to"
     # The correction itself, as a user will apply it, and not only the model run forwards.
     times = fitted(after).rms() / fitted(before).rms()
-    worse = f"it does not hold out: corrected readings are {times:.2g} times as far off"
+    worse = f"{_REFUSES}: corrected readings are {times:.2g} times as far off"
     return worse if times > WORSE else ""
 
 

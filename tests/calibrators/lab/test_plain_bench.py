@@ -100,3 +100,16 @@ def test_two_effects_are_proved_by_what_took_no_part(pair: tuple[str, str], tmp_
     assert run.result.loop.verdict == "explained"
     held = run.outcome.errors[0].held_out
     assert held.final < 0.7 * held.base
+
+
+def test_an_effect_too_large_to_be_believed_is_not_nothing(tmp_path: Path) -> None:
+    """A scale that drifts by fifty times what scales do is no scale that drifts; but the sheet is
+    not clean."""
+    plan = plain_bench.Plan(3, (("scale_drift", 50.0),), n=24, sigma=1.5, scatter=0.15)
+    bench = plain_bench.Bench(plan)
+    assert np.abs(bench.size["scale_drift"]).max() > 30.0
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    assert run.result.loop.verdict == "unexplained"
+    assert any("like scale_drift" in u.name for u in run.result.loop.unexplained)
+    assert run.outcome.exit_code == 5
