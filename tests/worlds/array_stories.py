@@ -35,6 +35,7 @@ STORIES: dict[str, tuple[str, float | Array]] = {
     "quadratic, 0.3 mg/g2": ("quadratic", 0.3),
     "element positions, 0.5 mm": ("sensing_elements", 0.5),
     "bad accelerometer, 1 %": ("scale@imu5", 0.01),
+    "bent gyro, 20 deg/s at full scale": ("gyro_quadratic@imu2", 20.0),
 }
 
 

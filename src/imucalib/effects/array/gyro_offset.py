@@ -28,6 +28,10 @@ def _by_force(truth: Truth, context: Context) -> Array:
     return out
 
 
+def _quadratic(truth: Truth, context: Context) -> Array:
+    return own_axis(DEG * (truth.turning.rate / _FULL) ** 2)
+
+
 def _cubic(truth: Truth, context: Context) -> Array:
     return own_axis(DEG * (truth.turning.rate / _FULL) ** 3)
 
@@ -70,6 +74,18 @@ EFFECTS = (
         ),
         _by_force,
         channel="angular_rate",
+    ),
+    Response(
+        "gyro_quadratic",
+        "The gyros' response has a quadratic term.",
+        "y_i = ω_i + q_i (ω_i / 2000 deg/s)²",
+        "MPU-6050 data sheet 6.1: non-linearity 0.2 % of full scale",
+        "Turn both ways about each axis, slowly and fast.",
+        ("rate",),
+        three("gyro_quadratic", "deg/s", 4.0, 200.0),
+        _quadratic,
+        channel="angular_rate",
+        scan=True,
     ),
     Response(
         "gyro_cubic",
