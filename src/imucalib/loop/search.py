@@ -199,8 +199,10 @@ def objection(
     if len(after.theta) * 1.5 > after.at.residual.size:
         return "too few numbers for its parameters"
     gain = log_predictive(after) - log_predictive(before)
-    if gain < least_nats or held_out_rms(after) >= most_rms * held_out_rms(before):
-        return f"{_REFUSES}: {gain:+.1f} nats on data that it was not fitted to"
+    ratio = held_out_rms(after) / max(held_out_rms(before), 1e-300)
+    if gain < least_nats or ratio >= most_rms:
+        words = f"{gain:+.1f} nats" if gain < least_nats else f"{ratio:.3g} times the error"
+        return f"{_REFUSES}: {words} on data that it was not fitted to"
     # The correction itself, as a user will apply it, and not only the model run forwards.
     times = fitted(after).rms() / fitted(before).rms()
     worse = f"{_REFUSES}: corrected readings are {times:.2g} times as far off"

@@ -82,8 +82,13 @@ class End(Generic[S]):
 
 
 def close(subject: S, rules: LoopSettings) -> End[S]:
-    """Search, take what stands out and holds, refit, until nothing does."""
+    """Search, take what stands out and holds, refit, until nothing does.
+
+    What was not taken is tried again beside what was taken after it: a missing effect can be what
+    spoke against another.
+    """
     rejected: dict[str, str] = {}
+    beside: dict[str, S] = {}
     first = found = subject.search(rejected)
     while True:
         chosen = subject.choice(found, rejected)
@@ -91,13 +96,18 @@ def close(subject: S, rules: LoopSettings) -> End[S]:
         if following is None and chosen is not None:
             tried = subject.tried(found, chosen, rejected)
             if isinstance(tried, Refused):
-                rejected[tried.name] = tried.reason
+                rejected[tried.name], beside[tried.name] = tried.reason, subject
                 tried = subject
             following = tried
         elif following is None:
             following = subject.smoothed(found) if rules.curves else None
         if following is None:
-            return End(subject.eliminated(), rejected, first, found)
+            before = [name for name in rejected if beside[name].steps != subject.steps]
+            if not before:
+                return End(subject.eliminated(), rejected, first, found)
+            for name in before:
+                del rejected[name]
+            following = subject
         subject = following
         found = subject.search(rejected)
         first = first if subject.steps else found
