@@ -39,14 +39,7 @@ from imucalib.loop.records import (
     row_of,
     set_aside,
 )
-from imucalib.loop.search import (
-    aliases,
-    choose,
-    effect_named,
-    looked_like,
-    search,
-    unexplained,
-)
+from imucalib.loop.search import aliases, choose, effect_named, looked_like, search, unexplained
 from imucalib.loop.shapes import better_form
 from imucalib.loop.subject import Refused, Searched, close
 from imucalib.loop.thresholds import KEEP, SUSPECTS
