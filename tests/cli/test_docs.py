@@ -31,7 +31,7 @@ def test_generated_pages_are_current() -> None:
 
 def test_every_command_is_in_the_readme_or_its_pages() -> None:
     text = "\n".join(
-        p.read_text(encoding="utf-8") for p in (ROOT / "README.md", *ROOT.glob("docs/*.md"))
+        p.read_text(encoding="utf-8") for p in (ROOT / "README.md", *ROOT.glob("docs/**/*.md"))
     )
     for name in cli.COMMANDS:
         assert f"`{name}`" in text or f"imucal {name}" in text
@@ -72,13 +72,6 @@ def test_the_slow_commands_of_every_page_run(page: Path, tmp_path: Path) -> None
 def test_every_calibrator_is_shown_with_its_output() -> None:
     readme = shown.examples((ROOT / "README.md").read_text(encoding="utf-8"))
     assert {"lab", "actigraph", "array"} <= {e.arguments[0] for e in readme if e.shown}
-
-
-def test_links_lead_somewhere() -> None:
-    for page in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("sample_logs/*.md")):
-        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
-            if not target.startswith("http"):
-                assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
 def test_effects_named_in_the_documentation_exist() -> None:
