@@ -106,7 +106,9 @@ def page() -> str:
     found, lines = list(troubles()), [_HEAD]
     for kind, text in sorted(_KINDS.items(), key=lambda item: item[0].exit_code):
         own = [t for t in found if t.kind == kind.__name__]
-        told = sorted({t for t in own if t.what.strip(" …")}, key=lambda t: (t.room, t.what, t.remedy))
+        told = sorted(
+            {t for t in own if t.what.strip(" …")}, key=lambda t: (t.room, t.what, t.remedy)
+        )
         lines += [f"## Exit code {kind.exit_code}: {kind.__name__}", "", text, ""]
         if len(told) < len(own):
             lines += [f"{len(told)} messages; {len(own) - len(told)} more places repeat one of them, or pass on "
