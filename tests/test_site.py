@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from imucalib import cli
 from imucalib.errors import ImucalError
+from options.tree import commands, options_of
 
 ROOT = Path(__file__).parents[1]
 _SPEC = importlib.util.spec_from_file_location("pages", ROOT / "docs" / "site" / "pages.py")
@@ -80,6 +81,17 @@ def test_troubleshooting_holds_what_a_user_meets(call: tuple[str, ...], tmp_path
     rows = [re.split(r"(?<!\\) \| ", row[2:]) for row in re.findall(r"^\| .+$", part, re.MULTILINE)]
     told = [re.escape(re.sub(r"\\(.)", r"\1", row[0])).replace("…", ".*") for row in rows]
     assert any(re.fullmatch(text, words_of_it, re.DOTALL) for text in told if text.strip(".* "))
+
+
+def test_the_reference_has_every_option_of_every_command() -> None:
+    page = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    for name, command in commands().items():
+        heading = re.search(rf"^#+ imucal {name}$", page, flags=re.MULTILINE)
+        assert heading, name
+        following = re.search(r"^#+ imucal ", page[heading.end() :], flags=re.MULTILINE)
+        part = page[heading.end() :][: following.start() if following else None]
+        for option in options_of(command):
+            assert f"`{option}`" in part, f"{name} {option}"
 
 
 def test_no_page_holds_a_place_that_was_to_be_filled() -> None:

@@ -35,20 +35,23 @@ def _command(command: click.Command, name: str, level: int) -> list[str]:
         elif paragraph.strip():
             lines += [paragraph.replace("\f", ""), ""]
     arguments = [p for p in command.params if isinstance(p, click.Argument)]
-    subcommands = getattr(command, "commands", {})
+    context = click.Context(command, info_name=name)
+    below = command.list_commands(context) if isinstance(command, click.Group) else []
     words = [(p.metavar or (p.name or "").upper()).removesuffix("...") for p in arguments]
     usage = [
         name,
         "[OPTIONS]",
         *(f"{w}..." if p.nargs < 0 else w for w, p in zip(words, arguments, strict=True)),
     ]
-    lines += block(" ".join([*usage, *(["COMMAND"] if subcommands else [])]))
+    lines += block(" ".join([*usage, *(["COMMAND"] if below else [])]))
     options = [p for p in command.params if isinstance(p, click.Option) and not p.hidden]
     if options:
         rows = [(_names(p), _value(p), _default(p), _meaning(p)) for p in options]
         lines += table(("option", "value", "default", "meaning"), rows)
-    for name_below in subcommands:
-        lines += _command(subcommands[name_below], f"{name} {name_below}", level + 1)
+    for one in below:
+        found = command.get_command(context, one) if isinstance(command, click.Group) else None
+        assert found is not None
+        lines += _command(found, f"{name} {one}", level + 1)
     return lines
 
 

@@ -101,6 +101,10 @@ def _room(module: str) -> str:
     return _ROOMS[max(near, key=len)] if near else module.partition(".")[0]
 
 
+def _to_do(remedy: str) -> str:
+    return "as the message says" if remedy.strip() == "…" else remedy or "–"
+
+
 def page() -> str:
     """The page."""
     found, lines = list(troubles()), [_HEAD]
@@ -115,5 +119,5 @@ def page() -> str:
                       "what a file's reader said.", ""]  # fmt: skip
         if told:
             lines += table(("message", "what to do", "in"),
-                           [(t.what, t.remedy or "–", t.room) for t in told])  # fmt: skip
+                           [(t.what, _to_do(t.remedy), t.room) for t in told])  # fmt: skip
     return "\n".join(lines)

@@ -44,6 +44,6 @@ def on_files(files: Any, config: Any) -> Any:
         File(
             path.relative_to(ROOT).as_posix(), str(ROOT), config.site_dir, config.use_directory_urls
         )
-        for path in (*known, *sorted(linked(known)))
+        for path in (*known, *sorted(linked(known)), *sorted(Path(__file__).parent.glob("*.css")))
     ]
     return Files([*kept, *made])

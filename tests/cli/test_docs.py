@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 
@@ -42,6 +43,17 @@ def test_every_help_shows_an_example(name: str) -> None:
     result = CliRunner().invoke(cli.cli, [name, "--help"])
     assert result.exit_code == 0
     assert re.search(r"Examples?:\s+imucal " + name, result.output)
+
+
+@pytest.mark.parametrize("name", list(cli.COMMANDS))
+def test_every_help_fits_80_columns(name: str) -> None:
+    command = cli.cli.get_command(click.Context(cli.cli), name)
+    below = []
+    if isinstance(command, click.Group):
+        below = [(name, n) for n in command.list_commands(click.Context(command))]
+    for words in ((name,), *below):
+        shown = CliRunner().invoke(cli.cli, [*words, "--help"], terminal_width=80).output
+        assert max(map(len, shown.splitlines())) <= 80, words
 
 
 def _ran(page: Path, folder: Path, *, slow: bool) -> int:

@@ -138,6 +138,11 @@ def test_a_page_and_no_file_overwritten(folder: Path, tmp_path: Path) -> None:
                calibration).return_value == 2  # fmt: skip
 
 
+def test_a_chance_that_no_draw_reached_is_a_bound(folder: Path) -> None:
+    done = run("check", folder / "angles" / "calibration.yaml", folder / "moved_sheet.csv")
+    assert "Changed (p < 0.0001)" in " ".join(done.stdout.split())
+
+
 @pytest.mark.parametrize("command", ["check", "compare"])
 def test_a_long_result_is_one_page_unless_all_is_asked_for(
     command: str, folder: Path, tmp_path: Path

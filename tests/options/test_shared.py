@@ -78,6 +78,9 @@ OUTPUTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "inspect": (("--save-mapping", "<out>/made"), ("--html", "<out>/made")),
     "apply": ((),),
     "convert": ((),),
+    "simulate lab": ((),),
+    "simulate actigraph": ((),),
+    "simulate array": ((),),
 }
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
     fault_option,
     plant_option,
@@ -29,6 +30,7 @@ from imucalib.cli.working import working
 @plant_option
 @fault_option
 @seed_option
+@force_option
 @json_option
 @quiet_option
 def command(recording: Path, seed: int, **options: Any) -> int:
@@ -37,6 +39,7 @@ def command(recording: Path, seed: int, **options: Any) -> int:
     \b
     Example: imucal simulate actigraph day.h5 --plant temperature_bias=0.2,0,-0.1
     """
+    from imucalib.atomic_file import demand_output
     from imucalib.calibrators.actigraph.simulation import WeekPlan
     from imucalib.calibrators.actigraph.worn_log import worn_blocks
     from imucalib.errors import UsageError
@@ -44,6 +47,7 @@ def command(recording: Path, seed: int, **options: Any) -> int:
 
     if not (options["days"] > 0.0 and options["rate"] > 0.0):
         raise UsageError("--days and --rate are positive")
+    demand_output(recording, force=options["force"])
     plant = planted_of(options["plant"])
     plan = WeekPlan(
         days=options["days"],

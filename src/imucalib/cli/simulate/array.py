@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
     fault_option,
     plant_option,
@@ -33,6 +34,7 @@ from imucalib.cli.working import working
 @plant_option
 @fault_option
 @seed_option
+@force_option
 @json_option
 @quiet_option
 def command(recording: Path, seed: int, **options: Any) -> int:
@@ -41,15 +43,18 @@ def command(recording: Path, seed: int, **options: Any) -> int:
     --plant takes gyro_scale (1), gyro_delay (s) and quadratic (1 per m/s²), one value each.
 
     \b
-    Example: imucal simulate array log.h5 --plant gyro_delay=0.001 --fault sign@imu3:y
+    Example:
+      imucal simulate array log.h5 --plant gyro_delay=0.001 --fault sign@imu3:y
     """
     import numpy as np
 
+    from imucalib.atomic_file import demand_output
     from imucalib.calibrators.array.board import read_board
     from imucalib.calibrators.array.simulation import LogPlan, simulated_log
     from imucalib.errors import UsageError
     from imucalib.units import MG
 
+    demand_output(recording, [options["board"]], force=options["force"])
     plant = planted_of(options["plant"])
     if any(len(values) != 1 for values in plant.values()):
         raise UsageError("--plant of an array takes one value each")

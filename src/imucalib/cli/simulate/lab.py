@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
     fault_option,
     plant_option,
@@ -54,22 +55,27 @@ def _two(text: str, option: str) -> tuple[float, float]:
 @click.option("--gravity", default=9.80665, show_default=True, help="Local gravity, m/s².")
 @fault_option
 @seed_option
+@force_option
 @json_option
 @quiet_option
 def command(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
     """Write a bench table (CSV), and on request a recording, with known planted effects.
 
     \b
-    Example: imucal simulate lab bench.csv --plant inclination_zero=0.8 --slip 10:y
+    Example:
+      imucal simulate lab bench.csv --plant inclination_zero=0.8 --slip 10:y
     """
     import numpy as np
 
+    from imucalib.atomic_file import demand_output
     from imucalib.calibrators.lab.position_table import write_position_table
     from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
     from imucalib.errors import UsageError
 
     if options["fault"] and recording is None:
         raise UsageError("--fault is of a recording", remedy="give --recording, or --slip")
+    for path in filter(None, (table, recording)):
+        demand_output(path, force=options["force"])
     slips = tuple((int(r), a) for r, _, a in (s.partition(":") for s in options["slip"]))
     plan = BenchPlan(
         layout=options["layout"],
