@@ -14,6 +14,7 @@ LAWS: dict[str, str] = {
     "--force": "test_shared.py::test_another_file_is_replaced_by_force_alone",
 }
 GOOD = "cli/test_still_good.py"
+NEXT = "cli/test_separate.py"
 #: Shown by a test of another room, which is run by its name.
 ELSEWHERE: dict[tuple[str, str], str] = {
     ("batch", "--scheduler"): "cohort/test_batch.py::test_a_dask_cluster_gives_the_same",
@@ -24,6 +25,9 @@ ELSEWHERE: dict[tuple[str, str], str] = {
     ("check", "--html"): f"{GOOD}::test_a_page_and_no_file_overwritten",
     ("check", "--full"): f"{GOOD}::test_a_long_result_is_one_page_unless_all_is_asked_for",
     ("compare", "--full"): f"{GOOD}::test_a_long_result_is_one_page_unless_all_is_asked_for",
+    ("design", "--separate"): f"{NEXT}::test_a_plan_that_is_filled_in_ends_the_ambiguity",
+    ("design", "--temperatures"): f"{NEXT}::test_temperatures_that_are_farther_apart_promise_more",
+    ("design", "--between-sessions"): f"{NEXT}::test_another_power_up_promises_less",
     ("compare", "--limit"): f"{GOOD}::test_compare_says_what_differs",
     ("compare", "--dates"): f"{GOOD}::test_compare_says_what_differs",
     ("compare", "--html"): f"{GOOD}::test_compare_says_what_differs",

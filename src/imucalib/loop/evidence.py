@@ -238,7 +238,8 @@ def _null_data(fit: Fit, rng: np.random.Generator, draws: int) -> Array:
 
 
 def apart(fit: Fit, found: Candidate, rival: Candidate) -> float:
-    """λ sin(angle): how much of what a candidate explains a rival cannot, in noise units.
+    """λ sin(angle): how much of what a candidate explains a rival cannot, in units of the noise
+    that is left beside the candidate: what it explains is no noise.
 
     Below about 2 nothing in the data tells the two apart, whichever scores higher.
     """
@@ -249,6 +250,9 @@ def apart(fit: Fit, found: Candidate, rival: Candidate) -> float:
         return rest - basis @ (basis.T @ rest)
 
     span, other = _span(projected(found.columns)), _span(projected(rival.columns))
-    explained = span @ (span.T @ white(fit.at.residual))
+    residual = projected(fit.at.residual)
+    explained = span @ (span.T @ residual)
+    freedom = max(residual.size - basis.shape[1] - span.shape[1], 1)
+    noise = float(np.linalg.norm(residual - explained)) / freedom**0.5
     left = explained - other @ (other.T @ explained)
-    return float(np.linalg.norm(left)) / fit.noise.factor
+    return float(np.linalg.norm(left) / max(noise, 1e-300))

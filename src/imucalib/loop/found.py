@@ -12,6 +12,7 @@ from imucalib.effects.shape import is_form
 from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.record_errors import RecordError
+from imucalib.loop.separation.products import Ambiguity
 from imucalib.loop.thresholds import ALPHA, CERTAIN, MARGIN, NOISE_ALPHA, RECORD_ALPHA
 
 _WALK_NATS = 5.0  # from which on a walk is more than independent noise
@@ -107,12 +108,14 @@ class Wander:
 
     size : mg, rms of what it does to |a|; hours : after which it forgets
     scatter : mg, of a run without it; evidence : nats that it gains over independent noise
+    sd : mg, of the bias of one axis about its mean
     """
 
     size: float
     hours: float
     scatter: float
     evidence: float
+    sd: float = 0.0
 
     @property
     def counts(self) -> bool:
@@ -184,8 +187,10 @@ class FitLoop(Loop[Fit]):
 
     plain, as_recorded : the base and the final model with every record taken as it stands
     bar : nats that the best candidate of the first search had to reach
+    ambiguous : what names left open, where the search keeps its own products
     """
 
     plain: Fit
     as_recorded: Fit
     bar: float = math.inf
+    ambiguous: tuple[Ambiguity, ...] = ()

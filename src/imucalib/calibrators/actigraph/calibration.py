@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.calibration.ambiguity import KEY
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.series import series_facts
@@ -17,6 +18,7 @@ from imucalib.calibrators.actigraph.errors import sphere_cells
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.series import Series, series_block
 from imucalib.calibrators.actigraph.weak import from_data
+from imucalib.calibrators.separate.recorded import recorded_block
 from imucalib.core.fit import Fit
 from imucalib.rests.runs import Scan
 from imucalib.units import MG
@@ -70,6 +72,10 @@ def actigraph_details(
     }
     if parts is not None:
         details["series"] = series_block(parts)
+    if result.loop is not None and result.loop.wander is not None:
+        wander = result.loop.wander
+        found = result.loop.ambiguous if not result.declined else ()
+        details[KEY] = recorded_block(result.final, found, MG * wander.scatter, {}, wander.sd)
     return details
 
 

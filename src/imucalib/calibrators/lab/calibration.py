@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.calibration.ambiguity import KEY
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
@@ -18,9 +19,11 @@ from imucalib.calibrators.lab.errors import setting_noise, shared_noise
 from imucalib.calibrators.lab.faults import Faults
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions.between import Sessions
+from imucalib.calibrators.separate.recorded import recorded_block
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import errors
+from imucalib.loop.separation.ambiguities import ambiguities
 from imucalib.units import DEG, MG
 
 
@@ -77,6 +80,11 @@ def lab_details(
         details["fixture"] = fixture_block(result)
     if sessions:
         details["between_sessions"] = sessions_block(sessions)
+    if result.loop is not None:
+        fit = result.final
+        reading = fit.noise.factor * float(np.median(fit.observations.sigma))
+        found = ambiguities(result.loop)
+        details[KEY] = recorded_block(fit, found, reading, setting_noise(fit))
     return details
 
 

@@ -99,6 +99,8 @@ def read_position_table(
     wanted = dict(chosen or {})
     face = _face_heading(list(cells), wanted.pop("face", ""), str(path)) if need_direction else ""
     names = roles_of(list(cells), wanted, str(path))
+    if not need_raw:  # of a plan they are still to be filled in
+        names = {role: name for role, name in names.items() if role not in "xyz"}
     numbers = {role: name for role, name in names.items() if role != "session"}
     columns = {role: _numbers(cells[name], name, str(path)) for role, name in numbers.items()}
     sessions: tuple[str, ...] = ()

@@ -14,6 +14,7 @@ from imucalib.core.fit import Fit
 from imucalib.loop.design import Fold, folds_of
 from imucalib.loop.found import FitLoop, LoopSettings, Wander
 from imucalib.loop.held_out import Held
+from imucalib.loop.wander.ambiguous import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
 from imucalib.loop.wander.choice import Rules, Search, search
 from imucalib.loop.wander.confirm import confirmed
@@ -161,13 +162,16 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
     else:
         final = problem.fit
         last = noise_of(final, asked.known, part, base_precision(final))
-    wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence)
+    sd = last.scatter * float(np.sqrt(last.walk.rho))
+    wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence, sd)
+    steps = steps_of(problem, found.search, found.chances)
     loop = FitLoop(
         base=problem.fit,
         final=final,
         plain=problem.fit,
         as_recorded=final,
-        steps=steps_of(problem, found.search, found.chances),
+        steps=steps,
+        ambiguous=ambiguities(problem, found.search, steps),
         rejected=found.search.refused,
         unexplained=unexplained(wander) if _open(found, last) else (),
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
+from imucalib.cli.design.separate import plan_for, write_table
 from imucalib.cli.output import (
     color,
     emit_json,
     full_option,
     json_option,
-    note,
     pairs,
     quiet_option,
     width,
 )
 from imucalib.cli.recording_options import force_option
-
-if TYPE_CHECKING:
-    from imucalib.calibrators.lab.design import Plan
 
 
 @click.command("design", short_help="Judge a set of positions.")
@@ -50,6 +47,18 @@ if TYPE_CHECKING:
     show_default=True,
     help="Angles: paper, drilling-gravity or drilling-force.",
 )
+@click.option(
+    "--separate",
+    type=click.Path(path_type=Path),
+    metavar="CAL",
+    help="Instead of TABLE: what to record next so that a calibration's rivals are told apart.",
+)
+@click.option("--temperatures", metavar="LOW,HIGH",
+              help="With --separate: temperatures that can be held, degC; default: as recorded.",
+              )  # fmt: skip
+@click.option("--between-sessions", metavar="SIZE",
+              help="With --separate: the recording comes after another power-up, between which the "
+              "bias scatters by this, for example 0.5mg.")  # fmt: skip
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
               help="Write the positions as a table (CSV) for `design` and `lab`.")  # fmt: skip
 @force_option
@@ -62,18 +71,18 @@ def command(
     axes: str,
     columns: tuple[str, ...],
     convention: str,
-    output: Path | None,
-    force: bool,
-    full: bool,
-    as_json: bool,
-    quiet: bool,
+    **options: Any,
 ) -> int:
     """How good is a set of positions, and which one or two more would help most.
+
+    Or what to record next so that an ambiguity ends: exit 0 where the plan ends it or there is
+    none, 5 where it cannot.
 
     \b
     Examples:
       imucal design positions.csv
       imucal design --recommend 24 -o plan.csv
+      imucal design --separate out/calibration.yaml -o plan.csv
     """
     from imucalib.calibrators.lab.conventions import preset
     from imucalib.calibrators.lab.design import design_of, recommended
@@ -81,8 +90,14 @@ def command(
     from imucalib.report.design import design_dict, design_document
     from imucalib.report.render.text import render_text
 
-    if (table is None) == (count is None):
-        raise click.UsageError("give either TABLE or --recommend N")
+    separate, output, quiet = options["separate"], options["output"], options["quiet"]
+    if sum(given is not None for given in (table, count, separate)) != 1:
+        raise click.UsageError("give one of TABLE, --recommend N and --separate CAL")
+    if separate is not None:
+        return plan_for(separate, options)
+    for name in ("temperatures", "between_sessions"):
+        if options[name] is not None:
+            raise click.UsageError(f"--{name.replace('_', '-')} goes with --separate")
     angles = preset(convention)
     if table is not None:
         positions = read_position_table(table, pairs(columns, "--columns"), need_raw=False)
@@ -90,22 +105,12 @@ def command(
     else:
         plan = recommended(count or 0, int(axes), angles)
     if output is not None:
-        _write(plan, output, [table] if table else [], force)
-        note(f"wrote {output}", quiet)
-    if as_json:
+        rows = zip(plan.inclination.tolist(), plan.tool_face.tolist(), strict=True)
+        text = "".join(f"{i:.1f},{t:.1f}\n" for i, t in rows)
+        write_table(f"inclination,tool_face\n{text}", output, [table] if table else [], options)
+    if options["as_json"]:
         emit_json(design_dict(plan))
     elif not quiet:
         document = design_document(plan, asked=table is None)
-        click.echo(render_text(document, width(), color=color(), full=full), nl=False)
+        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
     return 4 if plan.vector.open_directions else 0
-
-
-def _write(plan: Plan, path: Path, read: list[Path], force: bool) -> None:
-    """The positions, degrees in the plan's conventions."""
-    from imucalib.atomic_file import demand_output, replaced_atomically
-
-    demand_output(path, read, force=force)
-    rows = zip(plan.inclination.tolist(), plan.tool_face.tolist(), strict=True)
-    text = "".join(f"{i:.1f},{t:.1f}\n" for i, t in rows)
-    with replaced_atomically(path) as temporary:
-        temporary.write_text(f"inclination,tool_face\n{text}", encoding="utf-8")

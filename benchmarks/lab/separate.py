@@ -1,0 +1,261 @@
+"""Whether the rests that `design --separate` advises end an ambiguity, on devices of plain numpy.
+
+    python benchmarks/lab/separate.py angles [--devices 40] [--size 3]
+    python benchmarks/lab/separate.py norm [--devices 40]
+    python benchmarks/lab/separate.py warm [--devices 40] --size 1
+
+angles: a two-axis table set within 0.02 deg, rivals by the shape of the response; norm: attitudes
+by hand, by the size of gravity alone (without cross_axis, which gravity alone does not tell from
+squares); warm: the second half of the table is warmer, so that a bias that follows it looks like a
+step. A device is calibrated; where its name has rivals the advised rests are made from the same
+truth and noise, appended, and all is searched again. `right` is one name and the true one, without
+rivals; beside it twice as many rests that determine the base model best, and random ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.calibration.calibration import from_fit
+from imucalib.calibrators.lab.calibrate import LabSettings, base_model
+from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.separate.candidates import Rests, pool_of, rests_of
+from imucalib.calibrators.separate.recorded import recorded_block, recorded_of
+from imucalib.core.context import Context
+from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.estimators.starting_point import full_matrix_start
+from imucalib.loop.asked import searched
+from imucalib.loop.closed_loop import close_loop
+from imucalib.loop.found import FitLoop, LoopSettings
+from imucalib.loop.separation.ambiguities import ambiguities
+from imucalib.loop.separation.choice import Pool, exchanged, informative
+from imucalib.loop.separation.plan import separation
+
+G = 9.80665
+MG = G / 1000.0
+COUNT, NOISE, DIAL = 24, 0.3, 0.02
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rests as they were set (deg, degC) and what was read (n, 3) mg; run : 0..1 over the first
+    recording, beyond it afterwards"""
+
+    inclination: np.ndarray
+    tool_face: np.ndarray
+    warm: np.ndarray
+    run: np.ndarray
+    reading: np.ndarray
+
+    def with_(self, other: Table) -> Table:
+        both = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Table(*(np.concatenate(pair) for pair in both))
+
+
+@dataclass(frozen=True)
+class Device:
+    """reading = matrix f + bias + effect, f in mg; effect : (f, degC, run) -> (n, 3) mg"""
+
+    matrix: np.ndarray
+    bias: np.ndarray
+    effect: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    rng: np.random.Generator
+
+    def read(self, inclination, tool_face, warm, run) -> Table:
+        """Set the dials, each a little off, and read."""
+        off = DIAL * self.rng.standard_normal((2, len(inclination)))
+        i, t = np.radians(inclination + off[0]), np.radians(tool_face + off[1])
+        u = np.column_stack([np.cos(i) * np.sin(t), np.cos(i) * np.cos(t), np.sin(i)])
+        reading = 1000.0 * u @ self.matrix.T + self.bias + self.effect(u, warm, run)
+        reading = reading + NOISE * self.rng.standard_normal(reading.shape)
+        return Table(inclination, tool_face, warm, run, reading)
+
+
+def device(kind: str, truth: str, size: float, rng: np.random.Generator) -> Device:
+    """A device whose effect has a size (mg, over its units) on every axis, signs at random."""
+    own = size * rng.choice([-1.0, 1.0], 3) * rng.uniform(0.7, 1.3, 3)
+    effects = {
+        "quadratic": lambda u, warm, run: own * u**2,
+        "asymmetry": lambda u, warm, run: own * np.abs(u),
+        "temperature_bias": lambda u, warm, run: own * ((warm - 25.0) / 10.0)[:, None] + 0.0 * u,
+        "bias_drift": lambda u, warm, run: own * (2.0 * run - 1.0)[:, None] + 0.0 * u,
+    }
+    matrix = np.eye(3) + 0.005 * rng.standard_normal((3, 3))
+    return Device(matrix, 15.0 * rng.standard_normal(3), effects[truth], rng)
+
+
+def first_table(kind: str, one: Device) -> Table:
+    """Three rings of eight; by the size of gravity anywhere."""
+    rng = one.rng
+    if kind == "norm":
+        z = 1.0 - (2.0 * np.arange(COUNT) + 1.0) / COUNT
+        i = np.degrees(np.arcsin(z))
+        t = np.mod(137.508 * np.arange(COUNT) + rng.uniform(0.0, 360.0), 360.0)
+    else:
+        i = np.repeat([0.0, 45.0, -45.0], COUNT // 3)
+        t = np.tile(np.arange(0.0, 360.0, 45.0), 3) + np.repeat([0.0, 15.0, 30.0], COUNT // 3)
+    run = np.linspace(0.0, 1.0, COUNT)
+    warm = np.where(run < 0.5, 20.0, 30.0) if kind == "warm" else np.full(COUNT, 25.0)
+    if kind == "warm":
+        warm = warm + 0.5 * rng.standard_normal(COUNT)
+    return one.read(i, t, warm, run)
+
+
+def observed(kind: str, table: Table) -> Observations:
+    n = len(table.reading)
+    i, t = np.radians(table.inclination), np.radians(table.tool_face)
+    previous = np.concatenate([table.reading[:1], table.reading[:-1]]) * MG
+    covariates = {"record": np.arange(float(n)), "order": np.linspace(0.0, 1.0, n)}
+    covariates |= {f"previous_{a}": previous[:, k] for k, a in enumerate("xyz")}
+    if kind == "warm":
+        covariates["temperature"] = table.warm
+    if kind == "norm":
+        reference = KnownNorm(n, G)
+    else:
+        covariates |= {"inclination": i, "tool_face": t}
+        held = [np.concatenate([[0], np.cumsum(np.diff(a) != 0.0)]) for a in (i, t)]
+        reference = KnownVector(i, t, G, held[0], held[1])
+    reading = table.reading[:, None] * MG
+    label = tuple(f"row {k + 1}" for k in range(n))
+    sigma = np.full((n, 1, 3), MG)
+    return Observations(reading, sigma, reference, Context(n, covariates), np.arange(n), label)
+
+
+def search(kind: str, table: Table) -> FitLoop:
+    data = observed(kind, table)
+    settings = LabSettings(without=("cross_axis",) if kind == "norm" else ())
+    model = base_model(settings, data)
+    wanted = searched((), settings.without, {})
+    start = full_matrix_start(model, data)
+    rng = np.random.default_rng(0)
+    return close_loop(
+        model, data, wanted.effects, rng, LoopSettings(draws=299), start, wanted.families
+    )
+
+
+def right(loop: FitLoop, truth: str) -> bool:
+    steps = loop.named
+    return len(steps) == 1 and steps[0].effect == truth and not steps[0].aliases
+
+
+def calibration_of(fit: Fit):
+    return from_fit(fit, "lab", raw_unit="mg", raw_to_si=MG, gravity=G, status="", reasons=(),
+                    facts={})  # fmt: skip
+
+
+def recorded(one: Device, kind: str, table: Table, rests: Rests, truth: str) -> bool:
+    """Whether the name is right and alone once these rests are recorded too."""
+    n = rests.n
+    warm = rests.levels.get("temperature", np.full(n, 25.0))
+    run = 1.0 + (1.0 + np.arange(n)) / (COUNT - 1)
+    i, t = np.degrees(rests.inclination), np.degrees(rests.tool_face)
+    if kind == "norm":  # held by hand
+        i, t = i + 3.0 * one.rng.standard_normal(n), t + 3.0 * one.rng.standard_normal(n)
+    return right(search(kind, table.with_(one.read(i, t, warm, run))), truth)
+
+
+def trial(kind: str, truth: str, size: float, seed: int) -> dict[str, object] | None:
+    """None where the first table leaves no ambiguity with the truth in it."""
+    one = device(kind, truth, size, np.random.default_rng((seed, len(kind), len(truth))))
+    table = first_table(kind, one)
+    loop = search(kind, table)
+    found = [a for a in ambiguities(loop) if truth in a.rivals]
+    if not found or len(loop.named) != 1:
+        return None
+    fit = loop.as_recorded
+    reading = fit.noise.factor * float(np.median(fit.observations.sigma))
+    block = recorded_of(recorded_block(fit, found, reading, setting_noise(fit)), "here")
+    rests = rests_of(block, found[0])
+    pool = pool_of(block, calibration_of(fit), found[0], rests)
+    rng = np.random.default_rng(seed)
+    made = separation(found[0], pool, rng)
+    n = len(made.plan)
+    told = {
+        "rests": n,
+        "now": float(made.now.min(initial=np.inf)),
+        "apart": made.least,
+        "promised": made.ended.get(truth, 0.0),
+        "informative": made.informative,
+        "random": made.random,
+        "rivals": tuple(found[0].rivals),
+    }
+    if not n:
+        return told
+    told["right"] = recorded(one, kind, table, rests.take(np.array(made.plan)), truth)
+    for times in (2,):
+        plan = best_of(found[0], pool, times * n)
+        told[f"informative {times}"] = recorded(one, kind, table, rests.take(plan), truth)
+        some = rng.integers(0, rests.n, times * n)
+        told[f"random {times}"] = recorded(one, kind, table, rests.take(some), truth)
+    return told
+
+
+def best_of(ambiguity, pool: Pool, count: int) -> np.ndarray:
+    """The plan that determines the base model's parameters best."""
+    worth = informative(ambiguity.products.gram, ambiguity.first)
+    plan, total = list[int](), np.zeros(pool.gram.shape[1:])
+    for _ in range(count):
+        plan.append(int(np.argmax(worth(total + pool.gram))))
+        total = total + pool.gram[plan[-1]]
+    return np.array(exchanged(pool, tuple(plan), worth))
+
+
+TRUTHS = {"angles": ("quadratic", "asymmetry"), "norm": ("quadratic", "asymmetry"),
+          "warm": ("temperature_bias", "bias_drift")}  # fmt: skip
+
+
+def main() -> None:
+    """One line a truth."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=list(TRUTHS))
+    parser.add_argument("--devices", type=int, default=40)
+    parser.add_argument("--size", type=float, default=3.0)
+    asked = parser.parse_args()
+    for truth in TRUTHS[asked.what]:
+        told, clear = list[dict](), 0
+        for seed in range(asked.devices):
+            one = trial(asked.what, truth, asked.size, seed)
+            if one is None:
+                clear += 1
+                continue
+            told.append(one)
+            if os.environ.get("SHOW"):
+                print(one, flush=True)
+        if not told:
+            print(f"{truth}: none of {asked.devices} is ambiguous")
+            continue
+        print(row(asked.what, truth, asked.devices, told), flush=True)
+
+
+def row(what: str, truth: str, devices: int, told: list[dict]) -> str:
+    """A line of the table: medians, and how often the name is right and alone."""
+    few = [o for o in told if o["rests"] <= 8]
+    rests = np.median([o["rests"] for o in told])
+    now, then = (np.median([o[k] for o in told]) for k in ("now", "apart"))
+    longer = [o["rests"] * 8 + 1 for o in told]
+    other = [
+        np.median([o[k].needed or most for o, most in zip(told, longer, strict=True)])
+        for k in ("informative", "random")
+    ]
+    counts = [
+        f"{sum(bool(o.get(k)) for o in told)}" for k in ("right", "informative 2", "random 2")
+    ]
+    cells = [what, truth, f"{len(told)} of {devices}", f"{rests:.0f}", f"{now:.1f} -> {then:.1f}",
+             f"{100.0 * np.mean([o['promised'] for o in told]):.0f}", counts[0],
+             f"{sum(bool(o.get('right')) for o in few)} of {len(few)}",
+             *(f"{v:.0f}" for v in other), *counts[1:]]  # fmt: skip
+    return "| " + " | ".join(cells) + " |"
+
+
+if __name__ == "__main__":
+    main()

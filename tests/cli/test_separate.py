@@ -1,0 +1,154 @@
+"""`imucal design --separate` as it is typed: plans that are filled in and read, and bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from imucalib import cli
+from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from worlds.warm_bench import HEADING, WarmBench
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
+
+
+def run(*arguments: object) -> Result:
+    result = CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
+    if isinstance(result.exception, ImucalError):
+        result.return_value = result.exception.exit_code
+    return result
+
+
+def separate(folder: Path, *options: object) -> tuple[int, dict[str, Any]]:
+    done = run("design", "--separate", folder, "--json", "-q", *options)
+    assert done.exception is None, done.exception
+    return done.return_value, json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def warm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibrated bench whose temperature effect has rivals."""
+    at = tmp_path_factory.mktemp("warm")
+    (at / "bench.csv").write_text(WarmBench(np.random.default_rng(4)).first())
+    assert run("lab", at / "bench.csv", "-o", at / "out", "-q").return_value in (0, 5)
+    return at
+
+
+@pytest.fixture(scope="module")
+def cave(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cave instrument by gravity alone: squares, or products of the axes."""
+    at = tmp_path_factory.mktemp("cave")
+    done = run("lab", SAMPLES / "cave_ai.csv", "--reference", "norm", "-o", at / "out", "-q")
+    assert done.return_value in (0, 5)
+    return at
+
+
+def test_a_plan_that_is_filled_in_ends_the_ambiguity(warm: Path) -> None:
+    code, plan = separate(warm / "out", "-o", warm / "plan.csv", "--force")
+    rivals = plan["ambiguities"][0]["rivals"]
+    assert (code, plan["ended"]) == (0, True)
+    assert "temperature_bias" in rivals
+    assert len(rivals) > 1
+    assert all(share >= 90.0 for share in plan["ambiguities"][0]["ends_in_100"].values())
+    judged = run("design", warm / "plan.csv", "--json", "-q")
+    assert judged.return_value in (0, 4)  # few rests by themselves leave parameters open
+    assert len(json.loads(judged.stdout)["positions"]) == len(plan["ambiguities"][0]["rests"])
+    unfilled = run("lab", warm / "plan.csv")
+    assert isinstance(unfilled.exception, UnreadableInput)
+    with (warm / "plan.csv").open() as lines:
+        rows = list(csv.DictReader(lines))
+    set_to = [np.array([float(r[name]) for r in rows]) for name in
+              ("inclination", "tool_face", "temperature")]  # fmt: skip
+    assert set(rows[0]) == {"inclination", "tool_face", "temperature", *HEADING.split(",")[3:]}
+    more = WarmBench(np.random.default_rng(5)).lines(*set_to)
+    whole = (warm / "bench.csv").read_text() + "\n".join(more) + "\n"
+    (warm / "grown.csv").write_text(whole)
+    assert run("lab", warm / "grown.csv", "-o", warm / "grown", "-q").return_value == 0
+    steps = json.loads((warm / "grown" / "report.json").read_text())["loop"]["steps"]
+    assert [(s["effect"], s["aliases"]) for s in steps] == [("temperature_bias", [])]
+    code, after = separate(warm / "grown")
+    assert (code, after["ambiguities"], after["table"]) == (0, [], "")
+
+
+def test_what_gravity_alone_never_tells_is_said_with_what_would(cave: Path) -> None:
+    code, plan = separate(cave / "out")
+    one = plan["ambiguities"][0]
+    assert code == 5
+    assert ["quadratic", "cross_axis"] in one["never"]
+    assert "known directions" in one["what_would"][0]
+    assert {tuple(pair) for pair in one["never"]}.isdisjoint(
+        (p["truth"], p["rival"]) for p in one["lambda_sin_angle"]
+    )
+    told = run("design", "--separate", cave / "out" / "calibration.yaml", "-q")
+    assert (told.return_value, told.stdout) == (5, "")
+
+
+def test_temperatures_that_are_farther_apart_promise_more(warm: Path) -> None:
+    def least(*options: object) -> float:
+        one = separate(warm / "out", *options)[1]["ambiguities"][0]
+        assert len(one["rests"]) == 4
+        return min(p["then"] for p in one["lambda_sin_angle"])
+
+    assert least("--temperatures", "10,40") > 1.5 * least("--temperatures", "22,28")
+    _, plan = separate(warm / "out", "--temperatures", "10,40")
+    assert {r["degC"] for r in plan["ambiguities"][0]["rests"]} <= {"10", "40"}
+
+
+def test_another_power_up_promises_less(warm: Path) -> None:
+    same, other = (
+        min(p["then"] / len(plan["ambiguities"][0]["rests"]) ** 0.5
+            for p in plan["ambiguities"][0]["lambda_sin_angle"])
+        for plan in (separate(warm / "out")[1],
+                     separate(warm / "out", "--between-sessions", "2mg")[1])
+    )  # fmt: skip
+    assert other < 0.8 * same
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--temperatures", "10,40"), "no temperature"),
+        (("--between-sessions", "2deg"), "no size above zero"),
+    ],
+)
+def test_a_wish_that_does_not_fit_is_refused(
+    cave: Path, options: tuple[str, ...], words: str
+) -> None:
+    done = run("design", "--separate", cave / "out", *options)
+    assert isinstance(done.exception, UsageError)
+    assert words in str(done.exception)
+
+
+def test_options_of_other_plans_are_refused(warm: Path) -> None:
+    for words in (
+        ("--separate", warm / "out", "--recommend", 9),
+        ("--recommend", 9, "--temperatures", "1,2"),
+        ("--separate", warm / "out", "--temperatures", "9"),
+    ):
+        assert run("design", *words).exit_code != 0
+
+
+@pytest.mark.parametrize("damage", ["gone", "no json", "old", "short"])
+def test_a_folder_that_does_not_serve_says_why(warm: Path, tmp_path: Path, damage: str) -> None:
+    for name in ("calibration.yaml", "report.json"):
+        (tmp_path / name).write_text((warm / "out" / name).read_text())
+    report = tmp_path / "report.json"
+    content = json.loads(report.read_text())
+    if damage == "gone":
+        report.unlink()
+    elif damage == "no json":
+        report.write_text("{")
+    elif damage == "old":
+        report.write_text(json.dumps({k: v for k, v in content.items() if k != "record_next"}))
+    else:
+        content["record_next"]["ambiguities"][0]["along"].pop()
+        report.write_text(json.dumps(content))
+    done = run("design", "--separate", tmp_path)
+    assert isinstance(done.exception, UnreadableInput)
+    assert str(tmp_path) in str(done.exception.where)

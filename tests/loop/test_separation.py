@@ -1,0 +1,156 @@
+"""Plans that separate rivals: their angles by plain least squares, and what they promise."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from imucalib.core.context import Context
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownNorm
+from imucalib.effects import catalogue
+from imucalib.loop.closed_loop import close_loop
+from imucalib.loop.found import FitLoop
+from imucalib.loop.separation.ambiguities import ambiguities
+from imucalib.loop.separation.angle import Pair, apart, pairs_of
+from imucalib.loop.separation.choice import Pool, separating, total_of
+from imucalib.loop.separation.plan import FEWEST, separation
+from imucalib.loop.separation.products import Ambiguity
+from imucalib.loop.separation.prospect import Added, ends
+from imucalib.units import MG
+from worlds.bench import base_model
+
+G = 9.80665
+NAMES = ("quadratic", "asymmetry", "cross_axis")
+
+
+@cache
+def searched(seed: int = 3, noise: float = 0.3) -> FitLoop:
+    """Twenty-four attitudes of a sensor with squares, by the size of gravity."""
+    rng = np.random.default_rng(seed)
+    z = 1.0 - (2.0 * np.arange(24) + 1.0) / 24
+    turn = 2.399963 * np.arange(24)
+    u = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(turn), np.sqrt(1.0 - z**2) * np.sin(turn), z])
+    reading = 1000.0 * u + np.array([12.0, -9.0, 20.0]) + np.array([3.0, -2.5, 3.5]) * u**2
+    reading = (reading + noise * rng.standard_normal((24, 3)))[:, None] * MG
+    context = Context(24, {"order": np.linspace(0.0, 1.0, 24)})
+    label = tuple(f"row {k + 1}" for k in range(24))
+    data = Observations(
+        reading, np.full((24, 1, 3), MG), KnownNorm(24, G), context, np.arange(24), label
+    )
+    model = base_model(("bias", "scale", "non_orthogonality"))
+    effects = {name: catalogue()[name] for name in NAMES}
+    return close_loop(model, data, effects, np.random.default_rng(0))
+
+
+def ambiguity() -> Ambiguity:
+    found = ambiguities(searched())
+    assert len(found) == 1
+    return found[0]
+
+
+def columns(u: np.ndarray) -> dict[str, np.ndarray]:
+    """What parameters do to the size of the reading, in mg at typical sizes: by hand."""
+    cross = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
+    own = [u[:, i] * u[:, j] for i, j in ((1, 0), (2, 0), (2, 1))]
+    return {
+        "base": np.column_stack([50.0 * u, 30.0 * u**2, *(20.0 * c for c in own)]),
+        "quadratic": 3.0 * u**3,
+        "asymmetry": 2.0 * u * np.abs(u),
+        "cross_axis": 3.0 * np.column_stack([u[:, i] ** 2 * u[:, j] for i, j in cross]),
+    }
+
+
+def pool(directions: np.ndarray, one: Ambiguity) -> Pool:
+    """Rests by hand, in the units of the recording's noise."""
+    scale = searched().final.noise.factor
+    parts = columns(directions)
+    names = ["base", *one.blocks]
+    rows = np.column_stack([parts[name] for name in names]) / scale
+    return Pool(rows[:, :, None] * rows[:, None], 1.0)
+
+
+def grid() -> np.ndarray:
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal((150, 3))
+    return u / np.linalg.norm(u, axis=1, keepdims=True)
+
+
+def test_products_are_those_of_columns_by_hand() -> None:
+    one, u = ambiguity(), searched().final.observations.reading[:, 0]
+    u = u / np.linalg.norm(u, axis=1, keepdims=True)
+    parts = columns(u)
+    rows = np.column_stack([parts[name] for name in ("base", *one.blocks)])
+    rows = rows / searched().final.noise.factor
+    size = np.sqrt(np.diag(rows.T @ rows))
+    away = (one.products.gram - rows.T @ rows) / np.outer(size, size)
+    assert np.abs(away).max() < 0.12  # the bias of some 25 mg turns what is along the reading
+
+
+def test_the_angle_is_that_of_least_squares() -> None:
+    one = ambiguity()
+    rows, theta = np.random.default_rng(2).standard_normal((60, len(one.columns))), np.ones(3)
+    at, other = one.blocks["quadratic"], one.blocks["asymmetry"]
+    rest = np.concatenate([one.own, other])
+    pair = Pair("quadratic", "asymmetry", at, rest, theta[:, None])
+    signal = rows[:, at] @ theta
+    left = signal - rows[:, rest] @ np.linalg.lstsq(rows[:, rest], signal, rcond=None)[0]
+    found = apart(rows.T @ rows, (pair,))
+    assert found[0] == pytest.approx(np.linalg.norm(left), rel=1e-6)
+
+
+def test_squares_are_products_of_axes_by_gravity_alone() -> None:
+    """x³ = x - x y² - x z² where x² + y² + z² = 1."""
+    one = ambiguity()
+    made = separation(one, pool(grid(), one), np.random.default_rng(0), most=6)
+    assert ("quadratic", "cross_axis") in made.never
+    assert ("asymmetry", "cross_axis") not in made.never
+    assert not made.enough
+
+
+def test_a_plan_beats_random_and_informative_rests() -> None:
+    one = ambiguity()
+    seen = pool(grid(), one)
+    made = separation(one, seen, np.random.default_rng(0), most=8)
+    assert made.informative is not None
+    assert made.random is not None
+    assert made.least > 1.1 * max(made.informative.apart, made.random.apart)
+    for other in (made.informative, made.random):
+        assert other.needed is None or other.needed >= 2 * len(made.plan)
+
+
+def test_no_exchange_would_make_a_plan_better() -> None:
+    one = ambiguity()
+    seen = pool(grid(), one)
+    made = separation(one, seen, np.random.default_rng(0), most=5)
+    pairs = tuple(p for p in pairs_of(one) if (p.truth, p.other) in made.pairs)
+    worth = separating(one.products.gram, pairs)
+    now = float(worth(total_of(seen, made.plan)[None])[0])
+    for place in range(len(made.plan)):
+        rest = (*made.plan[:place], *made.plan[place + 1 :])
+        assert float(worth(total_of(seen, rest) + seen.gram).max()) <= now * (1.0 + 2e-3)
+
+
+def test_a_plan_has_several_rests_that_none_carries_alone() -> None:
+    one = ambiguity()
+    seen = pool(grid(), one)
+    strong = Pool(seen.gram[:149] + 10.0 * seen.gram.sum(axis=0), 150.0)
+    assert len(separation(one, strong, np.random.default_rng(0)).plan) == FEWEST
+
+
+@pytest.mark.parametrize(
+    ("truth", "other"), [("asymmetry", "quadratic"), ("quadratic", "asymmetry")]
+)
+def test_more_of_the_same_ends_more_often(truth: str, other: str) -> None:
+    one = ambiguity()
+    seen = pool(grid(), one)
+    shares = [
+        ends(one, Added(times * seen.gram.sum(axis=0), 150.0 * times), np.random.default_rng(0),
+             400, {truth: (other,)})[truth]
+        for times in (0.03, 0.3, 3.0)
+    ]  # fmt: skip
+    assert shares == sorted(shares)
+    assert shares[0] < 0.6
+    assert shares[-1] > 0.98
