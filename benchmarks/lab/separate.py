@@ -211,7 +211,7 @@ def best_of(ambiguity, pool: Pool, count: int) -> np.ndarray:
 
 
 TRUTHS = {"angles": ("quadratic", "asymmetry"), "norm": ("quadratic", "asymmetry"),
-          "warm": ("temperature_bias", "bias_drift")}  # fmt: skip
+          "warm": ("temperature_bias",)}  # fmt: skip
 
 
 def main() -> None:

@@ -12,7 +12,12 @@ import pytest
 from click.testing import CliRunner, Result
 
 from imucalib import cli
+from imucalib.calibrators.array.separate.menu import menu
+from imucalib.calibrators.array.separate.motion_block import motion_block
+from imucalib.calibrators.array.separate.motion_plan import MotionPlan
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from imucalib.loop.separation.plan import Beside, Separation
+from worlds.calibrations import INPUTS
 from worlds.warm_bench import HEADING, WarmBench
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
@@ -152,3 +157,34 @@ def test_a_folder_that_does_not_serve_says_why(warm: Path, tmp_path: Path, damag
     done = run("design", "--separate", tmp_path)
     assert isinstance(done.exception, UnreadableInput)
     assert str(tmp_path) in str(done.exception.where)
+
+
+def test_an_array_is_told_one_motion(tmp_path: Path) -> None:
+    case, out = INPUTS["array"](tmp_path), tmp_path / "out"
+    options = ("--board", "mimu4444_corners", "--samples", "60", "--no-loop", "-o", out, "-q")
+    assert run("array", case.recording, *options).return_value in (0, 5)
+    made = Separation(
+        effect="quadratic",
+        rivals=("quadratic", "asymmetry"),
+        nats={"quadratic": 9.0, "asymmetry": 8.5},
+        pairs=(("quadratic", "asymmetry"), ("asymmetry", "quadratic")),
+        plan=(3, 3),
+        now=np.array([1.2, 1.1]),
+        apart=np.array([6.0, 5.5]),
+        ended={"quadratic": 0.97, "asymmetry": 0.95},
+        never=(),
+        informative=Beside(2.0, 9, 16),
+        random=Beside(1.5, None, 16),
+    )
+    plan = MotionPlan(made, menu(35.0)[3], 10.0)
+    report = json.loads((out / "report.json").read_text())
+    report["record_next"] = motion_block((plan,))
+    (out / "report.json").write_text(json.dumps(report))
+    code, told = separate(out)
+    motion = told["ambiguities"][0]["motion"][0]
+    assert (code, motion["about"], motion["how long"]) == (0, plan.motion.words[0], "10 s")
+    text = run("design", "--separate", out).stdout
+    assert "One motion ends what these data cannot tell apart" in text
+    assert "more than 80" in text
+    refused = run("design", "--separate", out, "--temperatures", "1,2")
+    assert isinstance(refused.exception, UsageError)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.errors import UnreadableInput
+from imucalib.loop.separation.plan import Beside, Separation
 from imucalib.loop.separation.products import Ambiguity, Products
 
 #: Key of the block that every calibrator's report has.
@@ -57,6 +58,52 @@ def ambiguity_of(block: Mapping[str, Any]) -> Ambiguity:
         nats=nats,
         products=products,
         dof=float(block["noise_dof"]),
+    )
+
+
+def separation_block(found: Separation) -> dict[str, Any]:
+    """A plan that a run has made itself, as plain types; `separation_of` reads it back."""
+    return {
+        "effect": found.effect,
+        "rivals": list(found.rivals),
+        "evidence_nats": dict(found.nats),
+        "pairs": [list(pair) for pair in found.pairs],
+        "plan": list(found.plan),
+        "now": found.now.tolist(),
+        "then": found.apart.tolist(),
+        "ended": dict(found.ended),
+        "never": [list(pair) for pair in found.never],
+        "informative": found.informative and vars(found.informative),
+        "random": found.random and vars(found.random),
+    }
+
+
+def separation_of(block: Mapping[str, Any]) -> Separation:
+    """Read what `separation_block` wrote; KeyError, TypeError or ValueError where it is damaged."""
+
+    def pairs(name: str) -> tuple[tuple[str, str], ...]:
+        return tuple((str(truth), str(other)) for truth, other in block[name])
+
+    def beside(name: str) -> Beside | None:
+        one = block[name]
+        if one is None:
+            return None
+        needed = None if one["needed"] is None else int(one["needed"])
+        return Beside(float(one["apart"]), needed, int(one["followed"]))
+
+    nats = {n: math.nan if v is None else float(v) for n, v in block["evidence_nats"].items()}
+    return Separation(
+        effect=str(block["effect"]),
+        rivals=tuple(str(name) for name in block["rivals"]),
+        nats=nats,
+        pairs=pairs("pairs"),
+        plan=tuple(int(k) for k in block["plan"]),
+        now=np.array(block["now"], float),
+        apart=np.array(block["then"], float),
+        ended={str(name): float(v) for name, v in block["ended"].items()},
+        never=pairs("never"),
+        informative=beside("informative"),
+        random=beside("random"),
     )
 
 

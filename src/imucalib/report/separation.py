@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.plain import plain
+from imucalib.calibrators.array.separate.menu import SECONDS
 from imucalib.calibrators.separate.next_recording import NextRecording, Part
 from imucalib.loop.separation.plan import ENOUGH, Beside
 from imucalib.loop.thresholds import APART
@@ -23,7 +24,7 @@ def separation_document(found: NextRecording, name: str) -> Document:
         )
         return Document(f"Record this next: {name}", verdict, ())
     sections = tuple(
-        Section(" or ".join(part.separation.ambiguity.rivals), tuple(_blocks(part, found)))
+        Section(" or ".join(part.separation.rivals), tuple(_blocks(part, found)))
         for part in found.parts
     )
     return Document(f"Record this next: {name}", _verdict(found), sections)
@@ -32,6 +33,10 @@ def separation_document(found: NextRecording, name: str) -> Document:
 def _verdict(found: NextRecording) -> Text:
     planned = sum(len(part.rows) for part in found.parts)
     what = found.parts[0].what
+    if what == "motion":
+        if found.exit_code == 0:
+            return Text("One motion ends what these data cannot tell apart.", "ok")
+        return Text("No motion of the menu ends the ambiguity whole.", "warning")
     if found.exit_code == 0:
         return Text(f"{planned} {what} end what these data cannot tell apart.", "ok")
     if not planned:
@@ -42,18 +47,21 @@ def _verdict(found: NextRecording) -> Text:
 def _blocks(part: Part, found: NextRecording) -> list[Block]:
     one = part.separation
     blocks: list[Block] = []
+    motion = part.what == "motion"
+    any_number = "No motion" if motion else f"No number of {part.what}"
     for truth, other in one.never:
-        blocks.append(
-            Text(f"No number of {part.what} tells {truth} from {other}: {other} holds all that "
-                 f"{truth} does here.", "warning")
-        )  # fmt: skip
+        words = (
+            f"{any_number} tells {truth} from {other}: {other} holds all that {truth} does here."
+        )
+        blocks.append(Text(words, "warning"))
     if part.remedies:
         blocks.append(Text(f"What would: {'; '.join(part.remedies)}."))
     if not part.rows:
         return blocks
     blocks += [Text(_promise(part)), _pairs(part)]
-    blocks.append(Table(f"Record these {part.what}", part.header, part.rows,
-                        "r" * len(part.header), _note(part, found)))  # fmt: skip
+    title = "Record this motion" if motion else f"Record these {part.what}"
+    align = "r" + ("l" if motion else "r") * (len(part.header) - 1)
+    blocks.append(Table(title, part.header, part.rows, align, _note(part, found)))
     if one.informative and one.random:
         blocks.append(_beside(part, one.informative, one.random))
     return blocks
@@ -68,7 +76,8 @@ def _promise(part: Part) -> str:
     short = "" if part.ended or part.separation.never else (
         f" That is short of {100.0 * ENOUGH:.0f}, with as many as a plan may have."
     )  # fmt: skip
-    return f"After them one name stands alone{apart} in {', '.join(ended)} (simulated).{short}"
+    after = "After it" if part.what == "motion" else "After them"
+    return f"{after} one name stands alone{apart} in {', '.join(ended)} (simulated).{short}"
 
 
 def _pairs(part: Part) -> Table:
@@ -76,7 +85,7 @@ def _pairs(part: Part) -> Table:
     rows = tuple(
         (truth, other, f"{now:.1f}", f"{then:.1f}")
         for (truth, other), now, then in zip(one.pairs, one.now, one.apart, strict=True)
-        if other in one.ambiguity.rivals
+        if other in one.rivals
     )
     note = (
         f"λ sin(angle): what of the truth its rival cannot take over, in units of the noise. Below "
@@ -86,6 +95,8 @@ def _pairs(part: Part) -> Table:
 
 
 def _note(part: Part, found: NextRecording) -> str:
+    if part.what == "motion":
+        return "Add it to the recording, the board held as before; axes are those of the board."
     if part.what == "postures":
         return "Hold each still for a minute, within about 10 deg, in any order."
     words = (
@@ -102,18 +113,22 @@ def _note(part: Part, found: NextRecording) -> str:
 
 
 def _beside(part: Part, informative: Beside, random: Beside) -> Table:
-    count = str(len(part.rows))
+    motion = part.what == "motion"
+    size = SECONDS if motion else 1.0
+    count = f"{size * len(part.separation.plan):g}" + (" s" if motion else "")
 
     def needed(one: Beside) -> str:
-        return str(one.needed) if one.needed else f"more than {one.followed}"
+        return f"{size * one.needed:g}" if one.needed else f"more than {size * one.followed:g}"
 
     rows = (
-        ("this plan", f"{part.separation.least:.1f}", count),
+        ("this plan", f"{part.separation.least:.1f}", f"{size * len(part.separation.plan):g}"),
         ("best for the base model", f"{informative.apart:.1f}", needed(informative)),
         ("random", f"{random.apart:.1f}", needed(random)),
     )
-    header = ("plan", f"λ sin(angle) of {count}", f"{part.what} for the same")
-    return Table(f"Other plans of {count} {part.what}", header, rows, "lrr")
+    what = "seconds" if motion else part.what
+    header = ("plan", f"λ sin(angle) of {count}", f"{what} for the same")
+    return Table(f"Other plans of {count}" if motion else f"Other plans of {count} {what}",
+                 header, rows, "lrr")  # fmt: skip
 
 
 def separation_dict(found: NextRecording) -> dict[str, Any]:
@@ -132,9 +147,9 @@ def separation_dict(found: NextRecording) -> dict[str, Any]:
 def _part_dict(part: Part) -> dict[str, Any]:
     one = part.separation
     return {
-        "effect": one.ambiguity.effect,
-        "rivals": list(one.ambiguity.rivals),
-        "evidence_nats": dict(one.ambiguity.nats),
+        "effect": one.effect,
+        "rivals": list(one.rivals),
+        "evidence_nats": dict(one.nats),
         "ended": part.ended,
         "ends_in_100": {name: 100.0 * share for name, share in one.ended.items()},
         "lambda_sin_angle": [

@@ -12,18 +12,20 @@ import numpy as np
 from imucalib.calibration.ambiguity import KEY, read_report
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import check, read
+from imucalib.calibrators.array.separate.motion_block import motions_of
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.separate.candidates import BEFORE, Rests
 from imucalib.calibrators.separate.plan import Planned, Wish, planned
 from imucalib.calibrators.separate.recorded import Recorded, recorded_of
+from imucalib.effects import named
 from imucalib.errors import UsageError
 from imucalib.loop.separation.plan import Separation
 
 
 @dataclass(frozen=True)
 class Part:
-    """One ambiguity. what : is recorded ("rests", "postures"); header, rows : each of them, in
-    words; remedies : what would end what they cannot"""
+    """One ambiguity. what : is recorded ("rests", "postures", "motion"); header, rows : each of
+    them, in words; remedies : what would end what they cannot"""
 
     separation: Separation
     what: str
@@ -63,8 +65,10 @@ def next_recording(path: Path, wish: Wish) -> NextRecording:
     file = folder / "calibration.yaml" if path.is_dir() else path
     calibration = read(file)
     check(calibration, str(file))
-    report = read_report(folder)
-    recorded = recorded_of(report[KEY], str(folder / "report.json"))
+    report, where = read_report(folder), str(folder / "report.json")
+    if calibration.calibrator == "array":
+        return _motions(report, where, wish)
+    recorded = recorded_of(report[KEY], where)
     if wish.temperatures and "temperature" not in recorded.covariates:
         raise UsageError(
             "--temperatures: the recording has no temperature",
@@ -75,6 +79,27 @@ def next_recording(path: Path, wish: Wish) -> NextRecording:
     writer = _Writer(calibration, recorded, report)
     parts = tuple(writer.part(one) for one in found)
     return NextRecording(calibration.calibrator, parts, writer.table(found), wish)
+
+
+def _motions(report: Mapping[str, Any], where: str, wish: Wish) -> NextRecording:
+    """Of an array, whose run has tried the motions itself."""
+    if wish.temperatures or wish.between:
+        raise UsageError(
+            "--temperatures and --between-sessions are for sensors at rest",
+            where=where,
+            remedy="leave them out: an array is told a motion",
+        )
+    parts = []
+    for one in motions_of(report[KEY], where):
+        separation = one.separation
+        rows = (("1", *one.words, f"{one.seconds:.0f} s"),) if separation.plan else ()
+        effects = dict.fromkeys(
+            name.partition("@")[0] for pair in separation.never for name in pair
+        )
+        remedies = tuple(dict.fromkeys(named(name).identify.rstrip(".") for name in effects))
+        header = ("", "about", "how", "how fast", "how long")
+        parts.append(Part(separation, "motion", header, rows, remedies))
+    return NextRecording("array", tuple(parts), "", wish)
 
 
 @dataclass(frozen=True)

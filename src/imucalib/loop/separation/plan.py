@@ -46,12 +46,15 @@ class Beside:
 
 @dataclass(frozen=True)
 class Separation:
-    """plan : candidates in the order of choosing; now, apart : (pairs,) expected λ sin(angle)
-    without and with them; ended : rival -> share of outcomes in which it is named alone, were it
+    """effect, rivals, nats : of the ambiguity; plan : candidates in the order of choosing
+    pairs : (truth, other) that can be told apart; now, apart : their expected λ sin(angle) without
+    and with the plan; ended : rival -> share of outcomes in which it is named alone, were it
     the truth (of those that can be told from it); never : pairs (truth, other) that nothing which
     can be recorded tells apart; informative, random : other plans"""
 
-    ambiguity: Ambiguity
+    effect: str
+    rivals: tuple[str, ...]
+    nats: Mapping[str, float]
     pairs: tuple[tuple[str, str], ...]
     plan: tuple[int, ...]
     now: Array
@@ -101,7 +104,9 @@ def separation(
     reached = apart(old + total_of(pool, plan), pairs) if pairs else np.zeros(0)
     others = _others(ambiguity, pool, pairs, plan, rng) if plan else (None, None)
     return Separation(
-        ambiguity=ambiguity,
+        effect=ambiguity.effect,
+        rivals=ambiguity.rivals,
+        nats=ambiguity.nats,
         pairs=tuple((p.truth, p.other) for p in pairs),
         plan=plan,
         now=apart(old, pairs) if pairs else np.zeros(0),
@@ -142,7 +147,7 @@ def _others(
     reached[count - 1] = least(total_of(pool, exchanged(pool, steps[:count], best))[None])[0]
     random = rng.integers(0, len(pool.gram), (_RANDOM, longest))
     told = np.stack([least(np.cumsum(pool.gram[one], axis=0)) for one in random])
-    return _beside(reached, count, goal), _beside(np.median(told, axis=0), count, goal)
+    return beside(reached, count, goal), beside(np.median(told, axis=0), count, goal)
 
 
 def _one_by_one(pool: Pool, worth: Worth, count: int) -> tuple[int, ...]:
@@ -153,7 +158,7 @@ def _one_by_one(pool: Pool, worth: Worth, count: int) -> tuple[int, ...]:
     return tuple(steps)
 
 
-def _beside(reached: Array, count: int, goal: float) -> Beside:
+def beside(reached: Array, count: int, goal: float) -> Beside:
     enough = np.flatnonzero(reached >= goal)
     needed = int(enough[0]) + 1 if enough.size else None
     return Beside(float(reached[count - 1]), needed, len(reached))

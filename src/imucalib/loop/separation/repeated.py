@@ -1,0 +1,72 @@
+"""The one candidate of a menu, and how often of it, that ends an ambiguity: a motion, how long."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from imucalib.loop.separation.angle import apart, pairs_of
+from imucalib.loop.separation.choice import Pool, informative, separating
+from imucalib.loop.separation.plan import ENOUGH, Separation, beside, can_be_told
+from imucalib.loop.separation.products import Ambiguity
+from imucalib.loop.separation.prospect import Added, ends
+
+#: How often a candidate is repeated at most, draws, and times as often for other choices.
+MOST, _DRAWS, _LONGER = 24, 400, 8
+
+
+def repeated(ambiguity: Ambiguity, menu: Pool, rng: np.random.Generator) -> Separation:
+    """The candidate that separates best, as often as it takes; `plan` holds it as often.
+
+    Beside it the candidate that tells most of the base model, and the median one.
+    """
+    old = ambiguity.products.gram
+    every = pairs_of(ambiguity)
+    pairs = tuple(p for p in every if can_be_told(ambiguity, menu, p))
+    never = tuple((p.truth, p.other) for p in every if p not in pairs)
+    against = {t: tuple(p.other for p in pairs if p.truth == t) for t in ambiguity.rivals}
+    against = {truth: others for truth, others in against.items() if others}
+    if not pairs:
+        return _told(ambiguity, never=never)
+    worth = separating(old, pairs)
+    best, count, ended = 0, 0, dict[str, float]()
+    while count < MOST:
+        count += 1
+        best = int(np.argmax(worth(count * menu.gram)))
+        added = Added(count * menu.gram[best], count * menu.numbers)
+        ended = dict(ends(ambiguity, added, rng, _DRAWS, against))
+        if min(ended.values()) >= ENOUGH:
+            break
+    times = np.arange(1, _LONGER * count + 1)[:, None, None]
+    each = np.stack([apart(old + times * gram, pairs).min(axis=-1) for gram in menu.gram])
+    goal = float(each[best, count - 1])
+    most = int(np.argmax(informative(old, ambiguity.first)(count * menu.gram)))
+    return _told(
+        ambiguity,
+        never=never,
+        pairs=tuple((p.truth, p.other) for p in pairs),
+        plan=(best,) * count,
+        now=apart(old, pairs),
+        apart=apart(old + count * menu.gram[best], pairs),
+        ended=ended,
+        informative=beside(each[most], count, goal),
+        random=beside(np.median(each, axis=0), count, goal),
+    )
+
+
+def _told(ambiguity: Ambiguity, **found: object) -> Separation:
+    nothing: Mapping[str, object] = {
+        "pairs": (),
+        "plan": (),
+        "now": np.zeros(0),
+        "apart": np.zeros(0),
+        "ended": {},
+    }
+    whole = {**nothing, **found}
+    return Separation(
+        effect=ambiguity.effect,
+        rivals=ambiguity.rivals,
+        nats=ambiguity.nats,
+        **whole,  # type: ignore[arg-type]
+    )
