@@ -94,6 +94,17 @@ def test_what_gravity_alone_never_tells_is_said_with_what_would(cave: Path) -> N
     assert (told.return_value, told.stdout) == (5, "")
 
 
+@pytest.mark.parametrize("name", ["bi", "fb"])
+def test_noise_that_neighbours_share_is_noise_of_later_rests(name: str, tmp_path: Path) -> None:
+    """Of cave_bi the walk takes all of the noise: rests without any would tell everything."""
+    table = SAMPLES / f"cave_{name}.csv"
+    assert run("lab", table, "--reference", "norm", "-o", tmp_path, "-q").return_value in (0, 5)
+    _, plan = separate(tmp_path)
+    assert all(p["then"] < 30.0 for p in plan["ambiguities"][0]["lambda_sin_angle"])
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["record_next"]["reading_m_per_s2"] > 1e-3
+
+
 def test_temperatures_that_are_farther_apart_promise_more(warm: Path) -> None:
     def least(*options: object) -> float:
         one = separate(warm / "out", *options)[1]["ambiguities"][0]

@@ -102,7 +102,7 @@ def _note(part: Part, found: NextRecording) -> str:
     words = (
         "Within about 5 deg; what counts is which axes share gravity."
         if part.header[1].startswith("gravity")
-        else "Set the dials as finely as before."
+        else "Set the dials as finely as before, each row anew."
     )
     if found.wish.between > 0.0:
         return words + " The plan allows for another power-up."

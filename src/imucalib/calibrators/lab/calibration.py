@@ -82,8 +82,9 @@ def lab_details(
         details["between_sessions"] = sessions_block(sessions)
     if result.loop is not None:
         fit = result.final
-        reading = fit.noise.factor * float(np.median(fit.observations.sigma))
-        found = ambiguities(result.loop)
+        # What neighbours share is noise of a later rest too.
+        own = fit.noise.factor * float(np.median(fit.observations.sigma))
+        reading, found = float(np.hypot(own, shared_noise(fit)[0])), ambiguities(result.loop)
         details[KEY] = recorded_block(fit, found, reading, setting_noise(fit))
     return details
 
