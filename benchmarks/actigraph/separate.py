@@ -31,7 +31,7 @@ from imucalib.calibrators.separate.recorded import recorded_block, recorded_of
 from imucalib.loop.found import LoopSettings
 from imucalib.loop.separation.choice import Pool, exchanged, informative
 from imucalib.loop.separation.plan import separation
-from imucalib.rests.runs import PostureRuns, Scan
+from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
 
 G, DAY, DAYS, RUNS, SCATTER = 9.80665, 86400.0, 3.0, 300, 0.4
@@ -81,13 +81,10 @@ def warmth(time: np.ndarray) -> np.ndarray:
     return 30.0 + 3.0 * np.sin(2.0 * np.pi * time / DAY + 0.3)
 
 
-def scanned(time: np.ndarray, warm: np.ndarray, stop: float) -> Scan:
+def search(runs: PostureRuns, thermometer: np.ndarray, stop: float) -> ActigraphResult:
+    """thermometer : (2, n) times and temperatures, straight between them"""
     grid = np.arange(5.0, stop, 60.0)
-    return scan_of(grid, np.interp(grid, time, warm), rate=100.0, seconds=stop)
-
-
-def search(runs: PostureRuns, stop: float) -> ActigraphResult:
-    scan = scanned(runs.time, runs.temperature, stop)
+    scan = scan_of(grid, np.interp(grid, *thermometer), rate=100.0, seconds=stop)
     return calibrate(runs, scan, REQUEST, np.random.default_rng(0))
 
 
@@ -97,17 +94,29 @@ def right(result: ActigraphResult, truth: str) -> bool:
 
 
 def held(one: Device, runs: PostureRuns, rests: Rests, truth: str) -> bool:
-    """Whether the name is right and alone once these postures were held, within 8 deg by hand."""
+    """Whether the name is right and alone once these postures were held, within 8 deg by hand.
+    Where the temperature before counts, eight hours of it come before each."""
     u = rests.direction + 0.14 * one.rng.standard_normal((rests.n, 3)) / 3.0**0.5
     u = u / np.linalg.norm(u, axis=1, keepdims=True)
     hour = rests.levels.get("time_of_day", np.full(rests.n, 0.3)) * DAY / (2.0 * np.pi)
-    time = DAYS * DAY + 3600.0 + hour + 120.0 * np.arange(rests.n)
+    turn = "temperature_before" in rests.levels
+    between = np.arange(rests.n) * (2.0 * DAY if turn else 120.0) + (DAY if turn else 3600.0)
+    time = DAYS * DAY + hour + between
     warm = rests.levels.get("temperature", warmth(time)) + 0.2 * one.rng.standard_normal(rests.n)
+    before = rests.levels.get("temperature_before", warm)
     order = np.argsort(time)
-    u, time, warm = u[order], time[order], warm[order]
+    u, time, warm, before = u[order], time[order], warm[order], before[order]
+    steps = list(zip(time, warm, strict=True))
+    if turn:
+        steps = [
+            (t + away, value)
+            for t, now, then in zip(time, warm, before, strict=True)
+            for away, value in ((-28800.0, then), (-300.0, then), (-240.0, now), (100.0, now))
+        ]
     both = [(runs.mean, one.read(u, warm, time)), (runs.time, time), (runs.temperature, warm)]
     grown = runs_of(*(np.concatenate(pair) for pair in both))
-    return right(search(grown, float(time[-1]) + 60.0), truth)
+    series = np.column_stack([(runs.time, runs.temperature), np.array(steps).T])
+    return right(search(grown, series, float(time[-1]) + 60.0), truth)
 
 
 def trial(truth: str, seed: int) -> dict[str, object] | None:
@@ -116,7 +125,7 @@ def trial(truth: str, seed: int) -> dict[str, object] | None:
     time = np.sort(rng.uniform(0.0, DAYS * DAY, RUNS))
     warm = warmth(time) + 0.3 * rng.standard_normal(RUNS)
     runs = runs_of(one.read(postures(RUNS, rng), warm, time), time, warm)
-    result = search(runs, DAYS * DAY)
+    result = search(runs, np.array([runs.time, runs.temperature]), DAYS * DAY)
     loop = result.loop
     found = [a for a in loop.ambiguous if truth in a.rivals] if loop else []
     if not found or result.declined or len(loop.named) != 1 or loop.wander is None:

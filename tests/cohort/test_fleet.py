@@ -17,15 +17,19 @@ from imucalib.calibration.file import read
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.cli import cli
+from imucalib.cohort.fleet.device import Device, device_of
+from imucalib.cohort.fleet.left_out import foretold
 from imucalib.cohort.fleet.pooled import evidence, outstanding, predictive, sizes
 from imucalib.cohort.fleet.run import Fleet, run_fleet
 from imucalib.cohort.fleet.search import Rules
 from imucalib.cohort.fleet.spread import outliers, spread_of
+from imucalib.effects import catalogue
 from imucalib.errors import UsageError
 from worlds.places import SAMPLES
 
 REQUEST = replace(LabRequest(), reference="norm")
 RULES = Rules(draws=199)
+EFFECTS = {name: catalogue()[name] for name in ("quadratic", "cubic")}
 
 
 def direction(n: int) -> np.ndarray:
@@ -126,6 +130,40 @@ def test_five_cave_instruments_have_squares(tmp_path: Path) -> None:
         assert {p.effect for p in stored.parameters} >= {"bias", "quadratic"}
     again = CliRunner().invoke(cli, ["fleet", *tables, "-o", str(out)], standalone_mode=False)
     assert "not empty" in str(again.exception)
+
+
+def devices_of(folder: Path, planted: np.ndarray) -> list[Device]:
+    settings = replace(REQUEST.settings, loop=False)
+    found = []
+    for k, size in enumerate(planted):
+        files = LabFiles(write(folder / f"d{k}.csv", size, 100 + k))
+        run = calibrate_files(files, replace(REQUEST, settings=settings), lambda _: None)
+        found.append(device_of(f"d{k}", run.result.final, EFFECTS))
+    return found
+
+
+def test_a_device_has_no_vote_in_what_predicts_it(tmp_path: Path) -> None:
+    """Whatever its data say, the others find and size the same."""
+    devices = devices_of(tmp_path, squares(6, 3.0))
+    told = foretold(devices, EFFECTS, RULES, 0)
+    assert all(told[device.name] for device in devices)
+    wild = replace(devices[2], along=100.0 * devices[2].along[::-1], dof=1.0)
+    other = foretold([*devices[:2], wild, *devices[3:]], EFFECTS, RULES, 0)
+    for name in ("d2", "d3"):
+        same = [
+            one.effect.name == two.effect.name and np.allclose(one.mean, two.mean)
+            for one, two in zip(told[name], other[name], strict=False)
+        ]
+        assert (len(told[name]) == len(other[name]) and all(same)) == (name == "d2")
+
+
+def test_what_one_device_alone_shows_is_not_held_out_as_found(tmp_path: Path) -> None:
+    """Two devices: without one of them the other is no fleet."""
+    two = fleet(tmp_path, squares(8, 12.0)[:2])
+    assert two.search.found
+    assert [m.told for m in two.members] == [(), ()]
+    assert {m.base for m in two.members} == {m.final for m in two.members}
+    assert (two.verdict, two.exit_code) == ("suspected", 5)
 
 
 def test_evidence_is_the_integral_over_sizes() -> None:

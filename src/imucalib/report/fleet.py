@@ -71,7 +71,9 @@ def _each(fleet: Fleet) -> Section:
     shown = [m for m in fleet.members if np.isfinite(m.base)]
     if not shown:
         return Section("Devices", ())
-    rows = tuple((m.name, f"{m.base:.3g}", f"{m.final:.3g}") for m in shown)
+    rows = tuple(
+        (m.name, f"{m.base:.3g}", f"{m.final:.3g}", ", ".join(m.told) or "nothing") for m in shown
+    )
     at = np.arange(1.0, len(shown) + 1.0)
     series = [Series("alone", at, np.array([m.base for m in shown]), "rings",
                      names=tuple(m.name for m in shown))]  # fmt: skip
@@ -80,10 +82,11 @@ def _each(fleet: Fleet) -> Section:
         series.append(Series("with the fleet", at, final, "points", names=series[0].names))
     plot = Plot(
         "Held-out error of each device", "device", "held-out error, rms, mg", tuple(series),
-        "Each position predicted without it; the effects' sizes by the other devices and the rest.",
+        "Each position predicted without it; effects chosen and sized by the other devices.",
     )  # fmt: skip
-    header = ("device", "alone, mg", "with the fleet, mg")
-    table = Table("Held-out error", header, rows, "lrr")
+    header = ("device", "alone, mg", "with the fleet, mg", "found by the others")
+    note = "With the fleet: by effects that the others find, and size, without the device."
+    table = Table("Held-out error", header, rows, "lrrl", note)
     return Section("Devices", (table, plot))
 
 
@@ -149,7 +152,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         },
         "devices": [
             {"name": m.name, "input": m.run.outcome.provenance.path, "base_mg": _finite(m.base),
-             "final_mg": _finite(m.final)}
+             "final_mg": _finite(m.final), "found_by_the_others": list(m.told)}
             for m in fleet.members
         ],
         "between_devices": [

@@ -15,6 +15,7 @@ from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.cohort.fleet.device import Device, device_of, moderated
+from imucalib.cohort.fleet.left_out import foretold
 from imucalib.cohort.fleet.pooled import told_by_others
 from imucalib.cohort.fleet.search import Rules, Search, search
 from imucalib.cohort.fleet.shrunk import Prior, held_out, with_priors
@@ -33,13 +34,15 @@ _GROUPS = 20
 @dataclass(frozen=True)
 class Member:
     """A device of the fleet. base, final : held-out rms, mg, NaN where not computed
-    calibration : with the fleet's effects"""
+    calibration : with the fleet's effects; told : effects that the others find without it, which
+    `final` stands on"""
 
     name: str
     run: LabRun
     calibration: Calibration
     base: float
     final: float
+    told: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -90,12 +93,16 @@ def run_fleet(
             remedy="give a table for each device",
         )  # fmt: skip
     say(f"{len(runs)} devices calibrated alone; searching for what they share")
-    devices = moderated([device_of(name, run.result.final, effects) for name, run in runs])
+    own = [device_of(name, run.result.final, effects) for name, run in runs]
+    devices = moderated(own)
     found = search(devices, rules, np.random.default_rng(request.seed))
     for one in found.found:
         say(f"{one.effect}: in {len(one.able)} devices, p {one.pooled.p:.2g}")
     priors = _priors(devices, found, effects)
-    members, gain = _members(runs, priors, bool(found.found))
+    inner: dict[str, list[Prior]] = {}
+    if found.found and len(runs) <= _HELD_OUT:
+        inner = foretold(own, effects, rules, request.seed)
+    members, gain = _members(runs, priors, inner, bool(found.found))
     spreads = _spreads(members)
     names = tuple(member.name for member in members)
     return Fleet(
@@ -148,8 +155,12 @@ def _priors(
 
 
 def _members(
-    runs: Sequence[tuple[str, LabRun]], priors: Mapping[str, list[Prior]], found: bool
+    runs: Sequence[tuple[str, LabRun]],
+    priors: Mapping[str, list[Prior]],
+    inner: Mapping[str, list[Prior]],
+    found: bool,
 ) -> tuple[tuple[Member, ...], Difference | None]:
+    """inner : of each device, as the others alone have found and sized it: what is held out"""
     members, pairs = list[Member](), list[tuple[Array, Array]]()
     folds = 2
     for name, run in runs:
@@ -157,13 +168,14 @@ def _members(
         final = with_priors(fit, priors[name])
         base_error = final_error = float("nan")
         if len(runs) <= _HELD_OUT:
-            before, after = held_out(fit, priors[name])
+            before, after = held_out(fit, inner.get(name, []))
             base_error, final_error = before.rms() / MG, after.rms() / MG
             pairs.append((before.size / MG, after.size / MG))
             folds = max(folds, min(len(before.size), 30))
         result = replace(run.result, final=final)
         made = lab_calibration(run.outcome, result, run.raw, run.request, run.details)
-        members.append(Member(name, run, made, base_error, final_error))
+        told = tuple(prior.effect.name for prior in inner.get(name, []))
+        members.append(Member(name, run, made, base_error, final_error, told))
     gain = None
     if found and pairs:
         before_all = np.concatenate([before for before, _ in pairs])
