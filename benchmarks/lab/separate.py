@@ -9,7 +9,8 @@ by hand, by the size of gravity alone (without cross_axis, which gravity alone d
 squares); warm: the second half of the table is warmer, so that a bias that follows it looks like a
 step. A device is calibrated; where its name has rivals the advised rests are made from the same
 truth and noise, appended, and all is searched again. `right` is one name and the true one, without
-rivals; beside it twice as many rests that determine the base model best, and random ones.
+rivals + with a form beside it that has no cause; then the same of twice as many rests that
+determine the base model best, and of random ones.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.effects.shape import is_form
 from imucalib.estimators.starting_point import full_matrix_start
 from imucalib.loop.asked import searched
 from imucalib.loop.closed_loop import close_loop
@@ -143,9 +145,13 @@ def search(kind: str, table: Table) -> FitLoop:
     )
 
 
-def right(loop: FitLoop, truth: str) -> bool:
+def right(loop: FitLoop, truth: str) -> str:
+    """ "alone", "form" where a form without a cause stands beside the name, or nothing."""
     steps = loop.named
-    return len(steps) == 1 and steps[0].effect == truth and not steps[0].aliases
+    if len(steps) != 1 or steps[0].effect != truth:
+        return ""
+    beside = [name for name in steps[0].aliases if not is_form(name)]
+    return "" if beside else "form" if steps[0].aliases else "alone"
 
 
 def calibration_of(fit: Fit):
@@ -153,7 +159,7 @@ def calibration_of(fit: Fit):
                     facts={})  # fmt: skip
 
 
-def recorded(one: Device, kind: str, table: Table, rests: Rests, truth: str) -> bool:
+def recorded(one: Device, kind: str, table: Table, rests: Rests, truth: str) -> str:
     """Whether the name is right and alone once these rests are recorded too."""
     n = rests.n
     warm = rests.levels.get("temperature", np.full(n, 25.0))
@@ -252,7 +258,7 @@ def row(what: str, truth: str, devices: int, told: list[dict]) -> str:
     ]
     cells = [what, truth, f"{len(told)} of {devices}", f"{rests:.0f}", f"{now:.1f} -> {then:.1f}",
              f"{100.0 * np.mean([o['promised'] for o in told]):.0f}", counts[0],
-             f"{sum(bool(o.get('right')) for o in few)} of {len(few)}",
+             f"{len(few)}",
              *(f"{v:.0f}" for v in other), *counts[1:]]  # fmt: skip
     return "| " + " | ".join(cells) + " |"
 
