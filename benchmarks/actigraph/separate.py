@@ -196,8 +196,10 @@ def row(truth: str, devices: int, told: list[dict]) -> str:
         np.median([o[k].needed or most for o, most in zip(told, longer, strict=True)])
         for k in ("informative", "random")
     ]
+    ways = ("right", "informative 2", "random 2")
     counts = [
-        f"{sum(bool(o.get(k)) for o in told)}" for k in ("right", "informative 2", "random 2")
+        f"{sum(o.get(way) == 'alone' for o in told)} + {sum(o.get(way) == 'form' for o in told)}"
+        for way in ways
     ]
     cells = [truth, f"{len(told)} of {devices}", f"{rests:.0f}", f"{now:.1f} -> {then:.1f}",
              f"{100.0 * np.mean([o['promised'] for o in told]):.0f}", counts[0],
