@@ -57,6 +57,12 @@ def _cold(folder: Path) -> Path:
     return folder / "cold.h5"
 
 
+def test_a_table_and_its_recording_are_two_files(tmp_path: Path) -> None:
+    done = run("lab", tmp_path / "one.csv", "--recording", tmp_path / "one.csv")
+    assert "one file" in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_array_tells_machines_where_its_sensors_are(tmp_path: Path) -> None:
     path = tmp_path / "log.h5"
     done = run("array", path, "--rests", 9, "--seconds", 3, "--json", "--plant", "gyro_delay=0.001")

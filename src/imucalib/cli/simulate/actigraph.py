@@ -8,7 +8,9 @@ from typing import Any
 import click
 
 from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
+    demand_outputs,
     fault_option,
     plant_option,
     planted_of,
@@ -29,6 +31,7 @@ from imucalib.cli.working import working
 @plant_option
 @fault_option
 @seed_option
+@force_option
 @json_option
 @quiet_option
 def command(recording: Path, seed: int, **options: Any) -> int:
@@ -44,6 +47,7 @@ def command(recording: Path, seed: int, **options: Any) -> int:
 
     if not (options["days"] > 0.0 and options["rate"] > 0.0):
         raise UsageError("--days and --rate are positive")
+    demand_outputs([recording], force=options["force"])
     plant = planted_of(options["plant"])
     plan = WeekPlan(
         days=options["days"],

@@ -8,7 +8,9 @@ from typing import Any
 import click
 
 from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
+    demand_outputs,
     fault_option,
     plant_option,
     planted_of,
@@ -33,6 +35,7 @@ from imucalib.cli.working import working
 @plant_option
 @fault_option
 @seed_option
+@force_option
 @json_option
 @quiet_option
 def command(recording: Path, seed: int, **options: Any) -> int:
@@ -50,6 +53,7 @@ def command(recording: Path, seed: int, **options: Any) -> int:
     from imucalib.errors import UsageError
     from imucalib.units import MG
 
+    demand_outputs([recording], [Path(options["board"])], force=options["force"])
     plant = planted_of(options["plant"])
     if any(len(values) != 1 for values in plant.values()):
         raise UsageError("--plant of an array takes one value each")

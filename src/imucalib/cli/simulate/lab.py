@@ -8,7 +8,9 @@ from typing import Any
 import click
 
 from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
+    demand_outputs,
     fault_option,
     plant_option,
     planted_of,
@@ -54,6 +56,7 @@ def _two(text: str, option: str) -> tuple[float, float]:
 @click.option("--gravity", default=9.80665, show_default=True, help="Local gravity, m/s².")
 @fault_option
 @seed_option
+@force_option
 @json_option
 @quiet_option
 def command(table: Path, recording: Path | None, seed: int, **options: Any) -> int:
@@ -70,6 +73,7 @@ def command(table: Path, recording: Path | None, seed: int, **options: Any) -> i
 
     if options["fault"] and recording is None:
         raise UsageError("--fault is of a recording", remedy="give --recording, or --slip")
+    demand_outputs([table, *filter(None, [recording])], force=options["force"])
     slips = tuple((int(r), a) for r, _, a in (s.partition(":") for s in options["slip"]))
     plan = BenchPlan(
         layout=options["layout"],
