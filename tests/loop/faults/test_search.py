@@ -40,6 +40,7 @@ def sheet_of(made: sheets.Sheet, row: np.ndarray | None = None) -> Sheet:
         inclination=i,
         tool_face=t,
         row=row,
+        place=row - 1,
         sigma=one,
         gravity=1000.0,
         inclination_setting=held(i),
