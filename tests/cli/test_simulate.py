@@ -111,3 +111,15 @@ def test_what_is_no_fault_is_refused(tmp_path: Path, fault: str) -> None:
 def test_a_table_takes_no_fault_of_a_recording(tmp_path: Path) -> None:
     done = run("lab", tmp_path / "a.csv", "--fault", "gap@1:2")
     assert isinstance(done.exception, UsageError)
+
+
+def test_a_benchs_recording_rests_four_seconds_with_four_mg_of_noise(tmp_path: Path) -> None:
+    path = tmp_path / "rests.h5"
+    done = run("lab", tmp_path / "b.csv", "--recording", path, "--positions", "12")
+    assert done.exception is None
+    values = readings(path)
+    assert len(values) == 12 * 400 + 11 * 150  # 100 Hz, 1.5 s of motion between
+    for k in range(12):
+        rest = values[550 * k : 550 * k + 400]
+        np.testing.assert_allclose(rest.std(axis=0), 4.0 * MG, rtol=0.2)
+        np.testing.assert_allclose(rest[:200].mean(axis=0), rest[200:].mean(axis=0), atol=2.0 * MG)
