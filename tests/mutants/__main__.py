@@ -66,7 +66,9 @@ ROOMS: dict[str, Guard] = {
         ("tests/calibration", "tests/goldens"), "apply or export or (output and not array)"
     ),
     "calibrators/lab/conventions.py": Guard(("tests/calibrators/lab/test_conventions.py",), "lab"),
-    "calibrators/lab": Guard(("tests/calibrators/lab",), "lab and not simulate"),
+    "calibrators/lab": Guard(
+        ("tests/calibrators/lab", "tests/cli/test_simulate.py"), "lab and not simulate"
+    ),
     "calibrators/actigraph": Guard(("tests/calibrators/actigraph",), "actigraph"),
     "calibrators/array": Guard(("tests/calibrators/array",), "array and not simulate"),
 }
