@@ -209,7 +209,8 @@ def main() -> None:
     print(table(found))
     if options.page is not None:
         line = f"{date.today()}, `python tests/mutants --count {options.count} "
-        line += f"--seed {options.seed}`:\n\n"
+        some = "" if options.only == list(ROOMS) else f" --only {' '.join(options.only)}"
+        line += f"--seed {options.seed}{some}`:\n\n"
         written("mutants", line + table(found))
 
 
