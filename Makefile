@@ -18,7 +18,7 @@ WHEEL = $(PYTHON) -m venv --clear $(VENV)/bare && \
 	$(VENV)/bare/bin/python -m pip install --quiet --disable-pip-version-check dist/imucalib-*.whl
 endif
 
-.PHONY: demo test test-slow test-oldest test-costs check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz mutants clean
+.PHONY: site demo test test-slow test-oldest test-costs check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz mutants clean
 
 $(BIN)/imucal: pyproject.toml
 	test -x $(BIN)/python || $(CREATE)
@@ -52,6 +52,13 @@ wheel: ## the wheel without extras, in an environment of its own, runs the core 
 docs: $(VENV)/.dev ## write the pages that are generated from the code, and the outputs that pages show
 	$(BIN)/python docs/generate.py --outputs
 	command -v chromium >/dev/null && $(BIN)/python docs/picture.py || true
+
+$(VENV)/.site: pyproject.toml $(BIN)/imucal
+	$(INSTALL) -e '.[docs]'
+	@touch $@
+
+site: $(VENV)/.site ## the documentation as a site in site/; a link that leads nowhere is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir site
 
 benchmark: $(VENV)/.dev ## measure the marks of docs/lab.md on simulated benches and on real data
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/lab/benches.py
@@ -89,4 +96,4 @@ mutants: $(VENV)/.dev ## plant faults one at a time and list those that no test 
 	$(BIN)/python tests/mutants --count $(or $(COUNT),10)
 
 clean:
-	rm -rf $(VENV) demo dist .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) demo dist site .pytest_cache .mypy_cache .ruff_cache

@@ -3,7 +3,7 @@
 In a block ```sh every line that starts with `imucal` runs, in a block ```text the line after "$ ",
 whose output follows it. What stands behind "#": `exit N` where the exit code is neither 0 nor 5,
 `slow` where it takes more than ten seconds. A pipe into `head -n N` cuts the output. A block
-```python NAME is a file that the commands after it find.
+```python NAME or ```text NAME is a file that the commands after it find.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
 _FENCE = re.compile(r"^```(\w+) ?(\S*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _HEAD = re.compile(r"\s*\|\s*head -n (\d+)")
 
@@ -99,8 +99,11 @@ def filled(page: Path, folder: Path) -> str:
     """The page with every output as the program prints it now."""
     text = page.read_text(encoding="utf-8")
     with bench(folder, page):
-        for example in examples(text):
+        found = examples(text)
+        last = max((k for k, e in enumerate(found) if e.shown is not None), default=-1)
+        for example in found[: last + 1]:  # what a command shows may rest on those before it
+            output = run(example)[1]
             if example.shown is not None:
                 block = f"$ {example.line}\n"
-                text = text.replace(f"{block}{example.shown}```", f"{block}{run(example)[1]}```")
+                text = text.replace(f"{block}{example.shown}```", f"{block}{output}```")
     return text

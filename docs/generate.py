@@ -9,6 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from generators import commands, functions, schemas, troubles
 from imucalib.effects import catalogue
 from imucalib.report.catalogue import catalogue_markdown
 
@@ -17,6 +18,10 @@ HERE = Path(__file__).parent
 
 PAGES = {
     "effects.md": lambda: catalogue_markdown(list(catalogue().values())),
+    "reference/commands.md": commands.page,
+    "reference/functions.md": functions.page,
+    "reference/schemas.md": schemas.page,
+    "reference/troubleshooting.md": troubles.page,
 }
 
 

@@ -19,7 +19,7 @@ def constraints() -> list[str]:
     stated = [*project["dependencies"], *chain(*project["optional-dependencies"].values())]
     lowest: dict[str, str] = {}
     for text in stated:
-        found = re.fullmatch(r"([\w.-]+)>=([\d.]+)", text)
+        found = re.fullmatch(r"([\w.-]+)>=([\d.]+)(?:; python_version .*)?", text)
         if not found:
             raise ValueError(f"{text}: no lower bound alone")
         # The tests may need more than an extra promises.

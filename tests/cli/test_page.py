@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import pytest
 from click.testing import CliRunner, Result
 
 from imucalib import cli
@@ -25,6 +26,27 @@ def test_one_page_and_the_whole() -> None:
     assert "Positions ─" not in page
     assert "--full shows all" in page
     assert "Not shown here" not in whole
+
+
+@pytest.mark.parametrize(
+    ("call", "answer"),
+    [
+        (("inspect", "board_part.mcap"), "--triad NAME"),
+        (("inspect", "rests.mcap", "--rests"), "Candidates"),
+        (("design", "paper_table_1.csv"), "Positions to add ─"),
+        (("design", "--recommend", "24"), "24        -90.0        0.0"),
+        (("effects",), "common_accelerometer_scale  all accelerometers  rate"),
+        (("lab", "paper_table_1.csv", "--gravity", "9.8061", "--no-loop"), "Good to ─"),
+    ],
+    ids=lambda v: " ".join(v) if isinstance(v, tuple) else "",
+)
+def test_every_command_prints_one_page_of_80_columns(call: tuple[str, ...], answer: str) -> None:
+    words = [str(SAMPLES / w) if (SAMPLES / w).is_file() else w for w in call]
+    done = CliRunner().invoke(cli.cli, words, standalone_mode=False, catch_exceptions=False)
+    lines = done.stdout.splitlines()
+    assert len(lines) <= 60
+    assert max(map(len, lines)) <= 80
+    assert any(answer in line for line in lines)
 
 
 def test_json_says_what_the_page_says() -> None:

@@ -138,6 +138,34 @@ def test_a_page_and_no_file_overwritten(folder: Path, tmp_path: Path) -> None:
                calibration).return_value == 2  # fmt: skip
 
 
+def test_a_chance_that_no_draw_reached_is_a_bound(folder: Path) -> None:
+    done = run("check", folder / "angles" / "calibration.yaml", folder / "moved_sheet.csv")
+    assert "Changed (p < 0.0001)" in " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize("command", ["check", "compare"])
+def test_a_long_result_is_one_page_unless_all_is_asked_for(
+    command: str, folder: Path, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(8)
+    calibration, log = folder / "angles" / "calibration.yaml", tmp_path / "long.csv"
+    log.write_text(SHEET.table(instrument(rng), positions(70, rng), rng))
+    loaded = read(calibration)
+    write(replace(loaded, reasons=tuple(f"reason {k}" for k in range(300))), tmp_path / "b.yaml")
+    call = {"check": (calibration, log), "compare": (calibration, tmp_path / "b.yaml")}[command]
+    page = run(command, *call).stdout.splitlines()
+    whole = run(command, *call, "--full").stdout.splitlines()
+    assert len(page) <= 60
+    assert max(map(len, page)) <= 80
+    assert not any("Not shown here" in line for line in whole)
+    (left,) = [k for k, line in enumerate(page) if line.startswith("Not shown here")]
+    told = " ".join(" ".join(page[left:]).split()).removeprefix("Not shown here ")
+    assert told.endswith("; --full shows all")
+    for title in told.removesuffix("; --full shows all").split(", "):
+        assert any(line.startswith(f"{title} ─") for line in whole)
+        assert not any(line.startswith(f"{title} ─") for line in page)
+
+
 def test_bad_input_is_told(folder: Path, tmp_path: Path) -> None:
     calibration, log = folder / "norm" / "calibration.yaml", folder / "same_rests.csv"
     for options, code, words in (

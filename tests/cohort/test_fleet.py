@@ -5,6 +5,7 @@ Tables by plain numpy: reading = matrix force + bias + q force² + noise (mg).
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,6 +117,10 @@ def test_five_cave_instruments_have_squares(tmp_path: Path) -> None:
         standalone_mode=False,
     )  # fmt: skip
     assert "quadratic, in every device" in done.stdout
+    page = (out / "report.html").read_text(encoding="utf-8")
+    row = re.search(r"<tr[^>]*>(?:(?!</tr>).)*scale_x.*?</tr>", page, re.DOTALL)
+    assert row
+    assert re.search(r">0\.00\d+<", row[0])  # a share has no unit
     for name in ("ab", "jd"):
         stored = read(out / f"cave_{name}" / "calibration.yaml")
         assert {p.effect for p in stored.parameters} >= {"bias", "quadratic"}

@@ -6,8 +6,6 @@ The board is in plain numpy; what it reads without noise must be what the form's
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -215,28 +213,6 @@ def test_matlab_corrects_what_was_read(made: Board, moves: Moves) -> None:
         assert force == pytest.approx(felt(moves, made.places[k]), abs=1e-6)
         turned = rate[:, k] @ value[f"gyro_M(:,:,{k + 1})"].T + value[f"gyro_b(:,{k + 1})"].T
         assert turned == pytest.approx(moves.rate, abs=1e-6)
-
-
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_a_compiler_reads_the_header(made: Board, moves: Moves, tmp_path: Path) -> None:
-    straight = replace(made, element=np.zeros((3, 3)), by_force=None)
-    acceleration, _ = readings(straight, moves, np.random.default_rng(0))
-    header = exported(plain(straight), "log.mcap", "c-header").text
-    (tmp_path / "imucal_calibration.h").write_text(header)
-    (tmp_path / "main.c").write_text(
-        '#include <stdio.h>\n#include "imucal_calibration.h"\nint main(void) {\n'
-        "for (int k = 0; k < 5; k++) for (int i = 0; i < 3; i++)\n"
-        'printf("%.9g %.9g %.9g %.9g %.9g\\n", imucal_M[k][i][0], imucal_M[k][i][1],\n'
-        "imucal_M[k][i][2], imucal_b[k][i], imucal_r[k][i]);\nreturn 0; }\n"
-    )
-    command = ["cc", "-Wall", "-Wno-unused", "-Werror", "-o", "main", "main.c"]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    out = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout
-    rows = np.array([line.split() for line in out.splitlines()], dtype=float).reshape(5, 3, 5)
-    for k in range(5):
-        force = (acceleration[:, k] / G) @ rows[k, :, :3].T + rows[k, :, 3]
-        assert force * G == pytest.approx(felt(moves, made.places[k]), abs=1e-3)
-        assert rows[k, :, 4] == pytest.approx(made.places[k], abs=1e-8)
 
 
 @pytest.mark.parametrize("form", FORMS)

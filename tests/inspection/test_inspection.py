@@ -1,5 +1,7 @@
 """An inspection tells what is in a recording, in one pass, also when something is missing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,6 +41,18 @@ def recording(unit: str = "m/s2") -> Recording:
         notes=("a note",),
         mapping={"acc": ["x"]},
     )
+
+
+def test_a_gap_of_several_sensors_counts_once_in_the_time_that_is_missing() -> None:
+    gaps = [
+        Gap(3.0, 7.0, "imu0"),
+        Gap(3.5, 6.0, "imu1"),
+        Gap(6.5, 8.0, "imu2"),
+        Gap(9.0, 9.5, "imu0"),
+    ]
+    found = inspect_recording([replace(recording(), gaps=tuple(gaps))])
+    assert found.gap_count == 4
+    assert found.gap_seconds == pytest.approx(5.5)
 
 
 def test_facts() -> None:

@@ -22,6 +22,8 @@ ELSEWHERE: dict[tuple[str, str], str] = {
     ("check", "--history"): f"{GOOD}::test_a_history_multiplies_evidence",
     ("check", "--triad"): f"{GOOD}::test_a_recording_with_rests_is_a_log_too",
     ("check", "--html"): f"{GOOD}::test_a_page_and_no_file_overwritten",
+    ("check", "--full"): f"{GOOD}::test_a_long_result_is_one_page_unless_all_is_asked_for",
+    ("compare", "--full"): f"{GOOD}::test_a_long_result_is_one_page_unless_all_is_asked_for",
     ("compare", "--limit"): f"{GOOD}::test_compare_says_what_differs",
     ("compare", "--dates"): f"{GOOD}::test_compare_says_what_differs",
     ("compare", "--html"): f"{GOOD}::test_compare_says_what_differs",

@@ -11,11 +11,15 @@ from imucalib.recording.correction import Correction
 from imucalib.recording.recording import Recording
 
 
-def mark_of(calibration: Calibration, triad: str) -> Correction:
-    """The mark of a calibration; one that was not read from a file is hashed as it would be
+def identity(calibration: Calibration) -> str:
+    """SHA-256 of a calibration's file; one that was not read from a file is hashed as it would be
     written."""
-    own = calibration.sha256 or hashlib.sha256(to_yaml(calibration).encode()).hexdigest()
-    return Correction(triad, calibration.calibrator, own)
+    return calibration.sha256 or hashlib.sha256(to_yaml(calibration).encode()).hexdigest()
+
+
+def mark_of(calibration: Calibration, triad: str) -> Correction:
+    """The mark of a calibration."""
+    return Correction(triad, calibration.calibrator, identity(calibration))
 
 
 def refuse_second(recording: Recording, triad: str) -> None:

@@ -101,7 +101,7 @@ def command(
     \b
     Examples:
       imucal apply out/calibration.yaml run.mcap -o corrected.mcap
-      imucal apply out/calibration.yaml run.mcap -o corrected.mcap --angles angles.csv
+      imucal apply out/calibration.yaml run.mcap -o new.mcap --angles angles.csv
       imucal apply array/calibration.yaml run.mcap --fused -o fused.mcap
     """
     from imucalib.atomic_file import demand_output

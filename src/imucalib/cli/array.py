@@ -78,8 +78,8 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     \b
     Examples:
       imucal array log.mcap --board board.yaml -o out
-      imucal array exp_1.h5 exp_5.h5 --board mimu4444_corners --gravity 9.8189 -o out
-      imucal array log.mcap --board board.yaml --declare gyro_delay --without gyro_cubic -o out
+      imucal array exp_1.h5 exp_5.h5 --board mimu4444_corners -o out
+      imucal array log.mcap --board board.yaml --declare gyro_delay -o out
     """
     from imucalib.calibrators.array.calibrate import calibrate_array
     from imucalib.readers import read

@@ -19,6 +19,7 @@ from imucalib.cli.output import (
     Command,
     color,
     emit_json,
+    full_option,
     json_option,
     note,
     quiet_option,
@@ -66,7 +67,7 @@ _OPTIONS = (
                  help="Simulated data sets behind each p-value; default 1000, of an array 499."),
     limit_option("--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 "
                  "beyond."),
-    click.option("--full", is_flag=True, help="Print every section, not one page."),
+    full_option,
     click.option("--export", multiple=True, type=EXPORT_FORM,
                  help="Write the coefficients for another program, too."),
 )  # fmt: skip

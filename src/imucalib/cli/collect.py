@@ -32,12 +32,19 @@ def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
     from imucalib.cohort.table import write_table
     from imucalib.errors import UnreadableInput
 
+    if not folder.is_dir():
+        raise UnreadableInput(
+            "no such folder", where=str(folder), remedy="name that of `imucal batch -o`"
+        )
     paths = sorted(folder.glob("*.json"))
     demand_output(output, paths, force=force)
     found = [read_entry(path) for path in paths]
     entries = tuple(entry for entry in found if entry is not None)
     if not entries:
-        raise UnreadableInput("no entries of imucal batch in it", where=str(folder))
+        raise UnreadableInput(
+            "no entries of a cohort in it", where=str(folder),
+            remedy="`imucal batch MANIFEST -o FOLDER` writes them",
+        )  # fmt: skip
     write_table(rows(entries), output)
     note(f"{len(found) - len(entries)} files are no entries" if None in found else "", quiet)
     if not quiet:

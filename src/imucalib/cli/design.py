@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucalib.cli.output import color, emit_json, json_option, note, pairs, quiet_option, width
+from imucalib.cli.output import (
+    color,
+    emit_json,
+    full_option,
+    json_option,
+    note,
+    pairs,
+    quiet_option,
+    width,
+)
 from imucalib.cli.recording_options import force_option
 
 if TYPE_CHECKING:
@@ -44,6 +53,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
               help="Write the positions as a table (CSV) for `design` and `lab`.")  # fmt: skip
 @force_option
+@full_option
 @json_option
 @quiet_option
 def command(
@@ -54,6 +64,7 @@ def command(
     convention: str,
     output: Path | None,
     force: bool,
+    full: bool,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -84,7 +95,8 @@ def command(
     if as_json:
         emit_json(design_dict(plan))
     elif not quiet:
-        click.echo(render_text(design_document(plan), width(), color=color()), nl=False)
+        document = design_document(plan, asked=table is None)
+        click.echo(render_text(document, width(), color=color(), full=full), nl=False)
     return 4 if plan.vector.open_directions else 0
 
 

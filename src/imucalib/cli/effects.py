@@ -42,7 +42,9 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     if as_json:
         emit_json([effect_dict(effect) for effect in chosen])
     else:
-        click.echo(render_text(catalogue_document(chosen), width(), color=False), nl=False)
+        click.echo(
+            render_text(catalogue_document(chosen), width(), color=False, full=True), nl=False
+        )
     return 0
 
 

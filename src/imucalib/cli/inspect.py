@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucalib.cli.output import color, emit_json, json_option, note, quiet_option, width
+from imucalib.cli.output import (
+    color,
+    emit_json,
+    full_option,
+    json_option,
+    note,
+    quiet_option,
+    width,
+)
 from imucalib.cli.recording_options import (
     force_option,
     inputs_of,
@@ -51,6 +59,7 @@ if TYPE_CHECKING:
 )
 @force_option
 @recording_options
+@full_option
 @json_option
 @quiet_option
 def command(
@@ -100,7 +109,7 @@ def command(
     if options["as_json"]:
         emit_json(inspection_dict(found, rests=rests, noise=seen))
     elif not options["quiet"]:
-        click.echo(render_text(document, width(), color=color()), nl=False)
+        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
     return 0
 
 

@@ -45,6 +45,7 @@ class ExportForm(Kind):
 EXPORT_FORM = ExportForm()
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+full_option = click.option("--full", is_flag=True, help="Print every section, not one page.")
 seed_option = click.option(
     "--seed", default=0, show_default=True, help="Seed of all randomness: same seed, same result."
 )

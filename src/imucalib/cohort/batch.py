@@ -75,8 +75,13 @@ def read_manifest(path: Path) -> tuple[Path, ...]:
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise UnreadableInput(
+            "no such manifest", where=str(path), remedy="write one: a recording's path a line"
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise UnreadableInput(f"the manifest cannot be read: {error}", where=str(path)) from None
+        why = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
+        raise UnreadableInput(f"the manifest cannot be read: {why}", where=str(path)) from None
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if lines and "path" in next(csv.reader([lines[0]])):
         names = [row["path"] for row in csv.DictReader(lines)]

@@ -2,36 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration
-from imucalib.errors import UsageError
+from imucalib.calibration.calibration import NEVER_APPLIED, Calibration
+from imucalib.calibration.mark import identity
+from imucalib.core.sphere import even_directions
 from imucalib.exports import Export
+from imucalib.exports.c_functions import ROUNDED, Correction, array, functions, tables
 from imucalib.exports.imus import places_of
-from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
+from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear, sphere_of
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 
 def c_header(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
-    """M and b for raw readings in g, as float, Q31 and Q15; of an array, those of every IMU.
+    """corrected = M raw + b in g as float, in 32 and in 16 bits, with the functions that apply it,
+    its standard deviation, a test of itself, and the calibration's SHA-256; of an array for every
+    IMU, its gyro (deg/s) and its place.
 
-    Fixed point holds M - 1 and b, which are below 1, so that no bit is spent on the integer part:
-    corrected = raw + (dM raw + b). Raises UsageError when an entry is 1 or more.
+    Raises UsageError when a coefficient passes fixed point.
     """
     body, lost = _of_array(calibration) if calibration.triads else _of_one(calibration)
     lines = [
         "/* Accelerometer calibration by imucal: corrected = M * raw + b, in g.",
         f" * From {filename}, status {calibration.status}.",
         *(f" * Not in it: {text}." for text in lost),
-        " * Fixed point: corrected = raw + dM * raw + b, dM = M - 1; raw itself needs a wider",
-        " * type than Q15 or Q31, which end below 1 g. */",
+        " * imucal_apply takes float, imucal_apply_fine 32 bits, imucal_apply_coarse 16;",
+        " * imucal_self_test() is 0 where a machine does them right. imucal_sd is the largest",
+        " * standard deviation of a corrected 1 g in any attitude, of the calibration alone. */",
         "#ifndef IMUCAL_CALIBRATION_H",
         "#define IMUCAL_CALIBRATION_H",
         "#include <stdint.h>",
+        "#include <stdlib.h>",
         "",
+        f'#define IMUCAL_ID "{identity(calibration)}" /* SHA-256 of calibration.yaml */',
+        f'#define IMUCAL_STATUS "{calibration.status}"',
+        f"#define IMUCAL_G_PER_RAW {calibration.raw_to_si / STANDARD_GRAVITY:.9e}f "
+        f"/* readings of the calibration: {calibration.raw_unit} */",
         *body,
     ]
     return "\n".join([*lines, "", "#endif", ""]), lost
@@ -39,20 +46,7 @@ def c_header(calibration: Calibration, filename: str) -> tuple[str, tuple[str, .
 
 def _of_one(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
     linear = nearest_linear(calibration)
-    change, offset = linear.M - np.eye(3), linear.b / STANDARD_GRAVITY
-    if max(np.abs(change).max(), np.abs(offset).max()) >= 1.0:
-        raise UsageError("the coefficients do not fit fixed point", remedy="check the unit")
-    lines = [
-        _array("float", "imucal_M", linear.M, _float),
-        _array("float", "imucal_b", offset, _float),
-    ]
-    for bits, kind in ((31, "int32_t"), (15, "int16_t")):
-
-        def fixed(value: float, bits: int = bits) -> str:
-            return str(round(value * (1 << bits)))
-
-        lines.append(_array(kind, f"imucal_dM_q{bits}", change, fixed))
-        lines.append(_array(kind, f"imucal_b_q{bits}", offset, fixed))
+    one = _acceleration(linear.M[None], linear.b[None], _sd(calibration)[None], single=True)
     lost = lost_parts(calibration)
     if names := beyond_linear(calibration):
         lost = (
@@ -60,24 +54,33 @@ def _of_one(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
             f"{linear.worst:.2f} mg at most; M and b are the nearest there",
             *lost,
         )
-    return lines, lost
+    return [*tables(one), "", ROUNDED, *functions(one)], lost
 
 
 def _of_array(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
     """Readings turned into board axes by the correction itself."""
-    M = np.array([np.linalg.inv(t.gain) @ t.rotation for t in calibration.triads])
-    b = np.array([-np.linalg.inv(t.gain) @ t.bias for t in calibration.triads]) / STANDARD_GRAVITY
-    gyro = np.array([np.linalg.inv(t.gyro_gain) @ t.rotation for t in calibration.triads])
-    rest = np.array([-np.linalg.inv(t.gyro_gain) @ t.gyro_bias for t in calibration.triads])
-    names = ", ".join(t.name for t in calibration.triads)
+    triads = calibration.triads
+    M = np.array([np.linalg.inv(t.gain) @ t.rotation for t in triads])
+    b = np.array([-np.linalg.inv(t.gain) @ t.bias for t in triads])
+    sd = np.array([_triad_sd(t.gain, t.covariance) for t in triads])
+    force = _acceleration(M, b, sd, single=False)
+    turn = np.array([np.linalg.inv(t.gyro_gain) @ t.rotation for t in triads])
+    rest = np.array([-np.linalg.inv(t.gyro_gain) @ t.gyro_bias for t in triads]) / DEG
+    rate = Correction(
+        name="gyro_", M=turn, b=rest, sd=None, unit="deg/s", fine=100000, coarse=10, size=100.0,
+        single=False,
+    )  # fmt: skip
     lines = [
-        f"/* IMUs in this order: {names}. Corrected vectors are in board axes; rates in deg/s. */",
-        _array("float", "imucal_M", M, _float),
-        _array("float", "imucal_b", b, _float),
-        _array("float", "imucal_gyro_M", gyro, _float),
-        _array("float", "imucal_gyro_b", rest / DEG, _float),
+        f"/* IMUs in this order: {', '.join(t.name for t in triads)}. */",
+        "/* Corrected vectors are in board axes. */",
+        *tables(force),
+        *tables(rate),
         "/* Places of the IMUs in the board's frame, m. */",
-        _array("float", "imucal_r", places_of(calibration), _float),
+        array("float", "imucal_r", places_of(calibration)),
+        "",
+        ROUNDED,
+        *functions(force),
+        *functions(rate),
     ]
     lost = tuple(
         f"{row['effect']}, {_in_mg(float(row['rms']), str(row['unit']))} rms in the "
@@ -87,21 +90,40 @@ def _of_array(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
     return lines, lost
 
 
+def _acceleration(M: Array, b: Array, sd: Array, *, single: bool) -> Correction:
+    """b and sd in m/s²; ug in 32 bits, and up to 16 g in 16."""
+    return Correction(
+        name="", M=M, b=b / STANDARD_GRAVITY, sd=sd / STANDARD_GRAVITY, unit="g", fine=1000000,
+        coarse=2048, size=1.0, single=single,
+    )  # fmt: skip
+
+
+def _sd(calibration: Calibration) -> Array:
+    """(3,) m/s², the largest of a corrected 1 g over the sphere and the calibrated ranges."""
+    model, theta = calibration.model()
+    seen = sphere_of(calibration)
+    keep = [k for k, p in enumerate(calibration.parameters) if p.stage not in NEVER_APPLIED]
+    own = model.predict(theta, seen.force[:, None], seen.context)
+    slope = np.asarray(np.linalg.solve(own.d_truth[:, 0], own.d_theta[:, 0]), np.float64)
+    return _largest(slope, calibration.covariance[np.ix_(keep, keep)])
+
+
+def _triad_sd(gain: Array, covariance: Array) -> Array:
+    """The same for an IMU whose force is gain⁻¹ (turned reading - bias)."""
+    force = STANDARD_GRAVITY * even_directions(600)
+    by_gain = np.einsum("ij,nk->nijk", np.eye(3), force).reshape(-1, 3, 9)
+    by_bias = np.broadcast_to(np.eye(3), (len(force), 3, 3))
+    slope = np.linalg.inv(gain) @ np.concatenate([by_gain, by_bias], axis=2)
+    return _largest(slope, covariance)
+
+
+def _largest(slope: Array, covariance: Array) -> Array:
+    variance = np.einsum("nip,pq,niq->ni", slope, covariance, slope)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)).max(axis=0))
+
+
 def _in_mg(value: float, unit: str) -> str:
     return f"{value / MG:.2f} mg" if unit == "m/s²" else f"{value:.3g} {unit}"
-
-
-def _float(value: float) -> str:
-    return f"{value:.9e}f"
-
-
-def _array(kind: str, name: str, values: Array, text: Callable[[float], str]) -> str:
-    def braced(part: Array) -> str:
-        inner = [text(float(v)) for v in part] if part.ndim == 1 else [braced(p) for p in part]
-        return f"{{{', '.join(inner)}}}"
-
-    shape = "".join(f"[{n}]" for n in values.shape)
-    return f"static const {kind} {name}{shape} = {braced(values)};"
 
 
 EXPORT = Export("c-header", "imucal_calibration.h", c_header)

@@ -62,7 +62,7 @@ class ChannelFacts:
 class Inspection:
     """All that `imucal inspect` tells.
 
-    gaps : the longest few, and gap_count and gap_seconds of all of them
+    gaps : the longest few; gap_count : of all; gap_seconds : in which any sensor has one
     still : the still segments, or None with `why_not_still` saying why there are none
     candidates : channels whose norm at rest is that of gravity, best first, with the reason
     mapping : the resolved mapping, to be saved and used for other files
@@ -182,7 +182,7 @@ def inspect_recording(
         channels=facts,
         gaps=tuple(sorted(watch.gaps, key=lambda g: g.start - g.stop)[:_KEPT]),
         gap_count=len(watch.gaps),
-        gap_seconds=sum(max(0.0, g.stop - g.start) for g in watch.gaps),
+        gap_seconds=_covered(watch.gaps),
         still=still,
         why_not_still=why,
         candidates=_candidates(facts),
@@ -232,3 +232,12 @@ def _candidates(facts: tuple[ChannelFacts, ...]) -> tuple[tuple[str, str], ...]:
         else:
             found.append((abs(ratio - 1.0), f.name, f"norm at rest = {ratio:.4f} g"))
     return tuple((name, reason) for _, name, reason in sorted(found)[:_KEPT])
+
+
+def _covered(gaps: list[Gap]) -> float:
+    """Seconds in which at least one sensor has a gap."""
+    total, until = 0.0, -math.inf
+    for gap in sorted(gaps, key=lambda g: g.start):
+        total += max(0.0, gap.stop - max(gap.start, until))
+        until = max(until, gap.stop)
+    return total

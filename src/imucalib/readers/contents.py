@@ -10,7 +10,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 
-_SHOWN = 40
+_SHOWN = 12
 #: Median norms that gravity has in the units in use, within this factor.
 _GRAVITY, _NEAR = (9.80665, 1.0, 1000.0), 1.15
 

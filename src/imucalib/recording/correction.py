@@ -24,7 +24,9 @@ class Correction:
         return json.dumps([self.triad, self.calibrator, self.sha256])
 
     def __str__(self) -> str:
-        return f"{self.triad} is corrected by a {self.calibrator} calibration ({self.sha256[:12]})"
+        return (
+            f"{self.triad} is corrected by a calibration of {self.calibrator} ({self.sha256[:12]})"
+        )
 
 
 def corrections_of(texts: Iterable[str]) -> tuple[Correction, ...]:

@@ -53,9 +53,9 @@ def error_worth(error: ErrorSummary, quantity: str, of: str = "data") -> Worth:
         unit, size = "mg", MG
     final, base, raw = (v / size for v in (held.final, held.base, held.raw))
     if math.isnan(final):
-        return Worth(
-            quantity, f"{two_digits(error.final / size)} {unit}", "fitted; nothing was held out"
-        )
+        how = error.metric.rpartition(", ")[2]
+        fitted = f"{two_digits(error.final / size)} {unit}"
+        return Worth(quantity, fitted, f"{how}, fitted; nothing was held out")
     before = [] if math.isnan(raw) else [f"raw reading {two_digits(raw)}"]
     if not math.isnan(base):
         before.append(f"before the search {two_digits(base)}")

@@ -46,10 +46,11 @@ def catalogue_document(effects: Sequence[Effect]) -> Document:
     """A table of many effects, or everything about one."""
     if len(effects) == 1:
         return Document(effects[0].name, Text(effects[0].sentence), (_one(effects[0]),))
-    rows = tuple((e.name, _acts_on(e), _needed(e), _sizes(e)) for e in effects)
-    table = Table("", ("effect", "acts on", "needs", "typical size"), rows, "llll")
+    rows = tuple((e.name, _acts_on(e), _needed(e)) for e in effects)
+    table = Table("", ("effect", "acts on", "needs"), rows, "lll")
     note = Text(
-        "`imucal effects NAME` shows the equation, the source and how to record data for it."
+        "`imucal effects NAME` shows the equation, the typical size, the source and how to record "
+        "data for it."
     )
     verdict = Text(
         f"{len(effects)} effects. Fixture effects belong to the bench and are never applied; "

@@ -11,8 +11,11 @@ from imucalib.report.document import Block, Document, Section, Table, Text, Tone
 from imucalib.units import DEG
 
 
-def design_document(plan: Plan) -> Document:
-    """Efficiency, what stays open, the next positions, and the positions themselves."""
+def design_document(plan: Plan, *, asked: bool = False) -> Document:
+    """Efficiency, what stays open, the next positions, and the positions themselves.
+
+    asked : the positions are the answer, not what was given
+    """
     poor = plan.vector.open_directions or plan.norm.open_directions
     best = min(plan.vector.efficiency, plan.norm.efficiency)
     tone: Tone = "bad" if poor else "ok" if best > 0.7 else "warning"
@@ -26,7 +29,6 @@ def design_document(plan: Plan) -> Document:
         blocks += [
             Text(f"With {name} these stay open: {o}.", "bad") for o in design.open_directions
         ]
-    blocks += [_additions(plan), _parameters(plan)]
     setting = Text(
         f"In this order inclination is set {plan.settings[0]} times and tool-face "
         f"{plan.settings[1]} times; setting errors average over these, noise over all positions. "
@@ -36,12 +38,12 @@ def design_document(plan: Plan) -> Document:
         (str(k + 1), f"{i:.1f}", f"{t:.1f}")
         for k, (i, t) in enumerate(zip(plan.inclination, plan.tool_face, strict=True))
     )
-    positions = Table("Positions", ("row", "inclination", "tool-face"), rows, "rrr")
-    return Document(
-        "Design of positions",
-        verdict,
-        (Section("Quality", (*blocks, setting)), Section("Positions", (positions,))),
-    )
+    quality = Section("Quality", (*blocks, _parameters(plan), setting))
+    positions = Table("", ("row", "inclination", "tool-face"), rows, "rrr")
+    own = Section("Positions", (positions,), brief=asked, kept=asked)
+    more = Section("Positions to add", (_additions(plan),))
+    order = (own, quality, more) if asked else (more, quality, own)
+    return Document("Design of positions", verdict, order)
 
 
 def _shown(plan: Plan, addition: Addition) -> tuple[float, float]:
@@ -68,7 +70,7 @@ def _additions(plan: Plan) -> Table:
                 )
             )
     header = ("reference", "add", "inclination", "tool-face", "efficiency", "best gain in sd")
-    return Table("Positions to add, best first", header, tuple(rows), "lrrrrl")
+    return Table("Best first", header, tuple(rows), "lrrrrl")
 
 
 def _parameters(plan: Plan) -> Table:

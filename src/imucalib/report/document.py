@@ -79,11 +79,13 @@ Block = Text | Facts | Table | Plot
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and its blocks. `brief` sections are also printed to the terminal."""
+    """A heading and its blocks. `brief` sections are also printed to the terminal, of a page those
+    that fit, and `kept` ones before all others."""
 
     title: str
     blocks: tuple[Block, ...]
     brief: bool = True
+    kept: bool = False
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,11 @@ def _each(fleet: Fleet) -> Section:
 
 def _spread(fleet: Fleet) -> Section:
     rows = tuple(
-        (s.name, plus_minus(s.mean, s.mean_sd, s.unit), f"{s.scatter:.2g} {s.unit}")
+        (
+            s.name,
+            plus_minus(s.mean, s.mean_sd, s.unit),
+            f"{s.scatter:.2g} {s.unit.removeprefix('1')}".rstrip(),
+        )
         for s in fleet.spreads
     )
     note = "Scatter: sd between devices beyond what each one's own sd explains."

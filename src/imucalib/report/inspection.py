@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -41,9 +42,9 @@ def inspection_document(
     if found.still is not None and found.still.n:
         sections.append(Section("Rest", (_rest(found.still),)))
     if rests:
-        sections.append(rests_section(found))
+        sections.append(replace(rests_section(found), kept=True))
     if noise is not None:
-        sections.append(noise_section(noise))
+        sections.append(replace(noise_section(noise), kept=True))
     losses: list[Block] = [Text(note, "warning") for note in found.losses]
     if found.gap_count:
         losses.append(_gaps(found))
@@ -54,7 +55,7 @@ def inspection_document(
         sections.append(Section("Notes", notes))
     if found.mapping:
         sections.append(Section("How it was read", (Facts(_options(found)),)))
-    sections.append(Section("Next", (Facts(advice(found)),)))
+    sections.append(Section("Next", (Facts(advice(found)),), kept=True))
     return Document(found.path, _verdict(found), tuple(sections))
 
 

@@ -12,6 +12,7 @@ from gates.bounds import at_most
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.provenance import provenance_of
 from imucalib.calibrators.array.estimate.corrected import corrected_samples
+from imucalib.calibrators.array.estimate.left import Residual
 from imucalib.calibrators.array.findings import array_errors, array_findings
 from imucalib.calibrators.array.linear_part import linear_part
 from imucalib.calibrators.array.loop.asked import Asked, named_effect
@@ -196,7 +197,7 @@ def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
 
 def outcome_of(found: MotionLoop) -> Outcome:
     made = provenance_of(path="log", sha256="", samples=0, mapping={}, settings={})
-    errors = array_errors(found, (0.04, 0.003), 8)
+    errors = array_errors(found, (0.04, 0.003), 8, Residual(0.04, 0.003, True))
     return Outcome("array", errors, made, array_findings(found))
 
 

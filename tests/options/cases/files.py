@@ -168,7 +168,17 @@ def _listed(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert names[0] < names[1]
 
 
+def _all(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """Every section, where a page leaves some out and names them."""
+    lines = without.stdout.splitlines()
+    assert len(lines) <= 60
+    assert "--full shows all" in without.stdout
+    assert "Not shown here" not in done.stdout
+    assert len(done.stdout.splitlines()) > len(lines)
+
+
 CASES: tuple[Case, ...] = (
+    INSPECT("--full", _all, "inspect", "<night.h5>", "--noise"),
     INSPECT("--save-mapping <out>/m.yaml", _mapping_serves),
     INSPECT("--rests", _every_rest, *REST),
     INSPECT("--shortest-rest 3", _longer_rests, *REST),

@@ -129,6 +129,15 @@ def _saved(without: Outcome, done: Outcome, bench: Bench) -> None:
     np.testing.assert_allclose(rows, plan, atol=0.05)
 
 
+def _every_position(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The positions that were given stand in the whole alone."""
+    assert "Not shown here" in without.stdout
+    assert "Not shown here" not in done.stdout
+    assert done.stdout.splitlines()[:20] == without.stdout.splitlines()[:20]
+    assert "row  inclination  tool-face" in " ".join(done.stdout.splitlines())
+    assert "row  inclination  tool-face" not in without.stdout
+
+
 RECOMMEND = ("design", "--recommend", "9", "--json")
 CASES: tuple[Case, ...] = (
     LAB("--recording <out>/rests.csv", _rests_in_order),
@@ -178,6 +187,7 @@ CASES: tuple[Case, ...] = (
           *QUIET_LOG),
     BOARD("--fault sign@imu1:y", _that(lambda a, b: _inverted(a, b) == [("imu1", 1)])),
     BOARD("--seed 3", _that(lambda a, b: len(_t(a, "log.csv")) == len(_t(b, "log.csv")))),
+    DESIGN("--full", _every_position, "design", "<bench.csv>"),
     DESIGN("--recommend 9", _recommended, "design", "--json"),
     DESIGN("--axes 1", _one_axis, *RECOMMEND),
     DESIGN("--columns inclination=alpha,tool_face=beta", _drilling, "design", "<renamed.csv>",

@@ -19,6 +19,7 @@ from imucalib.calibration.comparison.sensor import OneSensor, sensor_of
 from imucalib.core.sphere import even_directions
 from imucalib.units import DEG, MG
 
+_ROUNDING = 1e-9  # mg, deg, or parts of one: what moves by less is touched by no parameter
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
@@ -55,11 +56,13 @@ def basis_of(calibrations: Sequence[Calibration], dof: Array, *, framed: bool) -
         )  # fmt: skip
     every = [_linear(sensor_of(c), framed=framed) for c in calibrations]
     names, units = _names(framed)
+    covariance = np.array([own for _, own in every])
+    touched = np.flatnonzero(np.einsum("kii->ki", covariance).max(axis=0) > _ROUNDING**2)
     return Basis(
-        names=names,
-        units=units,
-        value=np.array([value for value, _ in every]),
-        covariance=np.array([covariance for _, covariance in every]),
+        names=tuple(names[k] for k in touched),
+        units=tuple(units[k] for k in touched),
+        value=np.array([value[touched] for value, _ in every]),
+        covariance=covariance[:, touched][:, :, touched],
         dof=dof,
         words=f"They hold different effects ({_only(own)}): compared is what they do to first "
         f"order, reading = S force + c{'' if framed else ', free of the frame'}.",
@@ -92,8 +95,12 @@ def _names(framed: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def _linear(sensor: OneSensor, *, framed: bool) -> tuple[Array, Array]:
-    """The numbers of one calibration and their covariance, by its derivatives."""
-    force = sensor.calibration.gravity * even_directions(60)
+    """The numbers of one calibration and their covariance, by its derivatives.
+
+    Every direction stands beside its opposite: what is even in the force is none of S.
+    """
+    half = even_directions(60)
+    force = sensor.calibration.gravity * np.concatenate([half, -half])
     design = np.concatenate([np.ones((len(force), 1)), force], axis=1)
     operator = np.linalg.pinv(design)
     # (4, 3): c over Sᵀ; its derivative (4, 3, p).

@@ -48,7 +48,7 @@ def remarks(
             "not compared"
         )
     notes += [
-        f"{name} is {c.status}: {'; '.join(c.reasons)}"
+        f"status of {name}: {c.status}" + (f" ({'; '.join(c.reasons)})" if c.reasons else "")
         for name, c in zip(names, calibrations, strict=True) if c.status != "ok"
     ]  # fmt: skip
     return tuple(notes)

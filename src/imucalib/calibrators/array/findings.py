@@ -14,6 +14,7 @@ import numpy as np
 from imucalib.calibration.calibration import StoredParameter, stored_parameters
 from imucalib.calibration.findings import Check, Findings, FoundStep, Gain, Untestable
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
+from imucalib.calibrators.array.estimate.left import Residual
 from imucalib.calibrators.array.frame import BASE
 from imucalib.calibrators.array.loop.ages import beats
 from imucalib.calibrators.array.loop.at_rest import AT_REST
@@ -131,9 +132,10 @@ def _untestable(name: str, impact: float) -> Untestable:
 
 
 def array_errors(
-    loop: MotionLoop | None, noise: tuple[float, float], imus: int
+    loop: MotionLoop | None, noise: tuple[float, float], imus: int, residual: Residual
 ) -> tuple[ErrorSummary, ...]:
-    """Residuals of the accelerometers (m/s²), which are the principal ones, and the gyros (deg/s).
+    """Residuals of the accelerometers (m/s²), which are the principal ones, and the gyros (deg/s):
+    held out, or of the fit where nothing was.
 
     noise : m/s² and rad/s, of a sample at rest, which sets the floor: of the 3 K numbers of a
     sample the motion takes 6 from the accelerometers (dω/dt and s) and 3 from the gyros (ω)
@@ -142,6 +144,9 @@ def array_errors(
         noise[0] / _NORMAL_MAD * np.sqrt(1.0 - 2.0 / imus),
         noise[1] / DEG / _NORMAL_MAD * np.sqrt(1.0 - 1.0 / imus),
     )
+    fitted = (residual.acceleration / _NORMAL_MAD, residual.rate / DEG / _NORMAL_MAD)
+    if residual.held_out:
+        fitted = (_NAN, _NAN)
     held = ((_NAN, _NAN), (_NAN, _NAN))
     if loop is not None and loop.gained is not None:
         before, after = loop.gained.before, loop.gained.after
@@ -151,13 +156,13 @@ def array_errors(
             metric=f"{sensor} residual in motion, MAD",
             unit=unit,
             raw=_NAN,
-            base=_NAN,
-            final=_NAN,
+            base=final if loop is None else _NAN,
+            final=final,
             floor=float(floor),
             held_out=HeldOutError(_NAN, *two),
         )
-        for sensor, unit, floor, two in zip(
-            ("accelerometer", "gyro"), ("m/s²", "deg/s"), floors, held, strict=True
+        for sensor, unit, floor, final, two in zip(
+            ("accelerometer", "gyro"), ("m/s²", "deg/s"), floors, fitted, held, strict=True
         )
     )
 

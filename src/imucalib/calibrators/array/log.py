@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,12 +90,18 @@ def _matched_names(recording: Recording, board: Board) -> tuple[list[str], list[
         return triads, [f"IMUs matched to the board in order: {', '.join(triads)}"]
     missing = [n for n in board.imus if n not in triads]
     raise UnreadableInput(
-        f"the board has {board.count} IMUs, the recording {len(triads)} accelerometers "
-        f"({', '.join(triads) or 'none'}); missing: {', '.join(missing)}",
+        f"the board has {board.count} IMUs, the recording {len(triads)} "
+        f"accelerometer{'s' * (len(triads) != 1)} ({_few(triads) or 'none'}); "
+        f"missing: {_few(missing)}",
         where=recording.path,
         remedy="name the IMUs of the board file like the recording's, or map all of them "
         "with --acc and --gyro",
     )
+
+
+def _few(names: Sequence[str]) -> str:
+    more = len(names) - 4
+    return ", ".join(names[: 3 if more > 0 else 4]) + (f" and {more + 1} more" if more > 0 else "")
 
 
 def _channel(recording: Recording, triad: str, quantity: str) -> Channel:

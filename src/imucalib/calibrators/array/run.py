@@ -66,8 +66,9 @@ def finished(
     notes: tuple[str, ...],
 ) -> ArrayRun:
     """The run of these stages: judged, with its calibration."""
-    errors = array_errors(loop, (_rms(rests.noise), _rms(rests.gyro_noise)), board.count)
     residual = residual_in_motion(loop, state, final, moving)
+    noise = (_rms(rests.noise), _rms(rests.gyro_noise))
+    errors = array_errors(loop, noise, board.count, residual)
     left = what_is_left(residual, rests, loop, request.accepted)
     outcome = Outcome(
         "array", errors, _provenance(recording, request),

@@ -12,6 +12,7 @@ from imucalib.cli.gravity_options import gravity_options
 from imucalib.cli.output import (
     color,
     emit_json,
+    full_option,
     json_option,
     note,
     quiet_option,
@@ -53,6 +54,7 @@ from imucalib.cli.working import working
 @force_option
 @recording_options
 @seed_option
+@full_option
 @json_option
 @quiet_option
 def command(calibration: Path, log: Path, **options: Any) -> int:
@@ -106,5 +108,5 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     if options["as_json"]:
         emit_json(content)
     elif not options["quiet"]:
-        click.echo(render_text(document, width(), color=color()), nl=False)
+        click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
     return found.exit_code

@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import color, emit_json, json_option, note, quiet_option, width
+from imucalib.cli.output import (
+    color,
+    emit_json,
+    full_option,
+    json_option,
+    note,
+    quiet_option,
+    width,
+)
 from imucalib.cli.recording_options import force_option
 
 
@@ -23,6 +31,7 @@ from imucalib.cli.recording_options import force_option
 @click.option("--html", type=click.Path(path_type=Path),
               help="Also write the report as a page, with its control chart.")  # fmt: skip
 @force_option
+@full_option
 @json_option
 @quiet_option
 def command(
@@ -32,6 +41,7 @@ def command(
     effects_file: Path | None,
     html: Path | None,
     force: bool,
+    full: bool,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -70,7 +80,7 @@ def command(
     if as_json:
         emit_json(comparison_dict(found))
     elif not quiet:
-        click.echo(render_text(document, width(), color=color()), nl=False)
+        click.echo(render_text(document, width(), color=color(), full=full), nl=False)
     return found.exit_code
 
 

@@ -12,6 +12,7 @@ from imucalib.cli.gravity_options import gravity_of, gravity_options
 from imucalib.cli.output import (
     color,
     emit_json,
+    full_option,
     json_option,
     note,
     numbers,
@@ -46,7 +47,7 @@ from imucalib.cli.working import verbose_option, working
               help="Leave effects out of the search.")  # fmt: skip
 @click.option("--draws", type=click.IntRange(min=99), default=1000, show_default=True,
               help="Simulated fleets behind each p-value.")  # fmt: skip
-@click.option("--full", is_flag=True, help="Print every section, not one page.")
+@full_option
 @gravity_options
 @recording_options
 @shortest_rest_option

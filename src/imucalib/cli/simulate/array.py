@@ -44,7 +44,8 @@ def command(recording: Path, seed: int, **options: Any) -> int:
     --plant takes gyro_scale (1), gyro_delay (s) and quadratic (1 per m/s²), one value each.
 
     \b
-    Example: imucal simulate array log.h5 --plant gyro_delay=0.001 --fault sign@imu3:y
+    Example:
+      imucal simulate array log.h5 --plant gyro_delay=0.001 --fault sign@imu3:y
     """
     import numpy as np
 

@@ -63,7 +63,8 @@ def command(table: Path, recording: Path | None, seed: int, **options: Any) -> i
     """Write a bench table (CSV), and on request a recording, with known planted effects.
 
     \b
-    Example: imucal simulate lab bench.csv --plant inclination_zero=0.8 --slip 10:y
+    Example:
+      imucal simulate lab bench.csv --plant inclination_zero=0.8 --slip 10:y
     """
     import numpy as np
 

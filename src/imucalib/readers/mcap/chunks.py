@@ -79,9 +79,6 @@ def _unpacked(compression: str, body: bytes, most: int, piece: int = 0) -> Itera
             if not part and unpacker.needs_input:
                 return
         return
-    import zstandard
+    from imucalib import zstd
 
-    stream = zstandard.ZstdDecompressor().stream_reader(body, read_across_frames=True)
-    while most > 0 and (part := stream.read(min(most, piece))):
-        most -= len(part)
-        yield part
+    yield from zstd.frames(body, most, piece)

@@ -86,18 +86,15 @@ class Filler:
 
 def inflate(payload: bytes) -> bytes:
     """A zstd-compressed payload, unpacked; raises LayoutError."""
-    import zstandard
+    from imucalib import zstd
 
     try:
-        size = zstandard.frame_content_size(payload)
-        if size > _MOST_INFLATED:
-            raise LayoutError(f"a compressed message claims {size} bytes")
-        data = zstandard.ZstdDecompressor().decompress(payload, max_output_size=_MOST_INFLATED)
-    except (zstandard.ZstdError, MemoryError) as error:
+        data = zstd.first_frame(payload, _MOST_INFLATED)
+    except (zstd.ZstdError, MemoryError) as error:
         raise LayoutError("a compressed message is damaged") from error
     if data[:4] == ZSTD_MAGIC:
         raise LayoutError("a message is compressed twice")
-    return bytes(data)
+    return data
 
 
 def inflated(block: MessageBlock) -> MessageBlock:

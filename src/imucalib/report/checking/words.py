@@ -9,15 +9,15 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.checking.check import POWER, Check, SensorCheck
 from imucalib.calibration.checking.noise import FAMILIES
-from imucalib.calibration.checking.statistic import ANYTHING
-from imucalib.significant_digits import plus_minus, two_digits
+from imucalib.calibration.checking.statistic import ANYTHING, DRAWS
+from imucalib.significant_digits import plus_minus, probability, two_digits
 
 _FACES = ("x", "y", "z")
 
 
 def verdict_words(check: Check) -> str:
     """The headline."""
-    p = f"p {check.p:.2g}"
+    p = f"p {probability(check.p, DRAWS)}"
     if check.verdict == "changed":
         return f"Changed ({p}): {'; '.join(causes_in_words(check))}."
     short = [

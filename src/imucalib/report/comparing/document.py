@@ -103,15 +103,15 @@ def _parameters(found: Comparison) -> Table:
             tones[k] = "warning"
         each = (plus_minus(float(v), float(s)) for v, s in
                 zip(basis.value[:_ROOM, k], sd[:_ROOM, k], strict=True))  # fmt: skip
-        rows.append((name, *each, f"{z:+.1f}", unit))
+        rows.append((name if unit == "1" else f"{name}, {unit}", *each, f"{z:+.1f}"))
     heads = tuple(found.names[:_ROOM])
     note = "z: the last minus the first over the sd of the difference."
     if m > 2:
         note = "z: the largest of one against the mean of the others."
     if m > _ROOM:
         note += f" Shown are the first {_ROOM} of {m}; all are in the JSON."
-    header = ("parameter", *heads, "z", "unit")
-    return Table("", header, tuple(rows), "l" + "r" * (len(heads) + 1) + "l", note, tones)
+    header = ("parameter", *heads, "z")
+    return Table("", header, tuple(rows), "l" + "r" * (len(heads) + 1), note, tones)
 
 
 def _scatter(found: Comparison) -> list[Block]:

@@ -29,8 +29,8 @@ def control_chart(found: Comparison) -> Plot | None:
         Series("limit about the mean", ends, level, "band", level - force.limit,
                level + force.limit),
         Series("mean", ends, level, "line"),
-        Series("95 %", x, value, "bars", value - _HALF * sd, value + _HALF * sd),
-        Series("calibrations", x, value, "points", names=found.names),
+        Series("calibrations, 95 %", x, value, "points", value - _HALF * sd, value + _HALF * sd,
+               names=found.names),
     ]  # fmt: skip
     where = ", ".join(f"{v:+.2f}" for v in force.worst.attitude)
     return Plot(
@@ -39,5 +39,5 @@ def control_chart(found: Comparison) -> Plot | None:
         "|f| against the first, mg",
         tuple(series),
         f"The attitude that differs most, force along ({where}): points outside the band have left "
-        "the limit about the mean of all; bars are 95 % by what each calibration states.",
+        "the limit about the mean of all; whiskers are 95 % by what each calibration states.",
     )

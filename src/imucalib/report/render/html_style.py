@@ -128,5 +128,6 @@ h2{margin-top:1.8rem}tr,.verdict,.facts dd{break-inside:avoid}thead{display:tabl
 figure{margin:.7rem 0 1rem}figure svg{max-width:104mm;font-size:12.5px}
 .terms .facts{grid-template-columns:auto 1fr auto 1fr;font-size:8pt}.terms dt{padding-right:.6rem}
 .terms dd{padding-right:1rem}
-.card{break-inside:auto}p{orphans:3;widows:3}}
+.card{break-inside:auto}p{orphans:3;widows:3}
+footer{margin-top:1rem;break-before:avoid;break-inside:avoid}}
 """

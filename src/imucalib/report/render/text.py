@@ -16,7 +16,7 @@ from imucalib.report.render.text_table import table_lines
 
 NARROWEST = 40
 MEASURE = 100  # longest line of running text
-PAGE = 60  # lines of a report that has a card
+PAGE = 60  # lines of a report
 SIGNS: dict[Tone, str] = {"ok": "✓", "warning": "!", "bad": "✗", "plain": ""}
 STYLES: dict[Tone, str] = {"ok": "green", "warning": "yellow", "bad": "red", "plain": ""}
 WORDS: dict[Tone, str] = {"ok": "PASSED", "warning": "CAUTION", "bad": "FAILED", "plain": ""}
@@ -25,7 +25,7 @@ WORDS: dict[Tone, str] = {"ok": "PASSED", "warning": "CAUTION", "bad": "FAILED",
 def render_text(document: Document, width: int, *, color: bool, full: bool = False) -> str:
     """The brief sections without their plots; no line is wider than `width` cells (at least 40).
 
-    A document with a card is one page: head, card, and of the brief sections those that fit.
+    One page: head, card, and of the brief sections those that fit.
     color : ANSI colours; without them every tone still shows as a sign and a word
     full : every section, however long, without its plots
     """
@@ -33,10 +33,11 @@ def render_text(document: Document, width: int, *, color: bool, full: bool = Fal
     lines = [*_head(document, width), *_card(document.card, width)]
     sections = [(s, _section(s, width)) for s in document.sections if s.brief or full]
     hidden = [s.title for s in document.sections if not (s.brief or full)]
-    if document.card is None or full:
+    if full:
         shown = [rows for _, rows in sections]
     else:
-        document = replace(document, footer=_command(document))
+        if document.card:
+            document = replace(document, footer=_command(document))
         room = PAGE - len(lines) - len(_foot(document, width, [s.title for s in document.sections]))
         shown, left = _fitting(sections, room)
         hidden = [s.title for s in document.sections if s.title in {*left, *hidden}]
@@ -53,10 +54,13 @@ def _command(document: Document) -> tuple[tuple[str, str], ...]:
 def _fitting(
     sections: Sequence[tuple[Section, list[Line]]], room: int
 ) -> tuple[list[list[Line]], list[str]]:
-    """Those that fit into `room` lines, in their order, and the titles of the others."""
+    """What is kept or fits into `room` lines, in its order, and the titles of the others."""
+    room -= sum(len(rows) for section, rows in sections if section.kept)
     shown, left = [], []
     for section, rows in sections:
-        if len(rows) <= room:
+        if section.kept:
+            shown.append(rows)
+        elif len(rows) <= room:
             shown.append(rows)
             room -= len(rows)
         else:
@@ -162,8 +166,8 @@ def _foot(document: Document, width: int, hidden: Sequence[str]) -> list[Line]:
     rows = [*document.footer]
     if hidden:
         rows.append(("Not shown here", ", ".join(map(one_line, hidden))))
-    if hidden and document.card:
-        rows[-1] = (rows[-1][0], f"{rows[-1][1]}; --full shows all, report.html draws them")
+        drawn = ", report.html draws them" if document.card else ""
+        rows[-1] = (rows[-1][0], f"{rows[-1][1]}; --full shows all{drawn}")
     if not rows:
         return []
     return [Line(), Line("─" * measure, "dim"), *_facts(rows, measure, "dim")]

@@ -69,11 +69,11 @@ class McapFile:
         log_times: NDArray[np.uint64],
     ) -> None:
         """Write message records as one chunk. starts, channels, log_times (ns) : (n,) each."""
-        import zstandard
+        from imucalib import zstd
 
         if starts.size == 0:
             return
-        packed = zstandard.ZstdCompressor().compress(data)
+        packed = zstd.compress(data)
         first, last = int(log_times.min()), int(log_times.max())
         head = struct.pack("<QQQI", first, last, len(data), zlib.crc32(data))
         at = self._at

@@ -16,6 +16,7 @@ from imucalib.calibrators.array.estimate.left import Accepted, Residual, what_is
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.loop.found import Unexplained
+from imucalib.report.array.card import array_card
 from worlds.boards import BoardPlan, board_log, made_board
 
 BOARD = read_board("mimu4444_corners")
@@ -57,6 +58,14 @@ def test_noise_at_rest_is_not_left() -> None:
     plan = BoardPlan(twist_s=6.0)
     run = run_of(plan, 4)
     assert run.residual.acceleration == pytest.approx(plan.sigma, rel=0.1)
+    # Without a search the errors are those of the fit, as median absolute deviations.
+    force, rate = run.outcome.errors
+    assert force.final == pytest.approx(plan.sigma / 1.4826, rel=0.1)
+    assert rate.final == pytest.approx(plan.sigma_gyro / 1.4826, rel=0.2)
+    assert np.isnan(force.held_out.final)
+    card = array_card(run, ())
+    assert not [w for w in card.good_to if "nan" in w.value]
+    assert "MAD, fitted; nothing was held out" in card.good_to[1].detail
     assert run.residual.rate == pytest.approx(np.radians(plan.sigma_gyro), rel=0.2)
     quiet = what_is_left(Residual(plan.sigma, 0.0, False), run.rests, None, Accepted())
     assert quiet[0].value < 1.5  # of 4 mg, all noise

@@ -1,0 +1,109 @@
+"""The pages: every link leads to what is there, and README and the site's menu name every page."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from imucalib import cli
+from imucalib.errors import ImucalError
+from options.tree import commands, options_of
+
+ROOT = Path(__file__).parents[1]
+_SPEC = importlib.util.spec_from_file_location("pages", ROOT / "docs" / "site" / "pages.py")
+assert _SPEC is not None
+assert _SPEC.loader is not None
+site = importlib.util.module_from_spec(_SPEC)
+sys.modules["pages"] = site
+_SPEC.loader.exec_module(site)
+
+_FENCED = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """Of every heading, as GitHub and the site both make them of these pages' words."""
+    text = _FENCED.sub("", page.read_text(encoding="utf-8"))
+    found = set()
+    for title in re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE):
+        words = re.sub(r"[^\w\s-]", "", title.replace("\\", "").lower())
+        found.add(re.sub(r"\s", "-", words.strip()))
+    return found
+
+
+@pytest.mark.parametrize("page", site.pages(), ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_every_link_leads_somewhere(page: Path) -> None:
+    for target in site.links(page):
+        assert (page.parent / target).exists(), target
+    text = _FENCED.sub("", page.read_text(encoding="utf-8"))
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)#([^)\s]+)\)", text):
+        if not target.startswith("http"):
+            assert anchor in anchors(page.parent / target if target else page), f"{target}#{anchor}"
+
+
+def test_the_menu_names_every_page_once() -> None:
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    named = re.findall(
+        r"^ +- [^:\n]+: (\S+\.md)$", text[text.index("\nnav:") :], flags=re.MULTILINE
+    )
+    assert sorted(named) == sorted(p.relative_to(ROOT).as_posix() for p in site.pages())
+
+
+def test_readme_names_every_page() -> None:
+    named = {(ROOT / target).resolve() for target in site.links(ROOT / "README.md")}
+    missing = {p for p in site.pages() if p not in named} - {ROOT / "README.md", ROOT / "VISION.md"}
+    assert not missing
+
+
+CALLS = (
+    ("lab", "{folder}/none.csv"),
+    ("apply", "{logs}/cohort.txt", "{logs}/rests.mcap", "-o", "{folder}/x.mcap"),
+    ("effects", "no_such_effect"),
+    ("actigraph", "{logs}/rests.mcap", "--every", "1 fortnight"),
+    ("lab", "{logs}/bench.csv", "--exclude", "1-99"),
+    ("array", "{logs}/rests.mcap", "--board", "mimu4444_corners"),
+)
+
+
+@pytest.mark.parametrize("call", CALLS, ids=lambda c: c[0])
+def test_troubleshooting_holds_what_a_user_meets(call: tuple[str, ...], tmp_path: Path) -> None:
+    words = [w.format(folder=tmp_path, logs=ROOT / "sample_logs") for w in call]
+    failed = CliRunner().invoke(cli.cli, words, standalone_mode=False).exception
+    assert isinstance(failed, ImucalError | click.ClickException)
+    words_of_it = failed.what if isinstance(failed, ImucalError) else failed.message
+    page = (ROOT / "docs" / "reference" / "troubleshooting.md").read_text(encoding="utf-8")
+    part = page[page.index(f"## Exit code {failed.exit_code}") :]
+    rows = [re.split(r"(?<!\\) \| ", row[2:]) for row in re.findall(r"^\| .+$", part, re.MULTILINE)]
+    told = [re.escape(re.sub(r"\\(.)", r"\1", row[0])).replace("…", ".*") for row in rows]
+    assert any(re.fullmatch(text, words_of_it, re.DOTALL) for text in told if text.strip(".* "))
+
+
+def test_the_reference_has_every_option_of_every_command() -> None:
+    page = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    for name, command in commands().items():
+        heading = re.search(rf"^#+ imucal {name}$", page, flags=re.MULTILINE)
+        assert heading, name
+        following = re.search(r"^#+ imucal ", page[heading.end() :], flags=re.MULTILINE)
+        part = page[heading.end() :][: following.start() if following else None]
+        for option in options_of(command):
+            assert f"`{option}`" in part, f"{name} {option}"
+
+
+def test_no_page_holds_a_place_that_was_to_be_filled() -> None:
+    for page in site.pages():
+        text = _FENCED.sub("", page.read_text(encoding="utf-8"))
+        assert not re.findall(
+            r"^[A-Z][A-Z_]+_[A-Z_]+$|\bTODO\b|\bTBD\b", text, flags=re.MULTILINE
+        ), page
+
+
+def test_the_site_is_built_by_make_and_by_the_workflow() -> None:
+    rule = re.search(r"^site:.*\n\t(.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
+    assert rule
+    assert "mkdocs build --strict" in rule[1]
+    assert "make site" in (ROOT / ".github/workflows/ci.yml").read_text()
