@@ -57,6 +57,12 @@ def _cold(folder: Path) -> Path:
     return folder / "cold.h5"
 
 
+def test_a_table_and_its_recording_are_two_files(tmp_path: Path) -> None:
+    done = run("lab", tmp_path / "one.csv", "--recording", tmp_path / "one.csv")
+    assert "one file" in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_array_tells_machines_where_its_sensors_are(tmp_path: Path) -> None:
     path = tmp_path / "log.h5"
     done = run("array", path, "--rests", 9, "--seconds", 3, "--json", "--plant", "gyro_delay=0.001")
@@ -105,3 +111,15 @@ def test_what_is_no_fault_is_refused(tmp_path: Path, fault: str) -> None:
 def test_a_table_takes_no_fault_of_a_recording(tmp_path: Path) -> None:
     done = run("lab", tmp_path / "a.csv", "--fault", "gap@1:2")
     assert isinstance(done.exception, UsageError)
+
+
+def test_a_benchs_recording_rests_four_seconds_with_four_mg_of_noise(tmp_path: Path) -> None:
+    path = tmp_path / "rests.h5"
+    done = run("lab", tmp_path / "b.csv", "--recording", path, "--positions", "12")
+    assert done.exception is None
+    values = readings(path)
+    assert len(values) == 12 * 400 + 11 * 150  # 100 Hz, 1.5 s of motion between
+    for k in range(12):
+        rest = values[550 * k : 550 * k + 400]
+        np.testing.assert_allclose(rest.std(axis=0), 4.0 * MG, rtol=0.2)
+        np.testing.assert_allclose(rest[:200].mean(axis=0), rest[200:].mean(axis=0), atol=2.0 * MG)

@@ -20,6 +20,7 @@ from imucalib.errors import UsageError
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.evidence import score
+from imucalib.units import MG
 from worlds.bench import GRAVITY, base_model, bench, draw, ordinary_theta
 
 Array = NDArray[np.float64]
@@ -334,3 +335,14 @@ def test_a_step_is_tried_where_both_sides_have_six_rows() -> None:
     """Twenty rows: the step comes before row 7 at the earliest and before row 15 at the latest."""
     tried = families()["bias_step"].values(Context(20, {"record": np.arange(20.0)}))
     assert tried == tuple(f"record{k}" for k in range(7, 16))
+
+
+def test_a_step_before_a_record_begins_with_it() -> None:
+    """Records count from 1: before record 7 the bias is what it was, from the seventh on it is
+    off by the step."""
+    effect = families()["bias_step"].member("record7")
+    context = Context(20, {"record": np.arange(20.0)})
+    truth = Truth(np.zeros((20, 1, 3)))
+    off = effect.act(np.array([1.0, -2.0, 3.0]), truth, context).delta[:, 0] / MG
+    expected = np.where(np.arange(1, 21)[:, None] >= 7, [[1.0, -2.0, 3.0]], 0.0)
+    np.testing.assert_allclose(off, expected, atol=1e-12)

@@ -1,10 +1,10 @@
 """Numbers of other programs on data that anybody can make again, each file with its certificate.
 
-    pip install --target LIB statsmodels arviz-stats ahrs
+    pip install --target LIB statsmodels arviz-stats ahrs mpmath mcap mcap-ros2-support
     PYTHONPATH=LIB python tests/goldens/programs.py      writes tests/goldens/programs/*.csv
 
-The tests read the files alone. Data come from the generator of NIST SP 1065 (section 12.4), as in
-goldens/allantools: n <- 16807 n mod 2147483647, over 2147483647.
+The tests read the files alone, and the sample logs. Data come from the generator of NIST SP 1065
+(section 12.4), as in goldens/allantools: n <- 16807 n mod 2147483647, over 2147483647.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterable
 from datetime import date
 from importlib.metadata import version
+from math import fsum
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 FOLDER = Path(__file__).parent / "programs"
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 
 def uniform(count: int, seed: int = 1234567890) -> Array:
@@ -120,11 +122,126 @@ def angles() -> tuple[str, str, Iterable[Array]]:
     return "Tilt(acc, representation='angles'), rad", "roll,pitch", rows
 
 
+def _precise(found: object) -> float:
+    return float(found)  # type: ignore[arg-type]
+
+
+def student() -> tuple[str, str, Iterable[Array]]:
+    """t with a probability of 0.975 below it, by the root of the regularised incomplete beta."""
+    from mpmath import betainc, findroot, mp, mpf
+
+    mp.dps = 40
+    rows = []
+    for dof in (1, 2, 3, 5, 9, 15, 27, 60, 399):
+
+        def off(t: object, dof: int = dof) -> object:
+            return betainc(mpf(dof) / 2, mpf(1) / 2, 0, dof / (dof + t * t), regularized=True) - (
+                mpf(1) / 20)  # fmt: skip
+
+        rows.append(np.array([dof, _precise(findroot(off, (1.9, 13.0), solver="anderson"))]))
+    return "findroot of betainc(dof/2, 1/2, 0, dof/(dof+t²)) = 0.05, 40 digits", "dof,t", rows
+
+
+def chi_square() -> tuple[str, str, Iterable[Array]]:
+    """Upper tails; degrees of freedom need not be whole."""
+    from mpmath import gammainc, mp, mpf
+
+    mp.dps = 40
+    rows = [
+        np.array([dof, x, _precise(gammainc(mpf(dof) / 2, mpf(x) / 2, regularized=True))])
+        for dof in (1.0, 2.0, 3.5, 11.25, 50.0, 400.0)
+        for x in (0.25 * dof, dof, 1.5 * dof, 2.0 * dof + 10.0, 4.0 * dof + 40.0)
+    ]
+    return "gammainc(dof/2, x/2, regularized=True), 40 digits", "dof,x,tail", rows
+
+
+def chi_quantiles() -> tuple[str, str, Iterable[Array]]:
+    """Values with 0.025 and 0.975 above them."""
+    from mpmath import findroot, gammainc, mp, mpf
+
+    mp.dps = 40
+    rows = []
+    for dof in (2, 3, 6, 11):
+        ends = []
+        for tail in (mpf("0.025"), mpf("0.975")):
+
+            def off(x: object, dof: int = dof, tail: object = tail) -> object:
+                return gammainc(mpf(dof) / 2, x / 2, regularized=True) - tail
+
+            ends.append(_precise(findroot(off, (0.01, 60.0), solver="anderson", maxsteps=500)))
+        rows.append(np.array([dof, *ends]))
+    return "findroot of gammainc(dof/2, x/2) = 0.025 and 0.975, 40 digits", "dof,high,low", rows
+
+
+def fisher() -> tuple[str, str, Iterable[Array]]:
+    """Upper tails of F(rank, dof)."""
+    from mpmath import betainc, mp, mpf
+
+    mp.dps = 40
+    rows = []
+    for rank, dof in ((1, 4.0), (3, 7.5), (3, 26.0), (12, 33.25), (3, 1e6)):
+        for f in (0.3, 1.0, 4.0, 25.0):
+            x = mpf(dof) / (mpf(dof) + rank * mpf(f))
+            tail = betainc(mpf(dof) / 2, mpf(rank) / 2, 0, x, regularized=True)
+            rows.append(np.array([rank, dof, f, _precise(tail)]))
+    return "betainc(dof/2, rank/2, 0, dof/(dof+rank f)), 40 digits", "rank,dof,f,tail", rows
+
+
+#: Recordings of the sample logs that hold ROS messages.
+LOGS = ("rests.mcap", "board_part.mcap")
+SUMS = ("first", "last", "messages", *(f"{kind}_{axis}" for kind in
+        ("force", "rate", "force_turn", "rate_turn") for axis in "xyz"))  # fmt: skip
+
+
+def summary(stamp: Array, force: Array, rate: Array) -> Array:
+    """What one topic holds in numbers that a lost, doubled, moved or exchanged sample changes.
+
+    stamp : (n,) s after the log's first stamp; force, rate : (n, 3); exact sums, then those by turn
+    """
+    turn = np.arange(1.0, len(stamp) + 1.0)[:, None] / len(stamp)
+    each = np.concatenate([force, rate, force * turn, rate * turn], axis=1)
+    return np.array([stamp[0], stamp[-1], len(stamp), *(fsum(column) for column in each.T)])
+
+
+def messages() -> tuple[str, str, Iterable[Array]]:
+    """Every topic of the sample logs in order of its name, by the official decoders."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    rows = []
+    for number, name in enumerate(LOGS):
+        topics: dict[str, list[tuple[int, ...]]] = {}
+        with (SAMPLES / name).open("rb") as file:
+            reader = make_reader(file, decoder_factories=[DecoderFactory()])
+            for _, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
+                if not hasattr(message, "linear_acceleration"):
+                    continue
+                at, a, w = (message.header.stamp, message.linear_acceleration,
+                            message.angular_velocity)  # fmt: skip
+                one = (at.sec * 10**9 + at.nanosec, a.x, a.y, a.z, w.x, w.y, w.z)
+                topics.setdefault(channel.topic, []).append(one)
+        start = min(found[0][0] for found in topics.values())
+        for topic in sorted(topics):
+            stamp = np.array([1e-9 * (one[0] - start) for one in topics[topic]])
+            value = np.array([one[1:] for one in topics[topic]], np.float64)
+            rows.append(np.array([number, *summary(stamp, value[:, :3], value[:, 3:])]))
+    return (
+        f"make_reader with mcap-ros2-support {version('mcap-ros2-support')}, of {', '.join(LOGS)}",
+        ",".join(("log", *SUMS)),
+        rows,
+    )
+
+
 MADE: dict[str, tuple[str, Callable[[], tuple[str, str, Iterable[Array]]]]] = {
     "reml": ("statsmodels", reml),
     "diagnostics": ("arviz-stats", diagnostics),
     "gravity": ("ahrs", gravity),
     "angles": ("ahrs", angles),
+    "student": ("mpmath", student),
+    "chi_square": ("mpmath", chi_square),
+    "chi_quantiles": ("mpmath", chi_quantiles),
+    "fisher": ("mpmath", fisher),
+    "messages": ("mcap", messages),
 }
 
 

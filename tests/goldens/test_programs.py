@@ -1,4 +1,4 @@
-"""Variance components, chains, gravity and angles against other programs' numbers."""
+"""Variance components, chains, gravity, angles and messages against other programs' numbers."""
 
 from __future__ import annotations
 
@@ -8,11 +8,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from goldens.programs import FOLDER, MADE, chains, crossed, forces, places
+from goldens.programs import (
+    FOLDER,
+    LOGS,
+    MADE,
+    SAMPLES,
+    chains,
+    crossed,
+    forces,
+    places,
+    summary,
+)
 from imucalib.core.balance import Balanced, Noise
 from imucalib.core.references import angles_of
 from imucalib.estimators.markov.convergence import convergence
 from imucalib.estimators.variance import estimate_noise
+from imucalib.readers import read
 from imucalib.units import local_gravity
 
 Array = NDArray[np.float64]
@@ -75,3 +86,20 @@ def test_angles_are_those_of_ahrs() -> None:
     np.testing.assert_allclose(inclination, want["pitch"], atol=1e-12)
     away = np.mod(tool_face - want["roll"] + np.pi, 2.0 * np.pi) - np.pi
     np.testing.assert_allclose(away, 0.0, atol=1e-12)
+
+
+def test_messages_are_those_of_the_official_decoders() -> None:
+    """Of every topic of the sample logs: stamps, count, and sums that any other sample changes."""
+    want = golden("messages")
+    rows = []
+    for number, name in enumerate(LOGS):
+        recording = read(SAMPLES / name)
+        triads = sorted({c.triad for c in recording.channels.values()})
+        start = min(float(c.t[0]) for c in recording.channels.values())
+        for triad in triads:
+            force = recording.channels[f"{triad}/acceleration"]
+            turning = recording.channels.get(f"{triad}/angular_rate")
+            rate = np.zeros_like(force.values) if turning is None else turning.values
+            rows.append([number, *summary(force.t - start, force.values, rate)])
+    for name, column in zip(want, np.array(rows).T, strict=True):
+        np.testing.assert_allclose(column, want[name], rtol=1e-12, atol=1e-9, err_msg=name)

@@ -118,7 +118,10 @@ def test_p_is_for_the_best_of_all_candidates() -> None:
     assert 0.005 < alone.p < among.p
 
 
-def _dense_evidence(fit: Fit, columns: Array) -> float:
+SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
+
+
+def _dense_evidence(fit: Fit, columns: Array, taus: tuple[float, ...] = SIZES) -> float:
     """The definition: restricted likelihood with V + τ² G Gᵀ, profiled over noise and grids."""
     at = fit.at
     n, p = at.jacobian.shape
@@ -139,7 +142,6 @@ def _dense_evidence(fit: Fit, columns: Array) -> float:
     fitted_ratio = [sd / fit.noise.factor for sd in fit.noise.sd]
     grid = list(product(*(tuple(s * r for s in shrink) for r in fitted_ratio)))
     without = max(log_density(ratio, 0.0) for ratio in grid)
-    taus = (0.1, 0.3, 1.0, 3.0, 10.0)
     return max(log_density(ratio, tau) for ratio in grid for tau in taus) - without
 
 
@@ -148,6 +150,25 @@ def test_evidence_is_its_definition(name: str) -> None:
     fit = _planted("cubic", 64, 0.5, n=14)
     columns = effect_columns(fit, named(name))
     found = score(fit, (Candidate(name, "effect", columns),), np.random.default_rng(0), draws=1)
+    assert found[0].evidence == pytest.approx(_dense_evidence(fit, columns), abs=1e-6)
+
+
+@cache
+def _best_size() -> float:
+    """The likeliest size of the effect in `_planted("cubic", 64, 1.0, n=14)`."""
+    fit = _planted("cubic", 64, 1.0, n=14)
+    columns = effect_columns(fit, named("cubic"))
+    tried = [float(tau) for tau in np.geomspace(0.1, 30.0, 25)]
+    return max(tried, key=lambda tau: _dense_evidence(fit, columns, (tau,)))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_every_size_of_an_effect_is_tried(size: float) -> None:
+    """Columns c times as large have their best size at 1 / c of what it was."""
+    fit = _planted("cubic", 64, 1.0, n=14)
+    columns = effect_columns(fit, named("cubic")) * _best_size() / size
+    assert max(SIZES, key=lambda tau: _dense_evidence(fit, columns, (tau,))) == size
+    found = score(fit, (Candidate("cubic", "effect", columns),), np.random.default_rng(0), draws=1)
     assert found[0].evidence == pytest.approx(_dense_evidence(fit, columns), abs=1e-6)
 
 

@@ -277,6 +277,10 @@ FORMS = {
 }
 
 
+#: The period and the place that were planted, between those of the scan.
+NUMBERS = {"shape@bias:order:sine": 0.4, "shape@bias:order:kink": 0.4}
+
+
 @pytest.mark.parametrize("name", FORMS)
 def test_a_curve_with_a_form_gets_its_formula(name: str) -> None:
     base, data = base_model(), bench(5, 60)
@@ -287,6 +291,9 @@ def test_a_curve_with_a_form_gets_its_formula(name: str) -> None:
     (step,) = loop.steps
     forms = [f.rsplit(":", len(f.split(":")) - 3)[0] for f in (step.effect, *step.aliases)]
     assert name in forms
+    if name in NUMBERS:
+        of_form = next(f for f in (step.effect, *step.aliases) if f.startswith(name))
+        assert float(of_form.split(":")[3]) == pytest.approx(NUMBERS[name], abs=0.008)
     assert not step.curve
     assert loop.verdict.startswith("explained")
 

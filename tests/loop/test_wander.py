@@ -7,13 +7,19 @@ import pytest
 from numpy.typing import NDArray
 
 from gates.bounds import at_most
+from imucalib.core.model import Model
+from imucalib.effects import named
 from imucalib.loop.design import Fold
 from imucalib.loop.wander.bank import Bank, bank_of, parts_of, splits_of, walks_of
 from imucalib.loop.wander.choice import Rules, search
+from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.held_blocks import judged, solved
 from imucalib.loop.wander.likelihood import Terms, best_level, levels
+from imucalib.loop.wander.noise import Noise
 from imucalib.loop.wander.scores import SIZES, Entry, null_of, scored
 from imucalib.loop.wander.walk import Course, Walk, beside, drawn, whitened
+from imucalib.units import MG
+from worlds.bench import GRAVITY, draw, tumble
 
 Array = NDArray[np.float64]
 WALKS = (Walk(0.0, 1.0), Walk(0.4, 900.0), Walk(6.0, 20000.0))
@@ -202,3 +208,24 @@ def test_noise_takes_no_effects_place_and_no_effect_the_noises() -> None:
                 passed += bool(found.taken)
     assert hit == 40
     assert passed <= at_most(40, 0.05).most
+
+
+@pytest.mark.parametrize("share", [0.2, 1.0, 5.0])
+def test_a_prior_pulls_as_strongly_as_it_says(share: float) -> None:
+    """Biases of a few mg seen by norms are a linear model: |r| - g = u'b. A prior of `share` times
+    what the rows know of a bias gives ridge regression's answer and covariance."""
+    model, scatter = Model((named("bias"),)), 5.0
+    data = draw(model, np.array([3.0, -4.0, 2.0]), tumble(3), 1)
+    r = data.reading[:, 0]
+    n, size = len(r), np.linalg.norm(r, axis=1)
+    none = Course(np.arange(float(n)), np.zeros((n, 4)), np.ones(n), np.zeros(n, np.intp))
+    noise = Noise(scatter, none, Walk(0.0, 1.0), 0.0, 0.0, 0, ())
+    typical = np.array([p.typical for p in model.parameters(data.context)])
+    assert (typical != 1.0).all()
+    weight = share * n / 3.0 / scatter**2
+    found = fitted(model, data, noise, np.zeros(3), weight * typical**2)
+    u, off = r / size[:, None], (size - GRAVITY) / MG
+    information = u.T @ u / scatter**2 + weight * np.eye(3)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=0.02, atol=1e-3)
+    expected = np.linalg.solve(information, u.T @ off / scatter**2)
+    np.testing.assert_allclose(found.theta, expected, atol=0.02)

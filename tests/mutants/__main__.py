@@ -46,17 +46,29 @@ class Guard:
 #: Rooms whose code decides a number.
 ROOMS: dict[str, Guard] = {
     "units.py": Guard(("tests/test_units.py", "tests/core")),
-    "core": Guard(("tests/oracle", "tests/core", "tests/effects", "tests/estimators/test_nist.py")),
+    "core": Guard(
+        (
+            "tests/oracle",
+            "tests/core",
+            "tests/goldens",
+            "tests/effects",
+            "tests/estimators/test_nist.py",
+        )
+    ),
     "effects": Guard(("tests/oracle", "tests/effects")),
     "rests": Guard(("tests/rests",)),
     "recording": Guard(("tests/recording", "tests/readers/csv"), "convert"),
     "estimators": Guard(
         ("tests/estimators/test_nist.py", "tests/estimators", "tests/core"), "array and motion"
     ),
-    "loop": Guard(("tests/loop",), "lab and (only or seed or auto)"),
-    "calibration": Guard(("tests/calibration",), "apply or export or (output and not array)"),
+    "loop": Guard(("tests/goldens", "tests/loop"), "lab and (only or seed or auto)"),
+    "calibration": Guard(
+        ("tests/calibration", "tests/goldens"), "apply or export or (output and not array)"
+    ),
     "calibrators/lab/conventions.py": Guard(("tests/calibrators/lab/test_conventions.py",), "lab"),
-    "calibrators/lab": Guard(("tests/calibrators/lab",), "lab and not simulate"),
+    "calibrators/lab": Guard(
+        ("tests/calibrators/lab", "tests/cli/test_simulate.py"), "lab and not simulate"
+    ),
     "calibrators/actigraph": Guard(("tests/calibrators/actigraph",), "actigraph"),
     "calibrators/array": Guard(("tests/calibrators/array",), "array and not simulate"),
 }
@@ -197,7 +209,8 @@ def main() -> None:
     print(table(found))
     if options.page is not None:
         line = f"{date.today()}, `python tests/mutants --count {options.count} "
-        line += f"--seed {options.seed}`:\n\n"
+        some = "" if options.only == list(ROOMS) else f" --only {' '.join(options.only)}"
+        line += f"--seed {options.seed}{some}`:\n\n"
         written("mutants", line + table(found))
 
 

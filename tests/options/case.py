@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -144,10 +145,22 @@ def values(outcome: Outcome) -> dict[str, float]:
     return {p["name"]: p["value"] for p in outcome.content["parameters"]}
 
 
+def _told_apart(without: Outcome, done: Outcome) -> bool:
+    """Whether results with different numbers say that they were made otherwise."""
+    try:
+        one, two = without.content, done.content
+        kept = [[o["provenance"].get(k) for k in ("settings", "mapping", "seed")]
+                for o in (one, two)]  # fmt: skip
+    except (json.JSONDecodeError, KeyError, TypeError):
+        return True  # text, a refusal, or a command that fits nothing
+    return kept[0] != kept[1] or not differences(one, two)
+
+
 def held(case: Case, bench: Bench) -> None:
     """Assert what a case says."""
     without, done = bench.run(case.plain), bench.run(case.whole)
     assert differ(without, done), "the option changes nothing"
+    assert _told_apart(without, done), "what changes a number is not in the provenance"
     if case.changes is not None:
         found = blocks(differences(without.content, done.content))
         assert found == case.changes, found ^ case.changes

@@ -118,21 +118,41 @@ def _curved(path: Path) -> None:
     path.write_text(text_of(reading, "x_mg,y_mg,z_mg"))
 
 
+def _lighter(table: Rows) -> Rows:
+    """The bench where gravity is 9.75 m/s²: the sensor reads less of it, the unit stays."""
+    lost = (1.0 - 9.75 / G) * 1000.0 * direction(table[:, 0], table[:, 1]) @ GAIN.T
+    return np.column_stack([table[:, :2], table[:, 2:] - lost])
+
+
+def _crossed(table: Rows) -> Rows:
+    """z reads 30 mg of the product of x and y besides."""
+    u = direction(table[:, 0], table[:, 1])
+    return np.column_stack([table[:, :4], table[:, 4] + 30.0 * u[:, 0] * u[:, 1]])
+
+
 def _comma(table: Rows) -> str:
     """A table with ; between its columns and , in its numbers."""
     return text_of(table, mark=";").replace(".", ",")
 
 
 def still(
-    path: Path, *, seconds: float = 3.0, rate: float = 50.0, table: Rows | None = None
+    path: Path,
+    *,
+    seconds: tuple[float, ...] = (3.0,),
+    rate: float = 50.0,
+    table: Rows | None = None,
 ) -> None:
-    """A recording that rests in every position of the bench, in m/s², and moves between."""
+    """A recording that rests in every position of the bench, in m/s², and moves between.
+
+    seconds : of the rests, in turn
+    """
     rng = np.random.default_rng(8)
     means = (rows() if table is None else table)[:, 2:] * 1e-3 * G
-    held, moved = int(seconds * rate), int(1.5 * rate)
     parts = []
-    for mean in means:
-        parts += [np.tile(mean, (held, 1)), mean + 3.0 * rng.standard_normal((moved, 3))]
+    for k, mean in enumerate(means):
+        held = int(seconds[k % len(seconds)] * rate)
+        moved = mean + 3.0 * rng.standard_normal((int(1.5 * rate), 3))
+        parts += [np.tile(mean, (held, 1)), moved]
     a = np.concatenate(parts)
     a += 0.01 * rng.standard_normal(a.shape)
     t = np.arange(len(a)) / rate
@@ -150,6 +170,8 @@ TABLES: dict[str, Make] = {
     "without3and8.csv": sheet(lambda r: np.delete(r, [2, 7], axis=0)),
     "angles.csv": sheet(lambda r: r[:, :2], "inclination,tool_face"),
     "faces.csv": _faces,
+    "lighter.csv": sheet(_lighter),
+    "crossed.csv": sheet(_crossed),
     "norms.csv": sheet(lambda r: r[:, 2:], "x_mg,y_mg,z_mg"),
     "norms2.csv": _other_device("x_mg,y_mg,z_mg"),
     "norms_abc.csv": sheet(lambda r: r[:, 2:], "p,q,r"),
@@ -179,4 +201,5 @@ TABLES: dict[str, Make] = {
     "piped.csv": _written(lambda r: text_of(r, mark="^")),
     "rests.csv": still,
     "rests2.csv": still,
+    "long_and_short.csv": lambda path: still(path, seconds=(2.0, 4.0)),
 }  # fmt: skip

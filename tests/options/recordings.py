@@ -157,7 +157,7 @@ def _damaged(path: Path) -> None:
 
 def _rests_of(path: Path) -> None:
     """Rests of 2 s in the bench's positions, with motion between."""
-    still(path, seconds=2.0, table=rows()[:12])
+    still(path, seconds=(2.0,), table=rows()[:12])
 
 
 def _packed(path: Path) -> None:
@@ -278,6 +278,9 @@ RECORDINGS: dict[str, Make] = {
     "calibration.yaml": _made_by("lab", "{bench.csv}", "--no-loop"),
     "own_calibration.yaml": _made_by(
         "lab", "{bench.csv}", "--no-loop", "--effects", "{own.py}", "--declare", "xy_into_z"
+    ),
+    "crossed_calibration.yaml": _made_by(
+        "lab", "{crossed.csv}", "--no-loop", "--effects", "{own.py}", "--declare", "xy_into_z"
     ),
     "parts.yaml": _made_by("actigraph", "{worn.h5}", "--no-loop", "--every", "80min"),
     "board_calibration.yaml": _made_by(

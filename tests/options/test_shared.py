@@ -76,12 +76,23 @@ OUTPUTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "design": (("-o", "<out>/made"),),
     "fleet": (("-o", "<out>/made"),),
     "inspect": (("--save-mapping", "<out>/made"), ("--html", "<out>/made")),
+    "export": (("-o", "<out>/made"),),
     "apply": ((),),
     "convert": ((),),
-    "simulate lab": ((),),
+    "collect": ((),),
+    "simulate lab": ((), ("--recording", "<out>/made.csv")),
     "simulate actigraph": ((),),
     "simulate array": ((),),
 }
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, id=n.replace(" ", "-")) for n in commands()])
+def test_a_command_that_writes_has_force(name: str, bench: Bench) -> None:
+    """All but batch, whose entries say what they were made of and are kept or made by that."""
+    options = options_of(commands()[name])
+    writes = "--output" in options or bool(bench.run(USUAL[name]).files)
+    assert ("--force" in options) == (name in OUTPUTS)
+    assert name in OUTPUTS or name == "batch" or not writes
 
 
 @having("--force")

@@ -28,7 +28,7 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.errors import ImucalError, UsageError
 from imucalib.recording.recording import Recording
-from imucalib.rests.segments import Segments
+from imucalib.rests.segments import Segments, StillSettings
 from imucalib.units import STANDARD_GRAVITY
 
 _ANGLES, _DIRECTION = {"inclination", "tool_face"}, {"ux", "uy", "uz"}
@@ -67,13 +67,18 @@ def positions_in(files: LabFiles) -> PositionTable | None:
 
 @dataclass(frozen=True)
 class Asked:
-    """What the user says of the log. gravity : m/s²; unit, lsb_per_g : of a table's readings;
-    triad : which sensor of a recording"""
+    """What the user says of the log. gravity : m/s²; still : what counts as a rest of a recording
+    unit, lsb_per_g : of a table's readings; triad : which sensor of a recording"""
 
     gravity: float
+    still: StillSettings
     unit: str | None = None
     lsb_per_g: float | None = None
     triad: str | None = None
+
+
+def _silent(text: str) -> None:
+    """What is worth knowing of a log is in its notes."""
 
 
 def sensor_log(
@@ -84,7 +89,7 @@ def sensor_log(
     if table is not None:
         log = check_table(calibration, table, asked)
     else:
-        recording, segments = still_rests(files.table, files, lambda text: None)
+        recording, segments = still_rests(files.table, files.mapping, asked.still, _silent)
         log = check_rests(calibration, segments, recording, asked, noise.reading.sd)
     misfits, notes = misfits_of(calibration, log.observations, noise)
     if (calibration.facts.get(BLOCK) or {}).get("use") == "parts":
@@ -96,7 +101,7 @@ def array_log(
     calibration: Calibration, files: LabFiles, noise: CheckNoise, asked: Asked
 ) -> tuple[list[Measured], tuple[str, ...]]:
     """The misfits of every IMU of an array, or of the one that is asked for."""
-    recording, segments = still_rests(files.table, files, lambda text: None)
+    recording, segments = still_rests(files.table, files.mapping, asked.still, _silent)
     triads = named_triads(calibration.triads, recording, asked.triad)
     rests = calibration.facts.get("rests") or {}
     # The usual scatter holds the usual noise of samples: an IMU that is noisier has more.

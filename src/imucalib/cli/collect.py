@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from imucalib.cli.output import note, quiet_option
+from imucalib.cli.recording_options import force_option
 
 
 @click.command("collect", short_help="Make one table of a cohort's entries.")
@@ -18,13 +19,15 @@ from imucalib.cli.output import note, quiet_option
     type=click.Path(path_type=Path),
     help="Table to write: .csv, or .parquet (extra parquet).",
 )
+@force_option
 @quiet_option
-def command(folder: Path, output: Path, quiet: bool) -> int:
+def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
     """Gather the entries that `imucal batch` wrote into one table, a row a recording.
 
     \b
     Example: imucal collect entries -o cohort.csv
     """
+    from imucalib.atomic_file import demand_output
     from imucalib.cohort.batch import read_entry, rows
     from imucalib.cohort.table import write_table
     from imucalib.errors import UnreadableInput
@@ -33,7 +36,9 @@ def command(folder: Path, output: Path, quiet: bool) -> int:
         raise UnreadableInput(
             "no such folder", where=str(folder), remedy="name that of `imucal batch -o`"
         )
-    found = [read_entry(path) for path in sorted(folder.glob("*.json"))]
+    paths = sorted(folder.glob("*.json"))
+    demand_output(output, paths, force=force)
+    found = [read_entry(path) for path in paths]
     entries = tuple(entry for entry in found if entry is not None)
     if not entries:
         raise UnreadableInput(

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from imucalib.cli.output import EXPORT_FORM, emit_json, json_option, note, quiet_option
+from imucalib.cli.recording_options import force_option
 
 
 @click.command("export", short_help="Write coefficients for another program.")
@@ -18,6 +19,7 @@ from imucalib.cli.output import EXPORT_FORM, emit_json, json_option, note, quiet
               help="Noise of the sensors, from `imucal inspect --save-noise`.")  # fmt: skip
 @click.option("--effects", "effects_file", type=click.Path(path_type=Path),
               help="Python file with effects of your own that the calibration uses.")  # fmt: skip
+@force_option
 @json_option
 @quiet_option
 def command(
@@ -26,6 +28,7 @@ def command(
     output: Path | None,
     noise: Path | None,
     effects_file: Path | None,
+    force: bool,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -46,7 +49,7 @@ def command(
     from imucalib.exports.imus import with_noise
 
     if output is not None:
-        demand_output(output, filter(None, (calibration, noise, effects_file)), force=True)
+        demand_output(output, filter(None, (calibration, noise, effects_file)), force=force)
     if effects_file is not None:
         load_file(effects_file)
     loaded = read(calibration)

@@ -10,7 +10,7 @@ import click
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish
 from imucalib.cli.lab_options import lab_options, request_of
 from imucalib.cli.output import pairs
-from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
+from imucalib.cli.recording_options import mapping_of, shortest_rest_option
 
 
 @click.command("lab", short_help="Calibrate on a bench with known angles.")
@@ -40,7 +40,7 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
 
     files = LabFiles(
         tables[0], options["recording"], pairs(options["columns"], "--columns"),
-        mapping_of(options), still_of(options), others=tables[1:],
+        mapping_of(options), others=tables[1:],
     )  # fmt: skip
     with calibrating_of(options) as say:
         run = calibrate_files(files, request_of(options), say)

@@ -10,7 +10,7 @@ import click
 
 from imucalib.cli.calibrating import Shared, limit_option, shared_of
 from imucalib.cli.output import numbers
-from imucalib.cli.recording_options import one_scale
+from imucalib.cli.recording_options import one_scale, still_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.lab.calibrate import LabSettings
@@ -168,6 +168,7 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         swap_angles=options["swap_angles"],
         keep_angles=options["keep_angles"],
         train=numbers(options["train"], "--train"),
+        still=still_of(options),
         limits=shared.limits,
         settings=_settings(options, shared),
         seed=shared.seed,

@@ -246,8 +246,7 @@ class _State:
         for step in self.steps[:-1]:
             curves = tuple(s.effect for s in state.steps if s.curve and not step.curve)
             without = reduced(state.fit, (step.effect, *curves))
-            one = [effect_named(self.effects, step.effect)]
-            candidates, _ = effect_candidates(without, one)
+            candidates, _ = effect_candidates(without, [effect_named(self.effects, step.effect)])
             if score(without, candidates, self.rng, draws=1)[0].evidence < KEEP:
                 steps = tuple(s for s in state.steps if s.effect != step.effect)
                 state = replace(state, fit=reduced(state.fit, (step.effect,)), steps=steps)

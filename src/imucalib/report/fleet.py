@@ -172,8 +172,22 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         ],
         "refused": [{"effect": name, "why": why} for name, why in fleet.search.refused],
         "failed": [{"name": name, "why": why} for name, why in fleet.failed],
+        "provenance": _provenance(fleet),
     }  # fmt: skip
     return dict(plain(content))
+
+
+def _provenance(fleet: Fleet) -> dict[str, Any]:
+    """Enough to compute it again."""
+    made = [m.run.outcome.provenance for m in fleet.members]
+    return {
+        "inputs": [{"input": one.path, "sha256": one.sha256} for one in made],
+        "settings": fleet.request.stated(),
+        "command": fleet.request.command,
+        "seed": fleet.request.seed,
+        "versions": made[-1].versions,
+        "time": made[-1].time,
+    }
 
 
 def _finite(value: float) -> float | None:

@@ -144,7 +144,7 @@ def _verdict(found: Findings) -> Text:
             "warning",
         ),
         "unexplained": Text(
-            f"Unexplained structure: {unknown}. No effect of the catalogue fits.", "bad"
+            f"Unexplained structure: {unknown}. No effect that was searched fits.", "bad"
         ),
     }[found.verdict]
 

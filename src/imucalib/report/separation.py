@@ -24,7 +24,7 @@ def separation_document(found: NextRecording, name: str) -> Document:
         )
         return Document(f"Record this next: {name}", verdict, ())
     sections = tuple(
-        Section(" or ".join(part.separation.rivals), tuple(_blocks(part, found)))
+        Section(" or ".join(part.separation.rivals), tuple(_blocks(part, found)), kept=True)
         for part in found.parts
     )
     return Document(f"Record this next: {name}", _verdict(found), sections)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -17,6 +18,8 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.loop.found import LoopSettings
+from imucalib.loop.wander import engine
 from worlds.places import ROOT
 
 WANTED = ActigraphRequest()
@@ -105,3 +108,24 @@ def test_a_walk_is_measured_and_stated(worn: ModuleType) -> None:
     assert 0.6 < np.median(sizes) < 1.4
     assert 0.5 < np.median(hours) < 8.0
     assert 0.8 < np.std(z) < 1.25
+
+
+#: A search for what is not there, and for nothing else.
+LIMITED = ActigraphRequest(only=("bias_drift",))
+
+
+def test_a_limited_search_tells_what_it_leaves(worn: ModuleType) -> None:
+    loop = worn.Case("white", "dead_band", 40.0, 7).solved(LIMITED).loop
+    assert (loop.verdict, loop.steps) == ("unexplained", ())
+    assert any("own input" in left.name for left in loop.unexplained)
+
+
+def test_a_limited_search_leaves_noise_alone(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a level of 20 %, of which the probes, one half of the candidates, have a half."""
+    monkeypatch.setattr(engine, "_ALPHA", 0.2)
+    wanted = replace(LIMITED, rules=LoopSettings(draws=200, alpha=0.2))
+    cases = [worn.Case(n, "", 0.0, 900 + k) for n in ("white", "walk 2 h") for k in range(10)]
+    left = [u for case in cases for u in case.solved(wanted).loop.unexplained]
+    assert sum("own input" in u.name for u in left) <= at_most(20, 0.1).most

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gates.bounds import at_most
-from imucalib.loop.faults.angles import _density, _others, rounded
+from imucalib.loop.faults.angles import _density, _dial, _others, rounded
 from imucalib.loop.faults.conventions import misread_angles, nearest_axes
 from imucalib.loop.faults.converter import cut_off, mistaken_scale, step_of
 from imucalib.loop.faults.found import Fault
@@ -40,6 +40,7 @@ def sheet_of(made: sheets.Sheet, row: np.ndarray | None = None) -> Sheet:
         inclination=i,
         tool_face=t,
         row=row,
+        place=row - 1,
         sigma=one,
         gravity=1000.0,
         inclination_setting=held(i),
@@ -211,3 +212,11 @@ def test_1024_counts_are_no_mg() -> None:
     assert sum(r is not None for r in right) <= at_most(200, 0.01).most
     assert sum(w != 1024.0 for w in wrong) <= at_most(200, 0.01).most
     assert mistaken_scale("g", np.full(3, 0.024)) is None
+
+
+def test_the_dial_shows_whole_degrees() -> None:
+    """Tool-face a turn, from where the sheet begins; inclination to 90, of the vertical to 180."""
+    assert _dial(1, np.array([0.0, 350.0])).tolist() == [float(k) for k in range(360)]
+    assert _dial(1, np.array([-170.0, 90.0])).tolist() == [float(k) for k in range(-180, 180)]
+    assert _dial(0, np.array([-80.0, 90.0])).tolist() == [float(k) for k in range(-90, 91)]
+    assert _dial(0, np.array([10.0, 170.0])).tolist() == [float(k) for k in range(-90, 181)]

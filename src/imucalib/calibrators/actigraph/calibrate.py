@@ -14,7 +14,7 @@ from imucalib.calibrators.actigraph.weak import NINE, base_fit, is_weak
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.effects import named
+from imucalib.effects import families, named
 from imucalib.errors import NotConverged, UsageError
 from imucalib.loop.asked import Searched, searched
 from imucalib.loop.found import FitLoop
@@ -130,7 +130,9 @@ def search(
     """The closed loop over the catalogue and its scans, under a noise that wanders."""
     tried = wanted(request)
     known = (quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows) / MG**2
-    return close(base, Asked(tried.effects, tried.families, known, request.rules), rng)
+    curve = families()["converter"]
+    probes = () if curve in tried.families else (curve,)
+    return close(base, Asked(tried.effects, tried.families, known, request.rules, probes), rng)
 
 
 def wanted(request: ActigraphRequest) -> Searched:

@@ -67,6 +67,9 @@ class ArrayRequest:
             "board": self.board.name,
             "sampler": self.sampler,
             "samples": self.samples,
+            "chains": self.chains,
+            "ess": self.stop.ess,
+            "iterations": self.iterations,
             "motion_prior": self.motion,
             "determinant_exponent": self.exponent,
             "accelerometer_sigma": self.accelerometer_sigma,
@@ -77,6 +80,7 @@ class ArrayRequest:
             "declare": list(self.asked.declare),
             "only": list(self.asked.only),
             "without": list(self.asked.without),
+            "own_effects": list(self.extra_effects),
             "loop": self.loop,
             "curves": self.curves,
             "accepted": {
@@ -91,4 +95,5 @@ class ArrayRequest:
             "as_drawn": self.as_drawn,
             "draws": self.draws,
             "shortest_rest_s": self.still.shortest,
+            "limits": dict(self.limits),
         }

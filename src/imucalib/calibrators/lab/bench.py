@@ -80,7 +80,7 @@ def corrected_cells(
                 f"--fix {row}:{role}: no such cell",
                 remedy=f"rows are 1..{table.n}, columns {', '.join(columns)}",
             )
-        columns[role][row - 1] = value
+        columns[role][table.at(row)] = value
     return replace(table, columns=columns)
 
 
@@ -98,6 +98,11 @@ def held_settings(angle: Array) -> Index:
 
 def _runs(new: NDArray[np.bool_]) -> Index:
     return np.concatenate([[0], np.cumsum(new)]).astype(np.intp)
+
+
+def row_numbers(data: Observations) -> Index:
+    """(n,) of the rows, as the file counts them."""
+    return np.array([int(label.split()[-1]) for label in data.label], np.intp)
 
 
 def position_observations(
@@ -143,7 +148,7 @@ def direction_observations(
     if not size.all():
         raise UnreadableInput(
             "ux, uy, uz are all zero: no direction",
-            where=f"{table.path}, row {int(np.argmin(size)) + 1}",
+            where=f"{table.path}, row {table.row[int(np.argmin(size))]}",
             remedy="give the direction of the axis that reads +g, of any length",
         )
     direction = direction / size

@@ -64,10 +64,10 @@ def _in_degrees(table: PositionTable) -> PositionTable:
         if table.unit.get(role) == "rad":
             columns[role] = columns[role] / DEG
         if np.abs(columns[role]).max() > 720.0:
-            row = int(np.argmax(np.abs(columns[role]))) + 1
+            worst = int(np.argmax(np.abs(columns[role])))
             raise UsageError(
-                f"angle {columns[role][row - 1]:g} is out of range",
-                where=f"{table.path}, row {row}, column {table.names[role]}",
+                f"angle {columns[role][worst]:g} is out of range",
+                where=f"{table.path}, row {table.row[worst]}, column {table.names[role]}",
                 remedy="angles are in degrees, within two turns",
             )
     return replace(table, columns=columns)
@@ -90,13 +90,12 @@ def refuse_sizes(table: PositionTable, bad: Index, rows: Index) -> None:
     if not bad.size:
         return
     usual = float(np.median(np.linalg.norm(table.raw()[rows], axis=1)))
-    row = int(bad[0])
-    reading = table.raw()[row]
+    row, reading = int(table.row[bad[0]]), table.raw()[bad[0]]
     raise UsageError(
         f"its |a| is {float(np.linalg.norm(reading)) / usual:.2g} times that of the others"
         + (f" (so are {bad.size - 1} more)" if bad.size > 1 else ""),
-        where=f"{table.path}, row {row + 1}",
-        remedy=f"{_repair(reading, usual, row)}--exclude {row + 1} or --auto-exclude",
+        where=f"{table.path}, row {row}",
+        remedy=f"{_repair(reading, usual, row)}--exclude {row} or --auto-exclude",
     )
 
 
@@ -108,7 +107,7 @@ def _repair(reading: Array, usual: float, row: int) -> str:
             changed[axis] *= factor
             if abs(float(np.linalg.norm(changed)) / usual - 1.0) < 0.1:
                 value = float(changed[axis])
-                return f"{name} may be ten times too {words}: --fix {row + 1}:{name}={value:.10g}, "
+                return f"{name} may be ten times too {words}: --fix {row}:{name}={value:.10g}, "
     return ""
 
 
@@ -117,14 +116,15 @@ def kept_rows(table: PositionTable, exclude: tuple[int, ...]) -> Index:
     unknown = [r for r in exclude if not 1 <= r <= table.n]
     if unknown:
         raise UsageError(f"--exclude {unknown[0]}: no such row", remedy=f"rows are 1..{table.n}")
-    return np.array([k for k in range(table.n) if k + 1 not in exclude], dtype=np.intp)
+    return np.flatnonzero(~np.isin(table.row, exclude))
 
 
 def with_train(request: LabRequest, rows: Index) -> LabSettings:
-    """The settings with the training rows among those that are left; UsageError when none is."""
+    """The settings with the training rows among those that are left, `rows` by their numbers in the
+    file; UsageError when none is."""
     if not request.train:
         return request.settings
-    chosen = np.flatnonzero(np.isin(rows + 1, request.train))
+    chosen = np.flatnonzero(np.isin(rows, request.train))
     if chosen.size == 0:
         raise UsageError("--train names no row that is left")
     return replace(request.settings, train=chosen)

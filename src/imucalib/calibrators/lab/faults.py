@@ -31,10 +31,12 @@ SCATTER, WORTH = 3.0, 0.9
 
 @dataclass(frozen=True)
 class Faults:
-    """What was found. slips : row by row; questions : what only the user can know, in words"""
+    """What was found. slips : row by row; questions : what only the user can know, in words
+    notes : what else was seen of the sheet"""
 
     slips: tuple[Fault, ...] = ()
     questions: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def hiding(self, auto_exclude: bool) -> bool:
         """Whether a search for physics would explain the slips instead. One wrong record it sets
@@ -75,12 +77,31 @@ def sheet_of(
         inclination=dial["inclination"][rows],
         tool_face=dial["tool_face"][rows],
         row=np.asarray(table.row[rows], np.intp),
+        place=rows,
         sigma=sigma / np.median(sigma),
         gravity=gravity / MG,
         inclination_setting=held["inclination"].astype(np.intp),
         tool_face_setting=held["tool_face"].astype(np.intp),
         inside=conventions.inside,
         ordered=ordered,
+    )
+
+
+def _order_note(table: PositionTable, rows: Index) -> tuple[str, ...]:
+    """Of rows in no order of work whose neighbours were taken to share a setting."""
+    guessed = [
+        role
+        for role in ("inclination", "tool_face")
+        if f"{role}_setting" not in table
+        and held_settings(table.columns[role][rows])[-1] + 1 < rows.size
+    ]
+    if not guessed:
+        return ()
+    names = " and ".join(role.replace("_", "-") for role in guessed)
+    columns = " and ".join(f"{role}_setting" for role in guessed)
+    return (
+        f"the rows stand in no order of work: neighbours of equal {names} count as set once, so "
+        f"another order gives other numbers; sort them, or give a column time, or {columns}",
     )
 
 
@@ -107,7 +128,7 @@ def look_for_faults(
     questions += axes_questions(sheet, request)
     unit = tuple(DEG if table.unit.get(r) == "rad" else 1.0 for r in ("inclination", "tool_face"))
     slips = row_faults(sheet, table.raw(), (unit[0], unit[1]))
-    return Faults(slips, questions)
+    return Faults(slips, questions, () if sheet.ordered else _order_note(table, rows))
 
 
 def _converter_questions(

@@ -26,14 +26,12 @@ _MOST_POSITIONS = 2000
 @dataclass(frozen=True)
 class LabFiles:
     """Inputs of `lab`. table : or a recording at rest; others : more power-ups of the same sensor
-    columns : role -> heading of the table; mapping : of the recording; still : what counts as a
-    rest in it."""
+    columns : role -> heading of the table; mapping : of the recording."""
 
     table: Path
     recording: Path | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     mapping: FieldMapping = field(default_factory=FieldMapping)
-    still: StillSettings = field(default_factory=StillSettings)
     others: tuple[Path, ...] = ()
 
     @property
@@ -48,11 +46,11 @@ def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], N
         return _sessions(files, request, say)
     if files.recording is not None:
         positions = _table(files, request, need_raw=False)
-        recording, segments = still_rests(files.recording, files, say)
+        recording, segments = still_rests(files.recording, files.mapping, request.still, say)
         table = _in_order(positions, segments, recording)
         return _run(table, recording, request)
     if request.reference == "norm" and not _is_table(files):
-        recording, segments = still_rests(files.table, files, say)
+        recording, segments = still_rests(files.table, files.mapping, request.still, say)
         return _run(_rests(segments, recording), recording, request)
     return run_lab(_ordered(files, request, say), request)
 
@@ -70,7 +68,7 @@ def _sessions(files: LabFiles, request: LabRequest, say: Callable[[str], None]) 
         if not of_rests:
             tables.append(_ordered(one, request, say))
             continue
-        recording, segments = still_rests(one.table, one, say)
+        recording, segments = still_rests(one.table, one.mapping, request.still, say)
         tables.append(_rests(segments, recording))
         notes += recording.notes
     table, joining = joined(tables)
@@ -125,11 +123,11 @@ def _is_table(files: LabFiles) -> bool:
 
 
 def still_rests(
-    path: Path, files: LabFiles, say: Callable[[str], None]
+    path: Path, mapping: FieldMapping, still: StillSettings, say: Callable[[str], None]
 ) -> tuple[Recording, Segments]:
     """A recording and its rests; raises UnreadableInput where it has none."""
-    recording = read(path, files.mapping)
-    segments = still_segments(recording, files.still)
+    recording = read(path, mapping)
+    segments = still_segments(recording, still)
     span = max((float(c.t[-1]) for c in recording.channels.values() if c.t.size), default=0.0)
     say(f"read {path} ({recording.format}, {span:.0f} s): {segments.n} still segments")
     for text in (*recording.notes, *segments.notes):
@@ -138,7 +136,7 @@ def still_rests(
         raise UnreadableInput(
             f"no rest in it: {refusals(segments.candidates)}",
             where=str(path),
-            remedy=f"hold each position still for {files.still.shortest:g} s or more "
+            remedy=f"hold each position still for {still.shortest:g} s or more "
             "(--shortest-rest); `imucal inspect FILE --rests` lists what was refused",
         )
     return recording, segments

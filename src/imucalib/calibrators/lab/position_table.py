@@ -59,6 +59,10 @@ class PositionTable:
     def n(self) -> int:
         return len(self.row)
 
+    def at(self, row: int) -> int:
+        """Where a row of the file stands: elsewhere once the rows are in the order of time."""
+        return int(np.flatnonzero(self.row == row)[0])
+
     @property
     def by_time(self) -> PositionTable:
         """The rows in the order of their time column, or as they stand where there is none."""

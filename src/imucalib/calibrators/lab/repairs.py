@@ -108,12 +108,12 @@ def repaired(
         table = replace(table, columns={**table.columns, **turned})
     lost: list[int] = []
     for shift in repairs.shifts:
-        first, last = (shift.first, shift.last) if shift.first else (1, table.n)
+        first, last = (shift.first, shift.last) if shift.first else (table.row[0], table.row[-1])
         order = np.arange(table.n)
         rows = _rows(table, (first, last), "--shift")
         inside = np.arange(min(rows), max(rows) + 1)
         order[inside] = np.roll(inside, shift.step)
-        lost.append(int(inside[0] if shift.step > 0 else inside[-1]) + 1)
+        lost.append(int(table.row[inside[0] if shift.step > 0 else inside[-1]]))
         table = _reordered(table, order, shift.what)
     for at, to in repairs.moves:
         a, b = _rows(table, (at, to), "--move")
@@ -128,11 +128,11 @@ def repaired(
 
 
 def _rows(table: PositionTable, rows: tuple[int, int], option: str) -> tuple[int, int]:
-    """Rows from 0; UsageError for one that does not exist."""
+    """Where two rows of the file stand; UsageError for one that does not exist."""
     for row in rows:
         if not 1 <= row <= table.n:
             raise UsageError(f"{option}: there is no row {row}", remedy=f"rows are 1..{table.n}")
-    return rows[0] - 1, rows[1] - 1
+    return table.at(rows[0]), table.at(rows[1])
 
 
 def _reordered(table: PositionTable, order: Index, what: str) -> PositionTable:

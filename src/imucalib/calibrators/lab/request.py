@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, field, replace
 
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.repairs import Repairs
-from imucalib.units import STANDARD_GRAVITY
+from imucalib.rests.stillness import StillSettings
+from imucalib.units import MG, STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -15,8 +16,8 @@ class LabRequest:
     """Everything that the user chose about the input; `settings` is about the calibration.
 
     fixes : (row from 1, column role, value in the table's unit); exclude : rows from 1
-    train : rows from 1 to choose and fit on; limits : name -> largest allowed value
-    command : the line that was typed, for the provenance
+    train : rows from 1 to choose and fit on; still : what counts as a rest
+    limits : name -> largest allowed value; command : the line that was typed, for the provenance
     """
 
     unit: str | None = None
@@ -31,6 +32,7 @@ class LabRequest:
     swap_angles: bool = False
     keep_angles: bool = False
     train: tuple[int, ...] = ()
+    still: StillSettings = field(default_factory=StillSettings)
     limits: Mapping[str, float] = field(default_factory=dict)
     settings: LabSettings = field(default_factory=LabSettings)
     seed: int = 0
@@ -46,7 +48,11 @@ class LabRequest:
             "declare": list(settings.declare),
             "only": list(settings.only),
             "without": list(settings.without),
+            "own_effects": list(settings.extra_effects),
             "loop": settings.loop,
+            "curves": settings.rules.curves,
+            "sigma_mg": None if settings.sigma is None else settings.sigma / MG,
+            "lsb_per_g": self.lsb_per_g,
             "gravity_m_per_s2": self.gravity,
             "gravity_source": self.gravity_source,
             "conventions": asdict(settings.conventions),
@@ -56,8 +62,11 @@ class LabRequest:
             "auto_exclude": self.auto_exclude,
             "train": list(self.train),
             "swap_angles": self.swap_angles,
+            "keep_angles": self.keep_angles,
+            "shortest_rest_s": self.still.shortest,
             "alpha": settings.rules.alpha,
             "draws": settings.rules.draws,
+            "limits": dict(self.limits),
         }
 
 

@@ -12,7 +12,7 @@ from imucalib.calibration.findings import Findings, findings_of
 from imucalib.calibration.outcome import Outcome, Run, quality_of
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.lab.advice import advice, fix_option, limits_of, reasons
-from imucalib.calibrators.lab.bench import RawUnit, raw_unit
+from imucalib.calibrators.lab.bench import RawUnit, raw_unit, row_numbers
 from imucalib.calibrators.lab.calibrate import LabResult, LabSettings, calibrate
 from imucalib.calibrators.lab.calibration import lab_calibration, lab_details
 from imucalib.calibrators.lab.checks import (
@@ -72,7 +72,7 @@ def run_lab(
     why = reasons(result, raw) + worthless(result, whole)
     outcome = _judged(
         result=result, raw=raw, request=request, provenance=provenance, undecided=undecided,
-        why=why, notes=(raw.sentence, *notes),
+        why=why, notes=(raw.sentence, *faults.notes, *notes),
     )  # fmt: skip
     sessions = sessions_of(result.final, table.sessions)
     details = lab_details(result, excluded, undecided, faults, sessions)
@@ -100,7 +100,7 @@ def _wrong_rows(
         for r in _records(result)
     }
     by_hand = {
-        int(np.flatnonzero(table.row == f.rows[0])[0]): f"{f.what}; excluded automatically"
+        table.at(f.rows[0]): f"{f.what}; excluded automatically"
         for f in faults.slips
         if f.kind in ("cell", "angle", "record")
     }
@@ -173,7 +173,7 @@ def _kept(
         refuse_sizes(table, far, rows)
     asked = tuple(f"row {r}: excluded as asked" for r in request.exclude)
     asked += tuple(f"row {r}: left without a value by --shift" for r in lost)
-    words = tuple(f"row {r + 1}: excluded automatically (size of |a|)" for r in far)
+    words = tuple(f"row {table.row[r]}: excluded automatically (size of |a|)" for r in far)
     return np.setdiff1d(rows, far), asked + words
 
 
@@ -199,7 +199,8 @@ def _calibrated(
     whole: Observations, rows: Index, request: LabRequest, *, faulty: bool = False
 ) -> LabResult:
     rng = np.random.default_rng(request.seed)
-    return calibrate(whole.take(rows), with_train(request, rows), rng, faulty=faulty)
+    kept = whole.take(rows)
+    return calibrate(kept, with_train(request, row_numbers(kept)), rng, faulty=faulty)
 
 
 def _records(result: LabResult) -> tuple[RecordError, ...]:

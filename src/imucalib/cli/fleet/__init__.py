@@ -75,7 +75,7 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.render.text import render_text
 
     columns, mapping = pairs(options["columns"], "--columns"), mapping_of(options)
-    files = [LabFiles(table, None, columns, mapping, still_of(options)) for table in tables]
+    files = [LabFiles(table, None, columns, mapping) for table in tables]
     folder, quiet = options["output"], options["quiet"]
     if folder is not None and not options["force"]:
         _demand(folder)
@@ -95,6 +95,7 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
 def _request(options: dict[str, Any]) -> Any:
     from imucalib.calibrators.lab.calibrate import LabSettings
     from imucalib.calibrators.lab.request import LabRequest
+    from imucalib.loop.found import LoopSettings
 
     gravity, source = gravity_of(options)
     return LabRequest(
@@ -104,7 +105,12 @@ def _request(options: dict[str, Any]) -> Any:
         gravity_source=source,
         reference=options["reference"],
         exclude=numbers(options["exclude"], "--exclude"),
-        settings=LabSettings(only=options["only"], without=options["without"]),
+        still=still_of(options),
+        settings=LabSettings(
+            only=options["only"],
+            without=options["without"],
+            rules=LoopSettings(draws=options["draws"]),
+        ),
         seed=options["seed"],
         command=command_line(),
     )

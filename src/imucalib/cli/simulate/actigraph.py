@@ -10,6 +10,7 @@ import click
 from imucalib.cli.output import json_option, quiet_option, seed_option
 from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
+    demand_outputs,
     fault_option,
     plant_option,
     planted_of,
@@ -39,7 +40,6 @@ def command(recording: Path, seed: int, **options: Any) -> int:
     \b
     Example: imucal simulate actigraph day.h5 --plant temperature_bias=0.2,0,-0.1
     """
-    from imucalib.atomic_file import demand_output
     from imucalib.calibrators.actigraph.simulation import WeekPlan
     from imucalib.calibrators.actigraph.worn_log import worn_blocks
     from imucalib.errors import UsageError
@@ -47,7 +47,7 @@ def command(recording: Path, seed: int, **options: Any) -> int:
 
     if not (options["days"] > 0.0 and options["rate"] > 0.0):
         raise UsageError("--days and --rate are positive")
-    demand_output(recording, force=options["force"])
+    demand_outputs([recording], force=options["force"])
     plant = planted_of(options["plant"])
     plan = WeekPlan(
         days=options["days"],

@@ -10,6 +10,7 @@ import click
 from imucalib.cli.output import json_option, quiet_option, seed_option
 from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
+    demand_outputs,
     fault_option,
     plant_option,
     planted_of,
@@ -48,13 +49,12 @@ def command(recording: Path, seed: int, **options: Any) -> int:
     """
     import numpy as np
 
-    from imucalib.atomic_file import demand_output
     from imucalib.calibrators.array.board import read_board
     from imucalib.calibrators.array.simulation import LogPlan, simulated_log
     from imucalib.errors import UsageError
     from imucalib.units import MG
 
-    demand_output(recording, [options["board"]], force=options["force"])
+    demand_outputs([recording], [Path(options["board"])], force=options["force"])
     plant = planted_of(options["plant"])
     if any(len(values) != 1 for values in plant.values()):
         raise UsageError("--plant of an array takes one value each")

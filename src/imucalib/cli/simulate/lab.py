@@ -10,6 +10,7 @@ import click
 from imucalib.cli.output import json_option, quiet_option, seed_option
 from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
+    demand_outputs,
     fault_option,
     plant_option,
     planted_of,
@@ -67,15 +68,13 @@ def command(table: Path, recording: Path | None, seed: int, **options: Any) -> i
     """
     import numpy as np
 
-    from imucalib.atomic_file import demand_output
     from imucalib.calibrators.lab.position_table import write_position_table
     from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
     from imucalib.errors import UsageError
 
     if options["fault"] and recording is None:
         raise UsageError("--fault is of a recording", remedy="give --recording, or --slip")
-    for path in filter(None, (table, recording)):
-        demand_output(path, force=options["force"])
+    demand_outputs([table, *filter(None, [recording])], force=options["force"])
     slips = tuple((int(r), a) for r, _, a in (s.partition(":") for s in options["slip"]))
     plan = BenchPlan(
         layout=options["layout"],

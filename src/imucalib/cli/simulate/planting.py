@@ -37,6 +37,17 @@ def planted_of(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
     return found
 
 
+def demand_outputs(paths: Sequence[Path], inputs: Sequence[Path] = (), *, force: bool) -> None:
+    """Raise UsageError unless a simulation may write to each of the paths, two at the most."""
+    from imucalib.atomic_file import demand_output
+    from imucalib.errors import UsageError
+
+    if len({path.absolute() for path in paths}) < len(paths):
+        raise UsageError("the table and the recording are one file", where=str(paths[0]))
+    for path in paths:
+        demand_output(path, inputs, force=force)
+
+
 def write_recording(made: Recording, path: Path, faults: Sequence[str]) -> None:
     """Write a recording as the faults leave it."""
     from imucalib.calibrators.planted_faults import fault_of, with_faults

@@ -32,7 +32,7 @@ def row_faults(
         base = base_of(sheet)
         if base is None:
             break
-        own = cell[sheet.row - 1]
+        own = cell[sheet.place]
         every = [*exchanges(base), *cells(base, own), *blocks(base), *angles(base, unit)]
         best, stray = with_rivals(every), with_rivals(records(base))
         if stray and (best is None or stray.fault.score > best.fault.score + ENOUGH):

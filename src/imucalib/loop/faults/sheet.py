@@ -21,6 +21,7 @@ class Sheet:
     """The rows of a table that are judged.
 
     reading : (n, 3) mg; inclination, tool_face : (n,) deg, as on the sheet; row : (n,) its numbers
+    place : (n,) where each stands in the whole table, from 0
     sigma : (n,) noise of a row relative to the others; gravity : mg
     inclination_setting, tool_face_setting : (n,) id of the setting of each row
     inside : the convention of the angles; ordered : the rows stand in the order of the work
@@ -30,6 +31,7 @@ class Sheet:
     inclination: Array
     tool_face: Array
     row: Index
+    place: Index
     sigma: Array
     gravity: float
     inclination_setting: Index
@@ -56,7 +58,7 @@ class Sheet:
         columns = {
             name: getattr(self, name)[rows]
             for name in (
-                "reading", "inclination", "tool_face", "row", "sigma",
+                "reading", "inclination", "tool_face", "row", "place", "sigma",
                 "inclination_setting", "tool_face_setting",
             )
         }  # fmt: skip
@@ -69,7 +71,7 @@ class Sheet:
 
     def beside(self) -> Index:
         """(n - 1,) 1 where no row of the table is left out between two neighbours, else 0."""
-        return np.asarray(np.diff(self.row) == 1, np.intp)
+        return np.asarray(np.diff(self.place) == 1, np.intp)
 
 
 def slopes(gravity: float, inclination: Array, tool_face: Array) -> tuple[Array, Array]:

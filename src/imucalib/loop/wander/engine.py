@@ -12,7 +12,7 @@ from imucalib.arrays import Array
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.loop.design import Fold, folds_of
-from imucalib.loop.found import FitLoop, LoopSettings, Wander
+from imucalib.loop.found import FitLoop, LoopSettings, Unexplained, Wander
 from imucalib.loop.held_out import Held
 from imucalib.loop.wander.ambiguous import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
@@ -21,6 +21,7 @@ from imucalib.loop.wander.confirm import confirmed
 from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import Noise, noise_of
+from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
@@ -35,12 +36,14 @@ _ALPHA = 0.02
 @dataclass(frozen=True)
 class Asked:
     """effects, families : what is tried; known : (n,) mg², the part of each run's variance that
-    its windows and the resolution explain"""
+    its windows and the resolution explain; probes : what the user keeps out of a search, but not
+    out of what it leaves over"""
 
     effects: Mapping[str, Effect]
     families: tuple[Family, ...]
     known: Array
     rules: LoopSettings
+    probes: tuple[Family, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
         final, precision = _final(found)
         noise = noise_of(final, asked.known, part, precision)
         found = _searched(base, noise, folds, asked, rng)
-    return _told(found, folds, part, asked)
+    return _told(found, folds, part, asked, rng)
 
 
 def _searched(
@@ -138,7 +141,31 @@ def _open(found: _Pass, last: Noise) -> bool:
     return not found.search.taken or (timed and last.walk.tau >= longest)
 
 
-def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: Asked) -> Closed:
+def _left(
+    found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked,
+    rng: np.random.Generator,
+) -> tuple[Unexplained, ...]:  # fmt: skip
+    """Structure that the search could not name: of axes, of time."""
+    wander = _wander(last)
+    open_end = unexplained(wander) if _open(found, last) else ()
+    if not asked.probes:
+        return open_end
+    probed = left_over(
+        final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),
+        draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
+    )  # fmt: skip
+    return (*probed, *open_end)
+
+
+def _wander(noise: Noise) -> Wander:
+    sd = noise.scatter * float(np.sqrt(noise.walk.rho))
+    return Wander(noise.wander, noise.walk.tau / 3600.0, noise.scatter, noise.evidence, sd)
+
+
+def _told(
+    found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: Asked,
+    rng: np.random.Generator,
+) -> Closed:  # fmt: skip
     problem = found.problem
     bars = found.bars
     rules = Rules(
@@ -162,8 +189,6 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
     else:
         final = problem.fit
         last = noise_of(final, asked.known, part, base_precision(final))
-    sd = last.scatter * float(np.sqrt(last.walk.rho))
-    wander = Wander(last.wander, last.walk.tau / 3600.0, last.scatter, last.evidence, sd)
     steps = steps_of(problem, found.search, found.chances)
     loop = FitLoop(
         base=problem.fit,
@@ -173,12 +198,12 @@ def _told(found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: 
         steps=steps,
         ambiguous=ambiguities(problem, found.search, steps),
         rejected=found.search.refused,
-        unexplained=unexplained(wander) if _open(found, last) else (),
+        unexplained=_left(found, final, last, folds, asked, rng),
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
         first_scores=scores_of(problem, first, found.chances[0], bars[0]),
         missing=problem.missing,
         bar=float(bars[0][0]),
         difference=gained,
-        wander=wander,
+        wander=_wander(last),
     )
     return Closed(loop, each.before, each.after if loop.steps else each.before, last.light)

@@ -7,6 +7,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms
+from imucalib.calibrators.lab.bench import row_numbers
 from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.errors import setting_noise
 from imucalib.calibrators.lab.run import LabRun
@@ -85,13 +86,14 @@ def _suspects(run: LabRun) -> Index:
     """Which of the used rows do not belong to the rest, by the search or by a slip of hand."""
     found = [r.row for r in run.result.loop.records] if run.result.loop else []
     slips = [row for fault in run.faults.slips for row in fault.rows]
-    return np.union1d(np.array(found, np.intp), np.flatnonzero(np.isin(run.result.used + 1, slips)))
+    named = np.isin(row_numbers(run.result.final.observations), slips)
+    return np.union1d(np.array(found, np.intp), np.flatnonzero(named))
 
 
 def _axes(run: LabRun) -> dict[str, Array]:
     """What can drive an error, (n,) of each used row."""
     data = run.result.final.observations
-    found = {"row": (run.result.used + 1).astype(np.float64)}
+    found = {"row": row_numbers(data).astype(np.float64)}
     reading = data.reading[:, 0] / gravity_of(run.result.observations)
     found |= {axis: reading[:, k] for k, axis in enumerate("xyz")}
     if isinstance(data.reference, KnownVector):

@@ -1,0 +1,96 @@
+"""Tails of distributions as the program uses them, against 40 digits of mpmath."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from goldens.test_programs import golden
+from imucalib.calibration.checking.misfit import Misfits, Part
+from imucalib.calibration.checking.statistic import ANYTHING, Statistic
+from imucalib.calibration.comparison.agreement import between
+from imucalib.core.fit import Fit
+from imucalib.loop.difference import difference, with_density
+from imucalib.loop.noise.doubts import beyond_declared
+
+
+def test_the_interval_of_a_gain_is_students() -> None:
+    """A mean over m parts has m - 1 degrees of freedom; folds share their data: sqrt(1 + K/(K-1))
+    wider than the plain interval."""
+    for dof, t in zip(*golden("student").values(), strict=True):
+        rng, m = np.random.default_rng(int(dof)), int(dof) + 1
+        before, after = 2.0 + rng.random(m), 1.0 + rng.random(m)
+        off = before - after
+        error = np.std(off, ddof=1) / np.sqrt(m)
+        found = difference(before, after, np.arange(m), 10, "mean")
+        assert found.plain_low == pytest.approx(off.mean() - t * error, rel=1e-9)
+        half = t * error * np.sqrt(1.0 + 10.0 / 9.0)
+        assert (found.high, found.low) == pytest.approx((off.mean() + half, off.mean() - half))
+        nats = rng.standard_normal(m)
+        low = nats.sum() - t * np.std(nats, ddof=1) * np.sqrt(m)
+        assert with_density(found, nats, decides=True).nats_low == pytest.approx(low, rel=1e-9)
+
+
+def test_the_interval_of_a_parameter_is_students() -> None:
+    """v = s² c has 2 v² / var(v) degrees of freedom (Giesbrecht and Burns 1985)."""
+    for dof, t in zip(*golden("student").values(), strict=True):
+        c, variance = np.array([[0.8, 0.1], [0.1, 0.5]]), 1.7
+        fit = SimpleNamespace(
+            covariance=variance * c,
+            slope=c[None],
+            noise_covariance=np.array([[2.0 * variance**2 / dof]]),
+            dof=10**6,
+        )
+        fit.interval_dof = lambda direction, fit=fit: Fit.interval_dof(fit, direction)
+        direction = np.array([1.0, -2.0])
+        half = Fit.half_width(cast(Any, fit), direction)
+        expected = t * np.sqrt(variance * float(direction @ c @ direction))
+        assert half == pytest.approx(expected, rel=1e-9)
+
+
+def test_more_scatter_than_declared_has_the_tail_of_chi_square() -> None:
+    """A factor s of ν degrees of freedom has var(ln s) = 1 / 2ν; ν s² is chi-square."""
+    for dof, x, tail in zip(*golden("chi_square").values(), strict=True):
+        noise = SimpleNamespace(factor=np.sqrt(x / dof))
+        fit = SimpleNamespace(noise=noise, noise_covariance=np.array([[0.5 / dof]]), dof=3)
+        assert beyond_declared(cast(Fit, fit)) == pytest.approx(tail, rel=1e-9, abs=1e-300)
+
+
+def test_a_check_has_the_tail_of_f() -> None:
+    """A misfit along one of `rank` columns of twelve: F = misfit² / (rank variance)."""
+    n = 12
+    for of, dof, f, tail in zip(*golden("fisher").values(), strict=True):
+        rank = int(of)
+        value = np.zeros(n)
+        value[0] = 0.3 * np.sqrt(rank * f)
+        misfits = Misfits(
+            value=value,
+            reading=Part(0.09 * np.eye(n), dof),
+            setting={},
+            session={},
+            jacobian=np.zeros((n, 1)),
+            parameters=np.zeros((1, 1)),
+            changes={"bias": np.eye(n)[:, :rank]},
+            owner=np.arange(n) // 3,
+            label=("",) * 4,
+            force=np.ones((4, 3)),
+            directed=True,
+        )
+        tested = Statistic(misfits).tested()
+        assert tested["bias"].f == pytest.approx(f)
+        assert tested["bias"].p == pytest.approx(tail, rel=1e-9)
+        if rank == n:
+            assert tested[ANYTHING].p == pytest.approx(tail, rel=1e-9)
+
+
+def test_the_scatter_between_calibrations_has_the_ends_of_chi_square() -> None:
+    """With equal variances v, Q(τ²) = S / (v + τ²), so τ² = S / χ² - v (Viechtbauer 2007)."""
+    for dof, high, low in zip(*golden("chi_quantiles").values(), strict=True):
+        value, v = np.random.default_rng(int(dof)).normal(0.0, 3.0, int(dof) + 1), 0.2
+        squares = float(np.sum((value - value.mean()) ** 2))
+        found = between(value, np.full(value.size, v))
+        expected = [np.sqrt(max(squares / x - v, 0.0)) for x in (dof, high, low)]
+        assert found == pytest.approx(expected, rel=1e-6)

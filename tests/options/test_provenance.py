@@ -1,0 +1,86 @@
+"""Whatever changes a number stands in the provenance: found over the command tree.
+
+The work of a calibrating command is stopped where it begins, and what it was asked is read: what
+provenance keeps of it must differ with the option. How a recording is read is its mapping, which
+`test_each` holds to the same.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+
+from imucalib.cli.calibrating import calibrates
+from imucalib.errors import UnreadableInput
+from options.bench import Bench
+from options.cases import cases
+from options.listed import LAWS, reading
+from options.outcome import run
+from options.tree import commands, options_of, spellings
+
+#: Where the work of a command begins: one of its arguments states what was asked.
+BEGINS: dict[str, tuple[str, ...]] = {
+    "lab": ("imucalib.calibrators.lab.files.calibrate_files",),
+    "actigraph": (
+        "imucalib.calibrators.actigraph.run.calibrate_recording",
+        "imucalib.calibrators.actigraph.published.calibrate_as_published",
+    ),
+    "array": ("imucalib.calibrators.array.calibrate.calibrate_array",),
+    "fleet": ("imucalib.cohort.fleet.run.run_fleet",),
+}
+#: What is printed, and where; and what only names other inputs, which have their own check sums.
+NO_NUMBER = {*LAWS, "--output", "--full", "--verbose", "--export", "--save-draws", "--recording"}
+#: A chain goes on where the file has it; the file's own check sum refuses another question.
+NO_NUMBER |= {"--checkpoint"}
+#: The headings of a table: in the mapping, as they were taken.
+NO_NUMBER |= {"--columns"}
+
+
+class Stopped(UnreadableInput):
+    """Raised where the work begins."""
+
+
+def asked(name: str, arguments: tuple[str, ...], bench: Bench, folder: Path) -> Any:
+    """What provenance would keep, or None where the command refuses before any work."""
+    told: list[dict[str, object]] = []
+
+    def stop(*given: Any) -> NoReturn:
+        (request,) = (one for one in given if hasattr(one, "stated"))
+        told.append({"seed": request.seed, **request.stated()})
+        raise Stopped("stopped")
+
+    typed = [re.sub(r"<(?!out)([^<>]+)>", lambda m: str(bench.path(m[1])), a) for a in arguments]
+    with pytest.MonkeyPatch.context() as patch:
+        for place in BEGINS[name]:
+            module, _, function = place.rpartition(".")
+            patch.setattr(import_module(module), function, stop)
+        run([a.replace("<out>", str(folder)) for a in typed], folder)
+    return told[0] if told else None
+
+
+PAIRS = [
+    (name, option)
+    for name, command in commands().items()
+    if calibrates(command) or name in BEGINS
+    for option in options_of(command)
+    if option not in NO_NUMBER and option not in reading()
+]
+
+
+@pytest.mark.parametrize(("name", "option"), PAIRS)
+def test_what_changes_a_number_is_in_the_provenance(
+    name: str, option: str, bench: Bench, tmp_path: Path
+) -> None:
+    names = spellings(commands()[name])
+    own = [c for c in cases() if c.command == name and names[c.option] == option]
+    kept = []
+    for k, case in enumerate(own):
+        folder = tmp_path / str(k)
+        kept.append([asked(name, a, bench, folder) for a in (case.plain, case.whole)])
+    reached = [(without, done) for without, done in kept if done]
+    assert reached, "no case of it comes to the work"
+    assert all(without != done for without, done in reached), reached
