@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
+from imucalib.core.eigen import eigen
 from imucalib.loop.evidence_gram import best_evidence, directions
 from imucalib.loop.noise.grid import TAU
 from imucalib.loop.separation.products import Ambiguity
@@ -62,7 +63,7 @@ def drawn(
     scale = np.sqrt(ambiguity.dof / rng.chisquare(max(ambiguity.dof, 1.0), draws))
     size = ambiguity.sizes[truth]
     theta = size.drawn(rng, draws, scale)
-    values, vectors = np.linalg.eigh(gram)
+    values, vectors = eigen(gram)
     use = values > 1e-12 * max(float(values[-1]), 1e-300)
     root = vectors[:, use] * np.sqrt(values[use])
     white = rng.standard_normal((root.shape[1], draws)) * scale
