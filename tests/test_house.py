@@ -23,7 +23,6 @@ FLOORS: dict[str, int] = {
     "significant_digits": 0,
     "atomic_file": 0,
     "arrays": 0,
-    "zstd": 0,
     "recording": 1,
     "core": 2,
     "readers": 2,

@@ -79,6 +79,6 @@ def _unpacked(compression: str, body: bytes, most: int, piece: int = 0) -> Itera
             if not part and unpacker.needs_input:
                 return
         return
-    from imucalib import zstd
+    from imucalib.readers.mcap import zstd
 
     yield from zstd.frames(body, most, piece)

@@ -86,7 +86,7 @@ class Filler:
 
 def inflate(payload: bytes) -> bytes:
     """A zstd-compressed payload, unpacked; raises LayoutError."""
-    from imucalib import zstd
+    from imucalib.readers.mcap import zstd
 
     try:
         data = zstd.first_frame(payload, _MOST_INFLATED)

@@ -69,7 +69,7 @@ class McapFile:
         log_times: NDArray[np.uint64],
     ) -> None:
         """Write message records as one chunk. starts, channels, log_times (ns) : (n,) each."""
-        from imucalib import zstd
+        from imucalib.readers.mcap import zstd
 
         if starts.size == 0:
             return
