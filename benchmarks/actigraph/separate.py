@@ -30,7 +30,7 @@ from imucalib.calibrators.separate.plan import after_a_power_up
 from imucalib.calibrators.separate.recorded import recorded_block, recorded_of
 from imucalib.effects.shape import is_form
 from imucalib.loop.found import LoopSettings
-from imucalib.loop.separation.choice import Pool, exchanged, informative
+from imucalib.loop.separation.choice import Pool, exchanged, informative, one_by_one
 from imucalib.loop.separation.plan import separation
 from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
@@ -165,11 +165,7 @@ def trial(truth: str, seed: int) -> dict[str, object] | None:
 
 def best_of(ambiguity, pool: Pool, count: int) -> np.ndarray:
     worth = informative(ambiguity.products.gram, ambiguity.first)
-    plan, total = list[int](), np.zeros(pool.gram.shape[1:])
-    for _ in range(count):
-        plan.append(int(np.argmax(worth(total + pool.gram))))
-        total = total + pool.gram[plan[-1]]
-    return np.array(exchanged(pool, tuple(plan), worth))
+    return np.array(exchanged(pool, one_by_one(pool, worth, count), worth))
 
 
 def main() -> None:

@@ -40,7 +40,7 @@ from imucalib.loop.asked import searched
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.separation.ambiguities import ambiguities
-from imucalib.loop.separation.choice import Pool, exchanged, informative
+from imucalib.loop.separation.choice import Pool, exchanged, informative, one_by_one
 from imucalib.loop.separation.plan import separation
 
 G = 9.80665
@@ -209,11 +209,7 @@ def trial(kind: str, truth: str, size: float, seed: int) -> dict[str, object] | 
 def best_of(ambiguity, pool: Pool, count: int) -> np.ndarray:
     """The plan that determines the base model's parameters best."""
     worth = informative(ambiguity.products.gram, ambiguity.first)
-    plan, total = list[int](), np.zeros(pool.gram.shape[1:])
-    for _ in range(count):
-        plan.append(int(np.argmax(worth(total + pool.gram))))
-        total = total + pool.gram[plan[-1]]
-    return np.array(exchanged(pool, tuple(plan), worth))
+    return np.array(exchanged(pool, one_by_one(pool, worth, count), worth))
 
 
 TRUTHS = {"angles": ("quadratic", "asymmetry"), "norm": ("quadratic", "asymmetry"),

@@ -56,6 +56,15 @@ def grown(pool: Pool, plan: tuple[int, ...], worth: Worth) -> tuple[int, ...]:
     return exchanged(pool, tuple(chosen), worth)
 
 
+def one_by_one(pool: Pool, worth: Worth, count: int) -> tuple[int, ...]:
+    """The best candidate beside those that are chosen, so many times, none exchanged."""
+    steps, total = list[int](), np.zeros(pool.gram.shape[1:])
+    for _ in range(count):
+        steps.append(int(np.argmax(worth(total + pool.gram))))
+        total = total + pool.gram[steps[-1]]
+    return tuple(steps)
+
+
 def exchanged(pool: Pool, plan: tuple[int, ...], worth: Worth) -> tuple[int, ...]:
     chosen = list(plan)
     now = float(worth(total_of(pool, tuple(chosen))[None])[0])

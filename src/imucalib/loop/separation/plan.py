@@ -11,10 +11,10 @@ from imucalib.arrays import Array
 from imucalib.loop.separation.angle import Pair, apart, pairs_of
 from imucalib.loop.separation.choice import (
     Pool,
-    Worth,
     exchanged,
     grown,
     informative,
+    one_by_one,
     separating,
     total_of,
 )
@@ -141,21 +141,13 @@ def _others(
         return np.asarray(apart(old + gram, pairs).min(axis=-1))
 
     best = informative(old, ambiguity.first)
-    steps = _one_by_one(pool, best, longest)
+    steps = one_by_one(pool, best, longest)
     sums = np.cumsum(pool.gram[list(steps)], axis=0)
     reached = least(sums)
     reached[count - 1] = least(total_of(pool, exchanged(pool, steps[:count], best))[None])[0]
     random = rng.integers(0, len(pool.gram), (_RANDOM, longest))
     told = np.stack([least(np.cumsum(pool.gram[one], axis=0)) for one in random])
     return beside(reached, count, goal), beside(np.median(told, axis=0), count, goal)
-
-
-def _one_by_one(pool: Pool, worth: Worth, count: int) -> tuple[int, ...]:
-    steps, total = list[int](), np.zeros(pool.gram.shape[1:])
-    for _ in range(count):
-        steps.append(int(np.argmax(worth(total + pool.gram))))
-        total = total + pool.gram[steps[-1]]
-    return tuple(steps)
 
 
 def beside(reached: Array, count: int, goal: float) -> Beside:
