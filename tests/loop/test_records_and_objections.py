@@ -12,6 +12,7 @@ from imucalib.core.balance import Noise
 from imucalib.core.model import Model
 from imucalib.effects import named
 from imucalib.estimators.least_squares import fit
+from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.faults.angles import _apart
 from imucalib.loop.faults.noise_grid import beside_rows
@@ -42,7 +43,20 @@ def test_twelve_parameters_need_eighteen_numbers(count: int, few: bool) -> None:
     before = fit(nine, made)
     after = fit(Model((*nine.effects, named("cubic"))), made)
     assert len(after.theta) == 12
-    assert ("too few numbers" in objection(before, after, -1e9, 1e9)) == few
+    found = objection(before, after, -1e9, 1e9)
+    assert (found is not None and "too few numbers" in found.reason) == few
+
+
+@pytest.mark.parametrize(("off", "word"), [(6.5, "suspected"), (40.0, "explained")])
+def test_a_record_is_explained_only_beyond_doubt(off: float, word: str) -> None:
+    """Of a hundred clean tables one has a record that stands out by seven nats."""
+    base, data = base_model(), bench(3, 60)
+    made = draw(base, ordinary_theta(base, data, 3), data, 4)
+    reading = made.reading.copy()
+    reading[20, 0, 1] += off * made.sigma[20, 0, 1]
+    loop = close_loop(base, made.with_reading(reading), {}, np.random.default_rng(0))
+    assert [r.row for r in loop.records] == [20]
+    assert loop.verdict == word
 
 
 def test_a_dials_errors_turn_the_bench() -> None:

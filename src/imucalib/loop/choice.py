@@ -70,8 +70,8 @@ def decided(
     rules = options.rules
     chosen = refined(current, chosen, options.families, options.rng, rules)
     trial = options.extended(current, effect_named(options.effects, chosen.name))
-    if reason := objection(current, trial):
-        return Refused(chosen.candidate.family or chosen.name, reason)
+    if why := objection(current, trial):
+        return Refused(chosen.candidate.family or chosen.name, why.reason, why.by_data)
     best = next((s for s in scores if passes(s, rules) and s.candidate.curve), None)
     if best is None or best.evidence < chosen.evidence + rules.margin:
         return Decided(chosen, trial, curve=False)
@@ -80,8 +80,8 @@ def decided(
         return Decided(chosen, trial, curve=False)
     if rules.curves:
         return smooth
-    why = f"a curve without a name explains clearly more: {smooth.score.candidate.driver}"
-    return Refused(chosen.candidate.family or chosen.name, why)
+    stronger = f"a curve without a name explains clearly more: {smooth.score.candidate.driver}"
+    return Refused(chosen.candidate.family or chosen.name, stronger)
 
 
 def _leads(curve: Fit, name: Fit, before: Fit) -> bool:

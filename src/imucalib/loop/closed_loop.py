@@ -9,7 +9,7 @@ an effect explains it. What is left is named as what it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
@@ -82,7 +82,7 @@ def close_loop(
         as_recorded=reduced(final, record_names(final)) if state.records else final,
         records=named_records(final, state.records),
         steps=state.steps,
-        rejected=tuple(end.rejected.items()),
+        rejected=end.reasons,
         unexplained=(
             *unexplained(end.last.scores, rules),
             *looked_like(final, effects, rng, rules, end.rejected),
@@ -119,22 +119,20 @@ class _State:
     def _options(self) -> Options:
         return Options(self.effects, self.families, self.rng, self.rules)
 
-    def search(self, rejected: Mapping[str, str]) -> Searched:
+    def search(self, rejected: Collection[str]) -> Searched:
         return search(self.fit, self.effects, self.rng, self.rules, rejected, self.families)
 
-    def choice(self, found: Searched, rejected: Mapping[str, str]) -> Score | None:
+    def choice(self, found: Searched, rejected: Collection[str]) -> Score | None:
         return choose(found.scores, self.rules) if self._room else None
 
     def cleaner(
-        self, found: Searched, chosen: Score | None, rejected: Mapping[str, str]
+        self, found: Searched, chosen: Score | None, rejected: Collection[str]
     ) -> _State | None:
         return self.without_the_worst_record(chosen) or (
             None if chosen else self.behind_a_record(rejected)
         )
 
-    def tried(
-        self, found: Searched, chosen: Score, rejected: Mapping[str, str]
-    ) -> _State | Refused:
+    def tried(self, found: Searched, chosen: Score, rejected: Collection[str]) -> _State | Refused:
         taken = decided(self.fit, found.scores, chosen, self._options, self._last)
         if isinstance(taken, Refused):
             return taken
@@ -215,7 +213,7 @@ class _State:
         blocks = [c.columns for c in single if not c.family]
         return e_value(self.fit, blocks, len(blocks) + len(self.families))
 
-    def behind_a_record(self, rejected: Mapping[str, str]) -> _State | None:
+    def behind_a_record(self, rejected: Collection[str]) -> _State | None:
         """Where neither a record nor an effect stands out, each may hide the other.
 
         The most suspect records are set aside on trial. Only a pair counts: the effect must pass

@@ -145,7 +145,7 @@ def _searched(
     own = loop.base.model.slices(loop.base.observations.context)
     start = np.concatenate([loop.base.theta[own[name]] for name in plain.model.names])
     fit = fit_model(plain.model, plain.observations.take(rest), start=start, noise=loop.base.noise)
-    rejected: dict[str, str] = {}
+    rejected: set[str] = set()
     last = ""
     for _ in range(3 * rules.most_effects):
         if len(fit.model.names) >= len(plain.model.names) + rules.most_effects:
@@ -154,7 +154,7 @@ def _searched(
         if best := choose(scores, rules):
             taken = decided(fit, scores, best, options, last)
             if isinstance(taken, Refused):
-                rejected[taken.name] = taken.reason
+                rejected.add(taken.name)
                 continue
         else:
             smooth = curve_of(fit, scores, options, last) if rules.curves else None

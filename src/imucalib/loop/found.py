@@ -13,7 +13,7 @@ from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation.products import Ambiguity
-from imucalib.loop.thresholds import ALPHA, CERTAIN, MARGIN, NOISE_ALPHA, RECORD_ALPHA
+from imucalib.loop.thresholds import ALPHA, CERTAIN, MARGIN, NOISE_ALPHA, RECORD_ALPHA, STRONG
 
 _WALK_NATS = 5.0  # from which on a walk is more than independent noise
 
@@ -171,13 +171,25 @@ class Loop(Generic[S]):
         return bool(self.named) and self.difference is not None and not self.difference.proved
 
     @property
+    def beyond_doubt(self) -> bool:
+        """Whether a cause is named, or one of the records that stand alone is wrong by odds that a
+        clean table does not give: the others predict it, so that it is held out itself."""
+        return bool(self.named) or all(r.evidence > STRONG for r in self.records)
+
+    @property
     def verdict(self) -> str:
         """ "explained" needs held-out data that prove the gain; without, it is "suspected"."""
         open_end = bool(self.unexplained or self.curves)
         if self.suspected:
             return "suspected"
         if self.named or self.records:
-            return "explained in part" if open_end else "explained"
+            return (
+                "explained in part"
+                if open_end
+                else "explained"
+                if self.beyond_doubt
+                else "suspected"
+            )
         return "unexplained" if open_end else "nothing missing"
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from imucalib.loop.evidence import Candidate, Score, apart, score
 from imucalib.loop.found import LoopSettings, Unexplained
 from imucalib.loop.held_out import fitted, log_predictive
 from imucalib.loop.records import held_out_rms
-from imucalib.loop.subject import Searched
+from imucalib.loop.subject import Refused, Searched
 from imucalib.loop.thresholds import (
     APART,
     HELD_OUT_NATS,
@@ -25,15 +25,13 @@ from imucalib.loop.thresholds import (
     WORSE,
 )
 
-_REFUSES = "it does not hold out"
-
 
 def search(
     current: Fit,
     effects: Mapping[str, Effect],
     rng: np.random.Generator,
     rules: LoopSettings,
-    rejected: Mapping[str, str],
+    rejected: Collection[str],
     families: tuple[Family, ...] = (),
 ) -> Searched:
     """Score everything that could be missing, and say what could not be tested.
@@ -156,7 +154,7 @@ def looked_like(
     effects: Mapping[str, Effect],
     rng: np.random.Generator,
     rules: LoopSettings,
-    rejected: Mapping[str, str],
+    rejected: Mapping[str, Refused],
 ) -> tuple[Unexplained, ...]:
     """What effects that were not taken still explain of the final fit: structure, whatever it is.
 
@@ -168,45 +166,59 @@ def looked_like(
         return ()
     scores = search(current, some, rng, rules, {}).scores
     for s in scores:
+        if s.name not in some or not passes(s, rules):
+            continue
         # By chance some stand out that other data refuse: only strong ones are more than that.
-        chance = _REFUSES in rejected.get(s.name, "") and s.evidence <= STRONG
-        if s.name in some and passes(s, rules) and not chance:
-            name = f"what looks like {s.name} and was not taken: {rejected[s.name]}"
+        if s.evidence > STRONG or not rejected[s.name].by_data:
+            name = f"what looks like {s.name} and was not taken: {rejected[s.name].reason}"
             driver = " and ".join(some[s.name].needs)
             return (Unexplained(name, driver, "probe", s.p, s.evidence, s.share),)
     return ()
 
 
+@dataclass(frozen=True)
+class Objection:
+    """Why an effect must not be taken in; by_data : whether what it was not fitted to says so."""
+
+    reason: str
+    by_data: bool = False
+
+
 def objection(
     before: Fit, after: Fit, least_nats: float = HELD_OUT_NATS, most_rms: float = HELD_OUT_RMS
-) -> str:
-    """Why an effect must not be taken in; empty when the refit realises the gain and what it
+) -> Objection | None:
+    """Why an effect must not be taken in; None when the refit realises the gain and what it
     predicts for data that it was not fitted to is better.
 
     least_nats : that it must gain there; most_rms : share of the error before that may be left
     """
     if not after.converged:
-        return "its refit did not converge"
+        return Objection("its refit did not converge")
     if len(after.null_directions) > len(before.null_directions):
-        return f"the data cannot determine it: {after.null_directions[-1]}"
+        return Objection(f"the data cannot determine it: {after.null_directions[-1]}")
     implausible = [
         f"{p.name} = {v:.3g} {p.unit}"
         for p, v in zip(after.parameters, after.theta, strict=True)
         if abs(v) > p.plausible
     ]
     if implausible:
-        return f"implausible size ({', '.join(implausible)})"
+        return Objection(f"implausible size ({', '.join(implausible)})")
     if len(after.theta) * 1.5 > after.at.residual.size:
-        return "too few numbers for its parameters"
+        return Objection("too few numbers for its parameters")
+    words = _refuted(before, after, least_nats, most_rms)
+    return Objection(f"it does not hold out: {words}", by_data=True) if words else None
+
+
+def _refuted(before: Fit, after: Fit, least_nats: float, most_rms: float) -> str:
+    """What data that it was not fitted to say against an effect."""
     gain = log_predictive(after) - log_predictive(before)
     ratio = held_out_rms(after) / max(held_out_rms(before), 1e-300)
     if gain < least_nats or ratio >= most_rms:
         words = f"{gain:+.1f} nats" if gain < least_nats else f"{ratio:.3g} times the error"
-        return f"{_REFUSES}: {words} on data that it was not fitted to"
+        return f"{words} on data that it was not fitted to"
     # The correction itself, as a user will apply it, and not only the model run forwards.
     times = fitted(after).rms() / fitted(before).rms()
-    worse = f"{_REFUSES}: corrected readings are {times:.2g} times as far off"
-    return worse if times > WORSE else ""
+    return f"corrected readings are {times:.2g} times as far off" if times > WORSE else ""
 
 
 def aliases(

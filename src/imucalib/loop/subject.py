@@ -7,7 +7,7 @@ dense columns, or by Gram matrices accumulated over a motion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -26,10 +26,12 @@ class Searched:
 
 @dataclass(frozen=True)
 class Refused:
-    """An effect that was not taken, or the scan that it belongs to, and the reason."""
+    """An effect that was not taken, or the scan that it belongs to, and the reason; by_data :
+    whether data that it was not fitted to speak against it, as they do where chance made it."""
 
     name: str
     reason: str
+    by_data: bool = False
 
 
 class Subject(Protocol):
@@ -40,21 +42,21 @@ class Subject(Protocol):
         """What was taken in, in order."""
         ...
 
-    def search(self, rejected: Mapping[str, str]) -> Searched:
+    def search(self, rejected: Collection[str]) -> Searched:
         """Score everything that could be missing, but for what was rejected."""
         ...
 
-    def choice(self, found: Searched, rejected: Mapping[str, str]) -> Score | None:
+    def choice(self, found: Searched, rejected: Collection[str]) -> Score | None:
         """The effect to try next, if any stands out."""
         ...
 
     def cleaner(
-        self, found: Searched, chosen: Score | None, rejected: Mapping[str, str]
+        self, found: Searched, chosen: Score | None, rejected: Collection[str]
     ) -> Self | None:
         """What comes before the chosen effect: a wrong record set aside, a clock found."""
         ...
 
-    def tried(self, found: Searched, chosen: Score, rejected: Mapping[str, str]) -> Self | Refused:
+    def tried(self, found: Searched, chosen: Score, rejected: Collection[str]) -> Self | Refused:
         """With the effect, refitted; or why it must not be taken."""
         ...
 
@@ -73,12 +75,17 @@ S = TypeVar("S", bound=Subject)
 @dataclass(frozen=True)
 class End(Generic[S]):
     """Where the search ended. first, last : the last search before any step, and that at the end;
-    rejected : effects that were not taken, with the reason."""
+    rejected : effects that were not taken, by name."""
 
     subject: S
-    rejected: Mapping[str, str]
+    rejected: Mapping[str, Refused]
     first: Searched
     last: Searched
+
+    @property
+    def reasons(self) -> tuple[tuple[str, str], ...]:
+        """Name and reason of every effect that was not taken."""
+        return tuple((name, refused.reason) for name, refused in self.rejected.items())
 
 
 def close(subject: S, rules: LoopSettings) -> End[S]:
@@ -87,7 +94,7 @@ def close(subject: S, rules: LoopSettings) -> End[S]:
     What was not taken is tried again beside what was taken after it: a missing effect can be what
     spoke against another.
     """
-    rejected: dict[str, str] = {}
+    rejected: dict[str, Refused] = {}
     beside: dict[str, S] = {}
     first = found = subject.search(rejected)
     while True:
@@ -96,7 +103,7 @@ def close(subject: S, rules: LoopSettings) -> End[S]:
         if following is None and chosen is not None:
             tried = subject.tried(found, chosen, rejected)
             if isinstance(tried, Refused):
-                rejected[tried.name], beside[tried.name] = tried.reason, subject
+                rejected[tried.name], beside[tried.name] = tried, subject
                 tried = subject
             following = tried
         elif following is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from imucalib.calibration.findings import Findings
+from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.calibration.power import hidden
 from imucalib.loop.evidence import Score
@@ -139,14 +139,20 @@ def _verdict(found: Findings) -> Text:
             f"The residual is explained in part by {cause}; left: {unknown}.{gained}", "warning"
         ),
         "suspected": Text(
-            f"Suspected: {cause}. The correction is applied, but held-out data do not prove it yet"
-            f"{f'; left: {unknown}' if unknown else ''}.{gained}",
+            f"Suspected: {cause}. {_unproved(named)}{f'; left: {unknown}' if unknown else ''}"
+            f".{gained}",
             "warning",
         ),
         "unexplained": Text(
             f"Unexplained structure: {unknown}. No effect that was searched fits.", "bad"
         ),
     }[found.verdict]
+
+
+def _unproved(named: Sequence[FoundStep]) -> str:
+    if named:
+        return "The correction is applied, but held-out data do not prove it yet"
+    return "One clean table in a hundred has such a record: read it again before it is left out"
 
 
 def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:

@@ -117,7 +117,7 @@ def _ended(
         base=base,
         final=final,
         steps=path.steps,
-        rejected=(*end.rejected.items(), *path.dropped, *refused),
+        rejected=(*end.reasons, *path.dropped, *refused),
         unexplained=unexplained,
         scores=end.last.scores,
         first_scores=end.first.scores,

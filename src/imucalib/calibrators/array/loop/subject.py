@@ -8,7 +8,7 @@ matched by at most three effects together; otherwise they are put back and the c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -62,10 +62,10 @@ class MotionSubject:
         """What could be missing; refusing an effect moves nothing that the others are scored by."""
         return search(self.state, self.left_out, self.rng, self.rules.draws)
 
-    def search(self, rejected: Mapping[str, str]) -> Search:
+    def search(self, rejected: Collection[str]) -> Search:
         return self.searched
 
-    def choice(self, found: Searched, rejected: Mapping[str, str]) -> Score | None:
+    def choice(self, found: Searched, rejected: Collection[str]) -> Score | None:
         """The best effect; where a curve leads by more than the margin, still the best effect."""
         curved = any(step.curve for step in self.steps)
         if self.over or curved or len(self.steps) >= self.rules.most_effects or self.taken >= PATH:
@@ -78,7 +78,7 @@ class MotionSubject:
         return next(passing, None)
 
     def cleaner(
-        self, found: Searched, chosen: Score | None, rejected: Mapping[str, str]
+        self, found: Searched, chosen: Score | None, rejected: Collection[str]
     ) -> MotionSubject | None:
         """Clocks that other gyro effects had hidden; or, where effects did not take the place of a
         curve, the path without them."""
@@ -94,7 +94,7 @@ class MotionSubject:
         return replace(back, ages=self.ages, clocks=False, over=True)
 
     def tried(
-        self, found: Searched, chosen: Score, rejected: Mapping[str, str]
+        self, found: Searched, chosen: Score, rejected: Collection[str]
     ) -> MotionSubject | Refused:
         term = self.searched.term(chosen.name)
         trial = _refitted(self.state, term)
@@ -136,7 +136,7 @@ class MotionSubject:
         return replace(self, state=trial, residuals=after, steps=(*self.steps, step))
 
     def _owing(
-        self, grown: MotionSubject, chosen: Score, rejected: Mapping[str, str]
+        self, grown: MotionSubject, chosen: Score, rejected: Collection[str]
     ) -> MotionSubject:
         """The grown path with the account of what a leading curve has explained."""
         leader = next(
