@@ -7,7 +7,7 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.loop.design import folds_of
-from imucalib.loop.difference import difference
+from imucalib.loop.difference import difference, with_density
 from worlds.bench import bench
 
 
@@ -91,3 +91,16 @@ def test_one_part_proves_nothing() -> None:
     found = difference(np.ones(5), np.zeros(5), np.zeros(5, dtype=np.intp), 1, "mean")
     assert not found.proved
     assert found.low == -np.inf
+
+
+def test_one_surprised_fold_refutes_nothing_that_the_error_shows() -> None:
+    """The density of one part may fall by as much as its noise is small; a loss in all of them
+    refutes, and so does any where the error has not fallen."""
+    part = np.arange(20)
+    fallen = difference(np.full(20, 3.0), np.linspace(0.9, 1.1, 20), part, 20, "rms")
+    one = np.full(20, 2.0)
+    one[3] = -90.0
+    assert with_density(fallen, one, decides=True).holds
+    assert not with_density(fallen, np.full(20, -2.5), decides=True).holds
+    same = difference(np.full(20, 3.0), np.full(20, 3.0), part, 20, "rms")
+    assert not with_density(same, one, decides=True).holds

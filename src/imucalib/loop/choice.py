@@ -21,7 +21,7 @@ from imucalib.loop.found import LoopSettings
 from imucalib.loop.held_out import log_predictive, log_predictives
 from imucalib.loop.records import extended, reduced
 from imucalib.loop.search import clear, effect_named, objection, passes, refined
-from imucalib.loop.shapes import form_of
+from imucalib.loop.shapes import better_form, form_of
 from imucalib.loop.subject import Refused
 from imucalib.loop.thresholds import CURVE_LEAD, CURVE_NATS, CURVE_RMS, CURVE_SHARE, CURVE_TERMS
 
@@ -74,14 +74,28 @@ def decided(
         return Refused(chosen.candidate.family or chosen.name, why.reason, why.by_data)
     best = next((s for s in scores if passes(s, rules) and s.candidate.curve), None)
     if best is None or best.evidence < chosen.evidence + rules.margin:
-        return Decided(chosen, trial, curve=False)
+        return _named(current, chosen, trial, options)
     smooth = curve_of(current, scores, options, last)
     if smooth is None or not _leads(smooth.fit, trial, current):
-        return Decided(chosen, trial, curve=False)
+        return _named(current, chosen, trial, options)
     if rules.curves:
         return smooth
     stronger = f"a curve without a name explains clearly more: {smooth.score.candidate.driver}"
     return Refused(chosen.candidate.family or chosen.name, stronger)
+
+
+def _named(current: Fit, chosen: Score, trial: Fit, options: Options) -> Decided:
+    """A name, and the form of the same driver that explains more, if one does: beside it, or in its
+    place where data that were left out say so too."""
+    name = Decided(chosen, trial, curve=False)
+    form = better_form(current, effect_named(options.effects, chosen.name), chosen, options.rng)
+    if form is None:
+        return name
+    if form.score.evidence > chosen.evidence + options.rules.margin:
+        other = options.extended(current, form.effect)
+        if not objection(current, other) and _leads(other, trial, current):
+            return Decided(form.score, other, curve=False, rivals=form.rivals)
+    return replace(name, rivals=(form.effect.name,))
 
 
 def _leads(curve: Fit, name: Fit, before: Fit) -> bool:

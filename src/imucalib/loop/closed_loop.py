@@ -20,7 +20,6 @@ from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.effects.shape import is_form
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.anytime.e_value import e_value
 from imucalib.loop.candidates import effect_candidates
@@ -40,7 +39,6 @@ from imucalib.loop.records import (
     set_aside,
 )
 from imucalib.loop.search import aliases, choose, effect_named, looked_like, search, unexplained
-from imucalib.loop.shapes import better_form
 from imucalib.loop.subject import Refused, Searched, close
 from imucalib.loop.thresholds import KEEP, SUSPECTS
 
@@ -180,10 +178,8 @@ class _State:
         fit, chosen, curve = decided.fit, decided.score, decided.curve
         rivals = decided.rivals
         if chosen.name in {s.name for s in scores} or chosen.candidate.family:
-            rivals = aliases(self.fit, self.effects, chosen, scores, self.rules)
-        if not (curve or rivals or is_form(chosen.name)):
-            named = effect_named(self.effects, chosen.name)
-            rivals = better_form(self.fit, named, chosen, self.rng)
+            near = aliases(self.fit, self.effects, chosen, scores, self.rules)
+            rivals = near or decided.rivals
         if not curve and lead_over_a_walk(self.fit, chosen.evidence) < self.rules.margin:
             rivals = (*rivals, WANDERING)
         step = Step(

@@ -74,21 +74,17 @@ def _name(what: str, against: str, kind: str, numbers: tuple[float, ...]) -> str
     return f"shape@{what}:{against}:{kind}:" + ":".join(f"{v:.4g}" for v in numbers)
 
 
-def better_form(
-    fit: Fit, effect: Effect, named: Score, rng: np.random.Generator
-) -> tuple[str, ...]:
+def better_form(fit: Fit, effect: Effect, named: Score, rng: np.random.Generator) -> Formed | None:
     """The form that explains more than a named effect of the sensor with the same driver, if one
     does: then the name is not certain."""
     context = fit.observations.context
     if effect.stage != "sensor" or len(effect.needs) > 1:
-        return ()
+        return None
     if effect.needs and effect.needs[0] not in context.covariates:
-        return ()
+        return None
     driver = f"bias:{effect.needs[0]}" if effect.needs else "response:xyz"
     form = form_of(fit, replace(named, candidate=replace(named.candidate, curve=driver)), rng)
-    if form is None or form.score.evidence <= named.evidence:
-        return ()
-    return (form.effect.name,)
+    return form if form is not None and form.score.evidence > named.evidence else None
 
 
 def _scored(
