@@ -118,6 +118,16 @@ def _curved(path: Path) -> None:
     path.write_text(text_of(reading, "x_mg,y_mg,z_mg"))
 
 
+def _kind(path: Path) -> None:
+    """A fleet that knows one number of its devices better than the bench can tell it."""
+    path.write_text(
+        "schema: imucal/fleet\nversion: 1\ndevices: 9\nreference: vector\neffects: []\n"
+        "parameters: [{name: bias_x, unit: mg, mean: 11.0, sd: 0.001}]\ncovariance: [[1.0e-06]]\n"
+        "noise: []\n",
+        encoding="utf-8",
+    )
+
+
 def _lighter(table: Rows) -> Rows:
     """The bench where gravity is 9.75 m/s²: the sensor reads less of it, the unit stays."""
     lost = (1.0 - 9.75 / G) * 1000.0 * direction(table[:, 0], table[:, 1]) @ GAIN.T
@@ -179,6 +189,7 @@ TABLES: dict[str, Make] = {
     "norms_short.csv": sheet(lambda r: np.delete(r[:, 2:], 2, axis=0), "x_mg,y_mg,z_mg"),
     "norms2_short.csv": _other_device("x_mg,y_mg,z_mg", leave=2),
     "curved.csv": _curved,
+    "kind.yaml": _kind,
     "renamed.csv": sheet(_same, "alpha,beta,x_mg,y_mg,z_mg"),
     "upward.csv": _angles(np.negative, _same),
     "vertical.csv": _angles(lambda i: 90.0 - i, _same),

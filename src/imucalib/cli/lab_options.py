@@ -15,6 +15,7 @@ from imucalib.cli.recording_options import one_scale, still_of
 if TYPE_CHECKING:
     from imucalib.calibrators.lab.calibrate import LabSettings
     from imucalib.calibrators.lab.request import LabRequest
+    from imucalib.calibrators.population import Population
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -85,6 +86,12 @@ _OPTIONS = (
         default="settings",
         show_default=True,
         help="What is minimised; settings: angles are uncertain as set.",
+    ),
+    click.option(
+        "--fleet",
+        type=click.Path(path_type=Path),
+        help="fleet.yaml of imucal fleet: what devices of its kind say of this one, beside which "
+        "few positions do. No search is made beside it.",
     ),
     click.option(
         "--as-published", is_flag=True, help="The paper's own method, as it was published."
@@ -196,7 +203,31 @@ def _settings(options: dict[str, Any], shared: Shared) -> LabSettings:
         rules=shared.rules,
         extra_effects=shared.extra_effects,
         conventions=replace(preset(options["convention"]), **stated),
+        population=_population(options),
     )
+
+
+def _population(options: dict[str, Any]) -> Population | None:
+    from imucalib.calibrators.population import read
+    from imucalib.errors import UsageError
+
+    if options["fleet"] is None:
+        return None
+    for name, usual in (("as_published", False), ("objective", "settings")):
+        if options[name] != usual:
+            option = name.replace("_", "-")
+            raise UsageError(
+                f"--{option} knows no prior", remedy=f"leave out --fleet or --{option}"
+            )
+    kind = read(options["fleet"])
+    if kind.reference != options["reference"]:
+        raise UsageError(
+            f"the fleet was calibrated with --reference {kind.reference}, this device with "
+            f"{options['reference']}",
+            where=str(options["fleet"]),
+            remedy=f"give --reference {kind.reference}, or a fleet of that reference",
+        )
+    return kind
 
 
 def _fix(text: str) -> tuple[int, str, float]:

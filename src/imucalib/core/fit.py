@@ -11,6 +11,7 @@ from imucalib.core.balance import Balanced, Noise, Whitener, whitener
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.parameter import Parameter
+from imucalib.core.prior import Prior
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Fit:
     slope : (c, p, p) derivative of the covariance by log noise parameter, and
     noise_covariance : (c, c) of the log noise parameters; both for `interval_dof`
     null_directions : combinations that the data leave open, in words
-    prior : (p,) standard deviations of normal priors about the starting values, or None
+    prior : of the parameters, or None where the data alone speak
     """
 
     model: Model
@@ -46,7 +47,7 @@ class Fit:
     null_directions: tuple[str, ...]
     converged: bool
     iterations: int
-    prior: Array | None = None
+    prior: Prior | None = None
 
     @property
     def sd(self) -> Array:

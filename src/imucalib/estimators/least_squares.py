@@ -17,6 +17,8 @@ from imucalib.core.fit import Fit
 from imucalib.core.identifiability import null_directions
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
+from imucalib.core.prior import Prior
+from imucalib.estimators.in_a_population import estimate_in_population
 from imucalib.estimators.levenberg_marquardt import Solution, minimise
 from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate_with_prior
 
@@ -36,15 +38,15 @@ def fit(
     start: Array | None = None,
     noise: Noise | None = None,
     begin: Noise | None = None,
-    prior: Array | None = None,
+    prior: Prior | None = None,
     rounds: int = 60,
 ) -> Fit:
     """Fit θ, η and, unless `noise` is given, the noise.
 
     start : θ to start from; the effects' own starting values by default
     noise : held fixed when given (held-out refits); otherwise estimated by REML, from `begin`
-    prior : (p,) standard deviations of normal priors about the effects' own starting values: the
-        maximum a posteriori, which exists for any number of observations; without settings only
+    prior : of θ: the maximum a posteriori, which exists for any number of observations; one that
+        knows nothing of the noise serves observations without settings only
     A Fit whose `converged` is False must not be reported as a calibration.
     """
     context, reference = observations.context, observations.reference
@@ -61,9 +63,10 @@ def fit(
         at = balance(model, state.theta, state.eta, observations)
         if prior is None:
             estimate = estimate_noise(at, current, fixed=noise is not None)
+        elif prior.noise is None:
+            estimate = estimate_with_prior(at, current, prior, state.theta)
         else:
-            away = state.theta - model.start(context)
-            estimate = estimate_with_prior(at, current, prior, away)
+            estimate = estimate_in_population(at, prior, state.theta, fixed=noise)
         # Without settings and prior the noise is one factor, which moves nothing.
         settled = _same(estimate.noise, current) or not (names or prior is not None)
         current = estimate.noise
@@ -112,18 +115,16 @@ def evaluate(
 
 
 def _solve(
-    model: Model, observations: Observations, start: State, noise: Noise, prior: Array | None
+    model: Model, observations: Observations, start: State, noise: Noise, prior: Prior | None
 ) -> Solution[State]:
     ratio = noise.ratio
-    nominal = model.start(observations.context)
 
     def linearise(state: State) -> tuple[Array, Array]:
         at = balance(model, state.theta, state.eta, observations)
         white = whitener(at.settings, ratio)
         both = white(np.column_stack([at.residual, at.jacobian]))
         if prior is not None:
-            rows = np.column_stack([nominal - state.theta, np.eye(prior.size)])
-            both = np.vstack([both, noise.factor * rows / prior[:, None]])
+            both = np.vstack([both, noise.factor * prior.rows(state.theta)])
         return both[:, 0], both[:, 1:]
 
     def move(state: State, step: Array) -> State:

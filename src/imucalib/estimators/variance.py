@@ -13,6 +13,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, whitener
+from imucalib.core.prior import Prior
 
 #: Search range of a setting's standard deviation, as its largest effect on a reading in units of
 #: the readings' noise. Below `_VANISHED` the component counts as zero.
@@ -73,16 +74,14 @@ def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
     )
 
 
-def estimate_with_prior(at: Balanced, start: Noise, prior: Array, away: Array) -> NoiseEstimate:
-    """The factor and the covariance where each parameter has a normal prior (p,) of its own.
-
-    away : (p,) distance of θ from the prior's centre. The factor has a prior too, worth
+def estimate_with_prior(at: Balanced, start: Noise, prior: Prior, theta: Array) -> NoiseEstimate:
+    """The factor and the covariance where the parameters have a prior. The factor has one too, of
     `_PRIOR_DOF` observations at 1, so that it exists for a single one. Its estimate is the fixed
     point of the evidence: parameters cost degrees of freedom as far as the data determine them
     (MacKay 1992). Only for balances without settings.
     """
     assert not at.settings
-    information, precision = at.jacobian.T @ at.jacobian, np.diag(prior**-2.0)
+    information, precision = at.jacobian.T @ at.jacobian, prior.root.T @ prior.root
     chi2, size = float(at.residual @ at.residual), at.residual.size
     square = start.factor**2
     for _ in range(100):
@@ -94,8 +93,9 @@ def estimate_with_prior(at: Balanced, start: Noise, prior: Array, away: Array) -
             break
     factor = float(np.sqrt(square))
     covariance = np.asarray(np.linalg.inv(information / square + precision), np.float64)
-    log_det = float(np.linalg.slogdet(np.eye(prior.size) + information / square * prior**2)[1])
-    likelihood = -0.5 * (chi2 / square + float(np.sum((away / prior) ** 2)) + log_det)
+    log_det = -float(np.linalg.slogdet(precision @ covariance)[1])
+    away = prior.rows(theta)[:, 0]
+    likelihood = -0.5 * (chi2 / square + float(away @ away) + log_det)
     return NoiseEstimate(
         noise=Noise(factor),
         covariance=covariance,

@@ -85,8 +85,8 @@ def decided(
 
 
 def _named(current: Fit, chosen: Score, trial: Fit, options: Options) -> Decided:
-    """A name, and the form of the same driver that explains more, if one does: beside it, or in its
-    place where data that were left out say so too."""
+    """A name, and the form of the same driver that explains as much, if one does: beside it, or in
+    its place where it explains clearly more and data that were left out say so too."""
     name = Decided(chosen, trial, curve=False)
     form = better_form(current, effect_named(options.effects, chosen.name), chosen, options.rng)
     if form is None:

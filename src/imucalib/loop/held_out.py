@@ -52,9 +52,7 @@ def theta_without(fit: Fit, rows: Index) -> Array:
     white = whitener(settings, fit.noise.ratio)
     both = white(np.column_stack([fit.at.residual[keep], fit.at.jacobian[keep]]))
     if fit.prior is not None:
-        away = fit.model.start(fit.observations.context) - fit.theta
-        prior = np.column_stack([away, np.eye(away.size)]) / fit.prior[:, None]
-        both = np.vstack([both, fit.noise.factor * prior])
+        both = np.vstack([both, fit.noise.factor * fit.prior.rows(fit.theta)])
     scale = np.linalg.norm(both[:, 1:], axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     step = np.linalg.lstsq(both[:, 1:] / scale, both[:, 0], rcond=1e-10)[0] / scale
@@ -119,9 +117,8 @@ def left_out_sizes(fit: Fit) -> Array:
         u = root.T @ (root @ both)
     whole = both.T @ u
     if fit.prior is not None:
-        away = fit.model.start(fit.observations.context) - fit.theta
-        prior = fit.noise.factor * np.column_stack([np.eye(away.size), away]) / fit.prior[:, None]
-        whole = whole + prior.T @ prior
+        known = fit.noise.factor * np.roll(fit.prior.rows(fit.theta), -1, axis=1)
+        whole = whole + known.T @ known
     scale = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
     error = np.empty_like(at.residual)
     keys = fit.observations.group[at.owner]

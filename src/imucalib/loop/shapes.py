@@ -16,13 +16,14 @@ from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.loop.candidates import effect_candidates, fitted_prediction
-from imucalib.loop.evidence import Score, score
+from imucalib.loop.evidence import Score, apart, score
 from imucalib.loop.search import scan_evidence
-from imucalib.loop.thresholds import MARGIN
+from imucalib.loop.thresholds import MARGIN, NEAR
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _ANGLES = ("tool_face", "inclination")
 _FINER = 9
+_SAME = 0.01  # λ sin(angle) of two ways to write one function
 
 
 @dataclass(frozen=True)
@@ -75,8 +76,8 @@ def _name(what: str, against: str, kind: str, numbers: tuple[float, ...]) -> str
 
 
 def better_form(fit: Fit, effect: Effect, named: Score, rng: np.random.Generator) -> Formed | None:
-    """The form that explains more than a named effect of the sensor with the same driver, if one
-    does: then the name is not certain."""
+    """The form that explains about as much as a named effect of the sensor with the same driver, if
+    one does: then the name is not certain. A form that is the effect itself is none."""
     context = fit.observations.context
     if effect.stage != "sensor" or len(effect.needs) > 1:
         return None
@@ -84,7 +85,10 @@ def better_form(fit: Fit, effect: Effect, named: Score, rng: np.random.Generator
         return None
     driver = f"bias:{effect.needs[0]}" if effect.needs else "response:xyz"
     form = form_of(fit, replace(named, candidate=replace(named.candidate, curve=driver)), rng)
-    return form if form is not None and form.score.evidence > named.evidence else None
+    if form is None or form.score.evidence <= named.evidence - NEAR:
+        return None
+    (same, other), _ = effect_candidates(fit, [effect, form.effect])
+    return form if apart(fit, same, other) > _SAME else None
 
 
 def _scored(

@@ -19,6 +19,8 @@ from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import Week, WeekPlan, simulated_week
 from imucalib.calibrators.actigraph.weak import NINE, base_fit, from_data, is_weak
 from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.prior import Prior, independent
 from imucalib.effects import named
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.estimators.least_squares import fit
@@ -35,6 +37,10 @@ needs_data = pytest.mark.skipif(not FOLDER.is_dir(), reason="real recordings are
 G = STANDARD_GRAVITY
 MODEL = Model(tuple(named(name) for name in NINE))
 TYPICAL = np.array([50.0] * 3 + [0.03] * 3 + [0.02] * 3)
+
+
+def _known(data: Observations, sd: Array) -> Prior:
+    return independent(MODEL.start(data.context), sd)
 
 
 def short(rng: np.random.Generator, n: int) -> tuple[Week, Array]:
@@ -81,7 +87,7 @@ def test_one_posture_moves_only_what_it_shows() -> None:
 def test_a_prior_far_away_changes_nothing() -> None:
     week = simulated_week(WeekPlan(days=2.0, scatter=1.0), 2)
     data = observations_of(week.runs, week.scanned, G)
-    plain, wide = fit(MODEL, data), fit(MODEL, data, prior=1e6 * TYPICAL)
+    plain, wide = fit(MODEL, data), fit(MODEL, data, prior=_known(data, 1e6 * TYPICAL))
     assert np.allclose(plain.theta, wide.theta, rtol=0.0, atol=1e-3 * plain.sd)
     assert np.allclose(plain.sd, wide.sd, rtol=0.01)
     assert not is_weak(plain)
@@ -91,9 +97,9 @@ def test_held_out_fits_keep_the_prior() -> None:
     """To what one step of Gauss and Newton leaves: less than a tenth."""
     week, _ = short(np.random.default_rng(5), 6)
     data = replace(observations_of(week.runs, week.scanned, G), group=np.arange(6))
-    found = fit(MODEL, data, prior=TYPICAL)
+    found = fit(MODEL, data, prior=_known(data, TYPICAL))
     for row in range(6):
-        rest = fit(MODEL, data.without(np.array([row])), prior=TYPICAL, noise=None)
+        rest = fit(MODEL, data.without(np.array([row])), prior=_known(data, TYPICAL), noise=None)
         again = errors(rest, rest.theta, data.take(np.array([row]))).error[0, 0, 0]
         assert held_out(found).error[row, 0, 0] == pytest.approx(again, rel=0.1, abs=0.03 * MG)
 

@@ -107,10 +107,20 @@ def _straightened(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert done.code != 2
 
 
+def _as_its_kind(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """What the fleet knows to a thousandth of a mg stands; what it does not know the rows tell."""
+    before, after = values(without), values(done)
+    assert abs(before["bias_x"] - 11.0) > 0.1
+    assert abs(after["bias_x"] - 11.0) < 0.01
+    for name in ("bias_y", "bias_z", "scale_y", "scale_z"):
+        assert np.isclose(after[name], before[name], rtol=0.02, atol=2e-4), name
+
+
 CASES: tuple[Case, ...] = (
     LAB("--recording <rests.csv>", _of_recording, *_on("angles.csv")),
     LAB("--reference direction", _by_directions, *_on("faces.csv")),
     LAB("--reference norm", _nine),
+    LAB("--fleet <kind.yaml>", _as_its_kind),
     _repairs("--columns inclination=alpha,tool_face=beta", "renamed.csv"),
     _means("--convention drilling-gravity", "drilling.csv"),
     _means("--gravity-sign up", "upward.csv"),

@@ -13,6 +13,7 @@ from imucalib.calibrators.actigraph.observations import weighted
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
+from imucalib.core.prior import independent
 from imucalib.errors import NotConverged
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns
@@ -39,7 +40,8 @@ def base_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, 
                 return found, light
         except (NotConverged, np.linalg.LinAlgError):
             pass  # open directions ran away; the prior holds them
-    prior = np.array([p.typical for p in parameters])
+    typical = np.array([p.typical for p in parameters])
+    prior = independent(model.start(data.context), typical)
     found, light = fit_model(model, data, prior=prior), 0
     for _ in range(2 * many):
         data, light = weighted(found, runs)

@@ -19,6 +19,7 @@ from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.errors import LeftOut, Split, error_summary, held_out_splits
 from imucalib.calibrators.lab.sessions.between import session_folds
+from imucalib.calibrators.population import Population, of_a_kind
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
@@ -28,6 +29,7 @@ from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.effects import catalogue, named
 from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
+from imucalib.estimators.in_a_population import strangeness
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
 from imucalib.loop.asked import Searched, searched
@@ -56,6 +58,8 @@ class LabSettings:
     declare : effects of the base model beyond `model`; only, without : restrict the search
     train : rows (0-based) to choose and fit on; the rest is the test set
     sigma : declared noise of a reading, m/s², or None to take it from the data
+    population : what a fleet says of the device: its effects are in the base model, and there is no
+        search beside a prior
     """
 
     model: str = "linear12"
@@ -69,6 +73,7 @@ class LabSettings:
     rules: LoopSettings = field(default_factory=LoopSettings)
     extra_effects: Mapping[str, Effect] = field(default_factory=dict)
     conventions: Conventions = field(default_factory=Conventions)
+    population: Population | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,7 @@ class LabResult:
     observations : all rows; used : the rows that were fitted
     splits : leave-one-out, the folds of the design, and the test set of `train`, where they exist
     angles : the final fit's errors in degrees and mg on the fitted rows (KnownVector only)
+    strange : of a prior, the chance that a device of the kind is as far from it; else NaN
     """
 
     observations: Observations
@@ -89,6 +95,7 @@ class LabResult:
     splits: tuple[Split, ...]
     angles: AttitudeErrors | None
     settings: LabSettings
+    strange: float = float("nan")
 
     @cached_property
     def rivals(self) -> tuple[tuple[Rival, ...], ...]:
@@ -111,24 +118,14 @@ def calibrate(
     add, and UsageError for unknown models or effects.
     """
     model = base_model(settings, observations)
-    wanted = searched(settings.only, settings.without, settings.extra_effects)
     used = np.arange(observations.n) if settings.train is None else settings.train
     data = observations.take(used)
-    demand_enough(model, data)
-    start = full_matrix_start(model, data)
-    rules = replace(settings.rules, declared=settings.sigma is not None)
-    loop, left = None, LeftOut()
-    if settings.objective in OBJECTIVES:
-        final = base = fit_corrected(model, data, settings.objective, start)
-    elif settings.loop:
-        loop, left = _closed(model, data, wanted, rng, rules, start)
-        base, final = loop.plain, loop.as_recorded
-    else:
-        final = base = fit_model(model, data, start=start)
-        left = _left_out(base)
-    # A wrong record inflates the noise until everything looks open: judge without it.
+    loop, base, final, left = _solved(model, data, settings, rng)
+    # A wrong record inflates the noise until everything looks open: judge without it. Beside a
+    # fleet nothing is: what it leaves wide has that sd.
     clean = loop.base if loop else base
-    if clean.null_directions and not faulty and settings.objective not in OBJECTIVES:
+    closed = settings.population is not None or faulty or settings.objective in OBJECTIVES
+    if clean.null_directions and not closed:
         raise undetermined(clean)
     if not final.converged:
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
@@ -146,7 +143,30 @@ def calibrate(
         splits=splits,
         angles=angles,
         settings=settings,
+        strange=float("nan") if settings.population is None else strangeness(final),
     )
+
+
+def _solved(
+    model: Model, data: Observations, settings: LabSettings, rng: np.random.Generator
+) -> tuple[FitLoop | None, Fit, Fit, LeftOut]:
+    """The search if there is one, base and final model with every record taken as it stands, and
+    what is held out."""
+    wanted = searched(settings.only, settings.without, settings.extra_effects)
+    if settings.population is not None:
+        final = of_a_kind(settings.population, model, data)
+        return None, final, final, _left_out(final)
+    demand_enough(model, data)
+    start = full_matrix_start(model, data)
+    if settings.objective in OBJECTIVES:
+        final = fit_corrected(model, data, settings.objective, start)
+        return None, final, final, LeftOut()
+    if not settings.loop:
+        final = fit_model(model, data, start=start)
+        return None, final, final, _left_out(final)
+    rules = replace(settings.rules, declared=settings.sigma is not None)
+    loop, left = _closed(model, data, wanted, rng, rules, start)
+    return loop, loop.plain, loop.as_recorded, left
 
 
 def _closed(
@@ -194,7 +214,9 @@ def base_model(settings: LabSettings, observations: Observations) -> Model:
     if not observations.reference.directed:
         names = tuple(name for name in names if name != "mounting")
     extra = {**catalogue(), **settings.extra_effects}
-    declared = tuple(extra[n] if n in extra else named(n) for n in settings.declare)
+    of_kind = settings.population.effects if settings.population else ()
+    every = dict.fromkeys((*settings.declare, *of_kind))
+    declared = tuple(extra[n] if n in extra else named(n) for n in every)
     for effect in declared:
         if reason := effect.missing(observations.context):
             raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)

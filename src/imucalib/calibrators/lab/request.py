@@ -49,6 +49,7 @@ class LabRequest:
             "only": list(settings.only),
             "without": list(settings.without),
             "own_effects": list(settings.extra_effects),
+            "fleet_sha256": settings.population.sha256 if settings.population else None,
             "loop": settings.loop,
             "curves": settings.rules.curves,
             "sigma_mg": None if settings.sigma is None else settings.sigma / MG,

@@ -11,7 +11,13 @@ from imucalib.arrays import Index
 from imucalib.calibration.findings import Findings, findings_of
 from imucalib.calibration.outcome import Outcome, Run, quality_of
 from imucalib.calibration.provenance import Provenance, provenance_of
-from imucalib.calibrators.lab.advice import advice, fix_option, limits_of, reasons
+from imucalib.calibrators.lab.advice import (
+    advice,
+    fix_option,
+    limits_of,
+    not_of_its_kind,
+    reasons,
+)
 from imucalib.calibrators.lab.bench import RawUnit, raw_unit, row_numbers
 from imucalib.calibrators.lab.calibrate import LabResult, LabSettings, calibrate
 from imucalib.calibrators.lab.calibration import lab_calibration, lab_details
@@ -68,6 +74,7 @@ def run_lab(
         faults = look_for_faults(table, raw, whole, rows, request)
         result = _calibrated(whole, rows, request)
     undecided = _undecided(result, faults, raw) or doubts(result, raw, request)
+    undecided += not_of_its_kind(result)
     provenance = _provenance(table, raw, request, mapping or dict(table.names), gaps)
     why = reasons(result, raw) + worthless(result, whole)
     outcome = _judged(

@@ -130,13 +130,17 @@ def _write(fleet: Any, folder: Path, quiet: bool) -> None:
     import json
 
     from imucalib.calibration.file import to_yaml, write_together
+    from imucalib.calibrators.population import to_yaml as to_text
     from imucalib.report.fleet import fleet_dict, fleet_document
     from imucalib.report.render.html import render_html
 
     texts = {
         folder / "report.html": render_html(fleet_document(fleet)),
         folder / "report.json": json.dumps(fleet_dict(fleet), indent=2, allow_nan=False) + "\n",
+        **({folder / "fleet.yaml": to_text(fleet.following)} if fleet.following else {}),
         **{folder / m.name / "calibration.yaml": to_yaml(m.calibration) for m in fleet.members},
     }
     write_together(texts)
-    note(f"wrote {folder}: report.html, report.json, {len(fleet.members)} calibrations", quiet)
+    told = ", fleet.yaml for the next device (imucal lab --fleet)" if fleet.following else ""
+    made = f"report.html, report.json, {len(fleet.members)} calibrations{told}"
+    note(f"wrote {folder}: {made}", quiet)

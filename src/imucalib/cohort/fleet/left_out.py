@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.cohort.fleet.device import Device, moderated
 from imucalib.cohort.fleet.pooled import sizes
 from imucalib.cohort.fleet.search import Rules, search
@@ -35,7 +36,7 @@ def foretold(
     for group in range(groups):
         rest = moderated([d for k, d in enumerate(devices) if k % groups != group])
         found = search(rest, few, np.random.default_rng((seed, group))).found
-        said = {one.effect: _said(rest, one.effect) for one in found}
+        said = {one.effect: next_size(rest, one.effect) for one in found}
         for device in devices[group::groups]:
             every[device.name] = [
                 Prior(effects[name], *said[name]) for name in said if name in device.columns
@@ -43,8 +44,8 @@ def foretold(
     return every
 
 
-def _said(devices: Sequence[Device], effect: str) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (k,) and covariance (k, k) of the size in a device of their kind."""
+def next_size(devices: Sequence[Device], effect: str) -> tuple[Array, Array]:
+    """Mean (k,) and covariance (k, k), typical sizes, of the size in another device of a kind."""
     able = [(d, d.columns[effect]) for d in devices if effect in d.columns]
     gram = np.stack([d.gram[np.ix_(at, at)] for d, at in able])
     along = np.stack([d.along[at] for d, at in able])

@@ -14,8 +14,10 @@ from imucalib.calibrators.lab.calibration import lab_calibration
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.population import Population
 from imucalib.cohort.fleet.device import Device, device_of, moderated
-from imucalib.cohort.fleet.left_out import foretold
+from imucalib.cohort.fleet.following import population_of
+from imucalib.cohort.fleet.left_out import foretold, next_size
 from imucalib.cohort.fleet.pooled import told_by_others
 from imucalib.cohort.fleet.search import Rules, Search, search
 from imucalib.cohort.fleet.shrunk import Prior, held_out, with_priors
@@ -48,7 +50,8 @@ class Member:
 @dataclass(frozen=True)
 class Fleet:
     """members : in the order given; failed : file -> why it is no member
-    difference : held-out error over all members, mg, None where nothing was found"""
+    difference : held-out error over all members, mg, None where nothing was found
+    following : what it says of the next device, None for fewer than four"""
 
     members: tuple[Member, ...]
     failed: tuple[tuple[str, str], ...]
@@ -57,6 +60,7 @@ class Fleet:
     outliers: tuple[Outlier, ...]
     difference: Difference | None
     request: LabRequest
+    following: Population | None = None
 
     @property
     def verdict(self) -> str:
@@ -113,6 +117,12 @@ def run_fleet(
         outliers=outliers(names, spreads),
         difference=gain,
         request=request,
+        following=population_of(
+            [run.result.final for _, run in runs],
+            spreads,
+            {one.effect: next_size(devices, one.effect) for one in found.found},
+            request.reference,
+        ),
     )
 
 

@@ -15,6 +15,7 @@ from imucalib.loop.held_out import fitted
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text
 from imucalib.report.gain import gain_plot
 from imucalib.report.lab.card import lab_card
+from imucalib.report.lab.kind import kind_section
 from imucalib.report.lab.plots import dial_section, uncertainty_section
 from imucalib.report.lab.residuals import attitude_map, residual_plots
 from imucalib.report.lab.sessions import sessions_section
@@ -38,6 +39,7 @@ def lab_document(run: LabRun) -> Document:
         ),
         _angle_section(run),
         _parameter_section(run),
+        kind_section(run.result),
         _bench_section(run),
         sessions_section(run.sessions),
         dial_section(run),
@@ -145,6 +147,8 @@ def _bench_section(run: LabRun) -> Section:
         own = plus_minus(shared / MG, shared / MG * float(fit.noise_sd[-1]), "mg")
         rows.append(("noise that neighbours share", f"{own}, forgotten in {memory:.2g} positions"))
     rows += [("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})")]
+    if (kind := run.request.settings.population) is not None:
+        rows += [("beside these rows", f"what {kind.devices} devices of its kind say (--fleet)")]
     rows += [("raw unit", run.raw.sentence)]
     rows += [("order of rows", _order_words(fit))]
     rows += [("condition number", f"{fit.condition:.0f}, parameters in typical sizes")]

@@ -1,0 +1,159 @@
+"""The next device of a kind, from few rests beside its fleet, on devices made by plain numpy.
+
+    python benchmarks/lab/next_device.py [--fleets 8] [--devices 12] [--next 10]
+    python benchmarks/lab/next_device.py measured
+
+A device: reading = matrix force + bias + q force² + 1 mg of noise, read at evenly spread attitudes;
+`wide` and `narrow` are how much devices differ. The error is that of |a| at attitudes never seen.
+`measured`: each cave instrument by a fleet of the other four, rows drawn at random, judged on the
+other rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.population import Population
+from imucalib.cohort.fleet.run import run_fleet
+from imucalib.cohort.fleet.search import Rules
+from imucalib.core.context import Context
+from imucalib.core.fit import Fit
+from imucalib.loop.held_out import errors
+from imucalib.units import MG
+
+REQUEST = replace(LabRequest(), reference="norm")
+#: Scatter of bias (mg) and of scale and cross terms between devices.
+KINDS = {"wide": (20.0, 0.01), "narrow": (3.0, 0.002)}
+RESTS = (6, 9, 12, 24)
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
+
+
+@dataclass(frozen=True)
+class Device:
+    matrix: np.ndarray
+    bias: np.ndarray
+    squares: np.ndarray
+
+    def reading(self, u: np.ndarray) -> np.ndarray:
+        """(n, 3) mg at directions (n, 3)."""
+        return 1000.0 * u @ self.matrix.T + self.bias + self.squares * u**2
+
+    def write(self, path: Path, count: int, rng: np.random.Generator) -> Path:
+        z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+        turn = np.pi * (1.0 + 5.0**0.5) * np.arange(count)
+        flat = np.sqrt(1.0 - z**2)
+        points = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
+        u = points @ np.linalg.qr(rng.standard_normal((3, 3)))[0].T
+        rows = self.reading(u) + rng.standard_normal((count, 3))
+        text = "\n".join(",".join(f"{v:.3f}" for v in row) for row in rows)
+        path.write_text(f"x (mg),y (mg),z (mg)\n{text}\n")
+        return path
+
+    def error(self, fit: Fit) -> float:
+        """mg rms of |a| at 300 attitudes."""
+        u = np.random.default_rng(1).standard_normal((300, 3))
+        u /= np.linalg.norm(u, axis=1, keepdims=True)
+        force = fit.model.correct(fit.theta, MG * self.reading(u)[:, None], Context(300))
+        return float(np.sqrt(np.mean((np.linalg.norm(force[:, 0], axis=1) / MG - 1000.0) ** 2)))
+
+    def z(self, fit: Fit) -> np.ndarray:
+        """Errors of the nine parameters over their stated sds."""
+        m = self.matrix
+        truth = np.array([*self.bias, *(np.diag(m) - 1.0), m[1, 0], m[2, 0], m[2, 1]])
+        return np.asarray((fit.theta[:9] - truth) / fit.sd[:9])
+
+
+def device(rng: np.random.Generator, kind: str) -> Device:
+    bias, share = KINDS[kind]
+    matrix = np.eye(3) + share * np.tril(rng.standard_normal((3, 3)))
+    return Device(matrix, bias * rng.standard_normal(3), 2.0 + 0.6 * rng.standard_normal(3))
+
+
+def calibrated(path: Path, kind: Population | None, train: tuple[int, ...] = ()) -> LabRun:
+    """With a fleet's word, or alone without a search."""
+    settings = replace(REQUEST.settings, population=kind, loop=False)
+    return calibrate_files(
+        LabFiles(path), replace(REQUEST, settings=settings, train=train), lambda _: None
+    )
+
+
+def fleet_of(paths: list[Path], draws: int) -> Population:
+    found = run_fleet([LabFiles(p) for p in paths], REQUEST, Rules(draws=draws), lambda _: None)
+    assert found.following is not None
+    return found.following
+
+
+def simulated(fleets: int, devices: int, following: int, folder: Path) -> None:
+    heads = " | ".join(f"{n} rests" for n in RESTS)
+    print(f"| devices differ | {heads} | 24 rests alone | z rms of 6 rests | told strange |")
+    print("|---|" + "---|" * (len(RESTS) + 3))
+    for kind in KINDS:
+        beside, alone, z, strange = [], [], [], []
+        for seed in range(fleets):
+            rng = np.random.default_rng((seed, len(kind)))
+            paths = [device(rng, kind).write(folder / f"{k}.csv", 24, rng) for k in range(devices)]
+            told = fleet_of(paths, 299)
+            for _ in range(following):
+                one = device(rng, kind)
+                runs = [
+                    calibrated(one.write(folder / "new.csv", n, rng), told).result for n in RESTS
+                ]
+                beside.append([one.error(r.final) for r in runs])
+                z.append(one.z(runs[0].final))
+                strange.append(runs[0].strange < 0.01)
+                alone.append(one.error(calibrated(folder / "new.csv", None).result.final))
+        rms = np.sqrt(np.mean(np.square(beside), axis=0))
+        cells = " | ".join(f"{v:.2f} mg" for v in rms)
+        own = float(np.sqrt(np.mean(np.square(alone))))
+        print(f"| {kind} | {cells} | {own:.2f} mg | {np.std(z):.2f} | "
+              f"{sum(strange)} of {len(strange)} |")  # fmt: skip
+
+
+def measured(repeats: int = 12) -> None:
+    paths = sorted(SAMPLES.glob("cave_*.csv"))
+    heads = ("instrument", "6 rests", "9", "12", "12 alone", "all 24 alone, held out")
+    print("| " + " | ".join(heads) + " |")
+    print("|---" * len(heads) + "|")
+    for path in paths:
+        kind = fleet_of([p for p in paths if p != path], 299)
+        whole = calibrated(path, None)
+        data = whole.result.final.observations
+        cells = []
+        for count, prior in ((6, kind), (9, kind), (12, kind), (12, None)):
+            sizes = []
+            for seed in range(repeats):
+                pick = np.sort(np.random.default_rng(seed).permutation(data.n)[:count])
+                fit = calibrated(path, prior, tuple(int(k) + 1 for k in pick)).result.final
+                rest = data.take(np.setdiff1d(np.arange(data.n), pick))
+                sizes.append(errors(fit, fit.theta, rest).rms() / MG)
+            cells.append(f"{np.median(sizes):.2f}")
+        print(f"| {path.stem} | {' | '.join(cells)} | {whole.outcome.error.held_out.final:.2f} |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", nargs="?", default="simulated", choices=["simulated", "measured"])
+    parser.add_argument("--fleets", type=int, default=8)
+    parser.add_argument("--devices", type=int, default=12)
+    parser.add_argument("--next", type=int, default=10)
+    chosen = parser.parse_args()
+    if chosen.what == "measured":
+        measured()
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        simulated(chosen.fleets, chosen.devices, chosen.next, Path(folder))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""What a fleet says of the next device of its kind, as a file and as a prior.
+
+A device's parameter is normal about the fleet's mean with the scatter between devices, the doubt
+about both included; the noise is log-normal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.balance import Noise, balance
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.core.parameter import Parameter
+from imucalib.core.prior import Prior
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.estimators.least_squares import fit
+from imucalib.readers.source import sha256_of
+from imucalib.recording.yaml_text import dump, load
+from imucalib.units import MG
+
+SCHEMA, VERSION = "imucal/fleet", 1
+#: A noise that the fleet knows nothing of: anything within a factor of ten.
+_UNKNOWN = float(np.log(10.0))
+_ABOUT = 1e-3  # rad, of a setting that no device of the fleet had
+
+
+@dataclass(frozen=True)
+class Told:
+    """A parameter of the next device: mean and sd, in `unit`."""
+
+    name: str
+    unit: str
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class ToldNoise:
+    """ "reading" (m/s²) or a component of the noise (rad): the middle of what devices have, and the
+    sd of its log."""
+
+    name: str
+    middle: float
+    log_sd: float
+
+
+@dataclass(frozen=True)
+class Population:
+    """devices : that told it; reference : as of `lab`; effects : of the model, in order
+    covariance : (p, p) of the parameters, in their units"""
+
+    devices: int
+    reference: str
+    effects: tuple[str, ...]
+    parameters: tuple[Told, ...]
+    covariance: Array
+    noise: tuple[ToldNoise, ...]
+    sha256: str = ""
+
+    def prior(self, model: Model, data: Observations, components: Sequence[str]) -> Prior:
+        """Of a model's θ and of its noise; parameters that the fleet has not stay at their typical
+        size. components : of the noise, as the data have them."""
+        parameters = model.parameters(data.context)
+        start = model.start(data.context)
+        names = [told.name for told in self.parameters]
+        mean, covariance = start.copy(), np.diag([p.typical**2 for p in parameters])
+        here = [k for k, p in enumerate(parameters) if p.name in names]
+        there = [names.index(parameters[k].name) for k in here]
+        _demand_units(parameters, self.parameters)
+        mean[here] = [self.parameters[j].mean for j in there]
+        covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
+        typical = np.array([p.typical for p in parameters])
+        scaled = np.linalg.cholesky(covariance / np.outer(typical, typical))
+        root = np.linalg.inv(scaled) / typical
+        sigma = float(np.median(data.sigma))
+        noise = [self._noise("reading", sigma), *(self._noise(c, 1.0) for c in components)]
+        return Prior(mean, root, np.array(noise))
+
+    def _noise(self, name: str, unit: float) -> tuple[float, float]:
+        for one in self.noise:
+            if one.name == name:
+                return float(np.log(one.middle / unit)), one.log_sd
+        return float(np.log((MG if name == "reading" else _ABOUT) / unit)), _UNKNOWN
+
+
+def of_a_kind(kind: Population, model: Model, data: Observations) -> Fit:
+    """One of a kind: as few rows as there are, beside what its fleet says."""
+    start = model.start(data.context)
+    names = balance(model, start, data.reference.start(data.reading), data).component
+    prior = kind.prior(model, data, names)
+    assert prior.noise is not None
+    factor, *sds = np.exp(prior.noise[:, 0]).tolist()
+    return fit(model, data, start=prior.mean, begin=Noise(factor, names, tuple(sds)), prior=prior)
+
+
+def _demand_units(parameters: Sequence[Parameter], told: Sequence[Told]) -> None:
+    units = {one.name: one.unit for one in told}
+    for p in parameters:
+        if units.get(p.name, p.unit) != p.unit:
+            raise UsageError(
+                f"the fleet has {p.name} in {units[p.name]}, this version in {p.unit}",
+                remedy="make the fleet's file again with this version",
+            )
+
+
+def to_yaml(population: Population) -> str:
+    """The file's text."""
+    content = asdict(population)
+    del content["sha256"]
+    content["effects"] = list(population.effects)
+    content["covariance"] = population.covariance.tolist()
+    for name in ("parameters", "noise"):
+        content[name] = list(content[name])
+    return dump({"schema": SCHEMA, "version": VERSION, **content})
+
+
+def read(path: Path) -> Population:
+    """Raises UnreadableInput for what is no such file."""
+    if not path.is_file():
+        raise UnreadableInput("no such file", where=str(path))
+    content: Any = load(path)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise UnreadableInput(
+            "not what a fleet says of its kind",
+            where=str(path),
+            remedy="give the fleet.yaml that `imucal fleet TABLE... -o FOLDER` writes",
+        )
+    try:
+        told = tuple(Told(**block) for block in content["parameters"])
+        return Population(
+            devices=int(content["devices"]),
+            reference=str(content["reference"]),
+            effects=tuple(content["effects"]),
+            parameters=told,
+            covariance=np.array(content["covariance"], float).reshape(len(told), len(told)),
+            noise=tuple(ToldNoise(**block) for block in content["noise"]),
+            sha256=sha256_of(path),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise UnreadableInput(f"the file is incomplete: {error!r}", where=str(path)) from None

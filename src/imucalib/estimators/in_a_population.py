@@ -1,0 +1,106 @@
+"""Noise and covariance of one of a kind: θ and the noise have the priors that others of it tell.
+
+With θ ~ N(m, Q) a linearised balance r = J (θ - θ₀) + noise is normal about J (m - θ₀) with
+V + J Q Jᵀ, V = s² I + Σ sd_c² N_c N_cᵀ. The logs of s and sd_c have normal priors; the estimate is
+their maximum a posteriori (empirical Bayes; Laird and Ware 1982, section 3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.balance import Balanced, Noise, whitener
+from imucalib.core.eigen import eigen
+from imucalib.core.fit import Fit
+from imucalib.core.prior import Prior
+from imucalib.estimators.variance import NoiseEstimate
+
+#: Standard deviations of the prior's logs within which the noise is looked for, and logs at most.
+_REACH, _WIDEST = 6.0, 14.0
+#: Share of a prior variance that the data must take away to have said something.
+_HEARD = 0.05
+
+
+def estimate_in_population(
+    at: Balanced, prior: Prior, theta: Array, *, fixed: Noise | None = None
+) -> NoiseEstimate:
+    """At a balance that is linearised at θ; with `fixed` only the covariance is computed."""
+    assert prior.noise is not None
+    away = at.residual + at.jacobian @ (theta - prior.mean)
+    among = at.jacobian @ prior.covariance @ at.jacobian.T
+    logs = _searched(at, among, away, prior.noise)
+    if fixed is not None:
+        logs = np.log(np.maximum([fixed.factor, *fixed.sd], 1e-300))
+    own = _derivatives(at, logs)
+    inverse = np.linalg.inv(0.5 * sum(own, np.zeros_like(among)))
+    weighted = at.jacobian.T @ inverse
+    covariance = np.linalg.inv(prior.root.T @ prior.root + weighted @ at.jacobian)
+    gain = covariance @ weighted
+    value, slope, information = _posterior(at, among, away, prior.noise, logs)
+    del slope
+    spread = np.zeros_like(information) if fixed is not None else np.linalg.inv(information)
+    noise = Noise(float(np.exp(logs[0])), at.component, tuple(np.exp(logs[1:]).tolist()))
+    used = float(np.trace(gain @ at.jacobian))
+    white = whitener(at.settings, noise.ratio)
+    return NoiseEstimate(
+        noise=noise,
+        covariance=np.asarray(covariance, np.float64),
+        slope=np.array([gain @ d @ gain.T for d in own]),
+        noise_covariance=np.asarray(spread, np.float64),
+        chi2=float(at.residual @ inverse @ at.residual) * noise.factor**2,
+        dof=max(0, round(at.residual.size - used)),
+        log_likelihood=-value,
+        white_jacobian=np.vstack([white(at.jacobian), noise.factor * prior.root]),
+    )
+
+
+def strangeness(fit: Fit) -> float:
+    """Chance that one of the kind is as far from its mean: χ² of d' (Q - C)⁻¹ d with d = θ - m,
+    whose covariance before the data are seen is Q - C, along what the data say something of."""
+    from scipy.special import chdtrc
+
+    prior = fit.prior
+    assert prior is not None
+    left = prior.root @ (fit.theta - prior.mean)
+    told = np.eye(left.size) - prior.root @ fit.covariance @ prior.root.T
+    values, vectors = eigen(0.5 * (told + told.T))
+    heard = values > _HEARD
+    along = vectors[:, heard].T @ left
+    return float(chdtrc(max(int(heard.sum()), 1), float(np.sum(along**2 / values[heard]))))
+
+
+def _derivatives(at: Balanced, logs: Array) -> list[Array]:
+    """∂V / ∂log of each noise; half their sum is V."""
+    values = np.exp(2.0 * logs)
+    derivative = [2.0 * values[0] * np.eye(at.residual.size)]
+    return derivative + [2.0 * v * m @ m.T for v, m in zip(values[1:], at.settings, strict=True)]
+
+
+def _posterior(
+    at: Balanced, among: Array, away: Array, noise: Array, logs: Array
+) -> tuple[float, Array, Array]:
+    """Minus the log posterior of the noise's logs, its slope, and its expected curvature."""
+    own = _derivatives(at, logs)
+    whole = among + 0.5 * sum(own, np.zeros_like(among))
+    inverse = np.linalg.inv(whole)
+    u = inverse @ away
+    left = (logs - noise[:, 0]) / noise[:, 1]
+    value = 0.5 * (float(np.linalg.slogdet(whole)[1]) + float(away @ u) + float(left @ left))
+    products = [inverse @ d for d in own]
+    slope = [
+        0.5 * (float(np.trace(p)) - float(u @ d @ u)) for p, d in zip(products, own, strict=True)
+    ]
+    curvature = 0.5 * np.array([[float(np.sum(a * b.T)) for b in products] for a in products])
+    return value, np.array(slope) + left / noise[:, 1], curvature + np.diag(noise[:, 1] ** -2.0)
+
+
+def _searched(at: Balanced, among: Array, away: Array, noise: Array) -> Array:
+    from scipy.optimize import minimize
+
+    bounds = [(m - min(_REACH * sd, _WIDEST), m + min(_REACH * sd, _WIDEST)) for m, sd in noise]
+    found = minimize(
+        lambda logs: _posterior(at, among, away, noise, logs)[:2], noise[:, 0], jac=True,
+        method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-13, "gtol": 1e-8, "maxiter": 200},
+    )  # fmt: skip
+    return np.asarray(found.x)
