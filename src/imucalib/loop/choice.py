@@ -40,9 +40,15 @@ class Decided:
 
 @dataclass(frozen=True)
 class Options:
-    """What a choice may try. noise, data : to hold a refit at, where a search of the whole data has
-    estimated them; by default they are estimated anew. terms : of the model that the noise is of:
-    with fewer, what is still missing is noise too, and the noise is estimated anew."""
+    """What a choice may try.
+
+    noise, data : to hold a refit at, where a search of the whole data has estimated them; else they
+        are estimated anew
+    terms : of the model that the noise is of: with fewer, what is still missing is noise too, and
+        the noise is estimated anew
+    forms : whether a form may take the place of a name: not in a fold of data in which none comes
+        near it, which would cost half a search
+    """
 
     effects: Mapping[str, Effect]
     families: tuple[Family, ...]
@@ -51,6 +57,7 @@ class Options:
     noise: Noise | None = None
     data: Observations | None = None
     terms: int = 0
+    forms: bool = True
 
     def extended(self, fit: Fit, effect: Effect) -> Fit:
         """Refit with one more effect."""
@@ -88,6 +95,8 @@ def _named(current: Fit, chosen: Score, trial: Fit, options: Options) -> Decided
     """A name, and the form of the same driver that explains as much, if one does: beside it, or in
     its place where it explains clearly more and data that were left out say so too."""
     name = Decided(chosen, trial, curve=False)
+    if not options.forms:
+        return name
     form = better_form(current, effect_named(options.effects, chosen.name), chosen, options.rng)
     if form is None:
         return name

@@ -16,6 +16,7 @@ from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
+from imucalib.effects.shape import is_form
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.choice import Options, curve_of, decided
 from imucalib.loop.design import Fold, parts_of
@@ -26,7 +27,7 @@ from imucalib.loop.held_out import Held, errors, theta_without, without_records
 from imucalib.loop.records import record_names
 from imucalib.loop.search import choose, search
 from imucalib.loop.subject import Refused
-from imucalib.loop.thresholds import STRONG
+from imucalib.loop.thresholds import BEYOND_CHANCE, STRONG
 from imucalib.units import MG
 
 
@@ -102,7 +103,7 @@ def judged(loop: FitLoop, held: CrossFit, metric: Metric) -> FitLoop:
     strong = tuple(
         Unexplained(f"what looks like {s.effect}", "", "probe", s.p, s.evidence, 0.0)
         for s in loop.named
-        if s.evidence > STRONG
+        if s.evidence > STRONG or s.p <= BEYOND_CHANCE
     )
     return replace(
         loop,
@@ -141,6 +142,7 @@ def _searched(
     options = Options(
         effects, families, rng, rules, noise=loop.final.noise,
         data=loop.final.observations.take(rest), terms=_terms(loop.final),
+        forms=any(is_form(name) for step in loop.steps for name in (step.effect, *step.aliases)),
     )  # fmt: skip
     own = loop.base.model.slices(loop.base.observations.context)
     start = np.concatenate([loop.base.theta[own[name]] for name in plain.model.names])

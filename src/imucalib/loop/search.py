@@ -18,6 +18,7 @@ from imucalib.loop.records import held_out_rms
 from imucalib.loop.subject import Refused, Searched
 from imucalib.loop.thresholds import (
     APART,
+    BEYOND_CHANCE,
     HELD_OUT_NATS,
     HELD_OUT_RMS,
     MARGIN,
@@ -169,7 +170,8 @@ def looked_like(
         if s.name not in some or not passes(s, rules):
             continue
         # By chance some stand out that other data refuse: only strong ones are more than that.
-        if s.evidence > STRONG or not rejected[s.name].by_data:
+        strong = s.evidence > STRONG or s.p <= BEYOND_CHANCE
+        if strong or not rejected[s.name].by_data:
             name = f"what looks like {s.name} and was not taken: {rejected[s.name].reason}"
             driver = " and ".join(some[s.name].needs)
             return (Unexplained(name, driver, "probe", s.p, s.evidence, s.share),)

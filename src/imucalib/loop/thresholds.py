@@ -37,6 +37,8 @@ CURVE_TERMS = (3, 6, 12)
 #: Nats from which on an effect that data refuse which took no part is structure without a name, not
 #: one of the accidents of which ALPHA allows a few: odds of e^10 are no accident.
 STRONG = 10.0
+#: Family-wise p up to which the same is told: three clean tables in a thousand have such a one.
+BEYOND_CHANCE = 0.003
 #: Nats of held-out density that steps may lose where rows share settings: the other rows of a
 #: setting tell there what a fixture does, so that true gains are under-reported.
 LOSS = -1.0
