@@ -61,7 +61,7 @@ def cross_fitted(
     every = np.arange(data.n)
     for fold in folds:
         held, good = data.take(fold.rows), _without(fold, wrong)
-        chosen = _own_noise(_searched(loop, good.rest, effects, rng, rules, families), loop.final)
+        chosen = _searched(loop, good.rest, effects, rng, rules, families)
         found = len(chosen.model.names) > len(loop.plain.model.names)
         whole = loop.final.observations if found else data
         clean.append(errors(chosen, chosen.theta, held))
@@ -165,15 +165,6 @@ def _searched(
             taken = smooth
         fit, last = taken.fit, taken.score.name
     return fit
-
-
-def _own_noise(chosen: Fit, final: Fit) -> Fit:
-    """With noise of its own where another model was chosen than on the whole, with as many terms:
-    what that leaves would be a surprise to the noise of the whole."""
-    whole = set(final.model.names) - set(record_names(final))
-    if _terms(chosen) < len(whole) or set(chosen.model.names) == whole:
-        return chosen
-    return fit_model(chosen.model, chosen.observations, start=chosen.theta)
 
 
 def _terms(fit: Fit) -> int:
