@@ -71,7 +71,7 @@ _OPTIONS = (
                  "beyond."),
     full_option,
     click.option("--export", multiple=True, type=EXPORT_FORM,
-                 help="Write the coefficients for another program, too."),
+                 help="Write them for another program, too; see `imucal export`."),
 )  # fmt: skip
 
 

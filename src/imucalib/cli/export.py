@@ -6,13 +6,15 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import EXPORT_FORM, emit_json, json_option, note, quiet_option
+from imucalib.cli.output import EXPORT_FORM, FormOption, emit_json, json_option, note, quiet_option
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option
 
 
-@click.command("export", short_help="Write coefficients for another program.")
+@click.command("export", cls=PagedCommand, short_help="Write coefficients for another program.")
 @click.argument("calibration", type=click.Path(path_type=Path))
-@click.option("--to", "form", required=True, type=EXPORT_FORM, help="Form of the other program.")
+@click.option("--to", "form", required=True, type=EXPORT_FORM, cls=FormOption,
+              help="Form of the other program")  # fmt: skip
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
               help="File to write; default: stdout.")  # fmt: skip
 @click.option("--noise", type=click.Path(path_type=Path),

@@ -19,6 +19,7 @@ from imucalib.cli.output import (
     seed_option,
     width,
 )
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import (
     force_option,
     inputs_of,
@@ -28,7 +29,7 @@ from imucalib.cli.recording_options import (
 from imucalib.cli.working import working
 
 
-@click.command("check", short_help="Is a calibration still good?")
+@click.command("check", cls=PagedCommand, short_help="Is a calibration still good?")
 @click.argument("calibration", type=click.Path(path_type=Path))
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("--limit", "limits", multiple=True, metavar="SIZE",

@@ -15,10 +15,11 @@ from imucalib.cli.output import (
     quiet_option,
     width,
 )
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option
 
 
-@click.command("compare", short_help="Compare calibrations of one sensor.")
+@click.command("compare", cls=PagedCommand, short_help="Compare calibrations of one sensor.")
 @click.argument("calibrations", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("--limit", "limits", multiple=True, metavar="SIZE",
               help="Difference that matters: 2mg of force, 0.1deg of direction, 0.2mm of position, "

@@ -21,6 +21,7 @@ from imucalib.cli.output import (
     seed_option,
     width,
 )
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import (
     force_option,
     mapping_of,
@@ -32,7 +33,7 @@ from imucalib.cli.recording_options import (
 from imucalib.cli.working import verbose_option, working
 
 
-@click.command("fleet", short_help="Calibrate devices of one kind together.")
+@click.command("fleet", cls=PagedCommand, short_help="Calibrate devices of one kind together.")
 @click.argument("tables", metavar="TABLE...", nargs=-1, required=True,
                 type=click.Path(path_type=Path))  # fmt: skip
 @click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False),
