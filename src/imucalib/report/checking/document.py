@@ -38,7 +38,8 @@ def check_document(check: Check, log: str, calibration: str) -> Document:
     sections.append(Section("Notes", tuple(Text(f"{t[0].upper()}{t[1:]}.") for t in lines)))
     verdict = Text(verdict_words(check), _TONE[check.verdict])
     footer = (("calibration", calibration), ("log", log))
-    return Document(f"Check of {calibration} with {log}", verdict, tuple(sections), footer)
+    title = f"Check of {calibration} with {log}"
+    return Document(title, verdict, tuple(sections), footer, drawn="--html")
 
 
 def _each(check: Check) -> Table:

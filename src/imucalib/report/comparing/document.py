@@ -39,7 +39,8 @@ def comparison_document(found: Comparison) -> Document:
     if notes:
         sections.append(Section("Notes", notes))
     title = f"Comparison of {', '.join(found.names)}"
-    return Document(title, Text(verdict_words(found), _TONE[found.verdict]), tuple(sections))
+    verdict = Text(verdict_words(found), _TONE[found.verdict])
+    return Document(title, verdict, tuple(sections), drawn="--html")
 
 
 def verdict_words(found: Comparison) -> str:
