@@ -146,4 +146,4 @@ def test_a_section_of_figures_has_no_heading_in_characters() -> None:
         assert "Drawn ─" not in text
         assert "Said ─" in text
         assert "Not shown here  Drawn; " in text
-    assert text.rstrip().endswith("report.html draws them")
+    assert text.rstrip().endswith("report.html draws it")

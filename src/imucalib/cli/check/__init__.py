@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from imucalib.cli.calibrating import command_line
 from imucalib.cli.check.log import append, measured_of, noise_of
 from imucalib.cli.gravity_options import gravity_options
 from imucalib.cli.output import (
@@ -78,6 +79,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     from imucalib.effects import load_file
     from imucalib.report.checking.data import check_dict
     from imucalib.report.checking.document import check_document
+    from imucalib.report.data import shown_dict
     from imucalib.report.render.text import render_text
 
     inputs = inputs_of(options, calibration, log)
@@ -96,7 +98,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         measured, notes = measured_of(loaded, log, noise, options, past)
         found = checked(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
-    document = check_document(found, log.name, calibration.name)
+    document = check_document(found, log.name, calibration.name, command_line())
     if options["history"] is not None:
         append(options["history"], past, found, content)
         note(f"wrote {options['history']}", options["quiet"])
@@ -107,7 +109,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         write_whole(options["html"], render_html(document))
         note(f"wrote {options['html']}", options["quiet"])
     if options["as_json"]:
-        emit_json(content)
+        emit_json({**content, **shown_dict(document)})
     elif not options["quiet"]:
         click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
     return found.exit_code

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from imucalib.cli.calibrating import command_line
 from imucalib.cli.output import (
     color,
     emit_json,
@@ -62,6 +63,7 @@ def command(
     from imucalib.effects import load_file
     from imucalib.report.comparing.data import comparison_dict
     from imucalib.report.comparing.document import comparison_document
+    from imucalib.report.data import shown_dict
     from imucalib.report.render.html import render_html
     from imucalib.report.render.text import render_text
 
@@ -74,12 +76,12 @@ def command(
     for calibration, path in zip(loaded, calibrations, strict=True):
         check(calibration, str(path))
     found = compared(loaded, _names(calibrations), wanted, dates.split(",") if dates else ())
-    document = comparison_document(found)
+    document = comparison_document(found, command_line())
     if html is not None:
         write_whole(html, render_html(document))
         note(f"wrote {html}", quiet)
     if as_json:
-        emit_json(comparison_dict(found))
+        emit_json({**comparison_dict(found), **shown_dict(document)})
     elif not quiet:
         click.echo(render_text(document, width(), color=color(), full=full), nl=False)
     return found.exit_code

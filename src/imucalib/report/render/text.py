@@ -45,7 +45,7 @@ def render_text(document: Document, width: int, *, color: bool, full: bool = Fal
         )
         hidden = [title for title in titles if title not in {s.title for s in sections}]
     lines += [line for section in sections for line in _section(section, width)]
-    lines += _foot(document, width, hidden, full=full)
+    lines += _foot(document, width, hidden, full=full or set(hidden) <= set(drawn))
     return _printed(lines, width, color)
 
 
@@ -178,7 +178,8 @@ def _foot(
     rows = [*document.footer]
     if hidden:
         where = [] if full else ["--full shows all"]
-        where += [f"{document.drawn} draws them"] if full or document.card else []
+        where += [f"{document.drawn} draws {'it' if len(hidden) == 1 else 'them'}"]
+        where = where if full or document.card else where[:1]
         titles = ", ".join(map(one_line, hidden))
         rows.append(("Not shown here", f"{titles}; {', '.join(where)}"))
     if not rows:
