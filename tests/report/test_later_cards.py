@@ -64,7 +64,7 @@ def test_an_undecided_check_names_the_rests(tools: dict[str, Path]) -> None:
 
 def test_a_comparison_says_by_how_much_and_what_to_do(tools: dict[str, Path]) -> None:
     same, other = (card("compare", tools["ai"], tools[name]) for name in ("ai", "jd"))
-    assert next(w["quantity"] for w in other["good_to"]) == "size of the force"
+    assert next(w["quantity"] for w in other["good_to"]) == "difference of force"
     assert "by more than they state" in other["found"][0]
     assert "imucal check" in other["to_do"][0]
     assert "by no more" in same["found"][0]

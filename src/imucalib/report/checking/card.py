@@ -42,8 +42,10 @@ def _found(check: Check) -> tuple[Text, ...]:
             label = sensor.misfits.label[sensor.alone]
             lines.append(Text(f"{name}{label} does not belong to the others.", "warning"))
     if not lines:
-        lines.append(Text("Nothing shows: the readings are as the calibration foretells them.",
-                          TONE[check.verdict]))  # fmt: skip
+        calm: Tone = "ok" if check.verdict == "still good" else "plain"
+        lines.append(
+            Text("Nothing shows: the readings are as the calibration foretells them.", calm)
+        )
     if moved := [s.name or "the gyroscope" for s in check.turned_on if s not in check.drifted]:
         lines.append(Text(f"The gyroscope's bias of {', '.join(moved)} moved, as at every "
                           "switching on."))  # fmt: skip

@@ -10,8 +10,8 @@ from imucalib.report.comparing.words import due_words
 from imucalib.report.document import Card, Text, Tone, Worth
 from imucalib.significant_digits import plus_minus, two_digits
 
-_WORTH = {"mg": "size of the force", "deg": "direction", "mm": "position",
-          "deg/s": "bias of the gyro"}  # fmt: skip
+_WORTH = {"mg": "difference of force", "deg": "difference of direction",
+          "mm": "difference of place", "deg/s": "difference of rate"}  # fmt: skip
 TONE: dict[str, Tone] = {"agree": "ok", "differ": "bad", "undecided": "warning"}
 
 
@@ -28,7 +28,7 @@ def _worth(found: Comparison) -> tuple[Worth, ...]:
         size = plus_minus(worst.value, worst.sd) if worst.sd > 0.0 else two_digits(worst.value)
         at = "  ".join(f"{v:+.2f}" for v in worst.attitude)
         limit = f"limit {meaning.limit:.2g} {unit}, {how}"
-        detail = f"largest difference, where the force is {at}; {limit}"
+        detail = f"at most, where the force is {at}; {limit}"
         sensor = f", {meaning.sensor}" if meaning.sensor else ""
         made.append(Worth(f"{_WORTH[unit]}{sensor}", f"{size} {unit}", detail))
     return tuple(made)
