@@ -139,7 +139,7 @@ def test_everything_else_comes_by_itself(table: Path, tmp_path: Path) -> None:
     assert "quadratic" in (out / "report.html").read_text(encoding="utf-8")
     held = report["loop"]["errors"][0]["held_out"]
     assert held["final"] < 0.5 * held["base"]
-    assert "ggir_calibration.csv lacks what cal.error.end includes, " in result.stderr
+    assert " (in cal.error.end): " in result.stderr
     assert run("validate", out / "calibration.yaml").return_value == 0
     header = run("export", out / "calibration.yaml", "--to", "c-header", "--force")
     assert header.return_value == 0

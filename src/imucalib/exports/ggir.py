@@ -35,7 +35,7 @@ def ggir_csv(calibration: Calibration, filename: str) -> Made:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["filename", *numbers])
     writer.writerow([filename, *(f"{v:.9g}" for v in numbers.values())])
-    lost = lost_per_axis(calibration, row, "what cal.error.end includes, ")
+    lost = lost_per_axis(calibration, row, " (in cal.error.end)")
     return Made(out.getvalue(), lost, row.lost)
 
 

@@ -16,7 +16,7 @@ def omconvert(calibration: Calibration, filename: str) -> Made:
     """
     demand_one(calibration, "omconvert")
     row = nearest_row(calibration)
-    lost = lost_per_axis(calibration, row, "")
+    lost = lost_per_axis(calibration, row)
     numbers = (*row.scale, *row.offset, *(row.scale * row.slope), row.middle)
     lines = [
         "#!/bin/sh",

@@ -106,8 +106,8 @@ def heading(calibration: Calibration, filename: str) -> tuple[str, ...]:
     return (f"# Accelerometer by imucal, from {name}, status {calibration.status}.",)
 
 
-def lost_per_axis(calibration: Calibration, row: Row, what: str) -> tuple[str, ...]:
-    """What a row does not carry, in words; what : of the form, in front of the effects' names."""
+def lost_per_axis(calibration: Calibration, row: Row, aside: str = "") -> tuple[str, ...]:
+    """What a row does not carry, in words; aside : of the form, behind the effects' names."""
     carried = _CARRIED | ({"temperature_bias"} if np.any(row.slope) else set())
     names = [n for n in calibration.model()[0].names if n not in carried]
     beyond = ", ".join(n for n in names if n != "mounting")
@@ -117,7 +117,7 @@ def lost_per_axis(calibration: Calibration, row: Row, what: str) -> tuple[str, .
     if beyond:
         words.insert(
             0,
-            f"{what}{beyond}: {row.lost:.2f} mg of |a| on average over the sphere and the "
+            f"{beyond}{aside}: {row.lost:.2f} mg of |a| on average over the sphere and the "
             f"calibrated ranges, {row.worst:.2f} mg at most; direction {row.angle:.3f} deg at most",
         )
     return tuple(words)
@@ -156,4 +156,4 @@ def flight_of(
             f"{np.abs(found).max():.2f}",
             remedy="check the unit of the readings",
         )
-    return Flight(found, row.scale, lost_per_axis(calibration, row, ""), row.vector)
+    return Flight(found, row.scale, lost_per_axis(calibration, row), row.vector)
