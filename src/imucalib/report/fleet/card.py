@@ -64,4 +64,6 @@ def _to_do(fleet: Fleet) -> tuple[str, ...]:
         "Use each device's own: `imucal apply FOLDER/DEVICE/calibration.yaml RECORDING -o "
         "corrected.mcap`, FOLDER as -o names it."
     )
+    if fleet.following:
+        steps.append("Another device of the kind: `imucal lab TABLE --fleet FOLDER/fleet.yaml`.")
     return tuple(steps)
