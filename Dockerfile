@@ -1,4 +1,5 @@
-# docker build -t imucal . && docker run --rm -v "$PWD:/work" imucal lab table.csv -o out
+# docker build -t imucal .
+# docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/work" imucal lab table.csv -o out
 FROM python:3.13-slim AS build
 WORKDIR /src
 COPY pyproject.toml README.md LICENSE ./

@@ -45,7 +45,8 @@ SHARED = {
 }  # fmt: skip
 FAST = ("--draws", "59")
 #: Forms that hold one accelerometer, and that hold IMUs with gyros.
-OF_ONE, OF_ARRAYS = ("ggir-csv",), ("kalibr", "openvins", "ros2-static", "urdf")
+OF_ONE = ("ggir-csv", "px4", "ardupilot", "omconvert", "iscwsa-csv")
+OF_ARRAYS = ("kalibr", "openvins", "ros2-static", "urdf")
 
 
 def run(*arguments: object) -> Result:
@@ -194,13 +195,18 @@ def _refused_export(done: Done, form: str, target: Path, words: str) -> None:
 
 
 def _accepted_export(done: Done, form: str, target: Path) -> None:
+    """What loses too much is written by --force, and says the loss with it and without."""
     result = run("export", done.calibration, "--to", form, "-o", target)
-    assert result.return_value == 0, result.exception
+    told = json.loads(run("export", done.calibration, "--to", form, "--json", "--force").stdout)
+    if result.return_value != 0:
+        assert result.return_value == 1, result.exception
+        assert f"{told['loss_mg']:.3g} mg" in str(result.exception)
+        assert not target.exists()
+        result = run("export", done.calibration, "--to", form, "-o", target, "--force")
     text = target.read_text(encoding="utf-8")
     assert done.recording.name in text
-    shown = run("export", done.calibration, "--to", form, "-q")
+    shown = run("export", done.calibration, "--to", form, "-q", "--force")
     assert shown.stdout == text
-    told = json.loads(run("export", done.calibration, "--to", form, "--json").stdout)
     assert told["text"] == text
     for lost in told["lost"]:
         assert lost in result.stderr

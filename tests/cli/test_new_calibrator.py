@@ -124,7 +124,9 @@ def run(*arguments: object) -> Result:
 
 def test_everything_else_comes_by_itself(table: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = run("toy", table, "-o", out, "--json", "--export", "ggir-csv", "--draws", "99")
+    result = run(
+        "toy", table, "-o", out, "--json", "--export", "ggir-csv", "--force", "--draws", "99"
+    )
     assert result.exception is None, result.exception
     report = json.loads(result.stdout)
     content = YAML(typ="safe", pure=True).load((out / "calibration.yaml").read_text())
@@ -137,9 +139,9 @@ def test_everything_else_comes_by_itself(table: Path, tmp_path: Path) -> None:
     assert "quadratic" in (out / "report.html").read_text(encoding="utf-8")
     held = report["loop"]["errors"][0]["held_out"]
     assert held["final"] < 0.5 * held["base"]
-    assert "lacks what GGIR" in result.stderr
+    assert " (in cal.error.end): " in result.stderr
     assert run("validate", out / "calibration.yaml").return_value == 0
-    header = run("export", out / "calibration.yaml", "--to", "c-header")
+    header = run("export", out / "calibration.yaml", "--to", "c-header", "--force")
     assert header.return_value == 0
     assert "quadratic" in header.stderr
     (row,) = rows((Entry("toy.csv", "", 0, 1.0, "", report),))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,12 +158,16 @@ def test_a_long_result_is_one_page_unless_all_is_asked_for(
     whole = run(command, *call, "--full").stdout.splitlines()
     assert len(page) <= 60
     assert max(map(len, page)) <= 80
-    assert not any("Not shown here" in line for line in whole)
+    figures = " ".join(line for line in whole if "Not shown here" in line)
+    for heading in ("Good to ─", "Found ─", "What to do ─"):
+        assert any(line.startswith(heading) for line in page)
+    assert re.search(rf"command +imucal {command} ", " ".join(page))
     (left,) = [k for k, line in enumerate(page) if line.startswith("Not shown here")]
     told = " ".join(" ".join(page[left:]).split()).removeprefix("Not shown here ")
-    assert told.endswith("; --full shows all")
-    for title in told.removesuffix("; --full shows all").split(", "):
-        assert any(line.startswith(f"{title} ─") for line in whole)
+    titles, _, where = told.partition("; ")
+    assert where in ("--full shows all, --html draws it", "--html draws it")
+    for title in titles.split(", "):
+        assert title in figures or any(line.startswith(f"{title} ─") for line in whole)
         assert not any(line.startswith(f"{title} ─") for line in page)
 
 

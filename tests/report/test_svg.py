@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from imucalib.report.document import Plot, Series
@@ -53,6 +53,7 @@ def test_any_plot_is_well_formed_and_finite(plot: Plot) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(st.floats(-1e9, 1e9), st.floats(-9, 9).map(lambda e: 10.0**e), st.integers(2, 9))
+@example(-0.03125, 1e-6, 2)
 def test_tick_labels_say_their_values(low: float, span: float, count: int) -> None:
     assume(span >= 1e-11 * abs(low))
     axis = linear_axis(low, low + span, count)

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from imucalib.report.document import Document, Plot, Section, Series, Table, Text
+from imucalib.report.document import Document, Plot, Section, Series, Table, Text, Tone
 from imucalib.report.render.text import PAGE, render_text
 from worlds.report_demo import demo_document
 from worlds.report_strategies import DOCUMENTS
@@ -107,3 +107,43 @@ def test_plots_are_for_the_page_only() -> None:
 def test_a_narrow_terminal_is_taken_as_forty_columns() -> None:
     document = replace(demo_document(), footer=())
     assert render_text(document, 5, color=False) == render_text(document, 40, color=False)
+
+
+def asked_for(count: int, tones: dict[int, Tone], title: str = "Asked") -> Section:
+    """A section that a page keeps: a table of many rows."""
+    rows = tuple((f"row {k}", f"{k}") for k in range(count))
+    return Section(title, (Table("t", ("what", "value"), rows, "lr", "A note.", tones),), kept=True)
+
+
+def test_a_table_that_was_asked_for_is_cut_to_the_page_and_says_so() -> None:
+    document = Document("d", Text("v"), (asked_for(500, {400: "bad", 2: "ok"}),))
+    page = render_text(document, 80, color=False)
+    lines = page.splitlines()
+    assert PAGE - 4 <= len(lines) <= PAGE
+    rows = [int(line.split()[-1]) for line in lines if "row " in line and "rows" not in line]
+    # What must not be missed stays, the others in their order from the first.
+    assert rows == [*range(len(rows) - 1), 400]
+    assert "✗ row 400" in page
+    assert f"{500 - len(rows)} more rows: --full. A note." in page
+    whole = render_text(document, 80, color=False, full=True)
+    assert sum("row " in line for line in whole.splitlines()) == 500
+    assert "more rows" not in whole
+
+
+def test_several_share_the_page_and_three_rows_stay_of_each() -> None:
+    two = Document("d", Text("v"), (asked_for(100, {}), asked_for(40, {}, "Other")))
+    lines = render_text(two, 80, color=False).splitlines()
+    assert PAGE - 4 <= len(lines) <= PAGE
+    many = Document("d", Text("v"), tuple(asked_for(9, {}, f"s{k}") for k in range(20)))
+    assert sum("row " in x for x in render_text(many, 80, color=False).splitlines()) == 3 * 20
+
+
+def test_a_section_of_figures_has_no_heading_in_characters() -> None:
+    plot = Plot("p", "x", "y", (Series("s", np.arange(2.0), np.arange(2.0), "line"),))
+    document = Document("d", Text("v"), (Section("Drawn", (plot,)), Section("Said", (Text("a"),))))
+    for full in (False, True):
+        text = render_text(document, 80, color=False, full=full)
+        assert "Drawn ─" not in text
+        assert "Said ─" in text
+        assert "Not shown here  Drawn; " in text
+    assert text.rstrip().endswith("report.html draws it")

@@ -25,6 +25,7 @@ class Matrices:
     M: Array
     b: Array
     S: Array
+    S_sd: Array
     c: Array
     M_sd: Array
     b_sd: Array
@@ -92,12 +93,12 @@ def matrices(model: Model, theta: Array, covariance: Array) -> Matrices:
         step = np.zeros(start.size)
         step[k] = 1e-5 * max(1.0, abs(float(start[k])))
         slope[:, k] = (pieces(start + step) - pieces(start - step)) / (2.0 * step[k])
-    part = covariance[np.ix_(pick, pick)]
-    sd = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", slope, part, slope), 0.0))
+    sd = _sd(slope, covariance[np.ix_(pick, pick)])
     return Matrices(
         M=value[:9].reshape(3, 3),
         b=value[9:12],
         S=value[12:21].reshape(3, 3),
+        S_sd=sd[12:21].reshape(3, 3),
         c=value[21:24],
         M_sd=sd[:9].reshape(3, 3),
         b_sd=sd[9:12],
@@ -108,6 +109,11 @@ def matrices(model: Model, theta: Array, covariance: Array) -> Matrices:
         bias_mg=value[30:33],
         bias_mg_sd=sd[30:33],
     )
+
+
+def _sd(slope: Array, covariance: Array) -> Array:
+    variance = np.einsum("ik,kl,il->i", slope, covariance, slope)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 _LINEAR = ("mounting", "bias", "scale", "non_orthogonality")

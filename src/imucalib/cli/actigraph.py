@@ -14,13 +14,14 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_of,
 )
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import mapping_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.actigraph.request import ActigraphRequest
 
 
-@click.command("actigraph", short_help="Calibrate a worn sensor by gravity.")
+@click.command("actigraph", cls=PagedCommand, short_help="Calibrate a worn sensor by gravity.")
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--triad", help="Which accelerometer, when the recording has several.")
 @click.option("--every", metavar="TIME", help="Calibrate parts too, for example 7d or 12h.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
 from imucalib.cli.working import working
 
@@ -31,7 +32,7 @@ def _millimetres(
     return point
 
 
-@click.command("apply", short_help="Correct a recording with a calibration.")
+@click.command("apply", cls=PagedCommand, short_help="Correct a recording with a calibration.")
 @click.argument("calibration", type=click.Path(path_type=Path))
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option(

@@ -16,6 +16,7 @@ from imucalib.cli.calibrating import (
     shared_of,
 )
 from imucalib.cli.output import note
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from imucalib.calibrators.array.run import ArrayRun
 
 
-@click.command("array", short_help="Find the positions of an array's accelerometers.")
+@click.command(
+    "array", cls=PagedCommand, short_help="Find the positions of an array's accelerometers."
+)
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--board", "--layout", "board", required=True, help="Board file (YAML), or a name: "
               "mimu4444, mimu4444_corners.")  # fmt: skip

@@ -11,10 +11,12 @@ from pathlib import Path
 import click
 
 from imucalib.cli.output import emit_json, json_option, note, progress, quiet_option
+from imucalib.cli.paged_help import PagedCommand
 
 
 @click.command(
     "batch",
+    cls=PagedCommand,
     short_help="Calibrate a cohort, one recording a task.",
     context_settings={"ignore_unknown_options": True},
 )

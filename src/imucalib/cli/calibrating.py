@@ -23,11 +23,13 @@ from imucalib.cli.output import (
     json_option,
     note,
     quiet_option,
+    say,
     seed_option,
     width,
 )
 from imucalib.cli.recording_options import force_option, recording_options
 from imucalib.cli.working import Say, verbose_option, working
+from imucalib.errors import LimitBroken
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect
@@ -69,7 +71,7 @@ _OPTIONS = (
                  "beyond."),
     full_option,
     click.option("--export", multiple=True, type=EXPORT_FORM,
-                 help="Write the coefficients for another program, too."),
+                 help="Write them for another program, too; see `imucal export`."),
 )  # fmt: skip
 
 
@@ -83,8 +85,7 @@ def calibrating(command: Command) -> Command:
     def checked(*args: Any, **options: Any) -> Any:
         if options["export"] and options["output"] is None:
             raise click.UsageError("--export needs a folder: -o")
-        force = options.pop("force")
-        if options["output"] is not None and not force:
+        if options["output"] is not None and not options["force"]:
             _demand_folders(options["output"], options)
         return command(*args, **options)
 
@@ -200,40 +201,52 @@ def finish(
 
     Several reports go to folders of their own, named after their inputs.
     """
-    quiet = options["quiet"]
+    every = [*reports, together.report] if together else reports
+    codes = [report.run.outcome.exit_code for report in every]
     if options["output"] is not None:
         for report in reports:
             stem = Path(report.run.outcome.provenance.path).stem
-            _write(report, options["output"] / stem if len(reports) > 1 else options["output"],
-                   options["export"], quiet)  # fmt: skip
+            folder = options["output"] / stem if len(reports) > 1 else options["output"]
+            codes.append(_write(report, folder, options))
         if together:
-            _write(together.report, options["output"], options["export"], quiet)
+            codes.append(_write(together.report, options["output"], options))
     if options["as_json"]:
         contents = [report.content for report in reports]
         if together:
             emit_json({"logs": contents, together.name: together.report.content})
         else:
             emit_json(contents[0])
-    elif not quiet:
+    elif not options["quiet"]:
         for report in reports:
             show(report.document, full=options["full"])
         if together:
             show(together.report.document, full=options["full"])
-    every = [*reports, together.report] if together else reports
-    return max(report.run.outcome.exit_code for report in every)
+    return max(codes)
 
 
-def _write(report: Report, folder: Path, forms: tuple[str, ...], quiet: bool) -> None:
+def _write(report: Report, folder: Path, options: Mapping[str, Any]) -> int:
+    """The files; the exit code of forms that were not written since they lose too much."""
     from imucalib.exports import exported
+    from imucalib.exports.bound import demand_carried
     from imucalib.report.files import write_report
 
-    run = report.run
-    made = [exported(run.calibration, run.outcome.provenance.path, name) for name in forms]
+    run, made, refused = report.run, [], []
+    for name in options["export"]:
+        one = exported(run.calibration, run.outcome.provenance.path, name)
+        try:
+            if not options["force"]:
+                demand_carried(one, name, run.calibration, None)
+            made.append(one)
+        except LimitBroken as error:
+            refused.append(error)
     for path in write_report(report, folder, made):
-        note(f"wrote {path}", quiet)
+        note(f"wrote {path}", options["quiet"])
     for one in made:
         for text in one.lost:
-            note(f"{one.file} lacks {text}", quiet)
+            note(f"{one.file} lacks {text}", options["quiet"])
+    for reason in refused:
+        say(f"error: {reason}", err=True)
+    return LimitBroken.exit_code if refused else 0
 
 
 def show(document: Document, *, full: bool = False) -> None:

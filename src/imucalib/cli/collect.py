@@ -7,10 +7,11 @@ from pathlib import Path
 import click
 
 from imucalib.cli.output import note, quiet_option
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option
 
 
-@click.command("collect", short_help="Make one table of a cohort's entries.")
+@click.command("collect", cls=PagedCommand, short_help="Make one table of a cohort's entries.")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
 @click.option(
     "-o",

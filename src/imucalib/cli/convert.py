@@ -8,11 +8,12 @@ from typing import Any
 import click
 
 from imucalib.cli.output import emit_json, json_option, note, quiet_option, say
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option, inputs_of, mapping_of, recording_options
 from imucalib.cli.working import working
 
 
-@click.command("convert", short_help="Rewrite a recording in another format.")
+@click.command("convert", cls=PagedCommand, short_help="Rewrite a recording in another format.")
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("target", type=click.Path(path_type=Path))
 @click.option(

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 import click
 
 from imucalib.cli.output import emit_json, json_option, width
+from imucalib.cli.paged_help import PagedCommand
 
 if TYPE_CHECKING:
     from imucalib.core.effect import Effect
 
 
-@click.command("effects", short_help="List the catalogue of effects.")
+@click.command("effects", cls=PagedCommand, short_help="List the catalogue of effects.")
 @click.argument("name", required=False)
 @click.option(
     "--effects",

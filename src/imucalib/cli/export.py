@@ -6,19 +6,24 @@ from pathlib import Path
 
 import click
 
-from imucalib.cli.output import EXPORT_FORM, emit_json, json_option, note, quiet_option
+from imucalib.cli.output import EXPORT_FORM, FormOption, emit_json, json_option, note, quiet_option
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option
 
 
-@click.command("export", short_help="Write coefficients for another program.")
+@click.command("export", cls=PagedCommand, short_help="Write coefficients for another program.")
 @click.argument("calibration", type=click.Path(path_type=Path))
-@click.option("--to", "form", required=True, type=EXPORT_FORM, help="Form of the other program.")
+@click.option("--to", "form", required=True, type=EXPORT_FORM, cls=FormOption,
+              help="Form of the other program")  # fmt: skip
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
               help="File to write; default: stdout.")  # fmt: skip
 @click.option("--noise", type=click.Path(path_type=Path),
               help="Noise of the sensors, from `imucal inspect --save-noise`.")  # fmt: skip
 @click.option("--effects", "effects_file", type=click.Path(path_type=Path),
               help="Python file with effects of your own that the calibration uses.")  # fmt: skip
+@click.option("--largest-loss", type=click.FloatRange(min=0.0), metavar="MG",
+              help="Loss, mg of a force, from which on only --force writes; default: three times "
+              "the error that the calibration leaves.")  # fmt: skip
 @force_option
 @json_option
 @quiet_option
@@ -28,14 +33,16 @@ def command(
     output: Path | None,
     noise: Path | None,
     effects_file: Path | None,
+    largest_loss: float | None,
     force: bool,
     as_json: bool,
     quiet: bool,
 ) -> int:
     """Write a calibration's coefficients in the form of another program.
 
-    What the form cannot carry is said in the file and on stderr, in mg; a form that cannot hold the
-    calibration at all refuses it.
+    What the form cannot carry is said in the file and on stderr, in mg and deg; beyond a bound
+    (--largest-loss) nothing is written, exit 1. A form that cannot hold the calibration at all
+    refuses it.
 
     \b
     Examples:
@@ -46,6 +53,7 @@ def command(
     from imucalib.calibration.file import check, read, write_whole
     from imucalib.effects import load_file
     from imucalib.exports import exported
+    from imucalib.exports.bound import demand_carried
     from imucalib.exports.imus import with_noise
 
     if output is not None:
@@ -58,13 +66,15 @@ def command(
         loaded = with_noise(loaded, noise)
     source = str(dict(loaded.facts.get("provenance", {})).get("input", calibration.name))
     made = exported(loaded, source, form)
+    if not force:
+        demand_carried(made, form, loaded, largest_loss)
     if output is not None:
         write_whole(output, made.text)
     for text in made.lost:
         note(f"{form} lacks {text}", quiet)
     if as_json:
         place = {"output": str(output)} if output else {"text": made.text}
-        emit_json({"form": form, **place, "lost": list(made.lost)})
+        emit_json({"form": form, **place, "lost": list(made.lost), "loss_mg": made.made.loss})
     elif output is None:
         click.echo(made.text, nl=False)
     elif not quiet:

@@ -16,6 +16,7 @@ from imucalib.cli.output import (
     quiet_option,
     width,
 )
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import (
     force_option,
     inputs_of,
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from imucalib.report.document import Document
 
 
-@click.command("inspect", short_help="Say what a recording holds.")
+@click.command("inspect", cls=PagedCommand, short_help="Say what a recording holds.")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
     "--save-mapping",

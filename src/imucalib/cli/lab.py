@@ -10,10 +10,11 @@ import click
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish
 from imucalib.cli.lab_options import lab_options, request_of
 from imucalib.cli.output import pairs
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option
 
 
-@click.command("lab", short_help="Calibrate on a bench with known angles.")
+@click.command("lab", cls=PagedCommand, short_help="Calibrate on a bench with known angles.")
 @click.argument(
     "tables", metavar="TABLE...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )

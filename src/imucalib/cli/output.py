@@ -29,17 +29,22 @@ class ExportForm(Kind):
 
     name = "form"
 
-    def get_metavar(self, *_: Any, **__: Any) -> str:
-        from imucalib.exports import exports
-
-        return f"[{'|'.join(exports())}]"
-
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         from imucalib.exports import exports
 
         if value not in exports():
             self.fail(f"'{value}' is none of {', '.join(exports())}", param, ctx)
         return str(value)
+
+
+class FormOption(click.Option):
+    """An option that names an export; its help lists them."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        from imucalib.exports import exports
+
+        name, text = super().get_help_record(ctx) or ("", "")
+        return name, f"{text.rstrip('.')}: {', '.join(exports())}."
 
 
 EXPORT_FORM = ExportForm()

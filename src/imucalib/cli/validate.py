@@ -7,9 +7,10 @@ from pathlib import Path
 import click
 
 from imucalib.cli.output import emit_json, json_option, quiet_option
+from imucalib.cli.paged_help import PagedCommand
 
 
-@click.command("validate", short_help="Check a calibration file.")
+@click.command("validate", cls=PagedCommand, short_help="Check a calibration file.")
 @click.argument("file", type=click.Path(path_type=Path))
 @json_option
 @quiet_option

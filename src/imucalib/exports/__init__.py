@@ -15,23 +15,43 @@ from imucalib.errors import UsageError
 
 
 @dataclass(frozen=True)
-class Exported:
-    """A file's name and text, and what of the calibration it could not carry, in words."""
+class Made:
+    """A form's text; what of the calibration it could not carry, in words; and the error of a force
+    that this makes, mg: mean over directions and the calibrated ranges, of an array the rms in the
+    motion that was calibrated."""
 
-    file: str
     text: str
     lost: tuple[str, ...] = ()
+    loss: float = 0.0
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A file's name, and the form that goes into it."""
+
+    file: str
+    made: Made
+
+    @property
+    def text(self) -> str:
+        """What the file holds."""
+        return self.made.text
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """What it could not carry, in words."""
+        return self.made.lost
 
 
 @dataclass(frozen=True)
 class Export:
     """One form: its name on the command line, the file it makes, and how from a calibration and the
-    name of the recording that it came from: text, and what is lost. Raises UsageError for a
-    calibration that it cannot hold."""
+    name of the recording that it came from. Raises UsageError for a calibration that it cannot
+    hold."""
 
     name: str
     file: str
-    make: Callable[[Calibration, str], tuple[str, tuple[str, ...]]]
+    make: Callable[[Calibration, str], Made]
 
 
 @cache
@@ -48,5 +68,4 @@ def exported(calibration: Calibration, source: str, name: str) -> Exported:
     if name not in exports():
         raise UsageError(f"no form is called '{name}'", remedy=f"use: {', '.join(exports())}")
     form = exports()[name]
-    text, lost = form.make(calibration, source)
-    return Exported(form.file, text, lost)
+    return Exported(form.file, form.make(calibration, source))

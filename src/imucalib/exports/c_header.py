@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import NEVER_APPLIED, Calibration
 from imucalib.calibration.mark import identity
 from imucalib.core.sphere import even_directions
-from imucalib.exports import Export
+from imucalib.exports import Export, Made
 from imucalib.exports.c_functions import ROUNDED, Correction, array, functions, tables
-from imucalib.exports.imus import places_of
+from imucalib.exports.imus import force_lost, places_of
 from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear, sphere_of
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 
-def c_header(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
+def c_header(calibration: Calibration, filename: str) -> Made:
     """corrected = M raw + b in g as float, in 32 and in 16 bits, with the functions that apply it,
     its standard deviation, a test of itself, and the calibration's SHA-256; of an array for every
     IMU, its gyro (deg/s) and its place.
 
     Raises UsageError when a coefficient passes fixed point.
     """
-    body, lost = _of_array(calibration) if calibration.triads else _of_one(calibration)
+    body = _of_array(calibration) if calibration.triads else _of_one(calibration)
     lines = [
         "/* Accelerometer calibration by imucal: corrected = M * raw + b, in g.",
         f" * From {filename}, status {calibration.status}.",
-        *(f" * Not in it: {text}." for text in lost),
+        *(f" * Not in it: {text}." for text in body.lost),
         " * imucal_apply takes float, imucal_apply_fine 32 bits, imucal_apply_coarse 16;",
         " * imucal_self_test() is 0 where a machine does them right. imucal_sd is the largest",
         " * standard deviation of a corrected 1 g in any attitude, of the calibration alone. */",
@@ -39,12 +41,12 @@ def c_header(calibration: Calibration, filename: str) -> tuple[str, tuple[str, .
         f'#define IMUCAL_STATUS "{calibration.status}"',
         f"#define IMUCAL_G_PER_RAW {calibration.raw_to_si / STANDARD_GRAVITY:.9e}f "
         f"/* readings of the calibration: {calibration.raw_unit} */",
-        *body,
+        body.text,
     ]
-    return "\n".join([*lines, "", "#endif", ""]), lost
+    return replace(body, text="\n".join([*lines, "", "#endif", ""]))
 
 
-def _of_one(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
+def _of_one(calibration: Calibration) -> Made:
     linear = nearest_linear(calibration)
     one = _acceleration(linear.M[None], linear.b[None], _sd(calibration)[None], single=True)
     lost = lost_parts(calibration)
@@ -54,10 +56,11 @@ def _of_one(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
             f"{linear.worst:.2f} mg at most; M and b are the nearest there",
             *lost,
         )
-    return [*tables(one), "", ROUNDED, *functions(one)], lost
+    text = "\n".join([*tables(one), "", ROUNDED, *functions(one)])
+    return Made(text, lost, linear.mean)
 
 
-def _of_array(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
+def _of_array(calibration: Calibration) -> Made:
     """Readings turned into board axes by the correction itself."""
     triads = calibration.triads
     M = np.array([np.linalg.inv(t.gain) @ t.rotation for t in triads])
@@ -87,7 +90,7 @@ def _of_array(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
         "motion that was calibrated"
         for row in calibration.facts.get("not_undone", ())
     )
-    return lines, lost
+    return Made("\n".join(lines), lost, force_lost(calibration, ()))
 
 
 def _acceleration(M: Array, b: Array, sd: Array, *, single: bool) -> Correction:

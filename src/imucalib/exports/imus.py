@@ -19,7 +19,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.inspection.noise_file import read_noise
-from imucalib.units import DEG, STANDARD_GRAVITY
+from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: What every form of single IMUs loses of an array.
 _KEPT = ("gyro_delay", "gyro_g_sensitivity", "sensing_elements")
@@ -173,6 +173,13 @@ def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[st
         for row in calibration.facts.get("not_undone", ())
         if row["effect"] not in kept
     )
+
+
+def force_lost(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> float:
+    """Largest rms, mg, of a force's effect that the form has no place for."""
+    rows = calibration.facts.get("not_undone", ())
+    sizes = [float(r["rms"]) / MG for r in rows if r["unit"] == "m/s²" and r["effect"] not in kept]
+    return max(sizes, default=0.0)
 
 
 def lost_noise(imus: tuple[Imu, ...]) -> tuple[str, ...]:

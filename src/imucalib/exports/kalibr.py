@@ -6,12 +6,12 @@ from typing import Any
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.exports import Export
-from imucalib.exports.imus import Imu, imus_of, lost_noise, lost_of, lost_to_filters
+from imucalib.exports import Export, Made
+from imucalib.exports.imus import Imu, force_lost, imus_of, lost_noise, lost_of, lost_to_filters
 from imucalib.recording.yaml_text import dump
 
 
-def kalibr(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
+def kalibr(calibration: Calibration, filename: str) -> Made:
     """A block an IMU, model scale-misalignment-size-effect (ethz-asl/kalibr, IccSensors.py):
     reading = M C_i_b f + b, rate reading = M C_gyro_i C_i_b ω + A C_gyro_i C_i_b f + b.
 
@@ -26,7 +26,7 @@ def kalibr(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...
         *(f"# Not in it: {text}." for text in lost),
     ]
     content = {imu.name: _block(imu) for imu in imus}
-    return "\n".join([*lines, dump(content)]), lost
+    return Made("\n".join([*lines, dump(content)]), lost, force_lost(calibration))
 
 
 def _block(imu: Imu) -> dict[str, Any]:

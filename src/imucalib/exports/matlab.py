@@ -2,38 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.exports import Export
-from imucalib.exports.imus import late_of, lost_of, places_of
+from imucalib.exports import Export, Made
+from imucalib.exports.imus import force_lost, late_of, lost_of, places_of
 from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
 
 
-def matlab(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
+def matlab(calibration: Calibration, filename: str) -> Made:
     """Of one accelerometer M and b (m/s²): corrected = M * reading + b, columns. Of an array those
     of every IMU along the third dimension, with its gyros' (rad/s), its positions (m) and their
     covariance (m²), and the gyros' delay (s)."""
-    body, lost = _of_array(calibration) if calibration.triads else _of_one(calibration)
+    body = _of_array(calibration) if calibration.triads else _of_one(calibration)
     lines = [
         f"% Calibration by imucal, from {filename}, status {calibration.status}. SI units.",
         "% corrected = M * reading + b, reading a column.",
-        *(f"% Not in it: {text}." for text in lost),
-        *body,
+        *(f"% Not in it: {text}." for text in body.lost),
+        body.text,
         "",
     ]
-    return "\n".join(lines), lost
+    return replace(body, text="\n".join(lines))
 
 
-def _of_one(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
+def _of_one(calibration: Calibration) -> Made:
     linear, lost = nearest_linear(calibration), lost_parts(calibration)
     if names := beyond_linear(calibration):
         lost = (f"{names}: {linear.mean:.2f} mg on average, {linear.worst:.2f} mg at most", *lost)
-    return [f"M = {_matrix(linear.M)};", f"b = {_matrix(linear.b[:, None])};"], lost
+    text = f"M = {_matrix(linear.M)};\nb = {_matrix(linear.b[:, None])};"
+    return Made(text, lost, linear.mean)
 
 
-def _of_array(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
+def _of_array(calibration: Calibration) -> Made:
     names = ", ".join(f"'{t.name}'" for t in calibration.triads)
     lines = [
         "% Corrected vectors are in board axes; force = s + (W*W + dW) * r of each IMU, W and dW",
@@ -57,7 +60,8 @@ def _of_array(calibration: Calibration) -> tuple[list[str], tuple[str, ...]]:
         f"r_covariance = {_matrix(covariance)};",
         f"gyro_delay = {late_of(calibration):.9g};",
     ]
-    return lines, lost_of(calibration, ("gyro_delay",))
+    kept = ("gyro_delay",)
+    return Made("\n".join(lines), lost_of(calibration, kept), force_lost(calibration, kept))
 
 
 def _matrix(values: Array) -> str:

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.exports import Export
-from imucalib.exports.imus import Imu, imus_of, lost_noise, lost_of, lost_to_filters
+from imucalib.exports import Export, Made
+from imucalib.exports.imus import Imu, force_lost, imus_of, lost_noise, lost_of, lost_to_filters
 from imucalib.exports.kalibr import rows
 from imucalib.recording.yaml_text import dump
 
 
-def openvins(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
+def openvins(calibration: Calibration, filename: str) -> Made:
     """A block an IMU, model kalibr: reading = Ta R_IMUtoACC f + b, rate reading =
     Tw R_IMUtoGYRO ω + Tg f + b, f and ω in the IMU's frame (rpng/open_vins, ImuConfig of
     ov_msckf and its configurations). Raises as `imus_of`.
@@ -32,7 +32,7 @@ def openvins(calibration: Calibration, filename: str) -> tuple[str, tuple[str, .
         *(f"# Not in it: {text}." for text in lost),
     ]
     content = {imu.name: _block(imu) for imu in imus}
-    return "\n".join([*lines, dump(content)]), lost
+    return Made("\n".join([*lines, dump(content)]), lost, force_lost(calibration, kept))
 
 
 def _block(imu: Imu) -> dict[str, Any]:

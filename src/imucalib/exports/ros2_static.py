@@ -5,11 +5,11 @@ from __future__ import annotations
 from xml.sax.saxutils import quoteattr
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.exports import Export
+from imucalib.exports import Export, Made
 from imucalib.exports.frames import BOARD, LOST, WHAT, Frame, frames_of
 
 
-def ros2_static(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
+def ros2_static(calibration: Calibration, filename: str) -> Made:
     """A static_transform_publisher of tf2_ros a frame, from the board to it: x, y, z in m, and the
     quaternion that turns the frame's axes into the board's. Raises as `imus_of`."""
     frames = frames_of(calibration, "ros2-static")
@@ -22,7 +22,7 @@ def ros2_static(calibration: Calibration, filename: str) -> tuple[str, tuple[str
         "</launch>",
         "",
     ]
-    return "\n".join(lines), LOST
+    return Made("\n".join(lines), LOST)
 
 
 def _comment(text: str) -> str:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from xml.sax.saxutils import quoteattr
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.exports import Export
+from imucalib.exports import Export, Made
 from imucalib.exports.frames import BOARD, LOST, WHAT, Frame, frames_of
 
 
-def urdf(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]:
+def urdf(calibration: Calibration, filename: str) -> Made:
     """A link a frame, joined to the board: xyz in m, rpy in rad about the fixed axes x, y and z.
     Raises as `imus_of`."""
     frames = frames_of(calibration, "urdf")
@@ -24,7 +24,7 @@ def urdf(calibration: Calibration, filename: str) -> tuple[str, tuple[str, ...]]
         "</robot>",
         "",
     ]
-    return "\n".join(lines), LOST
+    return Made("\n".join(lines), LOST)
 
 
 def _joined(frame: Frame) -> str:

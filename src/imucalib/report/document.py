@@ -112,7 +112,7 @@ class Card:
 class Document:
     """A whole report: headline, one-sentence verdict with its tone, the card, sections, provenance.
 
-    terms : words of the report and what they mean
+    terms : words of the report and what they mean; drawn : where the figures are, for a terminal
     """
 
     title: str
@@ -121,6 +121,7 @@ class Document:
     footer: tuple[tuple[str, str], ...] = ()
     card: Card | None = None
     terms: tuple[tuple[str, str], ...] = ()
+    drawn: str = "report.html"
 
     def calm(self) -> Document:
         """The same, without a tick beside a verdict that is none, and without a caution on the

@@ -56,7 +56,7 @@ def inspection_document(
     if found.mapping:
         sections.append(Section("How it was read", (Facts(_options(found)),)))
     sections.append(Section("Next", (Facts(advice(found)),), kept=True))
-    return Document(found.path, _verdict(found), tuple(sections))
+    return Document(found.path, _verdict(found), tuple(sections), drawn="--html")
 
 
 def _verdict(found: Inspection) -> Text:

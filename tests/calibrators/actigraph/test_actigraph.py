@@ -33,7 +33,7 @@ from imucalib.effects import families, known, named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit
 from imucalib.exports import exports
-from imucalib.exports.ggir import nearest_row
+from imucalib.exports.per_axis import nearest_row
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import MG, STANDARD_GRAVITY

@@ -16,6 +16,7 @@ from options.recordings import G
 INSPECT, APPLY, EXPORT, EFFECTS = Of("inspect"), Of("apply"), Of("export"), Of("effects")
 REST = ("inspect", "<pauses.csv>", "--json")
 ARRAY = ("apply", "<board_calibration.yaml>", "<log.h5>", "-o", "<out>/corrected.h5")
+SIX = ("export", "<calibration.yaml>", "--to", "ggir-csv")
 PARTS = ("apply", "<parts.yaml>", "<worn.h5>", "-o", "<out>/corrected.csv")
 
 
@@ -208,6 +209,8 @@ CASES: tuple[Case, ...] = (
           "<out>/corrected.csv"),
     EXPORT("--to urdf", ends(2, "one accelerometer")),
     EXPORT("--to ggir-csv", _as_ggir),
+    EXPORT("--largest-loss 1e-9", ends(1, "--force"), *SIX),
+    EXPORT("--largest-loss -1", ends(2), *SIX),
     EFFECTS("--effects <own.py>", _listed),
     EXPORT("--output <out>/c.h", _into_a_file),
     EXPORT("--noise <imu.yaml>", _with_noise, "export", "<board_calibration.yaml>", "--to",

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from imucalib.cli.calibrating import command_line
 from imucalib.cli.check.log import append, measured_of, noise_of
 from imucalib.cli.gravity_options import gravity_options
 from imucalib.cli.output import (
@@ -19,6 +20,7 @@ from imucalib.cli.output import (
     seed_option,
     width,
 )
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import (
     force_option,
     inputs_of,
@@ -28,7 +30,7 @@ from imucalib.cli.recording_options import (
 from imucalib.cli.working import working
 
 
-@click.command("check", short_help="Is a calibration still good?")
+@click.command("check", cls=PagedCommand, short_help="Is a calibration still good?")
 @click.argument("calibration", type=click.Path(path_type=Path))
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("--limit", "limits", multiple=True, metavar="SIZE",
@@ -77,6 +79,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     from imucalib.effects import load_file
     from imucalib.report.checking.data import check_dict
     from imucalib.report.checking.document import check_document
+    from imucalib.report.data import shown_dict
     from imucalib.report.render.text import render_text
 
     inputs = inputs_of(options, calibration, log)
@@ -95,7 +98,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         measured, notes = measured_of(loaded, log, noise, options, past)
         found = checked(loaded, measured, noise, limits, seed=options["seed"], notes=notes)
     content = check_dict(found, log.name, calibration.name, loaded.sha256)
-    document = check_document(found, log.name, calibration.name)
+    document = check_document(found, log.name, calibration.name, command_line())
     if options["history"] is not None:
         append(options["history"], past, found, content)
         note(f"wrote {options['history']}", options["quiet"])
@@ -106,7 +109,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
         write_whole(options["html"], render_html(document))
         note(f"wrote {options['html']}", options["quiet"])
     if options["as_json"]:
-        emit_json(content)
+        emit_json({**content, **shown_dict(document)})
     elif not options["quiet"]:
         click.echo(render_text(document, width(), color=color(), full=options["full"]), nl=False)
     return found.exit_code

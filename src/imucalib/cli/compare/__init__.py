@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from imucalib.cli.calibrating import command_line
 from imucalib.cli.output import (
     color,
     emit_json,
@@ -15,10 +16,11 @@ from imucalib.cli.output import (
     quiet_option,
     width,
 )
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option
 
 
-@click.command("compare", short_help="Compare calibrations of one sensor.")
+@click.command("compare", cls=PagedCommand, short_help="Compare calibrations of one sensor.")
 @click.argument("calibrations", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("--limit", "limits", multiple=True, metavar="SIZE",
               help="Difference that matters: 2mg of force, 0.1deg of direction, 0.2mm of position, "
@@ -61,6 +63,7 @@ def command(
     from imucalib.effects import load_file
     from imucalib.report.comparing.data import comparison_dict
     from imucalib.report.comparing.document import comparison_document
+    from imucalib.report.data import shown_dict
     from imucalib.report.render.html import render_html
     from imucalib.report.render.text import render_text
 
@@ -73,12 +76,12 @@ def command(
     for calibration, path in zip(loaded, calibrations, strict=True):
         check(calibration, str(path))
     found = compared(loaded, _names(calibrations), wanted, dates.split(",") if dates else ())
-    document = comparison_document(found)
+    document = comparison_document(found, command_line())
     if html is not None:
         write_whole(html, render_html(document))
         note(f"wrote {html}", quiet)
     if as_json:
-        emit_json(comparison_dict(found))
+        emit_json({**comparison_dict(found), **shown_dict(document)})
     elif not quiet:
         click.echo(render_text(document, width(), color=color(), full=full), nl=False)
     return found.exit_code

@@ -17,10 +17,11 @@ from imucalib.cli.output import (
     quiet_option,
     width,
 )
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option
 
 
-@click.command("design", short_help="Judge a set of positions.")
+@click.command("design", cls=PagedCommand, short_help="Judge a set of positions.")
 @click.argument("table", type=click.Path(path_type=Path), required=False)
 @click.option(
     "--recommend",

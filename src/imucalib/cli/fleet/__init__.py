@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,6 +22,7 @@ from imucalib.cli.output import (
     seed_option,
     width,
 )
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import (
     force_option,
     mapping_of,
@@ -31,8 +33,12 @@ from imucalib.cli.recording_options import (
 )
 from imucalib.cli.working import verbose_option, working
 
+if TYPE_CHECKING:
+    from imucalib.cohort.fleet.run import Fleet
+    from imucalib.report.document import Document
 
-@click.command("fleet", short_help="Calibrate devices of one kind together.")
+
+@click.command("fleet", cls=PagedCommand, short_help="Calibrate devices of one kind together.")
 @click.argument("tables", metavar="TABLE...", nargs=-1, required=True,
                 type=click.Path(path_type=Path))  # fmt: skip
 @click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False),
@@ -71,7 +77,9 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
     from imucalib.calibrators.lab.files import LabFiles
     from imucalib.cohort.fleet.run import run_fleet
     from imucalib.cohort.fleet.search import Rules
-    from imucalib.report.fleet import fleet_dict, fleet_document
+    from imucalib.report.data import shown_dict
+    from imucalib.report.fleet.data import fleet_dict
+    from imucalib.report.fleet.document import fleet_document
     from imucalib.report.render.text import render_text
 
     columns, mapping = pairs(options["columns"], "--columns"), mapping_of(options)
@@ -82,10 +90,11 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
     with working("calibrating", quiet=quiet, verbose=options["verbose"]) as say:
         fleet = run_fleet(files, _request(options), Rules(draws=options["draws"]), say)
     document = fleet_document(fleet)
+    content = {**fleet_dict(fleet), **shown_dict(document)}
     if folder is not None:
-        _write(fleet, folder, quiet)
+        _write(fleet, document, content, folder, quiet)
     if options["as_json"]:
-        emit_json(fleet_dict(fleet))
+        emit_json(content)
     elif not quiet:
         text = render_text(document, width(), color=color(), full=options["full"])
         click.echo(text, nl=False)
@@ -126,17 +135,18 @@ def _demand(folder: Path) -> None:
         )
 
 
-def _write(fleet: Any, folder: Path, quiet: bool) -> None:
+def _write(
+    fleet: Fleet, document: Document, content: Mapping[str, Any], folder: Path, quiet: bool
+) -> None:
     import json
 
     from imucalib.calibration.file import to_yaml, write_together
     from imucalib.calibrators.population import to_yaml as to_text
-    from imucalib.report.fleet import fleet_dict, fleet_document
     from imucalib.report.render.html import render_html
 
     texts = {
-        folder / "report.html": render_html(fleet_document(fleet)),
-        folder / "report.json": json.dumps(fleet_dict(fleet), indent=2, allow_nan=False) + "\n",
+        folder / "report.html": render_html(document),
+        folder / "report.json": json.dumps(content, indent=2, allow_nan=False) + "\n",
         **({folder / "fleet.yaml": to_text(fleet.following)} if fleet.following else {}),
         **{folder / m.name / "calibration.yaml": to_yaml(m.calibration) for m in fleet.members},
     }

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
     demand_outputs,
@@ -20,7 +21,7 @@ from imucalib.cli.simulate.planting import (
 from imucalib.cli.working import working
 
 
-@click.command("actigraph", short_help="Days on a wrist.")
+@click.command("actigraph", cls=PagedCommand, short_help="Days on a wrist.")
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--days", default=1.0, show_default=True, help="Length of the recording.")
 @click.option("--rate", default=10.0, show_default=True, help="Samples a second.")

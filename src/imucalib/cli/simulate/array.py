@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
     demand_outputs,
@@ -20,7 +21,7 @@ from imucalib.cli.simulate.planting import (
 from imucalib.cli.working import working
 
 
-@click.command("array", short_help="A board's bench log.")
+@click.command("array", cls=PagedCommand, short_help="A board's bench log.")
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--board", default="mimu4444_corners", show_default=True,
               help="Board file (YAML), or a name.")  # fmt: skip

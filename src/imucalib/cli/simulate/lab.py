@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from imucalib.cli.output import json_option, quiet_option, seed_option
+from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import force_option
 from imucalib.cli.simulate.planting import (
     demand_outputs,
@@ -27,7 +28,7 @@ def _two(text: str, option: str) -> tuple[float, float]:
     return a, b
 
 
-@click.command("lab", short_help="A bench: a table, and a recording on request.")
+@click.command("lab", cls=PagedCommand, short_help="A bench: a table, and a recording on request.")
 @click.argument("table", type=click.Path(path_type=Path))
 @click.option(
     "--recording",

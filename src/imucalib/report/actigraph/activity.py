@@ -6,7 +6,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.actigraph.run import ActigraphRun
-from imucalib.exports.ggir import nearest_row
+from imucalib.exports.per_axis import nearest_row
 from imucalib.report.document import Block, Facts, Plot, Section, Series, Table
 from imucalib.units import MG
 

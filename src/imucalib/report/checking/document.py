@@ -12,19 +12,18 @@ from imucalib.calibration.checking.e_value import ALPHA
 from imucalib.calibration.checking.next_rests import NextRests
 from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.checking.statistic import ANYTHING
+from imucalib.report.checking.card import TONE, check_card
 from imucalib.report.checking.words import attitude_words, size_words, verdict_words
 from imucalib.report.document import Block, Document, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, two_digits
 from imucalib.units import MG
 
-_TONE: dict[str, Tone] = {"still good": "ok", "changed": "bad", "undecided": "warning"}
 
-
-def check_document(check: Check, log: str, calibration: str) -> Document:
-    """The verdict, what changed or could have hidden, every rest, and what to record next."""
+def check_document(check: Check, log: str, calibration: str, command: str = "") -> Document:
+    """Verdict and card, what changed or could have hidden, every rest, what to record next."""
     tested = _change_table(check, check.sensors)
     array = bool(check.sensors[0].name)
-    first = (_each(check) if array else tested, Text(_evidence_words(check)))
+    first = (_each(check) if array else tested,)
     sections = [
         Section("What was tested", first),
         *((Section("Every kind of change", (tested,), brief=False),) if array else ()),
@@ -36,9 +35,12 @@ def check_document(check: Check, log: str, calibration: str) -> Document:
         sections.append(Section("Record this next", tuple(_following(check, check.following))))
     lines = [*check.noise.words, *check.notes]
     sections.append(Section("Notes", tuple(Text(f"{t[0].upper()}{t[1:]}.") for t in lines)))
-    verdict = Text(verdict_words(check), _TONE[check.verdict])
-    footer = (("calibration", calibration), ("log", log))
-    return Document(f"Check of {calibration} with {log}", verdict, tuple(sections), footer)
+    verdict = Text(verdict_words(check), TONE[check.verdict])
+    typed = (("command", command),) if command else ()
+    footer = (("calibration", calibration), ("log", log), *typed)
+    card = check_card(check, command)
+    title = f"Check of {calibration} with {log}"
+    return Document(title, verdict, tuple(sections), footer, card, drawn="--html")
 
 
 def _each(check: Check) -> Table:
@@ -93,16 +95,6 @@ def _change_table(check: Check, sensors: Sequence[SensorCheck]) -> Table:
     )
     align = "l" * named + "lrlrrl"
     return Table("", ("sensor", *header) if named else header, tuple(rows), align, note, tones)
-
-
-def _evidence_words(check: Check) -> str:
-    looks = "this check" if check.looks == 1 else f"{check.looks} checks together"
-    bar = 1.0 / ALPHA
-    said = "enough" if check.e >= bar else "not enough"
-    return (
-        f"Evidence of a change by {looks}: e = {check.e:.3g}, {said}: {bar:.0f} is reached by "
-        f"chance in at most {100 * ALPHA:.0f} % of calibrations, however often one looks."
-    )
 
 
 def _readings(sensor: SensorCheck) -> Table:

@@ -8,6 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.checking.check import POWER, Check, SensorCheck
+from imucalib.calibration.checking.e_value import ALPHA
 from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.checking.statistic import ANYTHING, DRAWS
 from imucalib.significant_digits import plus_minus, probability, two_digits
@@ -42,6 +43,17 @@ def verdict_words(check: Check) -> str:
     return (
         f"Still good ({p}): a change of {_seen_words(check)} would have been found in "
         f"{100 * POWER:.0f} % of such checks."
+    )
+
+
+def evidence_words(check: Check) -> str:
+    """What all checks together say, in words."""
+    looks = "this check" if check.looks == 1 else f"{check.looks} checks together"
+    bar = 1.0 / ALPHA
+    said = "enough" if check.e >= bar else "not enough"
+    return (
+        f"Evidence of a change by {looks}: e = {check.e:.3g}, {said}: {bar:.0f} is reached by "
+        f"chance in at most {100 * ALPHA:.0f} % of calibrations, however often one looks."
     )
 
 

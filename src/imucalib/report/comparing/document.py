@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from datetime import timedelta
-
 import numpy as np
 
 from imucalib.calibration.comparison.compare import Comparison, Drift
-from imucalib.calibration.comparison.meaning import SIGNIFICANT, Meaning
+from imucalib.calibration.comparison.meaning import SIGNIFICANT
+from imucalib.report.comparing.card import TONE, comparison_card
 from imucalib.report.comparing.picture import control_chart
+from imucalib.report.comparing.words import QUANTITY, due_words, verdict_words
 from imucalib.report.document import Block, Document, Section, Table, Text, Tone
 from imucalib.significant_digits import plus_minus, two_digits, with_sd
 
-_TONE: dict[str, Tone] = {"agree": "ok", "differ": "bad", "undecided": "warning"}
 #: Columns of single calibrations that a table has room for.
 _ROOM = 3
-_QUANTITY = {
-    "mg": "the size of the corrected force", "deg": "its direction", "mm": "the position",
-    "deg/s": "the bias of the gyroscope",
-}  # fmt: skip
 
 
-def comparison_document(found: Comparison) -> Document:
-    """Do they differ, what it means, parameter by parameter, scatter, drift, control chart."""
+def comparison_document(found: Comparison, command: str = "") -> Document:
+    """Verdict and card, what differs, parameter by parameter, scatter, drift, control chart."""
     sections = [
         Section("What it means", (_meanings(found),)),
         Section("Parameters", (Text(found.basis.words), _parameters(found))),
@@ -39,34 +33,9 @@ def comparison_document(found: Comparison) -> Document:
     if notes:
         sections.append(Section("Notes", notes))
     title = f"Comparison of {', '.join(found.names)}"
-    return Document(title, Text(verdict_words(found), _TONE[found.verdict]), tuple(sections))
-
-
-def verdict_words(found: Comparison) -> str:
-    """The headline."""
-    fit = found.agreement
-    proof = f"χ² {fit.chi2:.3g} with {fit.dof} degrees of freedom, p {fit.p:.2g}"
-    worst = "; ".join(_meaning_words(found, m) for m in found.meanings)
-    beyond = [m for m in found.meanings if m.beyond]
-    if found.verdict == "differ":
-        which = f" Without {' and '.join(found.odd)} the others agree." if found.odd else ""
-        return f"They differ beyond the limit ({proof}): {worst}.{which}"
-    if found.verdict == "undecided":
-        kinds = " and ".join(_QUANTITY[m.worst.unit] for m in beyond)
-        return (
-            f"Undecided ({proof}): {kinds} differs by more than the limit, within what the files "
-            f"state themselves: {worst}. Calibrate from more positions."
-        )
-    lead = "They agree" if not found.differ else "They differ, but within the limit"
-    return f"{lead} ({proof}): {worst}."
-
-
-def _meaning_words(found: Comparison, meaning: Meaning) -> str:
-    worst = meaning.worst
-    size = two_digits(worst.value) if math.isnan(worst.sd) else plus_minus(worst.value, worst.sd)
-    pair = f" between {' and '.join(found.names[k] for k in worst.pair)}" * (len(found.names) > 2)
-    name = f" ({meaning.sensor})" if meaning.sensor else ""
-    return f"{_QUANTITY[worst.unit]}{name} by {size} {worst.unit} at most{pair}"
+    verdict = Text(verdict_words(found), TONE[found.verdict])
+    card, footer = comparison_card(found, command), (("command", command),) if command else ()
+    return Document(title, verdict, tuple(sections), footer, card, drawn="--html")
 
 
 def _meanings(found: Comparison) -> Table:
@@ -78,7 +47,7 @@ def _meanings(found: Comparison) -> Table:
             tones[len(rows)] = "bad" if found.differ else "warning"
         direction = "  ".join(f"{v:+.2f}" for v in worst.attitude)
         rows.append((
-            _QUANTITY[worst.unit], meaning.sensor,
+            QUANTITY[worst.unit], meaning.sensor,
             " - ".join(found.names[k] for k in reversed(worst.pair)),
             *(with_sd(worst.value, worst.sd) if worst.sd > 0.0 else (two_digits(worst.value), "-")),
             f"{meaning.limit:.2g}", worst.unit, direction,
@@ -138,24 +107,7 @@ def _scatter(found: Comparison) -> list[Block]:
 
 
 def _drift(found: Comparison, drift: Drift) -> list[Block]:
-    due = drift.due
-    last = float(drift.dates.days.max())
-    slope = plus_minus(due.slope.value, due.slope.half)
-    words = [Text(f"{drift.dates.words[0].upper()}{drift.dates.words[1:]}.")]
-    where = "  ".join(f"{v:+.2f}" for v in due.attitude)
-    if math.isfinite(due.expected):
-        when = _day(drift, last + due.expected)
-        words.append(Text(
-            f"The corrected force drifts by {slope} (95 %) {due.unit} a day at its worst attitude "
-            f"({where}): the limit of {due.limit:.2g} {due.unit} is reached on {when}, "
-            f"{_early(drift)}.",
-            "warning",
-        ))  # fmt: skip
-    else:
-        words.append(Text(
-            f"No drift shows. The next calibration is due {_early(drift)}: until then these dates "
-            f"exclude that the limit of {due.limit:.2g} {due.unit} is reached."
-        ))  # fmt: skip
+    words = [Text(f"{drift.dates.words[0].upper()}{drift.dates.words[1:]}."), due_words(drift)]
     basis = found.basis
     rows = tuple(
         (name, *with_sd(s.value, s.half), f"{unit}/day")
@@ -163,15 +115,3 @@ def _drift(found: Comparison, drift: Drift) -> list[Block]:
     )
     tones: dict[int, Tone] = {k: "warning" for k, s in enumerate(drift.slopes) if s.shown}
     return [*words, Table("", ("parameter", "drift", "± 95 %", "unit"), rows, "lrrl", "", tones)]
-
-
-def _early(drift: Drift) -> str:
-    if not math.isfinite(drift.due.earliest):
-        return "at no time by these dates"
-    return f"at the earliest on {_day(drift, float(drift.dates.days.max()) + drift.due.earliest)}"
-
-
-def _day(drift: Drift, days: float) -> str:
-    if days > 36500.0:
-        return "a day more than a century away"
-    return (drift.dates.start + timedelta(days=days)).strftime("%Y-%m-%d")

@@ -88,9 +88,11 @@ def _offset(low: float, high: float, step: float) -> float:
 
     The roundest number between one span below the axis and its high end.
     """
-    if max(abs(low), abs(high)) < 1e5 * step or low <= 0 <= high:
+    largest = max(abs(low), abs(high))
+    # Below one, zeros behind the point make a label longer.
+    if largest < (1e5 if largest >= 1.0 else 1e4) * step or low <= 0 <= high:
         return 0.0
-    start, power = low - (high - low), math.ceil(math.log10(max(abs(low), abs(high))))
+    start, power = low - (high - low), math.ceil(math.log10(largest))
     while math.ceil(start / 10.0**power) * 10.0**power > high:
         power -= 1
     return float(f"{math.ceil(start / 10.0**power)}e{power}")

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text as Line
 
 from imucalib.report.document import Card, Document, Facts, Plot, Section, Table, Text, Tone
+from imucalib.report.render.shortened import shortened
 from imucalib.report.render.terminal import clipped, one_line, safe, wrapped
 from imucalib.report.render.text_table import table_lines
 
@@ -30,20 +31,27 @@ def render_text(document: Document, width: int, *, color: bool, full: bool = Fal
     full : every section, however long, without its plots
     """
     width, document = max(width, NARROWEST), document.calm()
+    drawn = [s.title for s in document.sections if s.blocks and not _written(s)]
+    sections = [s for s in document.sections if _written(s) and (s.brief or full)]
     lines = [*_head(document, width), *_card(document.card, width)]
-    sections = [(s, _section(s, width)) for s in document.sections if s.brief or full]
-    hidden = [s.title for s in document.sections if not (s.brief or full)]
     if full:
-        shown = [rows for _, rows in sections]
+        hidden = drawn
     else:
         if document.card:
             document = replace(document, footer=_command(document))
-        room = PAGE - len(lines) - len(_foot(document, width, [s.title for s in document.sections]))
-        shown, left = _fitting(sections, room)
-        hidden = [s.title for s in document.sections if s.title in {*left, *hidden}]
-    lines += [line for rows in shown for line in rows]
-    lines += _foot(document, width, hidden)
+        titles = [s.title for s in document.sections]
+        sections = _fitting(
+            sections, PAGE - len(lines) - len(_foot(document, width, titles)), width
+        )
+        hidden = [title for title in titles if title not in {s.title for s in sections}]
+    lines += [line for section in sections for line in _section(section, width)]
+    lines += _foot(document, width, hidden, full=full or set(hidden) <= set(drawn))
     return _printed(lines, width, color)
+
+
+def _written(section: Section) -> bool:
+    """Whether anything of it is words."""
+    return any(not isinstance(block, Plot) for block in section.blocks)
 
 
 def _command(document: Document) -> tuple[tuple[str, str], ...]:
@@ -51,21 +59,23 @@ def _command(document: Document) -> tuple[tuple[str, str], ...]:
     return tuple(row for row in document.footer if row[0] in ("input", "command"))
 
 
-def _fitting(
-    sections: Sequence[tuple[Section, list[Line]]], room: int
-) -> tuple[list[list[Line]], list[str]]:
-    """What is kept or fits into `room` lines, in its order, and the titles of the others."""
-    room -= sum(len(rows) for section, rows in sections if section.kept)
-    shown, left = [], []
-    for section, rows in sections:
+def _fitting(sections: Sequence[Section], room: int, width: int) -> list[Section]:
+    """What is kept, shortened to the room, and what else fits into `room` lines; in its order."""
+
+    def length(section: Section) -> int:
+        return len(_section(section, width))
+
+    kept = iter(shortened([s for s in sections if s.kept], room, length))
+    sections = [next(kept) if section.kept else section for section in sections]
+    room -= sum(length(section) for section in sections if section.kept)
+    shown = []
+    for section in sections:
         if section.kept:
-            shown.append(rows)
-        elif len(rows) <= room:
-            shown.append(rows)
-            room -= len(rows)
-        else:
-            left.append(section.title)
-    return shown, left
+            shown.append(section)
+        elif length(section) <= room:
+            shown.append(section)
+            room -= length(section)
+    return shown
 
 
 def _card(card: Card | None, width: int) -> list[Line]:
@@ -161,13 +171,17 @@ def _facts(rows: Sequence[tuple[str, str]], width: int, style: str = "") -> list
     return lines
 
 
-def _foot(document: Document, width: int, hidden: Sequence[str]) -> list[Line]:
+def _foot(
+    document: Document, width: int, hidden: Sequence[str], *, full: bool = False
+) -> list[Line]:
     measure = min(width, MEASURE)
     rows = [*document.footer]
     if hidden:
-        rows.append(("Not shown here", ", ".join(map(one_line, hidden))))
-        drawn = ", report.html draws them" if document.card else ""
-        rows[-1] = (rows[-1][0], f"{rows[-1][1]}; --full shows all{drawn}")
+        where = [] if full else ["--full shows all"]
+        where += [f"{document.drawn} draws {'it' if len(hidden) == 1 else 'them'}"]
+        where = where if full or document.card else where[:1]
+        titles = ", ".join(map(one_line, hidden))
+        rows.append(("Not shown here", f"{titles}; {', '.join(where)}"))
     if not rows:
         return []
     return [Line(), Line("─" * measure, "dim"), *_facts(rows, measure, "dim")]

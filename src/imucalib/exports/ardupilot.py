@@ -1,0 +1,28 @@
+"""ArduPilot's accelerometer parameters, as its ground stations load them."""
+
+from __future__ import annotations
+
+from imucalib.calibration.calibration import Calibration
+from imucalib.exports import Export, Made
+from imucalib.exports.per_axis import flight_of, heading
+
+
+def ardupilot(calibration: Calibration, filename: str) -> Made:
+    """INS_ACCOFFS_? (m/s²) and INS_ACCSCAL_?: corrected = (raw - offset) scale, after the sensor's
+    and before the board's rotation (ArduPilot, AP_InertialSensor_Backend,
+    _rotate_and_correct_accel; limits: AP_InertialSensor_Params). Raises as `flight_of`.
+    """
+    flight = flight_of(calibration, "ArduPilot", (0.8, 1.2), 3.5)
+    lines = [
+        *heading(calibration, filename),
+        "# For readings with INS_ACCOFFS 0, INS_ACCSCAL 1 and before AHRS_ORIENTATION: x forward,",
+        "# y right, z down, z about -9.8 m/s2 at rest and level. Another instance: write INS_ACC2",
+        "# for INS_ACC. Restart after loading.",
+        *(f"# Not in it: {text}." for text in flight.lost),
+    ]
+    for name, values in (("INS_ACCOFFS", flight.offset), ("INS_ACCSCAL", flight.scale)):
+        lines += [f"{name}_{axis},{values[k]:.9g}" for k, axis in enumerate("XYZ")]
+    return Made("\n".join([*lines, ""]), flight.lost, flight.loss)
+
+
+EXPORT = Export("ardupilot", "imucal_ardupilot.param", ardupilot)

@@ -1,0 +1,103 @@
+"""The accelerometers' terms of a well-position error model, as ISCWSA and OWSG name them: CSV."""
+
+from __future__ import annotations
+
+import csv
+from io import StringIO
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import Calibration
+from imucalib.exports import Export, Made
+from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
+from imucalib.exports.per_axis import demand_one, heading
+from imucalib.units import MG
+
+_COLUMNS = ("term", "axis", "towards", "value", "sd", "unit", "code", "weight_function",
+            "propagation")  # fmt: skip
+#: Code, weighting function and what it weighs, of magnetic (MWD) and of gyro tools.
+_CODES = (
+    ("ABXY-TI1S", "ABXY-TI1", "bias", "xy"),
+    ("ABXY-TI2S", "ABXY-TI2", "bias", "xy"),
+    ("ABZ", "ABZ", "bias", "z"),
+    ("ASXY-TI1S", "ASXY-TI1", "scale", "xy"),
+    ("ASXY-TI2S", "ASXY-TI2", "scale", "xy"),
+    ("ASXY-TI3S", "ASXY-TI3", "scale", "xy"),
+    ("ASZ", "ASZ", "scale", "z"),
+    ("AXYZ-XYB", "AXYZ-XYB", "bias", "xy"),
+    ("AXYZ-ZB", "AXYZ-ZB", "bias", "z"),
+    ("AXYZ-SF", "AXYZ-SF", "scale", "xyz"),
+    ("AXYZ-MIS", "AXYZ-MIS", "misalignment", "xyz"),
+)
+_UNITS = {"bias": "m/s2", "scale": "-", "misalignment": "rad"}
+
+
+def iscwsa(calibration: Calibration, filename: str) -> Made:
+    """Rows without a code: what each axis reads too much, value and standard deviation, reading =
+    force + bias + scale force + misalignment x force of the axis `towards`. Rows with a code: one
+    standard deviation of what the corrected tool has left of it, the rms over its axes, as a tool
+    code takes it (OWSG tool codes; gyro: SPE 90408). Raises UsageError for an array.
+    """
+    demand_one(calibration, "an error model")
+    linear, known = nearest_linear(calibration), calibration.matrices()
+    S = np.linalg.inv(linear.M)
+    bias_sd = known.bias_mg_sd * MG
+    rows = [
+        *(_row("bias", a, "", (-S @ linear.b)[k], bias_sd[k]) for k, a in enumerate("xyz")),
+        *(_row("scale", a, "", S[k, k] - 1.0, known.S_sd[k, k]) for k, a in enumerate("xyz")),
+        *(_row("misalignment", a, to, S[k, j], known.S_sd[k, j])
+          for k, a in enumerate("xyz") for j, to in enumerate("xyz") if j != k),
+    ]  # fmt: skip
+    sizes = {
+        "bias": bias_sd,
+        "scale": np.diag(known.S_sd),
+        "misalignment": known.S_sd[~np.eye(3, dtype=bool)],
+    }
+    rows += [
+        {"term": term, "axis": axes, "sd": f"{_rms(sizes[term], axes):.6g}",
+         "unit": _UNITS[term], "code": code, "weight_function": weight, "propagation": "systematic"}
+        for code, weight, term, axes in _CODES
+    ]  # fmt: skip
+    lost = _lost(calibration)
+    out = StringIO()
+    for line in (
+        *heading(calibration, filename),
+        "# Rows without a code: what was found, and its sd. With a code: 1 sd left once corrected.",
+        *(f"# Not in it: {text}." for text in lost),
+    ):
+        out.write(f"{line}\n")
+    writer = csv.DictWriter(out, _COLUMNS, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return Made(out.getvalue(), lost, linear.mean)
+
+
+def _row(term: str, axis: str, towards: str, value: float, sd: float) -> dict[str, str]:
+    return {"term": term, "axis": axis, "towards": towards, "value": f"{value:.9g}",
+            "sd": f"{sd:.6g}", "unit": _UNITS[term]}  # fmt: skip
+
+
+def _rms(sd: Array, axes: str) -> float:
+    """Over the axes that a code weighs; misalignments are of all."""
+    of = sd if axes == "xyz" else sd[["xyz".index(a) for a in axes]]
+    return float(np.sqrt(np.mean(of**2)))
+
+
+def _lost(calibration: Calibration) -> tuple[str, ...]:
+    lost = [
+        "what drifts after the calibration, shocks, and temperatures and pressures of the hole "
+        "that it did not see",
+    ]
+    if "mounting" not in calibration.model()[0].names:
+        lost.append("the turn of the sensor in the tool: this calibration saw no tool's axes")
+    if names := beyond_linear(calibration):
+        linear = nearest_linear(calibration)
+        lost.append(
+            f"{names}: {linear.mean:.2f} mg on average over the sphere and the calibrated ranges, "
+            f"{linear.worst:.2f} mg at most"
+        )
+    return (*lost, *lost_parts(calibration))
+
+
+EXPORT = Export("iscwsa-csv", "imucal_iscwsa.csv", iscwsa)

@@ -1,0 +1,159 @@
+"""Forms of a scale and an offset an axis: the nearest, and what they lose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import Calibration
+from imucalib.errors import UsageError
+from imucalib.exports.linear import lost_parts, sphere_of
+from imucalib.units import DEG, STANDARD_GRAVITY
+
+#: The catalogue's zero of the temperature effects.
+_REFERENCE_C = 25.0
+_CARRIED = {"bias", "scale"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """corrected = scale (raw + offset + slope (T - middle)), in the sensor's own axes.
+
+    scale, offset (g), slope (g/°C) : (3,); middle : °C
+    over the sphere and the calibrated ranges, by leaving out the rest, against the calibration:
+    lost, worst : mg, mean and largest error of |a|; vector : mg, mean error of the vector, and
+    angle : deg, the largest of its direction, both after the turn (deg) from the tool's axes to
+    the sensor's
+    """
+
+    scale: Array
+    offset: Array
+    slope: Array
+    middle: float
+    lost: float
+    worst: float
+    vector: float
+    angle: float
+    turn: float
+
+
+def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
+    """The coefficients that make the norm right, by least squares.
+
+    slope : whether the form has one over temperature; without, offsets are those of the middle.
+    """
+    from scipy.optimize import least_squares
+
+    seen = sphere_of(calibration)
+    raw, force = seen.reading / STANDARD_GRAVITY, seen.force / STANDARD_GRAVITY
+    low, high = calibration.valid.get("temperature", (_REFERENCE_C, _REFERENCE_C))
+    middle = 0.5 * (low + high)
+    warm = seen.context["temperature"] - middle if "temperature" in seen.context else None
+    sloped = slope and warm is not None
+    start = np.concatenate([np.diag(calibration.matrices().M), np.zeros(6 if sloped else 3)])
+
+    def corrected(p: Array) -> Array:
+        offset = p[3:6] + warm[:, None] * p[6:] if sloped and warm is not None else p[3:6]
+        return np.asarray(p[:3] * (raw + offset))
+
+    def norm_error(p: Array) -> Array:
+        return np.asarray(np.linalg.norm(corrected(p), axis=1) - 1.0)
+
+    found = least_squares(norm_error, start, x_scale="jac", xtol=1e-12, ftol=1e-12).x
+    off = 1e3 * np.abs(norm_error(found))
+    vector, angle, turn = _beside(corrected(found), force)
+    return Row(
+        scale=found[:3],
+        offset=found[3:6],
+        slope=found[6:] if sloped else np.zeros(3),
+        middle=middle,
+        lost=float(off.mean()),
+        worst=float(off.max()),
+        vector=vector,
+        angle=angle,
+        turn=turn,
+    )
+
+
+def _beside(corrected: Array, force: Array) -> tuple[float, float, float]:
+    """Mean error of the vector (mg) and largest of its direction (deg) after the turn that brings
+    the forces nearest, and that turn's angle (deg)."""
+    from scipy.spatial.transform import Rotation
+
+    turned = Rotation.align_vectors(corrected, force)[0]
+    due = turned.apply(force)
+    beside = np.linalg.norm(np.cross(corrected, due), axis=1)
+    angle = np.arctan2(beside, np.einsum("ni,ni->n", corrected, due))
+    vector = 1e3 * np.linalg.norm(corrected - due, axis=1).mean()
+    return float(vector), float(angle.max() / DEG), float(turned.magnitude() / DEG)
+
+
+def demand_one(calibration: Calibration, what: str) -> None:
+    """Raise UsageError for an array, of which the form holds one."""
+    if calibration.triads:
+        raise UsageError(
+            f"{what} holds one accelerometer, this calibration is of "
+            f"{len(calibration.triads)} IMUs",
+            remedy="use c-header",
+        )
+
+
+def heading(calibration: Calibration, filename: str) -> tuple[str, ...]:
+    """The comment that a file opens with; no name can end it."""
+    name = "".join(c if c.isprintable() else "?" for c in filename)
+    return (f"# Accelerometer by imucal, from {name}, status {calibration.status}.",)
+
+
+def lost_per_axis(calibration: Calibration, row: Row, aside: str = "") -> tuple[str, ...]:
+    """What a row does not carry, in words; aside : of the form, behind the effects' names."""
+    carried = _CARRIED | ({"temperature_bias"} if np.any(row.slope) else set())
+    names = [n for n in calibration.model()[0].names if n not in carried]
+    beyond = ", ".join(n for n in names if n != "mounting")
+    words = list(lost_parts(calibration))
+    if "mounting" in names:
+        words.insert(0, f"mounting, the turn of {row.turn:.2f} deg from the tool to the sensor")
+    if beyond:
+        words.insert(
+            0,
+            f"{beyond}{aside}: {row.lost:.2f} mg of |a| on average over the sphere and the "
+            f"calibrated ranges, {row.worst:.2f} mg at most; direction {row.angle:.3f} deg at most",
+        )
+    return tuple(words)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """corrected = scale (raw - offset) of a flight controller, which has no slope over temperature.
+
+    offset, scale : (3,), offset in m/s²; lost : in words; loss : mg, of the vector
+    """
+
+    offset: Array
+    scale: Array
+    lost: tuple[str, ...]
+    loss: float
+
+
+def flight_of(
+    calibration: Calibration, program: str, scales: tuple[float, float], offset: float
+) -> Flight:
+    """The nearest, for a program that takes scales within `scales` and offsets (m/s²) up to
+    `offset`. Raises UsageError for an array and for what it does not take."""
+    demand_one(calibration, program)
+    row = nearest_row(calibration, slope=False)
+    found = -STANDARD_GRAVITY * row.offset
+    if not (scales[0] <= row.scale.min() and row.scale.max() <= scales[1]):
+        raise UsageError(
+            f"{program} takes scales of {scales[0]:g} to {scales[1]:g}, this accelerometer needs "
+            f"{row.scale.min():.3f} to {row.scale.max():.3f}",
+            remedy="check the unit of the readings",
+        )
+    if np.abs(found).max() > offset:
+        raise UsageError(
+            f"{program} takes offsets up to {offset:g} m/s², this accelerometer needs "
+            f"{np.abs(found).max():.2f}",
+            remedy="check the unit of the readings",
+        )
+    return Flight(found, row.scale, lost_per_axis(calibration, row), row.vector)

@@ -1,0 +1,39 @@
+"""PX4's accelerometer parameters, as QGroundControl loads them."""
+
+from __future__ import annotations
+
+import math
+
+from imucalib.calibration.calibration import Calibration
+from imucalib.exports import Export, Made
+from imucalib.exports.per_axis import flight_of, heading
+
+#: MAV_PARAM_TYPE_REAL32.
+_FLOAT = 9
+
+
+def px4(calibration: Calibration, filename: str) -> Made:
+    """CAL_ACC0_?OFF (m/s²) and CAL_ACC0_?SCALE: corrected = (raw - offset) scale, then the board's
+    rotation (PX4-Autopilot, src/lib/sensor_calibration/Accelerometer.hpp; limits of the scale:
+    src/modules/sensors/module.yaml). Raises as `flight_of`.
+    """
+    flight = flight_of(calibration, "PX4", (0.1, 3.0), math.inf)
+    lost = (
+        *flight.lost,
+        "CAL_ACC0_ID: it must name this accelerometer, or PX4 passes over these",
+    )
+    lines = [
+        *heading(calibration, filename),
+        "# For readings as sensor_accel logs them: x forward, y right, z down, z about -9.8 m/s2",
+        "# at rest and level. Another instance: CAL_ACC1 for CAL_ACC0. Restart after loading.",
+        *(f"# Not in it: {text}." for text in lost),
+        "#",
+        "# Vehicle-Id Component-Id Name Value Type",
+    ]
+    for k, axis in enumerate("XYZ"):
+        for name, value in (("OFF", flight.offset[k]), ("SCALE", flight.scale[k])):
+            lines.append(f"1\t1\tCAL_ACC0_{axis}{name}\t{value:.9g}\t{_FLOAT}")
+    return Made("\n".join([*lines, ""]), lost, flight.loss)
+
+
+EXPORT = Export("px4", "imucal_px4.params", px4)

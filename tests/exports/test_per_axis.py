@@ -1,0 +1,221 @@
+"""Forms of a scale and an offset an axis, each read back by a few lines of its program's formula.
+
+The sensor is a matrix and an offset in plain numpy.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.core.context import Context
+from imucalib.effects import named
+from imucalib.errors import UsageError
+from imucalib.exports import exported
+from worlds.rigid_board import board
+from worlds.rigid_board import calibration as board_calibration
+
+Array = NDArray[np.float64]
+G = 9.80665
+SPAN = (15.0, 35.0)
+VALUES = {
+    "mounting": (0.6, -0.5, -2.0),
+    "bias": (20.0, -15.0, 30.0),
+    "scale": (0.01, -0.02, 0.005),
+    "non_orthogonality": (0.002, -0.001, 0.003),
+    "temperature_bias": (0.8, -0.5, 1.2),
+}
+SIX = ("bias", "scale")
+FORMS = ("px4", "ardupilot", "omconvert", "iscwsa-csv", "ggir-csv")
+
+
+def made(*effects: str) -> Calibration:
+    parameters = tuple(
+        StoredParameter(p.name, name, named(name).stage, value, 0.1, p.unit)
+        for name in effects
+        for p, value in zip(named(name).parameters(Context(1)), VALUES[name], strict=True)
+    )
+    return Calibration("lab", parameters, 0.01 * np.eye(len(parameters)), "ug", 1e-6 * G, G, "ok",
+                       valid={"temperature": SPAN})  # fmt: skip
+
+
+def even(count: int = 3000) -> Array:
+    """(n, 3) forces of 1 g, m/s²."""
+    drawn = np.random.default_rng(1).normal(size=(count, 3))
+    return np.asarray(G * drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+
+
+def warmth(count: int = 3000) -> Array:
+    return np.random.default_rng(2).uniform(*SPAN, size=(count, 1))
+
+
+def read_by(force: Array, *, skew: bool = False, warm: Array | float = 25.0) -> Array:
+    """What the sensor reads of forces in its own axes, m/s²."""
+    x, y, z = VALUES["bias"]
+    reading = force * (1.0 + np.array(VALUES["scale"])) + 1e-3 * G * np.array([x, y, z])
+    if skew:
+        yx, zx, zy = VALUES["non_orthogonality"]
+        reading[:, 1] += yx * force[:, 0]
+        reading[:, 2] += zx * force[:, 0] + zy * force[:, 1]
+    return np.asarray(reading + 1e-3 * G * np.array(VALUES["temperature_bias"]) * (warm - 25.0))
+
+
+def ground_station(text: str) -> dict[str, float]:
+    """Five fields between tabs, comments by #: PX4's; name and value: ArduPilot's."""
+    lines = [x for x in text.splitlines() if not x.startswith("#")]
+    if "\t" in lines[0]:
+        fields = [x.split("\t") for x in lines]
+        assert all(f[0] == f[1] == "1" and f[4] == "9" for f in fields)
+        return {f[2]: float(f[3]) for f in fields}
+    return {name: float(value) for name, value in (x.replace(",", " ").split() for x in lines)}
+
+
+def flown(form: str, calibration: Calibration, raw: Array) -> Array:
+    known = ground_station(exported(calibration, "x.csv", form).text)
+    offset, scale = (
+        ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE") if form == "px4" else
+        ("INS_ACCOFFS_{}", "INS_ACCSCAL_{}")
+    )  # fmt: skip
+    assert len(known) == 6
+    off, by = (np.array([known[name.format(a)] for a in "XYZ"]) for name in (offset, scale))
+    return np.asarray((raw - off) * by)
+
+
+@pytest.mark.parametrize("form", ["px4", "ardupilot"])
+def test_a_flight_controller_corrects_what_six_numbers_can(form: str) -> None:
+    assert flown(form, made(*SIX), read_by(even())) == pytest.approx(even(), abs=1e-6)
+
+
+@pytest.mark.parametrize("form", ["px4", "ardupilot"])
+def test_what_is_lost_in_flight_is_what_is_told(form: str) -> None:
+    effects = (*SIX, "non_orthogonality", "temperature_bias")
+    whole = exported(made(*effects), "x.csv", form)
+    warm = np.repeat([*SPAN, 25.0], 1000)[:, None]
+    got = flown(form, made(*effects), read_by(even(), skew=True, warm=warm))
+    norm = np.abs(np.linalg.norm(got, axis=1) / G - 1.0) * 1e3
+    # The turn that brings the vectors nearest, by the singular vectors of their products.
+    left, _, right = np.linalg.svd(even().T @ got)
+    due = even() @ (left @ right)
+    cosine = np.einsum("ni,ni->n", got, due) / np.linalg.norm(got, axis=1) / G
+    told = whole.lost[0]
+    mean, worst, angle = (float(v) for v in re.findall(r"(\d+\.\d+) (?:mg|deg)", told))
+    assert told.startswith("non_orthogonality, temperature_bias:")
+    assert f"# Not in it: {told}." in whole.text
+    assert mean == pytest.approx(norm.mean(), rel=0.03)
+    assert worst == pytest.approx(norm.max(), rel=0.05)
+    assert angle == pytest.approx(np.degrees(np.arccos(cosine.min())), rel=0.05)
+    assert whole.made.loss == pytest.approx(
+        1e3 * np.linalg.norm(got - due, axis=1).mean() / G, rel=0.03
+    )
+
+
+@pytest.mark.parametrize("form", ["px4", "ardupilot", "omconvert", "ggir-csv"])
+def test_the_turn_of_the_sensor_is_told(form: str) -> None:
+    told = exported(made("mounting", *SIX), "x.csv", form).lost
+    total = np.linalg.norm(VALUES["mounting"])
+    (words,) = [text for text in told if "mounting" in text]
+    assert float(re.findall(r"(\d+\.\d+) deg", words)[0]) == pytest.approx(total, rel=0.02)
+
+
+OMCONVERT = f"""#!{sys.executable}
+import re, sys
+at = sys.argv.index("-calibration")
+assert sys.argv[sys.argv.index("-calibrate") + 1] == "0"
+print(sys.argv[1], *filter(None, re.split("[ ,;]+", sys.argv[at + 1])))
+"""
+
+
+def test_omconvert_corrects_with_the_temperature(tmp_path: Path) -> None:
+    (tmp_path / "omconvert").write_text(OMCONVERT)
+    (tmp_path / "omconvert").chmod(0o755)
+    whole = exported(made(*SIX, "temperature_bias"), "x.csv", "omconvert")
+    assert whole.lost == ()
+    (tmp_path / "given.sh").write_text(whole.text)
+    done = subprocess.run(
+        ["sh", "given.sh", "week.cwa", "-out", "week.wav"], cwd=tmp_path, check=True, text=True,
+        capture_output=True, env={**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"},
+    )  # fmt: skip
+    recording, *numbers = done.stdout.split()
+    assert recording == "week.cwa"
+    v = np.array(numbers, dtype=float)
+    assert v.shape == (10,)
+    raw = read_by(even(), warm=warmth()) / G
+    corrected = (raw + v[3:6]) * v[:3] + (warmth() - v[9]) * v[6:9]
+    assert corrected == pytest.approx(even() / G, abs=1e-7)
+
+
+def error_model(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(x for x in text.splitlines() if not x.startswith("#")))
+
+
+def test_the_error_models_rows_say_what_the_tool_reads() -> None:
+    rows = error_model(exported(made(*SIX, "non_orthogonality"), "x.csv", "iscwsa-csv").text)
+    found = [r for r in rows if not r["code"]]
+    S, c = np.eye(3), np.zeros(3)
+    for r in found:
+        k = "xyz".index(r["axis"])
+        if r["term"] == "bias":
+            assert r["unit"] == "m/s2"
+            c[k] = float(r["value"])
+        else:
+            S[k, "xyz".index(r["towards"] or r["axis"])] += float(r["value"])
+    assert len(found) == 12
+    assert even() @ S.T + c == pytest.approx(read_by(even(), skew=True), abs=1e-7)
+
+
+def test_a_tool_code_has_one_standard_deviation_of_what_is_left() -> None:
+    """A bias of ABZ tilts a tool at 30° by the weighting function's -sin I / G."""
+    calibration = made(*SIX)
+    rows = {r["code"]: r for r in error_model(exported(calibration, "x", "iscwsa-csv").text)
+            if r["code"]}  # fmt: skip
+    abz = float(rows["ABZ"]["sd"])
+    assert abz == pytest.approx(0.1e-3 * G, rel=1e-3)
+    at = np.radians(30.0)
+    tilted = np.arctan2(G * np.sin(at), G * np.cos(at) + abz) - at
+    assert tilted == pytest.approx(-np.sin(at) / G * abz, rel=1e-3)
+    assert {r["propagation"] for r in rows.values()} == {"systematic"}
+    assert float(rows["ASXY-TI1S"]["sd"]) == pytest.approx(0.1, rel=0.05)
+    assert float(rows["AXYZ-MIS"]["sd"]) == 0.0
+
+
+def test_an_error_model_of_a_worn_sensor_lacks_the_tools_axes() -> None:
+    assert any("turn" in t for t in exported(made(*SIX), "x", "iscwsa-csv").lost)
+    assert not any("turn" in t for t in exported(made("mounting", *SIX), "x", "iscwsa-csv").lost)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_an_array_is_refused(form: str) -> None:
+    with pytest.raises(UsageError, match=r"one accelerometer.*c-header"):
+        exported(board_calibration(board(np.random.default_rng(0), chips=3)), "x", form)
+
+
+def test_what_a_controller_does_not_take_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"scales of 0\.8 to 1\.2.*unit"):
+        exported(scaled("scale", 0.5), "x", "ardupilot")
+    with pytest.raises(UsageError, match=r"offsets up to 3\.5"):
+        exported(scaled("bias", 900.0), "x", "ardupilot")
+    assert "CAL_ACC0_XOFF\t8.8" in exported(scaled("bias", 900.0), "x", "px4").text
+
+
+def scaled(effect: str, value: float) -> Calibration:
+    whole = made(*SIX)
+    first, *rest = (p for p in whole.parameters if p.effect == effect)
+    others = (p for p in whole.parameters if p.effect != effect)
+    order = [replace(first, value=value), *rest, *others]
+    return replace(whole, parameters=tuple(sorted(order, key=lambda p: SIX.index(p.effect))))
+
+
+@pytest.mark.parametrize("form", ["px4", "ardupilot", "omconvert", "iscwsa-csv"])
+def test_a_name_stays_in_its_comment(form: str) -> None:
+    text = exported(made(*SIX), "a\nrm -rf x\r1\t1\tCAL", form).text
+    assert "# Accelerometer by imucal, from a?rm -rf x?1?1?CAL, status ok." in text.splitlines()
