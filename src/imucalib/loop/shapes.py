@@ -85,7 +85,9 @@ def better_form(fit: Fit, effect: Effect, named: Score, rng: np.random.Generator
         return None
     driver = f"bias:{effect.needs[0]}" if effect.needs else "response:xyz"
     form = form_of(fit, replace(named, candidate=replace(named.candidate, curve=driver)), rng)
-    if form is None or form.score.evidence <= named.evidence - NEAR:
+    # A form of the same covariate has the same cause; one of the response has another.
+    near = 0.0 if effect.needs else NEAR
+    if form is None or form.score.evidence <= named.evidence - near:
         return None
     (same, other), _ = effect_candidates(fit, [effect, form.effect])
     return form if apart(fit, same, other) > _SAME else None
