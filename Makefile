@@ -93,7 +93,7 @@ test-costs: $(VENV)/.dev ## measure every test, and write the tiers and docs/tes
 	$(BIN)/python tests/costs
 
 mutants: $(VENV)/.dev ## plant faults one at a time and list those that no test notices
-	$(BIN)/python tests/mutants --count $(or $(COUNT),10)
+	$(BIN)/python tests/mutants --count $(or $(COUNT),10) --seed $(or $(SEED),0) --reach $(VENV)/reach.jsonl --tier 'not slow'
 
 clean:
 	rm -rf $(VENV) demo dist site .pytest_cache .mypy_cache .ruff_cache

@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 
 
-def _spent() -> float:
+def spent() -> float:
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    start = _spent()
+    start = spent()
     result = yield
     with Path(os.environ["IMUCAL_COSTS"]).open("a", encoding="utf-8") as file:
-        file.write(f"{_spent() - start:.3f}\t{item.nodeid.removeprefix('tests/')}\n")
+        file.write(f"{spent() - start:.3f}\t{item.nodeid.removeprefix('tests/')}\n")
     return result
