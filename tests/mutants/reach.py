@@ -31,7 +31,7 @@ if "pytest" not in sys.modules and "IMUCAL_ENTERED" in os.environ:
 
 @dataclass(frozen=True)
 class Reach:
-    """tests : function, as `module.py:line` of its `def` -> the tests that enter it;
+    """tests : function, as `module.py:Class.method` -> the tests that enter it;
     seconds : test -> CPU s"""
 
     tests: Mapping[str, frozenset[str]]
@@ -54,14 +54,25 @@ class Reach:
         return Reach({name: found & tests for name, found in self.tests.items()}, seconds)
 
 
-def functions(tree: ast.Module) -> Iterator[ast.FunctionDef]:
-    """Functions that no other function holds."""
-    todo: list[ast.stmt] = list(tree.body)
-    for node in todo:
+def functions(tree: ast.Module) -> Iterator[tuple[str, ast.FunctionDef]]:
+    """Functions that no other function holds, with their names: `Class.method`."""
+    todo: list[tuple[str, ast.stmt]] = [("", node) for node in tree.body]
+    for within, node in todo:
         if isinstance(node, ast.FunctionDef):
-            yield node
-        elif isinstance(node, ast.ClassDef | ast.If | ast.Try):
-            todo.extend(node.body)
+            yield within + node.name, node
+        elif isinstance(node, ast.ClassDef):
+            todo.extend((f"{within}{node.name}.", inner) for inner in node.body)
+        elif isinstance(node, ast.If | ast.Try):
+            todo.extend((within, inner) for inner in node.body)
+
+
+def enclosing(source: str, line: int) -> str:
+    """The function that holds a line, "" outside of functions. A default of an argument is
+    outside: it is evaluated once."""
+    for name, node in functions(ast.parse(source)):
+        if node.body[0].lineno <= line <= (node.end_lineno or 0):
+            return name
+    return ""
 
 
 def _forms(tree: ast.Module) -> Iterator[ast.Lambda]:
@@ -71,23 +82,14 @@ def _forms(tree: ast.Module) -> Iterator[ast.Lambda]:
             yield from (inner for inner in ast.walk(node) if isinstance(inner, ast.Lambda))
 
 
-def enclosing(source: str, line: int) -> int:
-    """Line of the `def` of the function that holds a line, 0 outside of functions. A default of
-    an argument is outside: it is evaluated once."""
-    for node in functions(ast.parse(source)):
-        if node.body[0].lineno <= line <= (node.end_lineno or 0):
-            return node.lineno
-    return 0
-
-
 def noting(source: str, module: str) -> str:
     """A module whose functions note that they were entered."""
     tree = ast.parse(source)
-    for node in functions(tree):
+    for name, node in functions(tree):
         at = 0 if ast.get_docstring(node) is None else 1
-        node.body[at:at] = ast.parse(f"_entered.add({f'{module}:{node.lineno}'!r})").body
+        node.body[at:at] = ast.parse(f"_entered.add({f'{module}:{name}'!r})").body
     for form in _forms(tree):
-        note = ast.parse(f"_entered.add({f'{module}:{form.lineno}'!r})", mode="eval").body
+        note = ast.parse(f"_entered.add({f'{module}:lambda'!r})", mode="eval").body
         both = ast.Tuple([note, form.body], ast.Load())
         form.body = ast.Subscript(both, ast.Constant(1), ast.Load())
     after = 0
