@@ -28,8 +28,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from mutants.faults import Fault, faults_of
-from mutants.reach import Reach, collected, measured, read
+from costs.reach import Reach, collected, read, record
+from mutants.faults import Fault, fault, places
 from testing_page import written
 
 ROOT = Path(__file__).parents[2]
@@ -89,9 +89,10 @@ def drawn(room: str, count: int, rng: np.random.Generator) -> list[tuple[Path, F
     """Faults of a room, at random over its modules."""
     at = ROOT / SOURCE / room
     files = [at] if at.is_file() else sorted(at.rglob("*.py"))
-    every = [(f, fault) for f in files for fault in faults_of(f.read_text(encoding="utf-8"))]
-    picks = rng.permutation(len(every))[:count]
-    return [every[k] for k in sorted(picks)]
+    texts = {f: f.read_text(encoding="utf-8") for f in files}
+    every = [(f, number) for f, text in texts.items() for number in places(text)]
+    picks = sorted(rng.permutation(len(every))[:count])
+    return [(f, fault(texts[f], number)) for f, number in (every[k] for k in picks)]
 
 
 def staged(tests: Sequence[str], reach: Reach, budget: float) -> Iterator[list[str]]:
@@ -118,25 +119,25 @@ def passes(tests: Sequence[str], source: Path, limit: float) -> bool:
     return done.returncode == 0
 
 
-def trial(room: str, path: Path, fault: Fault, reach: Reach, budget: float) -> Trial:
+def trial(room: str, path: Path, planted: Fault, reach: Reach, budget: float) -> Trial:
     """One fault against the tests that run its line."""
     module = path.relative_to(ROOT / "src")
     kept = path.read_text(encoding="utf-8")
     began = time.monotonic()
-    tests = reach.of(module, kept, fault.line, ROOMS[room])
+    tests = reach.of(module, kept, planted.line, ROOMS[room])
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "src"
         shutil.copytree(ROOT / "src", source, ignore=shutil.ignore_patterns("__pycache__"))
-        (source / module).write_text(fault.source, encoding="utf-8")
+        (source / module).write_text(planted.source, encoding="utf-8")
         stages = staged(tests, reach, budget)
         killed = not all(passes(stage, source, 20.0 * budget) for stage in stages)
-    line = kept.splitlines()[fault.line - 1].strip()
-    why = harmless().get((module.as_posix(), line, fault.text), "")
+    line = kept.splitlines()[planted.line - 1].strip()
+    why = harmless().get((module.as_posix(), line, planted.text), "")
     spent = time.monotonic() - began
     word = "killed" if killed else "harmless" if why else "SURVIVED"
-    place = f"{module}:{fault.line}: {fault.text}"
+    place = f"{module}:{planted.line}: {planted.text}"
     print(f"{word:8s} {place} ({len(tests)} tests, {spent:.0f} s)", file=sys.stderr, flush=True)
-    return Trial(room, module, fault, line, killed, why, spent)
+    return Trial(room, module, planted, line, killed, why, spent)
 
 
 def table(found: Sequence[Trial]) -> str:
@@ -185,8 +186,7 @@ def trials(options: argparse.Namespace) -> list[Trial]:
     """Every fault that is asked for."""
     for path in options.reach:
         if not path.exists():
-            with tempfile.TemporaryDirectory() as folder:
-                measured(Path(folder), path.resolve(), options.tier)
+            record(path, options.tier)
     reach = read(options.reach).known_to(collected(options.tier))
     todo = []
     for room in options.only:

@@ -1,4 +1,4 @@
-"""Which functions of the package each test runs: what can notice a fault in one of them.
+"""Which functions of the package each test runs, and at what cost: a record of one run.
 
 The package is copied with one statement more in every function, which notes that it was entered.
 """
@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,8 +32,9 @@ if "pytest" not in sys.modules and "IMUCAL_ENTERED" in os.environ:
 
 @dataclass(frozen=True)
 class Reach:
-    """tests : function, as `module.py:Class.method` -> the tests that enter it;
-    seconds : test -> CPU s"""
+    """tests : function, as `module.py:Class.method` -> the tests that enter it
+    seconds : test -> CPU s, its processes' included
+    """
 
     tests: Mapping[str, frozenset[str]]
     seconds: Mapping[str, float]
@@ -112,15 +114,16 @@ def noted_copy(folder: Path) -> Path:
     return source
 
 
-def measured(folder: Path, into: Path, tier: str) -> None:
-    """Run the tests of a tier (pytest's -m) on the noted copy, in one process; a line of JSON a
-    test goes to a file."""
-    source = noted_copy(folder)
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(source), str(ROOT / "tests")]),
-           "OPENBLAS_NUM_THREADS": "1", "IMUCAL_ENTERED": str(folder / "entered"),
-           "IMUCAL_REACH": str(into)}  # fmt: skip
-    words = ["-p", "mutants.entering", "-p", "no:cacheprovider", "-m", tier, "-q", "-rsfE"]
-    subprocess.run([sys.executable, "-m", "pytest", *words], cwd=ROOT, env=env, check=False)
+def record(into: Path, tier: str) -> None:
+    """Run the tests of a tier (pytest's -m) on a noted copy, in one process; a line of JSON a test
+    goes to a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        source = noted_copy(Path(folder))
+        env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(source), str(ROOT / "tests")]),
+               "OPENBLAS_NUM_THREADS": "1", "IMUCAL_ENTERED": str(Path(folder) / "entered"),
+               "IMUCAL_REACH": str(into.resolve())}  # fmt: skip
+        words = ["-p", "costs.entering", "-p", "no:cacheprovider", "-m", tier, "-q", "-rsfE"]
+        subprocess.run([sys.executable, "-m", "pytest", *words], cwd=ROOT, env=env, check=False)
 
 
 def collected(tier: str) -> frozenset[str]:
@@ -132,13 +135,13 @@ def collected(tier: str) -> frozenset[str]:
 
 
 def read(paths: Sequence[Path]) -> Reach:
-    """What `measured` wrote. Tests that failed without any fault tell nothing."""
+    """What `record` wrote, the later file's word where two know a test. Tests that failed without
+    any fault tell nothing."""
+    lines = (row for p in paths for row in p.read_text(encoding="utf-8").splitlines())
+    rows = {row["test"]: row for row in map(json.loads, lines) if row["passed"]}
     tests: dict[str, set[str]] = {}
-    seconds = {}
-    rows = [json.loads(row) for p in paths for row in p.read_text(encoding="utf-8").splitlines()]
-    for row in rows:
-        if row["passed"]:
-            seconds[row["test"]] = row["seconds"]
-            for name in row["entered"]:
-                tests.setdefault(name, set()).add(row["test"])
+    seconds = {name: row["seconds"] for name, row in rows.items()}
+    for test, row in rows.items():
+        for name in row["entered"]:
+            tests.setdefault(name, set()).add(test)
     return Reach({name: frozenset(found) for name, found in tests.items()}, seconds)
