@@ -77,23 +77,26 @@ def enclosing(source: str, line: int) -> str:
     return ""
 
 
-def _forms(tree: ast.Module) -> Iterator[ast.Lambda]:
-    """Lambdas outside of functions, as effects have them."""
-    for node in tree.body:
-        if not isinstance(node, ast.FunctionDef | ast.ClassDef):
-            yield from (inner for inner in ast.walk(node) if isinstance(inner, ast.Lambda))
+def _noted(tree: ast.AST, name: str) -> None:
+    """Every function and lambda of a tree notes a name: one that is made here may run elsewhere."""
+    note = f"_entered.add({name!r})"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            at = 0 if ast.get_docstring(node) is None else 1
+            node.body[at:at] = ast.parse(note).body
+        elif isinstance(node, ast.Lambda):
+            both = ast.Tuple([ast.parse(note, mode="eval").body, node.body], ast.Load())
+            node.body = ast.Subscript(both, ast.Constant(1), ast.Load())
 
 
 def noting(source: str, module: str) -> str:
     """A module whose functions note that they were entered."""
     tree = ast.parse(source)
     for name, node in functions(tree):
-        at = 0 if ast.get_docstring(node) is None else 1
-        node.body[at:at] = ast.parse(f"_entered.add({f'{module}:{name}'!r})").body
-    for form in _forms(tree):
-        note = ast.parse(f"_entered.add({f'{module}:lambda'!r})", mode="eval").body
-        both = ast.Tuple([note, form.body], ast.Load())
-        form.body = ast.Subscript(both, ast.Constant(1), ast.Load())
+        _noted(node, f"{module}:{name}")
+    for node in tree.body:
+        if not isinstance(node, ast.FunctionDef | ast.ClassDef):
+            _noted(node, f"{module}:lambda")
     after = 0
     for k, node in enumerate(tree.body):
         words = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
