@@ -83,6 +83,25 @@ def test_a_form_of_the_input(kind: str) -> None:
     np.testing.assert_allclose(added(name, theta, force, context), expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("kind", FORMS)
+def test_the_slope_of_a_form_is_its_difference(kind: str) -> None:
+    """By the input, where neither end of the difference is beyond a corner."""
+    force, context = world()
+    effect = named(f"shape@response:xyz:{kind}:{NUMBERS[kind][0]}")
+    theta = np.random.default_rng(7).normal(size=len(effect.parameters(context)))
+
+    def delta(off: float) -> np.ndarray:
+        truth = Truth(STANDARD_GRAVITY * (force + off)[:, None])
+        return effect.act(theta, truth, context).delta[:, 0] / STANDARD_GRAVITY
+
+    slope = effect.act(theta, Truth(STANDARD_GRAVITY * force[:, None]), context).d_x[:, 0]
+    assert np.count_nonzero(slope - slope * np.eye(3)) == 0
+    numeric = (delta(1e-6) - delta(-1e-6)) / 2e-6
+    smooth = np.abs(delta(2e-6) - 2 * delta(0.0) + delta(-2e-6)) < 1e-11
+    assert smooth.mean() > 0.9
+    np.testing.assert_allclose(slope[:, range(3), range(3)][smooth], numeric[smooth], atol=1e-7)
+
+
 @pytest.mark.parametrize("kind", [kind for kind in FORMS if NUMBERS[kind][1]])
 def test_a_form_of_the_temperature(kind: str) -> None:
     force, context = world()
