@@ -51,6 +51,11 @@ ROOMS: dict[str, tuple[str, ...]] = {
 }
 #: Share of the budget that is spent in one run of pytest: most faults are killed by the first.
 STAGES = (0.1, 0.9)
+_LIMITED = """\
+import resource, sys, pytest
+resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[1]),) * 2)
+sys.exit(pytest.main(sys.argv[2:]))
+"""
 HARMLESS = Path(__file__).with_name("harmless.txt")
 
 
@@ -105,16 +110,18 @@ def staged(tests: Sequence[str], reach: Reach, budget: float) -> Iterator[list[s
             yield list(tests[start:end])
 
 
-def passes(tests: Sequence[str], source: Path, limit: float) -> bool:
-    """Whether tests pass on the package in a folder, within a time (s)."""
+def passes(tests: Sequence[str], source: Path, limit: int) -> bool:
+    """Whether tests pass on the package in a folder, each process within a CPU time (s): a busy
+    machine ends none."""
     env = {**os.environ, "PYTHONPATH": str(source), "OPENBLAS_NUM_THREADS": "1"}
     listed = source.parent / "tests.txt"
     listed.write_text("\n".join(tests), encoding="utf-8")
-    call = [sys.executable, "-m", "pytest", "-x", "-m", "", "-p", "no:cacheprovider", f"@{listed}"]
+    call = [sys.executable, "-c", _LIMITED, str(limit), "-x", "-m", "", "-p", "no:cacheprovider"]
     try:
         done = subprocess.run(
-            call, cwd=ROOT, env=env, capture_output=True, timeout=limit, check=False
-        )
+            [*call, f"@{listed}"], cwd=ROOT, env=env, capture_output=True, timeout=60.0 * limit,
+            check=False,
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         return False
     return done.returncode == 0
@@ -131,7 +138,7 @@ def trial(room: str, path: Path, planted: Fault, reach: Reach, budget: float) ->
         shutil.copytree(ROOT / "src", source, ignore=shutil.ignore_patterns("__pycache__"))
         (source / module).write_text(planted.source, encoding="utf-8")
         stages = staged(tests, reach, budget)
-        killed = not all(passes(stage, source, 20.0 * budget) for stage in stages)
+        killed = not all(passes(stage, source, round(60.0 + 5.0 * budget)) for stage in stages)
     line = kept.splitlines()[planted.line - 1].strip()
     why = harmless().get((module.as_posix(), line, planted.text), "")
     spent = time.monotonic() - began
