@@ -35,7 +35,7 @@ demo: $(BIN)/imucal ## calibrate the sample logs: errors before and after, and w
 test: $(VENV)/.dev ## run the tests, but for those of the slow tier (make test-slow)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
-test-slow: $(VENV)/.dev ## run the tests that `make test` leaves out: those of more than half a CPU s
+test-slow: $(VENV)/.dev ## run the tests that `make test` leaves out: those of more than 0.4 CPU s
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m slow
 
 check: $(VENV)/.dev ## style, types and generated pages, as CI runs them

@@ -1,6 +1,6 @@
 """The two tiers: `make test` has what a change can break soon, `make test-slow` the rest.
 
-A test that costs more than half a CPU second is of the slow tier, unless it enters functions of the
+A test that costs more than 0.4 CPU s is of the slow tier, unless it enters functions of the
 package that no quicker one does: the fast tier runs all of the package that a test of seven seconds
 reaches.
 """
@@ -15,7 +15,7 @@ from costs.reach import Reach
 
 LIST = Path(__file__).with_name("slow_tier.txt")
 #: CPU seconds beyond which a test is slow, and beyond which it is whatever it enters.
-SLOW, TOO_SLOW = 0.5, 7.0
+SLOW, TOO_SLOW = 0.4, 7.0
 
 
 def slow_tier() -> frozenset[str]:
