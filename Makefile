@@ -32,10 +32,10 @@ $(VENV)/.dev: pyproject.toml $(BIN)/imucal
 demo: $(BIN)/imucal ## calibrate the sample logs: errors before and after, and where the reports are
 	@$(BIN)/python sample_logs/demo.py $(BIN)/imucal demo
 
-test: $(VENV)/.dev ## run the tests, but for those of more than 0.6 CPU s (make test-slow)
+test: $(VENV)/.dev ## run the tests, but for those of the slow tier (make test-slow)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
-test-slow: $(VENV)/.dev ## run the tests that `make test` leaves out: those of more than 0.6 CPU s
+test-slow: $(VENV)/.dev ## run the tests that `make test` leaves out: those of more than 0.4 CPU s
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m slow
 
 check: $(VENV)/.dev ## style, types and generated pages, as CI runs them
@@ -90,10 +90,11 @@ test-oldest: ## run the tests on the oldest versions of the dependencies that py
 	OPENBLAS_NUM_THREADS=1 $(VENV)/oldest/bin/python -m pytest -n auto
 
 test-costs: $(VENV)/.dev ## measure every test, and write the tiers and docs/testing.md's tables
-	$(BIN)/python tests/costs
+	rm -f $(VENV)/reach.jsonl
+	$(BIN)/python tests/costs --reach $(VENV)/reach.jsonl
 
 mutants: $(VENV)/.dev ## plant faults one at a time and list those that no test notices
-	$(BIN)/python tests/mutants --count $(or $(COUNT),10)
+	$(BIN)/python tests/mutants --count $(or $(COUNT),10) --seed $(or $(SEED),0) --reach $(VENV)/reach.jsonl --tier 'not slow'
 
 clean:
 	rm -rf $(VENV) demo dist site .pytest_cache .mypy_cache .ruff_cache

@@ -39,13 +39,18 @@ def direction(n: int) -> np.ndarray:
     return np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
 
 
-def write(path: Path, square: np.ndarray, seed: int, bias: float = 20.0) -> Path:
+def write(
+    path: Path, square: np.ndarray, seed: int, bias: float = 20.0, *, directed: bool = False
+) -> Path:
     rng = np.random.default_rng(seed)
     force = direction(24)
     matrix = np.eye(3) + 0.01 * rng.standard_normal((3, 3))
     reading = 1000.0 * force @ matrix.T + bias * rng.standard_normal(3) + square * force**2
     reading = reading + rng.standard_normal((24, 3))
-    lines = ["x (mg),y (mg),z (mg)", *(",".join(f"{v:.3f}" for v in row) for row in reading)]
+    table, heading = reading, "x (mg),y (mg),z (mg)"
+    if directed:
+        table, heading = np.hstack([force, reading]), f"ux,uy,uz,{heading}"
+    lines = [heading, *(",".join(f"{v:.9g}" for v in row) for row in table)]
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -89,6 +94,21 @@ def test_each_device_has_its_own_size_with_its_doubt(tmp_path: Path) -> None:
         z += [(p.value - q) / p.sd for p, q in zip(own, truth, strict=True)]
     assert len(z) == 24
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_devices_by_directions_are_a_fleet_too(tmp_path: Path) -> None:
+    """Where each row's direction is known, a device has a mounting too, and squares are found."""
+    paths = [write(tmp_path / f"d{k}.csv", q, 100 + k, directed=True)
+             for k, q in enumerate(squares(4, 6.0))]  # fmt: skip
+    settings = replace(REQUEST.settings, only=("quadratic",))
+    request = replace(REQUEST, reference="direction", settings=settings)
+    found = run_fleet([LabFiles(p) for p in paths], request, RULES, lambda _: None)
+    assert [f.effect for f in found.search.found] == ["quadratic"]
+    for member, truth in zip(found.members, squares(4, 6.0), strict=True):
+        effects = {p.effect for p in member.calibration.parameters}
+        assert effects >= {"mounting", "quadratic"}
+        own = [p for p in member.calibration.parameters if p.effect == "quadratic"]
+        assert all(abs(p.value - q) < 4.5 * p.sd for p, q in zip(own, truth, strict=True))
 
 
 def test_a_clean_fleet_stays_clean(tmp_path: Path) -> None:

@@ -1,42 +1,21 @@
 """Measure every test, decide the tiers, and write docs/testing.md's tables of costs.
 
-python tests/costs [--fast]       --fast: the fast tier alone, tiers stay as they are
-python tests/costs --from FILE    a file of `costs.measuring` instead of a run
+python tests/costs --reach FILE ... [--fast]    records (`reach`), the later ones' word counts; the
+                                                last is measured where it does not exist
+--fast : the fast tier alone is measured, and tiers stay as they are
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from costs.tiers import LIST, chosen, rooms, slow_tier
+from costs.reach import collected, read, record
+from costs.tiers import LIST, SLOW, chosen, rooms, slow_tier
 from testing_page import written
-
-ROOT = Path(__file__).parents[2]
-
-
-def measured(fast: bool) -> dict[str, float]:
-    """Name -> CPU s of a run in one process."""
-    with tempfile.TemporaryDirectory() as folder:
-        costs = Path(folder) / "costs.tsv"
-        path = os.pathsep.join([str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")])
-        env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "IMUCAL_COSTS": str(costs),
-               "PYTHONPATH": path}  # fmt: skip
-        words = ["-p", "costs.measuring", "-m", "not slow" if fast else "", "-q"]
-        subprocess.run([sys.executable, "-m", "pytest", *words], cwd=ROOT, env=env, check=False)
-        return read(costs)
-
-
-def read(path: Path) -> dict[str, float]:
-    """Name -> CPU s of a file of `costs.measuring`."""
-    rows = (line.split("\t") for line in path.read_text(encoding="utf-8").splitlines())
-    return {name.removeprefix("tests/"): float(cost) for cost, name in rows}
 
 
 def tables(costs: Mapping[str, float]) -> str:
@@ -61,13 +40,15 @@ def main() -> None:
     """Run, decide, write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fast", action="store_true")
-    parser.add_argument("--from", dest="file", type=Path)
+    parser.add_argument("--reach", type=Path, nargs="+", required=True)
     options = parser.parse_args()
-    costs = read(options.file) if options.file else measured(options.fast)
+    if not options.reach[-1].exists():
+        record(options.reach[-1], "not slow" if options.fast else "")
+    reach = read(options.reach).known_to(collected(""))
     if not options.fast:
-        head = "# Tests of more than 0.6 CPU s, by `python tests/costs`: of `make test-slow`.\n"
-        LIST.write_text(head + "\n".join(chosen(costs)) + "\n", encoding="utf-8")
-    written("costs", tables(costs))
+        head = f"# Tests of more than {SLOW} CPU s, by `python tests/costs`: of `make test-slow`.\n"
+        LIST.write_text(head + "\n".join(chosen(reach)) + "\n", encoding="utf-8")
+    written("costs", tables({t.removeprefix("tests/"): c for t, c in reach.seconds.items()}))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """The two tiers: `make test` has what a change can break soon, `make test-slow` the rest.
 
-A test that costs more than 0.6 CPU s is of the slow tier. Of a test with many members the cheapest
-stays in the fast one, so that nothing is without a guard there.
+A test that costs more than 0.4 CPU s is of the slow tier, unless it enters functions of the
+package that no quicker one does: the fast tier runs all of the package that a test of seven seconds
+reaches.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 
+from costs.reach import Reach
+
 LIST = Path(__file__).with_name("slow_tier.txt")
-#: CPU seconds beyond which a test is slow, and beyond which even the cheapest member is.
-SLOW, TOO_SLOW = 0.6, 3.0
+#: CPU seconds beyond which a test is slow, and beyond which it is whatever it enters.
+SLOW, TOO_SLOW = 0.4, 7.0
 
 
 def slow_tier() -> frozenset[str]:
@@ -21,13 +24,25 @@ def slow_tier() -> frozenset[str]:
     return frozenset(line for line in lines if line and not line.startswith("#"))
 
 
-def chosen(costs: Mapping[str, float]) -> list[str]:
-    """Names of the tests (name -> CPU s) that belong to the slow tier."""
-    members = defaultdict[str, list[str]](list)
-    for name in sorted(costs, key=lambda n: costs[n]):
-        members[name.partition("[")[0]].append(name)
-    kept = {m[0] for m in members.values() if len(m) > 1 and costs[m[0]] <= TOO_SLOW}
-    return sorted(name for name, cost in costs.items() if cost > SLOW and name not in kept)
+def chosen(reach: Reach) -> list[str]:
+    """Names of the tests that belong to the slow tier, below tests/."""
+    entered = defaultdict[str, set[str]](set)
+    for function, tests in reach.tests.items():
+        for test in tests:
+            entered[test].add(function)
+    slow = {test for test, cost in reach.seconds.items() if cost > SLOW}
+    missing = set(reach.tests) - {f for test in reach.seconds if test not in slow
+                                  for f in entered[test]}  # fmt: skip
+    # The most new functions a second, one test after the other.
+    affordable = sorted(test for test in slow if reach.seconds[test] <= TOO_SLOW)
+    while missing and affordable:
+        best = max(affordable, key=lambda t: len(entered[t] & missing) / reach.seconds[t])
+        if not entered[best] & missing:
+            break
+        missing -= entered[best]
+        slow.remove(best)
+        affordable.remove(best)
+    return sorted(test.removeprefix("tests/") for test in slow)
 
 
 def rooms(costs: Mapping[str, float]) -> dict[str, tuple[int, float]]:

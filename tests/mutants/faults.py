@@ -7,9 +7,9 @@ roots, forgotten negations. Words, types, docstrings and defaults of options are
 from __future__ import annotations
 
 import ast
-import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 _SWAPPED: dict[type[ast.AST], type[ast.AST]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
@@ -29,16 +29,19 @@ class Fault:
     source: str
 
 
-def faults_of(source: str) -> list[Fault]:
-    """Every fault of a module, in the order of its lines."""
+def places(source: str) -> list[int]:
+    """Numbers of a module's faults, for `fault`, in the order of its lines."""
+    lines = [node.lineno for node, _, _ in _sites(ast.parse(source))]
+    return sorted(range(len(lines)), key=lambda k: lines[k])
+
+
+def fault(source: str, number: int) -> Fault:
+    """One fault of a module."""
     tree = ast.parse(source)
-    found = []
-    for k, (node, _, text) in enumerate(_sites(tree)):
-        other = copy.deepcopy(tree)
-        twin, act, _ = next(s for n, s in enumerate(_sites(other)) if n == k)
-        act(twin)
-        found.append(Fault(node.lineno, text, ast.unparse(ast.fix_missing_locations(other))))
-    return sorted(found, key=lambda f: f.line)
+    node, act, text = next(islice(_sites(tree), number, None))
+    line = node.lineno
+    act(node)
+    return Fault(line, text, ast.unparse(ast.fix_missing_locations(tree)))
 
 
 Site = tuple[ast.expr, Callable[[ast.expr], None], str]

@@ -195,6 +195,8 @@ TABLES: dict[str, Make] = {
     "vertical.csv": _angles(lambda i: 90.0 - i, _same),
     "drilling.csv": _angles(lambda i: 90.0 - i, lambda t: t - 180.0),
     "from_x.csv": _angles(_same, lambda t: t - 90.0),
+    "from_minus_x.csv": _angles(_same, lambda t: t + 90.0),
+    "from_minus_y.csv": _angles(_same, lambda t: t + 180.0),
     "counter.csv": _angles(_same, np.negative),
     "turned7.csv": _angles(_same, lambda t: t - 7.0),
     "radians.csv": _angles(np.deg2rad, np.deg2rad),

@@ -7,6 +7,7 @@ provenance keeps of it must differ with the option. How a recording is read is i
 
 from __future__ import annotations
 
+import hashlib
 import re
 from importlib import import_module
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any, NoReturn
 
 import pytest
 
+from imucalib import effects
 from imucalib.cli.calibrating import calibrates
 from imucalib.errors import UnreadableInput
 from options.bench import Bench
@@ -84,3 +86,22 @@ def test_what_changes_a_number_is_in_the_provenance(
     reached = [(without, done) for without, done in kept if done]
     assert reached, "no case of it comes to the work"
     assert all(without != done for without, done in reached), reached
+
+
+@pytest.mark.parametrize("name", [name for name, option in PAIRS if option == "--effects"])
+def test_effects_of_ones_own_are_told_from_others_of_their_names(
+    name: str, bench: Bench, tmp_path: Path
+) -> None:
+    """By the check sum of their file: a changed constant leaves every name as it is."""
+    (case,) = (c for c in cases() if c.command == name and c.option == "--effects")
+    own, out = tmp_path / "own.py", tmp_path / "out"
+    kept = []
+    for extra in ("", "# changed\n"):
+        own.write_text(bench.path("own.py").read_text(encoding="utf-8") + extra, encoding="utf-8")
+        effects._LOADED.clear()
+        told = asked(name, tuple(a.replace("<own.py>", str(own)) for a in case.whole), bench, out)
+        digest = hashlib.sha256(own.read_bytes()).hexdigest()
+        assert told["own_effects"]
+        assert all((e["file"], e["sha256"]) == ("own.py", digest) for e in told["own_effects"])
+        kept.append([e["name"] for e in told["own_effects"]])
+    assert kept[0] == kept[1]

@@ -3,6 +3,7 @@
 from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
@@ -43,3 +44,14 @@ def test_every_sign_comes_back(version: tuple[int, int], form: str) -> None:
     yaml = YAML(typ="safe", pure=True)
     yaml.version = version
     assert yaml.load(StringIO(dump(content))) == content
+
+
+@pytest.mark.parametrize(
+    "value", [np.inf, -np.inf, np.nan, 0.1, -1e22, 1e300, 5e-324, 1e-5, 2.5e-7, 0.0, 123456789.125]
+)
+def test_every_number_comes_back(value: float, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(dump({"value": value}), encoding="utf-8")
+    found = load(path)["value"]
+    assert isinstance(found, float)
+    np.testing.assert_array_equal(found, value)

@@ -205,14 +205,9 @@ def test_filtered_noise_is_noise() -> None:
     assert hit >= 11
 
 
-@pytest.mark.parametrize("most", [0, 1 << 24])
-def test_a_long_recording_in_blocks_keeps_its_rests(
-    most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    values, spans = bench(np.random.default_rng(13), [6.0] * 10)
-    whole = recorded(values)
-    channel = whole.channels["imu0/acceleration"]
-    parts = [
+def in_blocks(values: np.ndarray) -> list[Recording]:
+    channel = recorded(values).channels["imu0/acceleration"]
+    return [
         Recording(
             {"imu0/acceleration": Channel(channel.t[a:b], values[a:b], "m/s2", "acceleration",
                                           "imu0", RATE)},
@@ -220,13 +215,31 @@ def test_a_long_recording_in_blocks_keeps_its_rests(
         )
         for a, b in pairwise(range(0, len(values) + 1, 450))
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("most", [0, 1 << 24])
+def test_a_long_recording_in_blocks_keeps_its_rests(
+    most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values, spans = bench(np.random.default_rng(13), [6.0] * 10)
     monkeypatch.setattr(samples.Samples.__init__, "__defaults__", (most,))
-    found = find_segments(parts)
+    found = find_segments(in_blocks(values))
     assert found.n == len(spans)
     for k, (a, b) in enumerate(spans):
         assert a - 0.06 <= found.start[k] < a + (0.3 if most else 1.1)
         assert b + 0.06 >= found.stop[k] > b - (0.3 if most else 1.1)
     assert any("too long" in note for note in found.notes) == (not most)
+
+
+@pytest.mark.parametrize(("shortest", "rests"), [(3.0, 8), (4.6, 0)])
+def test_a_rest_in_blocks_is_as_long_as_its_windows(
+    shortest: float, rests: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of rests of five seconds half a second at each end is left out; nothing is added for that."""
+    values, _ = bench(np.random.default_rng(15), [5.0] * 8)
+    monkeypatch.setattr(samples.Samples.__init__, "__defaults__", (0,))
+    found = find_segments(in_blocks(values), StillSettings(shortest=shortest))
+    assert found.n == rests
 
 
 def test_a_candidate_tells_its_drift_and_noise() -> None:

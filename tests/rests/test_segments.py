@@ -12,7 +12,7 @@ from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.segments import Segments, StillSettings, find_segments, still_segments
-from worlds.places import DATA
+from worlds.places import DATA, MEASURED, needs_data
 
 RATE, SIGMA = 100.0, 0.02
 
@@ -190,7 +190,7 @@ def attitudes(found: Segments) -> int:
     return 1 + int(np.sum(np.degrees(np.arccos(cosine)) > 5.0))
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="real data folder absent")
+@needs_data
 def test_rests_of_the_xsens_log() -> None:
     counts = FieldMapping(
         acc=("2", "3", "4"),
@@ -205,17 +205,16 @@ def test_rests_of_the_xsens_log() -> None:
     assert np.sum(found.stop - found.start) > 340.0
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="real data folder absent")
-@pytest.mark.parametrize("name", ["imu0.log", "imu1.log"])
+@pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])
 def test_rests_of_the_tumble_logs(name: str) -> None:
     mapping = FieldMapping(
         acc=("1", "2", "3"), gyro=("4", "5", "6"), acc_unit="m/s2", gyro_unit="rad/s", rate=100
     )
-    found = still_segments(read(DATA / "mpu9150_tumble" / name, mapping))
+    found = still_segments(read(MEASURED / name, mapping))
     assert 21 <= found.n <= 24
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="real data folder absent")
+@needs_data
 def test_idle_sleep_that_repeats_the_last_value_is_no_rest() -> None:
     path = DATA / "actigraph" / "read_gt3x_TAS1H30182785_2019-09-17.csv.gz"
     recording = read(path)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from imucalib.readers import blocks, stored_blocks
 from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel
+from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import scan
 from imucalib.rests.windows import WindowBuilder, window_statistics
 
@@ -122,3 +122,20 @@ def test_windows_given_away_stay_when_more_follow() -> None:
     assert np.allclose(whole.mean, mean, rtol=0.0, atol=1e-14)
     assert np.array_equal(whole.mean[: len(kept)], kept)
     assert np.array_equal(whole.first, 10 * np.arange(48))
+
+
+def test_a_scan_tells_what_was_recorded() -> None:
+    """Samples, the rate and the time of the last one, over blocks."""
+    rng = np.random.default_rng(2)
+    t = np.arange(5000) / 50.0
+    values = rng.normal([0.0, 0.0, 9.8], 0.02, (5000, 3))
+    blocks_of = [
+        Recording(
+            {"w/acceleration": Channel(t[part], values[part], "m/s2", "acceleration", "w", 50.0)},
+            "made", "made", "",
+        )
+        for part in (slice(0, 3000), slice(3000, 4999))
+    ]  # fmt: skip
+    found = scan(blocks_of, 10.0)
+    assert (found.samples, found.rate, found.stop) == (4999, 50.0, t[4998])
+    assert (found.triad, len(found.windows.mean), found.gaps) == ("w", 9, 0)

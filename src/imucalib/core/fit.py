@@ -20,7 +20,7 @@ class Fit:
 
     theta, parameters : (p,) values and what they are
     covariance : (p, p) with the noise as estimated; covariance / factor² is the one that the
-        declared noise would give (`declared_covariance`)
+        declared noise would give
     eta : free directions at the solution
     noise, noise_sd : estimated noise, and relative standard deviations of (factor, *sd)
     chi2, dof : Σ(residual/declared σ)² after taking the settings out, and its degrees of freedom
@@ -52,11 +52,6 @@ class Fit:
     @property
     def sd(self) -> Array:
         return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def declared_covariance(self) -> Array:
-        """Covariance if the declared noise is taken at its word (factor 1)."""
-        return self.covariance / self.noise.factor**2
 
     @property
     def condition(self) -> float:

@@ -7,6 +7,7 @@ an entry point of the group "imucal.effects".
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -15,9 +16,12 @@ from imucalib.core.discovery import modules_of
 from imucalib.core.effect import Effect, Family
 from imucalib.effects.contract import checked_effects
 from imucalib.errors import UsageError
+from imucalib.readers.source import sha256_of
 
 #: Effects of files that this process has loaded; a calibration may need them to be applied.
 _LOADED: dict[str, Effect] = {}
+#: Where each of them comes from: the file's name and its SHA-256.
+_FILES: dict[str, tuple[str, str]] = {}
 
 
 def catalogue() -> dict[str, Effect]:
@@ -76,7 +80,15 @@ def load_file(path: Path) -> dict[str, Effect]:
     _add(found, effects, str(path))
     own = {effect.name: effect for effect in effects}
     _LOADED.update(own)
+    _FILES.update(dict.fromkeys(own, (path.name, sha256_of(path))))
     return own
+
+
+def own_effects(own: Mapping[str, Effect]) -> list[dict[str, str]]:
+    """A user's effects as provenance keeps them: name, file and its SHA-256; the last two only
+    where a file was loaded (`load_file`)."""
+    keys = ("file", "sha256")
+    return [{"name": n, **dict(zip(keys, _FILES.get(n, ()), strict=False))} for n in own]
 
 
 def named(name: str) -> Effect:

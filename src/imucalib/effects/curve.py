@@ -20,11 +20,14 @@ def curve(value: str) -> Effect:
     if what not in KINDS or len(rest) != 3:
         raise ValueError(f"'{value}' is no curve")
     low, high, terms = float(rest[0]), float(rest[1]), int(rest[2])
-    terms += terms % 2 if against == "tool_face" else 0
+    around = against == "tool_face"  # a response has axes there
+    terms += terms % 2 if around else 0
     words = Words(
         f"curve@{value}",
         f"{KINDS[what]} against {against.replace('_', ' ')}: a smooth curve without a name.",
-        "y_i = x_i + Σ_k c_k cos(k π u),  u from 0 to 1 over the range",
+        "y_i = x_i + Σ_k a_k sin(k t) + b_k cos(k t)"
+        if around
+        else "y_i = x_i + Σ_k c_k cos(k π u),  u from 0 to 1 over the range",
         "what was found in the data themselves",
         f"Record with {against.replace('_', ' ')} varied on its own, and find the cause.",
         "curve",

@@ -147,8 +147,10 @@ def global_optimum(points: Array, seed: int = 0) -> Array:
     from scipy.optimize import differential_evolution
 
     bounds = [(0.8, 1.2)] * 3 + [(-0.15, 0.15)] * 3 + [(-0.2, 0.2)] * 3
+    # SciPy before 1.15 knows no `rng`, and every one takes a generator as `seed`.
+    chance = np.random.default_rng(seed)
     found = differential_evolution(
-        objective, bounds, args=(points,), rng=seed, tol=1e-10, maxiter=300, popsize=10
+        objective, bounds, args=(points,), seed=chance, tol=1e-10, maxiter=300, popsize=10
     )
     return np.asarray(found.x, np.float64)
 

@@ -28,12 +28,11 @@ from imucalib.loop.held_out import errors, held_out
 from imucalib.report.actigraph.document import actigraph_document
 from imucalib.report.render.text import render_text
 from imucalib.units import MG, STANDARD_GRAVITY
-from worlds.places import DATA
+from worlds.places import DATA, needs_data
 
 Array = NDArray[np.float64]
 FOLDER = DATA / "actigraph"
 TAS = "read_gt3x_TAS1H30182785_2019-09-17"
-needs_data = pytest.mark.skipif(not FOLDER.is_dir(), reason="real recordings are not here")
 G = STANDARD_GRAVITY
 MODEL = Model(tuple(named(name) for name in NINE))
 TYPICAL = np.array([50.0] * 3 + [0.03] * 3 + [0.02] * 3)

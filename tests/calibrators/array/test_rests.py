@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.asked import Asked
+from imucalib.calibrators.array.observations import own_noise
 from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.errors import Undetermined
 from imucalib.rests.segments import Segments
@@ -189,6 +190,20 @@ def _uneven(seed: int, between: float) -> tuple[Segments, Board, Array, Array]:
     segments.mean[:] += between * rng.normal(size=segments.mean.shape)
     noise = np.full((K, 3), SIGMA * 50.0)
     return replace(segments, samples=samples, noise=noise), board, gain, offset
+
+
+def test_a_mean_is_as_good_as_its_samples_are_many_down_to_a_tenth_of_the_usual_noise() -> None:
+    """An axis below its resolution is not free of noise; K axes of unlike noise, in board order."""
+    segments, *_ = simulated(3)
+    noise = np.linspace(1.0, 3.0, 3 * K).reshape(K, 3)
+    noise[1, 2] = 1e-9
+    samples = np.array([100, 400])[np.arange(20) % 2][:, None] * np.ones((1, K), dtype=np.intp)
+    order = [4, 1, 0, 2, 3]
+    found = own_noise(replace(segments, noise=noise, samples=samples), order)
+    expected = noise[order].copy()
+    expected[1, 2] = 0.1 * np.median(noise[order])
+    root = np.where(np.arange(20) % 2, 20.0, 10.0)
+    np.testing.assert_allclose(found, expected / root[:, None, None])
 
 
 def test_a_short_rest_counts_less() -> None:

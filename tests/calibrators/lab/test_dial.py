@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from imucalib.calibrators.lab import dial
 from imucalib.calibrators.lab.calibrate import LabSettings
-from imucalib.calibrators.lab.dial import dial_of_fit, dial_words
+from imucalib.calibrators.lab.dial import Dial, dial_of, dial_of_fit, dial_words
+from imucalib.calibrators.lab.errors import noise_floor
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
+from imucalib.core.context import Context
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownVector
 from worlds.sheets import direction
 
 
@@ -36,3 +42,55 @@ def test_a_dial_that_shows_too_little_is_told_by_how_much(tmp_path: Path) -> Non
     (zero,) = (k for k, p in enumerate(run.result.final.parameters) if p.name.startswith("incl"))
     assert found.sd[1] == pytest.approx(run.result.final.sd[zero], rel=1e-3)
     assert dial_words(run.result).startswith("Inclination on this bench is the dial plus 1.")
+
+
+def test_rivals_share_the_dial_by_their_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two groups of rivals: each replaces its own part by the mixture's mean and its variance by
+    that within and between (the law of total variance)."""
+    own = Dial(np.array([1.0, 2.0]), np.array([0.3, 0.4]), np.array([0.7, 0.9]))
+    others = {
+        "a": Dial(np.array([1.2, 1.0]), np.array([0.5, 0.2]), np.array([1.0, 0.5])),
+        "b": Dial(np.array([0.2, 3.0]), np.array([0.1, 0.6]), np.array([0.3, 1.2])),
+        "c": Dial(np.array([1.5, 2.5]), np.array([0.3, 0.5]), np.array([0.6, 1.1])),
+    }
+    monkeypatch.setattr(dial, "dial_of_fit", lambda fit, at: {"own": own, **others}[fit])
+    weights = {"own": 0.5, "a": 0.3, "b": 0.2}
+    group = [SimpleNamespace(weight=w, fit=name) for name, w in weights.items()]
+    second = [SimpleNamespace(weight=0.6, fit="own"), SimpleNamespace(weight=0.4, fit="c")]
+    result = SimpleNamespace(final="own", rivals=(group, second))
+    found = dial_of(result, np.zeros(2))  # type: ignore[arg-type]
+
+    shift, square, wide = own.shift, own.sd**2, own.half**2
+    for rivals in (group, second):
+        each = [(r.weight, own if r.fit == "own" else others[r.fit]) for r in rivals]
+        mean = sum(w * d.shift for w, d in each)
+        between = sum(w * d.shift**2 for w, d in each) - mean**2
+        shift = shift + (mean - own.shift)
+        square = square + sum(w * d.sd**2 for w, d in each) + between - own.sd**2
+        wide = wide + sum(w * d.half**2 for w, d in each) + 1.96**2 * between - own.half**2
+    np.testing.assert_allclose(found.shift, shift)
+    np.testing.assert_allclose(found.sd, np.sqrt(square))
+    np.testing.assert_allclose(found.half, np.sqrt(wide))
+
+
+def observed(repeats: int, seed: int) -> Observations:
+    """Attitudes taken twice, in mixed order, and 30 that are not; noise of 2, 3 and 6 mm/s²."""
+    rng = np.random.default_rng(seed)
+    n = 2 * repeats + 30
+    place = rng.permutation(np.concatenate([np.tile(np.arange(repeats), 2),
+                                            np.arange(repeats, repeats + 30)]))  # fmt: skip
+    i, t = rng.uniform(-1.2, 1.2, repeats + 30)[place], rng.uniform(0, 6.0, repeats + 30)[place]
+    force = 9.8 * direction(np.degrees(i), np.degrees(t))
+    reading = force + np.array([2e-3, 3e-3, 6e-3]) * rng.normal(size=(n, 3))
+    reading[0] += 5.0  # a wrong row moves no median
+    setting = np.arange(n)
+    reference = KnownVector(i, t, 9.8, setting, setting)
+    names = tuple(map(str, setting))
+    return Observations(reading[:, None], np.ones((n, 1, 3)), reference, Context(n), setting, names)
+
+
+def test_the_floor_is_what_repeated_attitudes_differ_by() -> None:
+    floors = [noise_floor(observed(60, seed), None) for seed in range(6)]
+    assert np.mean(floors) == pytest.approx(7e-3, rel=0.08)
+    assert np.isnan(noise_floor(observed(0, 1), None))
+    assert noise_floor(observed(0, 1), 2e-3) == pytest.approx(np.sqrt(3) * 2e-3)

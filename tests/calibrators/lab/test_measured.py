@@ -16,7 +16,7 @@ from imucalib.calibrators.lab.request import LabRequest, as_published
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG, MG
-from worlds.places import DATA, ROOT, SAMPLES
+from worlds.places import MEASURED, ROOT, SAMPLES
 
 REPAIR = ((10, "y", -58593.0),)
 
@@ -112,11 +112,10 @@ def test_cave_instruments_at_rest(name: str) -> None:
     assert error.final < error.base < 0.1 * error.raw
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the measured data are not here")
-@pytest.mark.parametrize("name", ["imu0.log", "imu1.log"])
+@pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])
 def test_nothing_is_found_where_nothing_holds_out(name: str) -> None:
     mapping = FieldMapping(acc=("1", "2", "3"), acc_unit="m/s2", rate=100.0)
-    files = LabFiles(DATA / "mpu9150_tumble" / name, mapping=mapping)
+    files = LabFiles(MEASURED / name, mapping=mapping)
     run = calibrate_files(files, LabRequest(reference="norm"), lambda text: None)
     assert run.result.loop is not None
     assert run.result.loop.verdict == "nothing missing"

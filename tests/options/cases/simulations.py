@@ -143,6 +143,8 @@ CASES: tuple[Case, ...] = (
     LAB("--recording <out>/rests.csv", _rests_in_order),
     LAB("--layout random", _that(
         lambda a, b: len(set(_table(b)[:, 1])) > len(set(_table(a)[:, 1])))),
+    LAB("--layout rings", _that(
+        lambda a, b: len(set(_table(b)[:, 0])) < len(set(_table(a)[:, 0])))),
     LAB("--positions 15", _that(lambda a, b: len(_table(b)) == 15)),
     LAB("--plant inclination_zero=10", _planted_zero, *QUIET_BENCH),
     LAB("--slip 4:y", _one_sign),

@@ -13,10 +13,9 @@ from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
-from worlds.places import DATA
+from worlds.places import DATA, MEASURED, needs_data
 
 G = STANDARD_GRAVITY
-needs_data = pytest.mark.skipif(not DATA.exists(), reason="real data folder absent")
 
 
 def at_rest(n: int, seed: int = 0) -> np.ndarray:
@@ -547,10 +546,9 @@ def test_real_counts_are_never_taken_for_a_unit() -> None:
         readers.read(DATA / "xsens_mti" / "xsens_acc.txt")
 
 
-@needs_data
 def test_real_headerless_log_asks_for_its_columns() -> None:
     with pytest.raises(UnreadableInput, match="6 columns have no names"):
-        readers.read(DATA / "mpu9150_tumble" / "imu0.log")
+        readers.read(MEASURED / "imu0.log.gz")
 
 
 @pytest.mark.parametrize("stamp", ["{:.2f}", "2024-03-01 12:00:{:05.2f}"])

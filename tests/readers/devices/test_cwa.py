@@ -15,10 +15,9 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers import blocks, read
 from imucalib.units import DEG, STANDARD_GRAVITY
 from worlds.logger_files import ax_file, ax_header, ax_sector
-from worlds.places import DATA
+from worlds.places import MEASURED
 
 START = datetime(2020, 2, 12, 9, 3, 37, tzinfo=UTC)
-MEASURED = DATA / "actigraph" / "skdh_ax3_sample.cwa"
 
 
 def counts(n: int, *, one_g: int = 256, axes: int = 3) -> np.ndarray:
@@ -145,10 +144,9 @@ def test_a_file_of_no_sectors_ends_soon(packed: bool, tmp_path: Path) -> None:
             read(path)
 
 
-@pytest.mark.skipif(not MEASURED.is_file(), reason="the measured data are not here")
 def test_a_measured_file_holds_what_another_reader_found() -> None:
     """Counts and times as scikit-digital-health 0.17.18 reads the same file (its own C code)."""
-    acc = read(MEASURED).channels["imu0/acceleration"]
+    acc = read(MEASURED / "ax3.cwa").channels["imu0/acceleration"]
     raw = np.rint(acc.values / STANDARD_GRAVITY * 256).astype("<i2")
     np.testing.assert_allclose(raw / 256 * STANDARD_GRAVITY, acc.values, rtol=1e-12)
     assert raw[:3].tolist() == [[-24, -52, 244], [-16, -12, 236], [-20, -12, 252]]

@@ -14,11 +14,10 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers import blocks, read
 from imucalib.units import STANDARD_GRAVITY
 from worlds.logger_files import gene_file, gene_page
-from worlds.places import DATA
+from worlds.places import MEASURED
 
 START = datetime(2020, 5, 21, 16, 16, 43, tzinfo=UTC)
 GAIN, OFFSET = np.array([25522.0, 25457.0, 24829.0]), np.array([272.0, -1129.0, 101.0])
-MEASURED = DATA / "actigraph" / "skdh_gnactv_sample.bin"
 
 
 def counts(n: int) -> np.ndarray:
@@ -96,10 +95,9 @@ def test_a_file_without_pages_ends_soon(tmp_path: Path) -> None:
         read(saved(tmp_path, b"Device Identity\n" + bytes(40 << 20)))
 
 
-@pytest.mark.skipif(not MEASURED.is_file(), reason="the measured data are not here")
 def test_a_measured_file_holds_what_another_reader_found() -> None:
     """Values and times as scikit-digital-health 0.17.18 reads the same file (its own C code)."""
-    found = read(MEASURED)
+    found = read(MEASURED / "geneactiv.bin")
     acc = found.channels["imu0/acceleration"]
     g = acc.values / STANDARD_GRAVITY
     first = [[-0.88049526, 0.19754881, 0.04023521], [-0.82172244, 0.24075893, 0.0724556]]

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers import blocks, read
 from imucalib.units import STANDARD_GRAVITY
-from worlds.places import DATA
+from worlds.places import DATA, needs_data
 
 FOLDER = DATA / "actigraph"
 START = 1_600_000_000
@@ -126,7 +126,7 @@ def test_a_flipped_bit_is_no_traceback(tmp_path: Path, at: float, bit: int) -> N
         read(path)
 
 
-@pytest.mark.skipif(not FOLDER.is_dir(), reason="the measured data are not here")
+@needs_data
 def test_the_makers_own_csv_of_the_same_recording() -> None:
     name = "read_gt3x_TAS1H30182785_2019-09-17"
     recording = read(FOLDER / f"{name}.gt3x")

@@ -14,7 +14,7 @@ from imucalib.readers.devices.idle_sleep import without_repeats
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import STANDARD_GRAVITY
-from worlds.places import DATA
+from worlds.places import DATA, needs_data
 
 FOLDER = DATA / "actigraph"
 TAS = "read_gt3x_TAS1H30182785_2019-09-17"
@@ -101,7 +101,7 @@ def test_a_window_that_is_frozen_in_part_is_not_at_rest() -> None:
     assert runs.windows.tolist() == [2, 2]
 
 
-@pytest.mark.skipif(not FOLDER.is_dir(), reason="real recordings are not here")
+@needs_data
 def test_a_recording_and_its_export_hold_the_same_rests() -> None:
     raw, table = (FOLDER / f"{TAS}{suffix}" for suffix in (".gt3x", ".csv.gz"))
     one, two = read(raw).channels, read(table).channels

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,8 @@ from imucalib.readers.mcap.scan import Scanner
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from worlds.mcap_logs import START, imu_log, readings, same_bits, values, write_log
-from worlds.places import DATA
+from worlds.places import MEASURED
 
-CONFORMANCE = DATA / "mcap_conformance"
 COMPRESSIONS = [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD]
 Message = tuple[int, int, int, int, bytes]
 
@@ -66,10 +66,11 @@ def len_of(path: Path, end: int) -> int:
     raise AssertionError
 
 
-@pytest.mark.skipif(not CONFORMANCE.exists(), reason="the real data folder is absent")
-def test_conformance_suite() -> None:
+def test_conformance_suite(tmp_path: Path) -> None:
+    with tarfile.open(MEASURED / "mcap_conformance.tar.xz") as packed:
+        packed.extractall(tmp_path, filter="data")
     seen = 0
-    for expected in sorted(CONFORMANCE.rglob("*.json")):
+    for expected in sorted(tmp_path.rglob("*.json")):
         records = json.loads(expected.read_text())["records"]
         fields = [dict(r["fields"]) for r in records if r["type"] == "Message"]
         names = ("channel_id", "sequence", "log_time", "publish_time")

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from imucalib.core.effect import Effect
+from imucalib.effects import own_effects
 from imucalib.loop.found import LoopSettings
 from imucalib.units import STANDARD_GRAVITY
 
@@ -54,7 +55,7 @@ class ActigraphRequest:
             "declare": list(self.declare),
             "only": list(self.only),
             "without": list(self.without),
-            "own_effects": list(self.extra_effects),
+            "own_effects": own_effects(self.extra_effects),
             "loop": self.loop,
             "blocks": self.blocks,
             "alpha": self.rules.alpha,

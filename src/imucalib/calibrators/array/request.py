@@ -13,6 +13,7 @@ from imucalib.calibrators.array.estimate.total import Distance
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.moving import GyroCovariance
 from imucalib.core.effect import Effect
+from imucalib.effects import own_effects
 from imucalib.estimators.array.problem import MotionPrior
 from imucalib.estimators.markov.hmc import Stop
 from imucalib.rests.stillness import StillSettings
@@ -80,7 +81,7 @@ class ArrayRequest:
             "declare": list(self.asked.declare),
             "only": list(self.asked.only),
             "without": list(self.asked.without),
-            "own_effects": list(self.extra_effects),
+            "own_effects": own_effects(self.extra_effects),
             "loop": self.loop,
             "curves": self.curves,
             "accepted": {

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.repairs import Repairs
+from imucalib.effects import own_effects
 from imucalib.rests.stillness import StillSettings
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -48,7 +49,7 @@ class LabRequest:
             "declare": list(settings.declare),
             "only": list(settings.only),
             "without": list(settings.without),
-            "own_effects": list(settings.extra_effects),
+            "own_effects": own_effects(settings.extra_effects),
             "fleet_sha256": settings.population.sha256 if settings.population else None,
             "loop": settings.loop,
             "curves": settings.rules.curves,

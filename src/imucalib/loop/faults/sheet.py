@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
-from imucalib.units import DEG, MG
+from imucalib.units import DEG
 
 #: Dial angles (deg) to inclination and tool-face in rad, each angle on its own.
 Inside = Callable[[Array, Array], tuple[Array, Array]]
@@ -94,8 +94,3 @@ def in_order(inclination: Array, tool_face: Array, draws: int = 199) -> bool:
     rng = np.random.default_rng(0)
     shuffled = min(way(rng.permutation(len(u))) for _ in range(draws))
     return way(np.arange(len(u))) < shuffled
-
-
-def milli_g(reading: Array) -> Array:
-    """Readings in m/s² as mg."""
-    return reading / MG

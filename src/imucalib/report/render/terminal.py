@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Iterable
 
 from rich.cells import cell_len, set_cell_size
 
@@ -31,13 +30,6 @@ def clipped(text: str, width: int) -> str:
     if cell_len(text) <= width:
         return text
     return set_cell_size(text, max(width - 1, 0)).rstrip() + "…" if width > 0 else ""
-
-
-def clipped_all(texts: Iterable[str], width: int) -> list[str]:
-    """The texts on one line each, cut to `width` cells and filled to the widest of them."""
-    short = [clipped(one_line(text), width) for text in texts]
-    widest = max((cell_len(text) for text in short), default=0)
-    return [set_cell_size(text, widest) for text in short]
 
 
 def wrapped(text: str, width: int) -> list[str]:

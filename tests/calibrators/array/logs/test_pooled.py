@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag, null_space
+from scipy.optimize import minimize_scalar
+from scipy.stats import multivariate_normal
 
 from imucalib.calibrators.array.logs.pooled import Pooled, between_logs, pooled
 
@@ -56,3 +59,30 @@ def test_errors_and_predictions_are_what_is_stated(tau: float) -> None:
 def test_numbers_without_a_stated_error_are_pooled_by_their_scatter() -> None:
     values = np.random.default_rng(2).normal(size=(6, 60))
     assert between_logs(values, np.zeros((6, 60, 60))) == pytest.approx(1.0, rel=0.15)
+
+
+@pytest.mark.parametrize("tau", [0.2, 3.0])
+def test_tau_is_the_maximum_of_the_restricted_likelihood(tau: float) -> None:
+    """By its definition: the density of the contrasts that no common mean moves."""
+    rng = np.random.default_rng(3)
+    n, d = 6, 3
+    spread = 0.01 * covariances(rng, n, d)
+    values = rng.multivariate_normal(np.zeros(d), 0.01 * np.eye(d), n) + tau * rng.normal(
+        size=(n, d)
+    )
+    contrasts = null_space(np.tile(np.eye(d), n))
+
+    def density(x: float) -> float:
+        whole = contrasts.T @ (block_diag(*spread) + np.exp(2 * x) * np.eye(n * d)) @ contrasts
+        return float(multivariate_normal(cov=whole).logpdf(contrasts.T @ values.ravel()))
+
+    best = minimize_scalar(lambda x: -density(x), bounds=(-3, 3), method="bounded")
+    assert between_logs(values, spread) == pytest.approx(np.exp(best.x), rel=1e-3)
+
+
+def test_the_deviation_of_a_new_log_has_three_parts() -> None:
+    """Its own, what differs from log to log, and what the pooled mean does not know."""
+    found, _ = logs(1, 5, 2.0, d=4)
+    assert found.tau > 1.0
+    own = np.diag([1.0, 2.0, 3.0, 4.0])
+    assert found.new(own) == pytest.approx(own + found.tau**2 * np.eye(4) + found.covariance)

@@ -48,10 +48,6 @@ class Search(Searched):
     null: Array
     impact: dict[str, float]
 
-    def p_of(self, evidence: float) -> float:
-        """Family-wise chance of an evidence, by the simulated data."""
-        return float((1 + (self.null >= evidence).sum()) / (len(self.null) + 1))
-
     def held_out(self, name: str) -> tuple[float, float]:
         """Nats that each half gains when the other has estimated the candidate and its size."""
         halves = [half[name] for half in self.halves]

@@ -1,0 +1,52 @@
+"""What stays of a search that was repeated without each block of time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from imucalib.loop.difference import Difference
+from imucalib.loop.found import Step
+from imucalib.loop.wander.confirm import _doubt
+
+LIKELY = Difference(2.0, 1.0, -0.1, 1.5, 0.1, 10, nats=4.0, nats_low=1.0)
+NOT = replace(LIKELY, plain_low=-0.1, nats_low=-0.1)
+
+
+def doubt(timed: bool, again: int, evidence: float, gained: Difference) -> str:
+    """Of an effect with an alias that is found again, under either name, in some of ten."""
+    step = Step("bias_step@3600s", 0.01, 99, evidence, (), ("thermal_lag@2h",))
+    names = [{"cubic", "bias_step"}, {"thermal_lag"}]
+    found = [names[k % 2] if k < again else {"cubic"} for k in range(10)]
+    taken = SimpleNamespace(
+        found=SimpleNamespace(entry=SimpleNamespace(timed=timed), evidence=evidence)
+    )
+    each = SimpleNamespace(found=found)
+    return _doubt(taken, step, 9.0, each, gained)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("timed", "again", "stays"),
+    [(False, 5, True), (False, 4, False), (True, 8, True), (True, 7, False)],
+)
+def test_half_of_the_searches_find_it_again_and_most_what_time_drives(
+    timed: bool, again: int, stays: bool
+) -> None:
+    found = doubt(timed, again, 50.0, LIKELY)
+    assert (found == "") == stays
+    assert (f"found again in {again} of 10" in found) == (not stays)
+
+
+@pytest.mark.parametrize(
+    ("timed", "evidence", "stays"),
+    [(False, 13.6, True), (False, 13.4, False), (True, 50.0, False)],
+)
+def test_without_a_likely_gain_it_is_half_above_the_bar_and_not_of_time(
+    timed: bool, evidence: float, stays: bool
+) -> None:
+    """The bar is nine nats."""
+    found = doubt(timed, 10, evidence, NOT)
+    assert (found == "") == stays
+    assert ("gains +4.0 nats there, at least -0.1" in found) == (not stays)

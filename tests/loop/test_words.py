@@ -1,0 +1,117 @@
+"""The words of a search follow from its numbers: each from both sides of where it changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from imucalib.loop.difference import Difference, difference, with_density
+from imucalib.loop.found import Loop, Step, Unexplained, Wander
+from imucalib.loop.record_errors import RecordError
+
+STEP = Step("cubic", 0.001, 999, 9.0, (), ())
+CURVE = replace(STEP, effect="curve@bias:order:0:1:4", curve=True)
+RECORD = RecordError(3, "row 4", "y", 100.0, 3.0, "mg", "lost sign of y", (), 0.001, 50.0)
+LEFT = Unexplained("a", "order", "bias", 0.001, 9.0, 0.2)
+SURE = Difference(2.0, 1.0, 0.5, 1.5, 0.6, 20)
+UNSURE = replace(SURE, low=-0.1)
+
+
+@pytest.mark.parametrize(
+    ("step", "certain"),
+    [
+        (replace(STEP, p=0.01), True),  # once in a hundred searches by chance
+        (replace(STEP, p=0.011), False),
+        (replace(STEP, aliases=("quadratic",)), False),
+        (CURVE, False),
+        (replace(STEP, effect="shape@bias:order:sine:0.4"), False),
+    ],
+)
+def test_an_effect_is_certain_without_a_rival_and_beyond_chance(step: Step, certain: bool) -> None:
+    assert step.certain == certain
+
+
+@pytest.mark.parametrize(
+    ("loop", "word"),
+    [
+        (Loop(0, 1), "nothing missing"),
+        (Loop(0, 1, steps=(STEP,), difference=SURE), "explained"),
+        (Loop(0, 1, steps=(STEP,)), "explained"),  # nothing was left out, as declared effects
+        (Loop(0, 1, steps=(STEP,), difference=UNSURE), "suspected"),
+        (Loop(0, 1, steps=(STEP, CURVE), difference=SURE), "explained in part"),
+        (Loop(0, 1, steps=(STEP,), unexplained=(LEFT,), difference=SURE), "explained in part"),
+        (Loop(0, 1, steps=(CURVE,), difference=SURE), "unexplained"),
+        (Loop(0, 1, unexplained=(LEFT,)), "unexplained"),
+        (Loop(0, 1, records=(RECORD,)), "explained"),
+        (Loop(0, 1, records=(replace(RECORD, evidence=10.1),)), "explained"),  # odds of e^10
+        (Loop(0, 1, records=(replace(RECORD, evidence=9.9),)), "suspected"),
+        (Loop(0, 1, records=(RECORD, replace(RECORD, evidence=9.9))), "suspected"),
+        (Loop(0, 1, records=(RECORD,), unexplained=(LEFT,)), "explained in part"),
+    ],
+)
+def test_the_verdict(loop: Loop[int], word: str) -> None:
+    assert loop.verdict == word
+
+
+@pytest.mark.parametrize(
+    ("evidence", "size", "counts"), [(5.1, 1.1, True), (4.9, 1.1, False), (5.1, 0.9, False)]
+)
+def test_a_walk_counts_beyond_five_nats_and_the_scatter(
+    evidence: float, size: float, counts: bool
+) -> None:
+    assert Wander(size, 2.0, 1.0, evidence).counts == counts
+
+
+@pytest.mark.parametrize(
+    ("found", "proved", "likely", "holds"),
+    [
+        (SURE, True, True, True),
+        (UNSURE, False, True, True),
+        (replace(UNSURE, plain_low=-0.1), False, False, True),
+        (replace(UNSURE, after=2.1, plain_low=-0.3), False, False, False),
+        (replace(SURE, nats=-0.1, nats_low=-2.0), False, True, True),
+        (replace(SURE, nats=0.1, nats_low=-2.0), True, True, True),
+        # Where a density decides, only a loss of a nat refutes, and no single surprised fold.
+        (replace(UNSURE, nats=3.0, nats_low=0.1, by_density=True), True, True, True),
+        (replace(UNSURE, nats=3.0, nats_low=-0.1, by_density=True), False, True, True),
+        (replace(UNSURE, nats=3.0, nats_low=0.1), False, True, True),
+        (replace(UNSURE, nats=-0.9, nats_low=-1.0, plain_low=-1.0, by_density=True),
+         False, False, True),
+        (replace(UNSURE, nats=-1.1, nats_low=-1.2, plain_low=-1.0, by_density=True),
+         False, False, False),
+        (replace(UNSURE, nats=-1.1, nats_low=-3.0, plain_low=0.1, by_density=True),
+         False, True, True),
+    ],
+)  # fmt: skip
+def test_what_a_gain_allows_to_say(
+    found: Difference, proved: bool, likely: bool, holds: bool
+) -> None:
+    assert (found.proved, found.likely, found.holds) == (proved, likely, holds)
+
+
+@pytest.mark.parametrize("metric", ["mean", "rms"])
+def test_the_interval_of_a_gain_is_students_over_the_parts(metric: str) -> None:
+    """Parts of equal size, of five folds: widened by sqrt(1 + 5 / 4). Of an rms the interval of the
+    mean squares, divided by the sum of both roots."""
+    rng = np.random.default_rng(1)
+    before, after = np.abs(rng.normal(2.0, 0.5, (12, 3))), np.abs(rng.normal(1.5, 0.5, (12, 3)))
+    found = difference(before.ravel(), after.ravel(), np.repeat(np.arange(12), 3), 5, metric)  # type: ignore[arg-type]
+    power = 1 if metric == "mean" else 2
+    each = np.mean(before**power - after**power, axis=1)
+    start, end = (np.mean(e**power) ** (1 / power) for e in (before, after))
+    unit = 1.0 if metric == "mean" else start + end
+    half = student.ppf(0.975, 11) * np.std(each, ddof=1) / np.sqrt(12)
+    assert (found.before, found.after, found.parts) == pytest.approx((start, end, 12))
+    edges = [each.mean() - np.sqrt(2.25) * half, each.mean() + np.sqrt(2.25) * half]
+    assert [found.low, found.high] == pytest.approx([e / unit for e in edges])
+    assert found.plain_low == pytest.approx((each.mean() - half) / unit)
+
+
+def test_the_gain_in_density_has_students_lower_edge() -> None:
+    nats = np.array([1.0, 3.0, -0.5, 2.0, 2.5])
+    found = with_density(SURE, nats, decides=True)
+    edge = 8.0 - student.ppf(0.975, 4) * np.std(nats, ddof=1) * np.sqrt(5)
+    assert (found.nats, found.nats_low, found.by_density) == pytest.approx((8.0, edge, True))

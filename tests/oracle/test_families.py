@@ -1,0 +1,197 @@
+"""Members of families (curves, forms, steps, lags) against their printed equations, written a
+second time with numpy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from imucalib.core.context import Context
+from imucalib.core.truth import Truth
+from imucalib.effects import families, named
+from imucalib.effects.shape import FORMS
+from imucalib.units import DEG, MG, STANDARD_GRAVITY
+
+N = 60
+#: kind -> (equation as printed, the columns that its sizes multiply, of u and the form's numbers).
+FORMULAS: dict[str, tuple[str, Callable[..., list[np.ndarray]]]] = {
+    "sine": (
+        "a sin(2π u / P) + b cos(2π u / P), P = {0}",
+        lambda u, p: [np.sin(2 * np.pi * u / p), np.cos(2 * np.pi * u / p)],
+    ),
+    "power": ("a ((u - {1}) / {2})^{0}", lambda u, n, m, r: [((u - m) / r) ** n]),
+    "kink": ("a |u - {0}|", lambda u, c: [np.where(u < c, c - u, u - c)]),
+    "step": ("a [u >= {0}]", lambda u, c: [np.where(u < c, 0.0, 1.0)]),
+    "saturation": (
+        "a sign(u) max(|u| - {0}, 0) / (1 - {0})",
+        lambda u, c: [np.select([u > c, u < -c], [u - c, u + c], 0.0) / (1 - c)],
+    ),
+    "soft_saturation": (
+        "a sign(u) max(|u| - {0}, 0)² / (1 - {0})²",
+        lambda u, c: [np.select([u > c, u < -c], [(u - c) ** 2, -((u + c) ** 2)]) / (1 - c) ** 2],
+    ),
+    "saw_tooth": (
+        "a ((u / {0} + {1}) mod 1 - 1/2)",
+        lambda u, p, s: [u / p + s - np.floor(u / p + s) - 0.5],
+    ),
+    "exponential": ("a exp(-(u - {1}) / {0})", lambda u, s, m: [np.exp(-(u - m) / s)]),
+}
+#: kind -> numbers of a form of an axis' input in g, and of one of a temperature in °C.
+NUMBERS = {
+    "sine": ("0.7", "9"), "power": ("4:0.1:0.8", "3:25:15"), "kink": ("0.3", "22"),
+    "step": ("0.2", "24"), "saturation": ("0.6", ""), "soft_saturation": ("0.4", ""),
+    "saw_tooth": ("0.3:0.1", "7:0.2"), "exponential": ("0.4:-1", "8:12"),
+}  # fmt: skip
+
+
+def world(seed: int = 3) -> tuple[np.ndarray, Context]:
+    """Specific force (N, 3) in g, and what goes with it."""
+    rng = np.random.default_rng(seed)
+    covariates = {
+        "temperature": rng.uniform(10, 40, N), "order": rng.uniform(0, 1, N),
+        "time": np.arange(N) * 60.0, "record": np.arange(float(N)),
+        "tool_face": rng.uniform(0, 2 * np.pi, N), "inclination": rng.uniform(-1.5, 1.5, N),
+        "temperature_lag_2h": rng.uniform(10, 40, N),
+    }  # fmt: skip
+    return rng.uniform(-1.0, 1.0, (N, 3)), Context(N, covariates)
+
+
+def added(name: str, theta: np.ndarray, force: np.ndarray, context: Context) -> np.ndarray:
+    """What an effect adds, (N, 3) in g."""
+    truth = Truth(STANDARD_GRAVITY * force[:, None])
+    return named(name).act(theta, truth, context).delta[:, 0] / STANDARD_GRAVITY
+
+
+def test_every_form_stands_here_as_it_is_printed() -> None:
+    assert {kind: equation for kind, (_, equation, _) in FORMS.items()} == {
+        kind: equation for kind, (equation, _) in FORMULAS.items()
+    }
+
+
+@pytest.mark.parametrize("kind", FORMS)
+def test_a_form_of_the_input(kind: str) -> None:
+    force, context = world()
+    name = f"shape@response:xz:{kind}:{NUMBERS[kind][0]}"
+    theta = np.random.default_rng(4).normal(size=len(named(name).parameters(context)))
+    numbers = [float(n) for n in NUMBERS[kind][0].split(":")]
+    expected = np.zeros_like(force)
+    for axis, sizes in zip((0, 2), np.split(theta, 2), strict=True):
+        columns = FORMULAS[kind][1](force[:, axis], *numbers)
+        expected[:, axis] = 1e-3 * sum(s * c for s, c in zip(sizes, columns, strict=True))
+    np.testing.assert_allclose(added(name, theta, force, context), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", FORMS)
+def test_the_slope_of_a_form_is_its_difference(kind: str) -> None:
+    """By the input, where neither end of the difference is beyond a corner."""
+    force, context = world()
+    effect = named(f"shape@response:xyz:{kind}:{NUMBERS[kind][0]}")
+    theta = np.random.default_rng(7).normal(size=len(effect.parameters(context)))
+
+    def delta(off: float) -> np.ndarray:
+        truth = Truth(STANDARD_GRAVITY * (force + off)[:, None])
+        return effect.act(theta, truth, context).delta[:, 0] / STANDARD_GRAVITY
+
+    slope = effect.act(theta, Truth(STANDARD_GRAVITY * force[:, None]), context).d_x[:, 0]
+    assert np.count_nonzero(slope - slope * np.eye(3)) == 0
+    numeric = (delta(1e-6) - delta(-1e-6)) / 2e-6
+    smooth = np.abs(delta(2e-6) - 2 * delta(0.0) + delta(-2e-6)) < 1e-11
+    assert smooth.mean() > 0.9
+    np.testing.assert_allclose(slope[:, range(3), range(3)][smooth], numeric[smooth], atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FORMS if NUMBERS[kind][1]])
+def test_a_form_of_the_temperature(kind: str) -> None:
+    force, context = world()
+    name = f"shape@bias:temperature:{kind}:{NUMBERS[kind][1]}"
+    theta = np.random.default_rng(5).normal(size=len(named(name).parameters(context)))
+    numbers = [float(n) for n in NUMBERS[kind][1].split(":")]
+    columns = FORMULAS[kind][1](context["temperature"], *numbers)
+    expected = 1e-3 * np.stack(columns, axis=1) @ theta.reshape(3, -1).T
+    np.testing.assert_allclose(added(name, theta, force, context), expected, atol=1e-12)
+
+
+def test_a_form_of_an_angle_is_in_degrees() -> None:
+    """Tool-face read too small by 0.3 deg sin(2π t / 120°) + 0.2 deg cos(...): gravity turns by
+    it about the tool's axis. See the convention of tool_face_zero for the sense."""
+    force, context = world()
+    theta = np.array([0.3, 0.2])
+    phase = 2 * np.pi * np.degrees(context["tool_face"]) / 120.0
+    angle = DEG * (0.3 * np.sin(phase) + 0.2 * np.cos(phase))
+    plain = np.stack([added("tool_face_zero", np.array([a / DEG]), force, context)[k]
+                      for k, a in enumerate(angle)])  # fmt: skip
+    got = added("shape@tool_face:tool_face:sine:120", theta, force, context)
+    np.testing.assert_allclose(got, plain, atol=1e-12)
+
+
+def test_a_curve_of_the_input_is_cosines_over_its_range() -> None:
+    """u from 0 at -1.06 g to 1 at 1.06 g; the constant and the line are the base's."""
+    force, context = world()
+    theta = np.array([2.0, -1.0, 0.5])
+    u = (force[:, 1] / 1.06 + 1.0) / 2.0
+    expected = np.zeros_like(force)
+    expected[:, 1] = 1e-3 * sum(c * np.cos(k * np.pi * u) for k, c in enumerate(theta, 2))
+    got = added("curve@response:y:-1:1:3", theta, force, context)
+    np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+def test_a_curve_of_a_covariate_keeps_its_edge() -> None:
+    """u from 0 to 1 over the recorded range, 15 to 30 °C; outside as at its ends."""
+    force, context = world()
+    theta = np.array([1.0, 2.0, 0.0, 0.0, -3.0, 0.5])
+    u = np.clip((context["temperature"] - 15.0) / 15.0, 0.0, 1.0)
+    columns = np.stack([np.cos(np.pi * u), np.cos(2 * np.pi * u)], axis=1)
+    got = added("curve@bias:temperature:15:30:2", theta, force, context)
+    np.testing.assert_allclose(got, 1e-3 * columns @ theta.reshape(3, 2).T, atol=1e-12)
+
+
+def test_a_curve_of_the_tool_face_closes() -> None:
+    """Sines and cosines of whole turns, as its equation says; an odd count is made even."""
+    force, context = world()
+    t = context["tool_face"]
+    theta = np.random.default_rng(6).normal(size=12)
+    columns = np.stack([np.sin(t), np.sin(2 * t), np.cos(t), np.cos(2 * t)], axis=1)
+    for terms in (3, 4):
+        effect = named(f"curve@bias:tool_face:0:6.2832:{terms}")
+        assert effect.equation == "y_i = x_i + Σ_k a_k sin(k t) + b_k cos(k t)"
+        got = effect.act(theta, Truth(STANDARD_GRAVITY * force[:, None]), context).delta[:, 0]
+        np.testing.assert_allclose(got / MG, columns @ theta.reshape(3, 4).T, atol=1e-9)
+
+
+def test_a_lag_follows_the_late_temperature() -> None:
+    force, context = world()
+    theta = np.array([0.5, -1.0, 2.0])
+    expected = 1e-3 * theta * (context["temperature_lag_2h"] - 25.0)[:, None]
+    np.testing.assert_allclose(added("thermal_lag@2h", theta, force, context), expected, atol=1e-12)
+
+
+def test_a_step_comes_at_its_time() -> None:
+    """From 1200 s on; the reading taken in that second is behind it."""
+    force, context = world()
+    theta = np.array([0.5, -1.0, 2.0])
+    expected = np.where(np.arange(N)[:, None] >= 20, 1e-3 * theta, 0.0)
+    np.testing.assert_allclose(added("bias_step@1200s", theta, force, context), expected)
+
+
+def test_a_step_in_time_is_tried_between_twelve_readings_and_twelve() -> None:
+    """Forty readings a minute apart: from behind the 12th to before the 29th."""
+    tried = families()["bias_step"].values(Context(40, {"time": 60.0 * np.arange(40)}))
+    assert tried == tuple(f"{60 * k - 30}s" for k in range(12, 29))
+    assert families()["bias_step"].values(Context(24, {"time": 60.0 * np.arange(24)})) == ()
+    assert len(families()["bias_step"].values(Context(25, {"time": np.arange(25.0)}))) == 2
+
+
+def test_the_neighbours_of_a_step_are_tried_after_it() -> None:
+    """Of many times 48 are tried at first; those between the best and its neighbours come after."""
+    context = Context(1000, {"time": 60.0 * np.arange(1000)})
+    family = families()["bias_step"]
+    first = [float(v[:-1]) for v in family.values(context)]
+    assert len(first) == 48
+    for k in (0, 20, 47):
+        near = {float(v[:-1]) for v in family.nearby(context, f"{first[k]:.10g}s")}
+        assert first[k] in near
+        for other in first[max(0, k - 1) : k + 2]:
+            between = np.arange(min(first[k], other), max(first[k], other) + 1.0, 60.0)
+            assert near.issuperset(between)
