@@ -8,12 +8,14 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.terms import typical_of
 from imucalib.calibrators.array.loop.worth import size_in_words
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.units import DEG
 
 _NOISY = 2.0  # times the others' noise
+_COUNTS = 0.5  # of an effect's typical size, from which it asks for something to be done
 #: What to do about an effect that one IMU alone has.
 _TO_DO = {
     "flexing": "it gives way to the force: fasten it, or stiffen the board there",
@@ -40,7 +42,9 @@ def advice(loop: MotionLoop, rests: RestFit) -> tuple[str, ...]:
 def _alone(loop: MotionLoop) -> Iterator[str]:
     for term in loop.final.found:
         effect, at, imu = term.name.partition("@")
-        if at and effect in _TO_DO:
+        typical = typical_of(term.effect, len(term.theta))
+        counts = float(np.sqrt(np.mean((term.theta / typical) ** 2))) >= _COUNTS
+        if at and effect in _TO_DO and counts:
             size = size_in_words(loop.final, term)
             yield f"{imu} alone has {effect} ({size}): {_TO_DO[effect]}. It is corrected here."
 
