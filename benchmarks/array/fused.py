@@ -98,6 +98,15 @@ def halves(found: Survey, stretch: Stretch, fused: Fused) -> None:
         print(f"| {name} | {mad(off[0][rows]) / 2:.4f} | {mad(off[1][rows]) / 2 / DEG:.1f} | "
               f"{mad(off[2][rows]) / 2 / DEG:.4f} | {chip / np.sqrt(8.0):.4f} | "
               f"{z[0]:.2f}, {z[1]:.2f}, {z[2]:.2f} |", flush=True)  # fmt: skip
+    rows, late = moving(fused), delay_of(found)
+    asked = off[2][rows] - late * off[1][rows]
+    print(f"| motion, when the gyros read | | | {mad(asked) / 2 / DEG:.4f} | | |", flush=True)
+
+
+def delay_of(found: Survey) -> float:
+    """s, by which all gyros are late."""
+    late = found.instrument.beyond.late(np.zeros(1), None)
+    return 0.0 if late is None else -float(np.mean(late[0, :, range(3), range(3)]))
 
 
 def beyond(found: Survey, stretch: Stretch, fused: Fused, limit: float) -> None:

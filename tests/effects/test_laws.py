@@ -52,7 +52,7 @@ EFFECTS: dict[str, Effect] = {
 }
 UNITS = {
     "mg", "deg", "1", "mg/g", "mg/g2", "mg/g3", "mg/degC", "mg/g/degC", "deg per 90 deg",
-    "%", "mm", "ms", "deg/s", "deg/s/g",
+    "%", "mm", "mm/g", "ms", "deg/s", "deg/s/g",
 }  # fmt: skip
 #: What a sensor at rest can show; the others need an array's motion.
 AT_REST = {

@@ -65,6 +65,22 @@ def _elements(p: Array, k: Known) -> Array:
     return out
 
 
+def _swung(d: Array, k: Known) -> Array:
+    w = np.deg2rad(k["ω"])
+    return np.asarray(k["a"] + (np.cross(w, np.cross(w, d)) + np.cross(k["spin"], d)) / 9.80665)
+
+
+def _flexing(p: Array, k: Known) -> Array:
+    xx, yy, zz, xy, xz, yz = p
+    c = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return _swung(k["a"] @ c, k)
+
+
+def _flung(p: Array, k: Known) -> Array:
+    square = np.sum(k["ω"] ** 2, axis=1, keepdims=True) / 1e6
+    return _swung(square * p, k)
+
+
 def _across(p: Array, k: Known) -> Array:
     e = np.deg2rad(p[0])
     return np.asarray(k["x"] * np.cos(e) + inclination_axis(k["t"]) * np.sin(e))
@@ -89,6 +105,9 @@ BY_HAND: dict[str, tuple[str, Callable[[Array, Known], Array]]] = {
     "gyro_frame": ("y = (I + F) ω, F the same for all, trace F = 0", _frame),
     "sensing_elements": (
         "y_i = a_i + (ω × (ω × d_i) + dω/dt × d_i)_i,  d_i the same in all packages", _elements),
+    "flexing": ("y = a + ω × (ω × d) + dω/dt × d,  d = C a, C symmetric", _flexing),
+    "moved_by_rate": (
+        "y = a + ω × (ω × d) + dω/dt × d,  d = c (|ω| / 1000 deg/s)²", _flung),
     "gyro_delay": (
         "y(t) = ω(t - τ)", lambda p, k: k["ω"] - p[0] * np.rad2deg(k["spin"])),
     "gyro_delay_each": (

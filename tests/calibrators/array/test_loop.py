@@ -190,9 +190,13 @@ def test_the_catalogue_knows_the_chip_axes() -> None:
 def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
     data = corrected_samples(clean.final)
     assert data.samples == len(clean.final.setup.inner)
-    assert linear_part(clean).gyro_gain == pytest.approx(np.broadcast_to(np.eye(3), (8, 3, 3)))
+    assert linear_part(clean.final).gyro_gain == pytest.approx(
+        np.broadcast_to(np.eye(3), (8, 3, 3))
+    )
     found = closed(planted_log("gyro scale of each IMU, 2 %", 2)[0], 150)
-    assert np.abs(linear_part(found).gyro_gain - np.eye(3)).max() == pytest.approx(0.045, abs=0.03)
+    assert np.abs(linear_part(found.final).gyro_gain - np.eye(3)).max() == pytest.approx(
+        0.045, abs=0.03
+    )
 
 
 def outcome_of(found: MotionLoop) -> Outcome:

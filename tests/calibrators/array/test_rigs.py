@@ -47,6 +47,21 @@ def test_a_pair_and_a_line_are_calibrated(count: int) -> None:
     assert any("spin about it stays open" in note for note in run.outcome.notes)
 
 
+def test_without_a_search_mountings_of_gyros_are_no_noise() -> None:
+    """A gyro turned by half a degree reads 6 deg/s of 700 about another axis."""
+    board = rig((0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 20.0, 0.0), (20.0, 20.0, 0.0))
+    plan = replace(PLAN, mounting=0.5, gain=0.0)
+    rng = np.random.default_rng(4)
+    parts = made_board(board.positions, board.rotations, board.imus, plan, rng)
+    run = calibrated(board_log(parts, plan, rng).recording, board)
+    # The median of a Gaussian's size, of what it is at rest.
+    assert run.outcome.errors[1].final == pytest.approx(plan.sigma_gyro / 1.4826, rel=0.1)
+    for k, triad in enumerate(run.calibration.triads):
+        # All about the mean of the packages, which is the frame of the estimate.
+        mean = parts.gyro_gain.mean(axis=0)
+        assert triad.gyro_gain == pytest.approx(parts.gyro_gain[k] @ np.linalg.inv(mean), abs=1e-3)
+
+
 def test_a_board_is_found_without_a_drawing() -> None:
     recording, true = logged(CORNERS)
     drawn, bare = calibrated(recording, CORNERS), calibrated(recording, undrawn_board(8))

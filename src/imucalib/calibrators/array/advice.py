@@ -1,4 +1,4 @@
-"""What the noise of an array's chips in motion asks of its user."""
+"""What single chips of an array ask of its user: those that move, and those that are noisy."""
 
 from __future__ import annotations
 
@@ -8,21 +8,45 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.terms import typical_of
+from imucalib.calibrators.array.loop.worth import size_in_words
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.units import DEG
 
 _NOISY = 2.0  # times the others' noise
+_COUNTS = 0.5  # of an effect's typical size, from which it asks for something to be done
+#: What to do about an effect that one IMU alone has.
+_TO_DO = {
+    "flexing": "it gives way to the force: fasten it, or stiffen the board there",
+    "moved_by_rate": "it moves outwards with the rate: fasten it",
+    "gyro_scale_drift": "its gyro's scale moves: let it warm up, check its supply, or leave it out",
+    "scale_drift": "its scale moves: let it warm up, check its supply, or leave it out",
+    "accelerometer_delay": "it is read late: check its bus and its filter",
+    "gyro_delay_each": "its gyro is read late: check its bus and its filter",
+}
 
 
 def advice(loop: MotionLoop, rests: RestFit) -> tuple[str, ...]:
-    """Chips that are noisier in motion than their neighbours, with what they are at rest."""
+    """IMUs with an effect of their own, and chips that are noisier in motion than their neighbours,
+    with what they are at rest."""
     a, g = loop.final.noise
     imus = loop.final.setup.imus
     return (
+        *_alone(loop),
         *_noisy(imus, "accelerometer", a, rests.noise, (1.0, "m/s²")),
         *_noisy(imus, "gyro", g, rests.gyro_noise, (DEG, "deg/s")),
     )
+
+
+def _alone(loop: MotionLoop) -> Iterator[str]:
+    for term in loop.final.found:
+        effect, at, imu = term.name.partition("@")
+        typical = typical_of(term.effect, len(term.theta))
+        counts = float(np.sqrt(np.mean((term.theta / typical) ** 2))) >= _COUNTS
+        if at and effect in _TO_DO and counts:
+            size = size_in_words(loop.final, term)
+            yield f"{imu} alone has {effect} ({size}): {_TO_DO[effect]}. It is corrected here."
 
 
 def _noisy(

@@ -23,14 +23,15 @@ from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_tak
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
 from imucalib.calibrators.array.estimate.size import frame_sd, gravity_sd, scale_by_turns
 from imucalib.calibrators.array.estimate.total import total_of
-from imucalib.calibrators.array.linear_part import linear_part
+from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part, of_alike_gyros
 from imucalib.calibrators.array.log import ArrayLog, array_log, in_package_axes
 from imucalib.calibrators.array.loop.at_rest import with_rests
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.declared import with_declared
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState, start_state
-from imucalib.calibrators.array.loop.terms import rest_terms
+from imucalib.calibrators.array.loop.terms import Term, rest_terms
 from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.rests import RestFit, fit_rests
@@ -93,7 +94,9 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
         moving=moving, rests=rests, board=board, request=request, rng=rng, state=state,
         searched=loop is not None,
     )  # fmt: skip
-    linear = linear_part(loop) if loop is not None else None
+    linear = linear_part(loop.final) if loop is not None else None
+    if loop is None and state is not None:
+        linear = of_alike_gyros(state, moving.gyros.gain)
     gain = None if linear is None else linear.gyro_gain
     gyros = scale_by_turns(laid.log, segments, rests, moving, laid.order, gain)
     total = total_of(
@@ -192,7 +195,7 @@ def _fitted(
         return None, None
     terms = rest_terms(rests)
     if not (request.loop or request.asked.declare):
-        state = fitted_on_all(start_state(setup, terms), moving, most)
+        state = _unsearched(moving.levelled, board, terms, most, robust=robust)
         return None, with_stated_covariance(state, shared_by_neighbours(state, gyro=False))
     loop = close_array_loop(
         setup, terms, moving, np.random.default_rng(request.seed),
@@ -202,3 +205,14 @@ def _fitted(
     )  # fmt: skip
     loop = with_rests(loop, rests.loop)
     return loop, loop.final
+
+
+def _unsearched(
+    moving: Moving, board: Board, terms: tuple[Term, ...], most: int, *, robust: bool
+) -> ArrayState:
+    """The joint fit of all informative samples of gyros that are alike. What they share against
+    the accelerometers no comparison of gyros shows, and every board has it."""
+    setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
+    assert setup is not None
+    start = with_declared(start_state(setup, terms), (GYRO_FRAME,), moving)
+    return fitted_on_all(start, moving, most)

@@ -16,11 +16,12 @@ from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.effect_blocks import effect_blocks, rest_blocks
 from imucalib.calibrators.array.estimate.blocks import size_block
 from imucalib.calibrators.array.estimate.left import Residual
 from imucalib.calibrators.array.estimate.size import GyroScale
 from imucalib.calibrators.array.estimate.total import Total
-from imucalib.calibrators.array.findings import effect_blocks, noise_block, rest_blocks
+from imucalib.calibrators.array.findings import noise_block
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.moving import Moving

@@ -1,31 +1,26 @@
 """The array's search in the words of all searches: the one place where its loop is read for them.
 
-What a reading of the loop needs beyond `Findings` stands here too: errors before and after, effects
-with their values, and how much of them a linear correction carries.
+What a reading of the loop needs beyond `Findings` stands here too: errors before and after, and the
+noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from imucalib.calibration.calibration import StoredParameter, stored_parameters
+from imucalib.calibration.calibration import stored_parameters
 from imucalib.calibration.findings import Check, Findings, FoundStep, Gain, Untestable
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
+from imucalib.calibrators.array.effect_blocks import parameters_of
 from imucalib.calibrators.array.estimate.left import Residual
-from imucalib.calibrators.array.frame import BASE
-from imucalib.calibrators.array.loop.ages import beats
 from imucalib.calibrators.array.loop.at_rest import AT_REST
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.cross_fit import Gained
 from imucalib.calibrators.array.loop.curves import CURVE
-from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.loop.worth import size_in_words
-from imucalib.calibrators.array.rests import RestFit
-from imucalib.effects.record_error import is_record_error
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.loop.found import Step
 from imucalib.units import DEG
@@ -100,7 +95,7 @@ def _step(step: Step, loop: MotionLoop) -> FoundStep:
     for c in step.checked:
         metric, digits = _CHECKED.get(c.name, (f"{c.name}, leave one out", 5))
         checks.append(Check(metric, c.unit.replace("m/s2", "m/s²"), c.before, c.after, digits))
-    own = [p for t in loop.final.found if t.name == step.effect for p in _parameters(loop, t)]
+    own = [p for t in loop.final.found if t.name == step.effect for p in parameters_of(loop, t)]
     if step.effect.startswith(AT_REST) and loop.rests is not None:
         stored = stored_parameters(loop.rests.final)
         own = [p for p in stored if p.effect == step.effect.removeprefix(AT_REST)]
@@ -116,14 +111,6 @@ def _step(step: Step, loop: MotionLoop) -> FoundStep:
         held_out=step.gains,
         curve=step.effect.removeprefix(CURVE) if step.curve else "",
     )
-
-
-def _parameters(loop: MotionLoop, term: Term) -> Iterator[StoredParameter]:
-    state = loop.final
-    for p, value, sd in zip(
-        term.parameters(state.setup.imus), term.theta, state.sd_of(term), strict=True
-    ):
-        yield StoredParameter(p.name, term.name, "sensor", float(value), float(sd), p.unit)
 
 
 def _untestable(name: str, impact: float) -> Untestable:
@@ -195,57 +182,3 @@ def noise_block(loop: MotionLoop) -> dict[str, Any]:
     block["shared_by_neighbours"] = loop.dispersion
     block["beats_hz"] = [] if loop.ages is None else loop.ages.clock.frequency
     return block
-
-
-def rest_blocks(rests: RestFit) -> list[dict[str, Any]]:
-    """What was found at rest, with values and standard deviations, for the YAML and report.json."""
-    stored = stored_parameters(rests.fit)
-    return [
-        {
-            "effect": AT_REST + effect.name,
-            "declared": False,
-            "channel": effect.channel,
-            "equation": effect.equation,
-            "parameters": [
-                {"name": p.name, "unit": p.unit, "value": p.value, "sd": p.sd}
-                for p in stored
-                if p.effect == effect.name
-            ],
-        }
-        for effect in rests.fit.model.effects
-        if effect.name not in BASE and not is_record_error(effect.name)
-    ]
-
-
-def effect_blocks(loop: MotionLoop) -> list[dict[str, Any]]:
-    """Accepted effects with values and standard deviations, for the YAML and report.json."""
-    return [
-        {
-            **_beats(loop, term),
-            "effect": term.name,
-            "declared": term.name in loop.asked.declare,
-            "channel": term.effect.channel,
-            "equation": term.effect.equation,
-            "parameters": [
-                {"name": p.name, "unit": p.unit, "value": p.value, "sd": p.sd}
-                for p in _parameters(loop, term)
-            ],
-        }
-        for term in loop.final.found
-    ]
-
-
-def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
-    """Clocks of the gyros in this recording: they start anew with the power."""
-    if not term.aged or loop.ages is None:
-        return {}
-    setup = loop.final.setup
-    return {
-        "beats": [
-            None if beat is None else {
-                "imu": imu, "hz": beat.frequency, "phase_turns": beat.phase, "at_s": beat.at,
-                "wander_turns": beat.wander,
-            }
-            for imu, beat in zip(setup.imus, beats(loop.ages, setup.t), strict=True)
-        ]
-    }  # fmt: skip

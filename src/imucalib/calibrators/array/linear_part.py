@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import board_motion
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.units import DEG
 
+#: What gyros share, scale apart, against the accelerometers.
+GYRO_FRAME = "gyro_frame"
 _SMALL = 1e-6  # share of an effect beyond its linear part from which on it counts
 
 
@@ -31,9 +33,14 @@ class LinearPart:
     left: tuple[tuple[str, float, str], ...]
 
 
-def linear_part(loop: MotionLoop) -> LinearPart:
+def of_alike_gyros(state: ArrayState, gain: Array) -> LinearPart:
+    """The same of a fit of gyros that had been made alike by gains (K, 3, 3) of their own."""
+    found = linear_part(state)
+    return replace(found, gyro_gain=gain @ found.gyro_gain)
+
+
+def linear_part(state: ArrayState) -> LinearPart:
     """The linear part of all found effects, in the middle of the motion."""
-    state = loop.final
     k = state.setup.triads
     gains, offsets, left = {}, {}, []
     for channel in ("acceleration", "angular_rate"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -39,6 +39,12 @@ class Moving:
     good: Index
     interval: float
     counts: dict[str, int]
+
+    @property
+    def levelled(self) -> Moving:
+        """With every gyro in the scale and the axes of their mean, as plain comparison has them."""
+        inverse = np.linalg.inv(self.gyros.gain)
+        return replace(self, rate=np.einsum("kij,nkj->nki", inverse, self.rate))
 
 
 def moving_part(log: ArrayLog, rests: RestFit, names: tuple[str, ...] = ()) -> Moving:

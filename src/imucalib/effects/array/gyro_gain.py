@@ -21,6 +21,10 @@ def _scale(truth: Truth, context: Context) -> Array:
     return 0.01 * own_axis(truth.turning.rate)
 
 
+def _scale_drift(truth: Truth, context: Context) -> Array:
+    return _scale(truth, context) * (context["order"] - 0.5)[:, None, None, None]
+
+
 def _misalignment(truth: Truth, context: Context) -> Array:
     out = np.zeros((*truth.shape, 6))
     for column, (i, j) in enumerate(_CROSS):
@@ -49,6 +53,17 @@ EFFECTS = (
         _scale,
         channel="angular_rate",
         scan=True,
+    ),
+    Response(
+        "gyro_scale_drift",
+        "The gyro scales move steadily during the motion.",
+        "y_i = (1 + d_i (order - 1/2)) ω_i, order from 0 to 1",
+        "0.02 %/degC of consumer gyros, some degC of warming up",
+        "Let the board warm up first; twist at the beginning and at the end.",
+        ("rate", "order"),
+        three("gyro_scale_drift", "%", 0.2, 20.0),
+        _scale_drift,
+        channel="angular_rate",
     ),
     Response(
         "gyro_misalignment",

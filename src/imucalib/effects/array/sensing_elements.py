@@ -11,14 +11,19 @@ from imucalib.core.truth import Truth
 _MM = 1e-3
 
 
-def _columns(truth: Truth, context: Context) -> Array:
-    """Axis i senses at d_i (package axes) off the triad's position: a_i += (W d_i)_i, where
-    W d = ω × (ω × d) + dω/dt × d."""
+def across(truth: Truth) -> Array:
+    """(n, K, 3, 3) s^-2, W d = ω × (ω × d) + dω/dt × d in each package's axes."""
     w, spin = truth.turning.rate, truth.turning.spin
     inside = w[..., :, None] * w[..., None, :] - np.sum(w * w, axis=-1)[..., None, None] * np.eye(3)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         inside[..., i, j] -= spin[..., k]
         inside[..., j, i] += spin[..., k]
+    return np.asarray(inside)
+
+
+def _columns(truth: Truth, context: Context) -> Array:
+    """Axis i senses at d_i (package axes) off the triad's position: a_i += (W d_i)_i."""
+    inside = across(truth)
     out = np.zeros((*truth.shape, 9))
     for i in range(3):
         out[..., i, 3 * i : 3 * i + 3] = _MM * inside[..., i, :]

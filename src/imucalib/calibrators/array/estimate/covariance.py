@@ -7,24 +7,21 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibrators.array.estimate.response import information
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.gram import gram, scores
 from imucalib.estimators.array.samples import reweighed
-
-#: Factors on sds of two and of three IMUs, which leave few residuals to weigh samples by: errors
-#: over stated sds in simulations (24 each, tails and none) are 1.15 to 1.27 and 1.01 to 1.10.
-_FEW = {2: 1.25, 3: 1.1}
 
 
 def stated_covariance(state: ArrayState) -> Array:
     """(q, q) of the positions (m) and of the terms' coordinates: A⁻¹ B A⁻¹.
 
-    A is the information of the noise (Lange, Little, Taylor 1989, JASA 84: for a Student t less
-    than its weights say) with the prior P; B = Σ g gᵀ + P, g the score of one sample, is what the
-    scores really scatter (Huber 1967, White 1982). As many parameters as there are count as samples
+    A is what the weights say times how far the scores answer to it (`information`), with the prior
+    P; B = Σ g gᵀ + P, g the score of one sample, is what the scores really scatter (Huber 1967,
+    White 1982). As many parameters as there are count as samples
     of which B is what A says, so that few samples do not make it singular.
     """
-    a, g = (noise.information for noise in state.noise)
+    a, g = information(state)
     base, inner = state.base, state.setup.inner
     told = base.free(gram(reweighed(state.sampled, a, g), base.blocks, inner)).matrix
     prior = np.diag(base.prior)
@@ -39,5 +36,4 @@ def stated_covariance(state: ArrayState) -> Array:
 def with_stated_covariance(state: ArrayState, factor: float = 1.0) -> ArrayState:
     """The state with that covariance; factor : how many times fewer samples noise that neighbours
     share leaves."""
-    few = _FEW.get(state.setup.triads, 1.0) ** 2
-    return replace(state, covariance=factor * few * stated_covariance(state))
+    return replace(state, covariance=factor * stated_covariance(state))

@@ -14,6 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibrators.array.effect_blocks import covariance_of
 from imucalib.calibrators.array.fused.beyond import term_of
 from imucalib.calibrators.array.loop.at_rest import AT_REST
 from imucalib.calibrators.array.loop.motion import BoardMotion
@@ -24,13 +25,15 @@ from imucalib.estimators.array.fusion import FusedMotion, Sensed
 from imucalib.estimators.array.samples import slope_of, turning
 from imucalib.units import DEG
 
+_FLAT = 1e-12  # of the largest variance of an effect's parameters, below which it is rounding
+
 
 @dataclass(frozen=True)
 class Doubt:
     """places : (3 K, 3 K) m² of the positions by the calibration's motion; triads : (K, 12, 12) of
     gains (rows first) and biases (m/s²), each IMU's by itself; gravity, scale : relative sds of the
-    force and of all gyros' rates; frame : (3,) rad; effects : terms with the sds of their
-    parameters, each by itself"""
+    force and of all gyros' rates; frame : (3,) rad; effects : terms with a root (p, q) of the
+    covariance of their parameters"""
 
     places: Array
     triads: Array
@@ -74,9 +77,12 @@ def _effects(calibration: Calibration) -> Iterator[tuple[Term, Array]]:
     imus = tuple(t.name for t in calibration.triads)
     for block in calibration.facts.get("effects", ()):
         term = None if str(block["effect"]).startswith(AT_REST) else term_of(block, imus)
-        sd = np.array([float(p.get("sd") or 0.0) for p in block["parameters"]])
-        if term is not None and not term.aged and sd.any():
-            yield term, sd
+        if term is None or term.aged:
+            continue
+        values, vectors = eigen(covariance_of(block))
+        seen = values > _FLAT * float(values[-1])
+        if seen.any():
+            yield term, np.asarray(vectors[:, seen] * np.sqrt(values[seen]))
 
 
 def of_the_calibration(
@@ -94,13 +100,13 @@ def of_the_calibration(
     out = np.matmul(across @ doubt.places, across.transpose(0, 2, 1))
     own = _of_triads(doubt.triads, motion.felt(r))
     out += np.matmul(np.matmul(force, own), force.transpose(0, 1, 3, 2)).sum(axis=1)
-    for term, sd in doubt.effects:
+    for term, root in doubt.effects:
         gain = rate if term.effect.channel == "angular_rate" else force
         columns = term.columns(seen)
         by = np.matmul(gain, columns.basis.swapaxes(0, 1))  # (T, K, 9, m)
         by = by.sum(axis=1, keepdims=True) if columns.shared else by
-        by = by * sd.reshape(-1, 1, by.shape[3])
-        out += np.matmul(by, by.transpose(0, 1, 3, 2)).sum(axis=1)
+        by = by.swapaxes(1, 2).reshape(len(by), 9, -1) @ root
+        out += np.matmul(by, by.swapaxes(1, 2))
     return np.asarray(out + _of_the_whole(doubt, motion, sensed))
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from imucalib.calibrators.array.calibration import instrument_block
+from imucalib.calibrators.array.effect_blocks import covariance_of, effect_blocks, triangle
 from imucalib.calibrators.array.estimate.blocks import size_block
 from imucalib.calibrators.array.estimate.size import GyroScale
 from imucalib.calibrators.array.estimate.total import Total
-from imucalib.calibrators.array.findings import effect_blocks
 from imucalib.calibrators.array.logs.pooled import Pooled
 from imucalib.calibrators.array.logs.repeats import Repeat
 from imucalib.calibrators.array.run import ArrayRun
@@ -77,9 +77,15 @@ def _effects(run: ArrayRun, kinds: Sequence[Repeat]) -> list[dict[str, Any]]:
         if (one := pooled.get(block["effect"])) is None:
             continue
         sd = np.sqrt(np.diag(one.covariance) + one.tau**2)
+        # Numbers are pooled one by one; how they go together is the first log's word.
+        first = covariance_of(block)
+        share = sd / np.sqrt(np.maximum(np.diag(first), 1e-300))
         own = zip(block["parameters"], one.mean, sd, strict=True)
         parameters = [{**p, "value": float(v), "sd": float(s)} for p, v, s in own]
-        found.append({**{k: v for k, v in block.items() if k != "beats"}, "parameters": parameters})
+        kept = {k: v for k, v in block.items() if k != "beats"}
+        together = first * np.outer(share, share)
+        together[np.diag_indices_from(together)] = sd**2
+        found.append({**kept, "parameters": parameters, "covariance": triangle(together)})
     return found
 
 

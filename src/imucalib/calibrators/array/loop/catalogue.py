@@ -12,8 +12,6 @@ _LEFT_BY_RESTS = {
     "scale": 2e-3, "bias": 2.0, "quadratic": 0.3, "cubic": 0.02, "asymmetry": 2.0,
     "cross_axis": 0.3, "bias_drift": 2.0, "scale_drift": 2.0, "warm_up": 2.0,
 }  # fmt: skip
-#: Catalogue effects of which one IMU alone is tried, beside those that say so themselves.
-_SCANNED = ("scale", "bias")
 #: Effects that are a part of others, which are tried.
 _WITHIN = ("non_orthogonality",)
 
@@ -28,9 +26,10 @@ def array_catalogue() -> dict[str, Response]:
 
 
 def sized(effect: Response) -> Response:
-    """An effect at the size that the rests leave of it."""
+    """An effect at the size that the rests leave of it, tried on each IMU alone too: what one IMU
+    does is not to be told of all."""
     typical = _LEFT_BY_RESTS.get(effect.name)
-    if typical is None:
-        return effect
-    each = tuple(replace(p, typical=typical) for p in effect.each)
-    return replace(effect, each=each, scan=effect.scan or effect.name in _SCANNED)
+    each = effect.each
+    if typical is not None:
+        each = tuple(replace(p, typical=typical) for p in each)
+    return replace(effect, each=each, scan=not effect.shared)

@@ -68,13 +68,17 @@ class ArrayState:
 
     def sd_of(self, term: Term) -> Array:
         """(p,) posterior standard deviations of a term's parameters."""
+        return np.asarray(np.sqrt(np.diag(self.covariance_of(term))))
+
+    def covariance_of(self, term: Term) -> Array:
+        """(p, p) posterior covariance of a term's parameters."""
         at = self.positions
         for other in self.terms:
             if other.name == term.name:
                 break
             at += len(other.value)
         part = self.covariance[at : at + len(term.value), at : at + len(term.value)]
-        return np.asarray(np.sqrt(np.einsum("pi,ij,pj->p", term.live, part, term.live)))
+        return np.asarray(term.live @ part @ term.live.T)
 
 
 def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:

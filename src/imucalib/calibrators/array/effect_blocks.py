@@ -1,0 +1,128 @@
+"""Found effects as calibration.yaml and report.json have them, and their covariance read back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.calibration import StoredParameter, stored_parameters
+from imucalib.calibrators.array.frame import BASE
+from imucalib.calibrators.array.loop.ages import beats
+from imucalib.calibrators.array.loop.at_rest import AT_REST
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.terms import Term
+from imucalib.calibrators.array.rests import RestFit
+from imucalib.core.effect import Effect
+from imucalib.effects.record_error import is_record_error
+from imucalib.errors import UnreadableInput
+
+_DIGITS = 9  # of a covariance in the file: an array of many IMUs has a hundred thousand
+
+
+def rest_blocks(rests: RestFit) -> list[dict[str, Any]]:
+    """What was found at rest, with values, standard deviations and covariance."""
+    fit = rests.fit
+    slices, stored = fit.model.slices(fit.observations.context), stored_parameters(fit)
+    return [
+        {
+            "effect": AT_REST + effect.name,
+            "declared": False,
+            **_numbers(
+                effect, [p for p in stored if p.effect == effect.name],
+                fit.covariance[slices[effect.name], slices[effect.name]],
+            ),
+        }
+        for effect in fit.model.effects
+        if effect.name not in BASE and not is_record_error(effect.name)
+    ]  # fmt: skip
+
+
+def effect_blocks(loop: MotionLoop) -> list[dict[str, Any]]:
+    """Accepted effects with values, standard deviations and covariance."""
+    return [
+        {
+            **_beats(loop, term),
+            "effect": term.name,
+            "declared": term.name in loop.asked.declare,
+            **_numbers(
+                term.effect, list(parameters_of(loop, term)), loop.final.covariance_of(term)
+            ),
+        }
+        for term in loop.final.found
+    ]
+
+
+def _numbers(
+    effect: Effect, parameters: Sequence[StoredParameter], covariance: Array
+) -> dict[str, Any]:
+    return {
+        "channel": effect.channel,
+        "equation": effect.equation,
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "value": p.value, "sd": p.sd} for p in parameters
+        ],
+        "covariance": triangle(covariance),
+    }
+
+
+def triangle(covariance: Array) -> list[list[float]]:
+    """Rows of a covariance up to its diagonal, for a file."""
+    return [
+        [float(f"{value:.{_DIGITS}g}") for value in row[: k + 1]]
+        for k, row in enumerate(covariance)
+    ]
+
+
+def covariance_of(block: Mapping[str, Any]) -> Array:
+    """(p, p) covariance of an effect's parameters, in their units, as its block states it; of a
+    file that has sds alone, that of parameters by themselves.
+
+    Raises UnreadableInput where it does not fit the parameters.
+    """
+    sd = np.array([float(p.get("sd") or 0.0) for p in block["parameters"]])
+    rows = block.get("covariance")
+    if rows is None:
+        return np.diag(sd**2)
+    name = block.get("effect")
+    if [len(row) for row in rows] != list(range(1, len(sd) + 1)):
+        raise UnreadableInput(
+            f"the covariance of {name} does not fit its {len(sd)} parameters",
+            remedy="calibrate again; the file was changed by hand",
+        )
+    found = np.zeros((len(sd), len(sd)))
+    for k, row in enumerate(rows):
+        found[k, : k + 1] = found[: k + 1, k] = row
+    if not np.allclose(np.sqrt(np.maximum(np.diag(found), 0.0)), sd, rtol=1e-6, atol=1e-12):
+        raise UnreadableInput(
+            f"the standard deviations of {name} contradict its covariance",
+            remedy="calibrate again; the file was changed by hand",
+        )
+    return found
+
+
+def parameters_of(loop: MotionLoop, term: Term) -> Iterator[StoredParameter]:
+    """Values and standard deviations of a found effect."""
+    state = loop.final
+    for p, value, sd in zip(
+        term.parameters(state.setup.imus), term.theta, state.sd_of(term), strict=True
+    ):
+        yield StoredParameter(p.name, term.name, "sensor", float(value), float(sd), p.unit)
+
+
+def _beats(loop: MotionLoop, term: Term) -> dict[str, Any]:
+    """Clocks of the gyros in this recording: they start anew with the power."""
+    if not term.aged or loop.ages is None:
+        return {}
+    setup = loop.final.setup
+    return {
+        "beats": [
+            None if beat is None else {
+                "imu": imu, "hz": beat.frequency, "phase_turns": beat.phase, "at_s": beat.at,
+                "wander_turns": beat.wander,
+            }
+            for imu, beat in zip(setup.imus, beats(loop.ages, setup.t), strict=True)
+        ]
+    }  # fmt: skip

@@ -1,0 +1,152 @@
+"""Boards with something that nobody declared, on the logs of `worlds.boards`: by numpy alone.
+
+Each plant changes what one IMU, or a few, read at the true motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.recording.recording import Channel, Recording
+from worlds.boards import DEG, Array, BoardPlan, Made, Parts, handled, twisted
+
+G = 9.80665
+PLAN = BoardPlan(twist_s=25.0, mounting=0.3, gyro_gain=0.005)
+
+
+@dataclass(frozen=True)
+class Moved:
+    """The truth: t (n,); rate, spin, force (n, 3) of the origin in board axes; moving (n,)"""
+
+    t: Array
+    rate: Array
+    spin: Array
+    force: Array
+    moving: Array
+
+    def felt(self, r: Array) -> Array:
+        """(n, 3) specific force at places r (3,) or (n, 3) m that stand still on the board."""
+        r = np.broadcast_to(r, self.rate.shape)
+        return np.asarray(
+            self.force + np.cross(self.rate, np.cross(self.rate, r)) + np.cross(self.spin, r)
+        )
+
+
+@dataclass(frozen=True)
+class Planted:
+    """felt : (n, 3) force at the package; rate : (n, 3) that its gyro senses; both in board axes,
+    before the package's own gains"""
+
+    felt: Array
+    rate: Array
+
+
+#: From the truth, a place (m) and the number of the IMU to what that IMU senses.
+Plant = Callable[[Moved, Array, int], Planted]
+
+
+def plain(m: Moved, r: Array, k: int) -> Planted:
+    return Planted(m.felt(r), m.rate)
+
+
+def flexing(m: Moved, r: Array, k: int) -> Planted:
+    """imu3 stands on a spring: 0.1 mm a g across it, 0.03 along it."""
+    if k != 3:
+        return plain(m, r, k)
+    away = 1e-4 / G * m.felt(r) * np.array([0.3, 0.3, 1.0])
+    return Planted(m.felt(r + away), m.rate)
+
+
+def by_rate(m: Moved, r: Array, k: int) -> Planted:
+    """imu3 moves outwards with the square of the rate: 0.2 mm at 1000 deg/s."""
+    if k != 3:
+        return plain(m, r, k)
+    share = np.sum(m.rate**2, axis=1) / (1000.0 * DEG) ** 2
+    return Planted(m.felt(r + 2e-4 * share[:, None] * np.array([0.6, -0.5, 0.6])), m.rate)
+
+
+def drifting(m: Moved, r: Array, k: int) -> Planted:
+    """imu2's accelerometer scale grows by 3 % over the motion, as its supply does."""
+    if k != 2:
+        return plain(m, r, k)
+    start = m.t[m.moving].min()
+    late = np.clip((m.t - start) / (m.t.max() - start), 0.0, 1.0)
+    return Planted(m.felt(r) * (1.0 + 0.03 * late[:, None]), m.rate)
+
+
+def gyro_drifting(m: Moved, r: Array, k: int) -> Planted:
+    """imu2's gyro scale grows by 2 % over the log."""
+    if k != 2:
+        return plain(m, r, k)
+    late = m.t / m.t[-1]
+    return Planted(m.felt(r), m.rate * (1.0 + 0.02 * late[:, None]))
+
+
+def loose(m: Moved, r: Array, k: int) -> Planted:
+    """imu4 sits loose: it lies 0.3 mm to one side or the other by the sign of the force along z."""
+    if k != 4:
+        return plain(m, r, k)
+    side = np.tanh(m.felt(r)[:, 2:] / 2.0)
+    return Planted(m.felt(r + 1.5e-4 * side * np.array([0.0, 0.0, 1.0])), m.rate)
+
+
+def sensitive(m: Moved, r: Array, k: int) -> Planted:
+    """imu1's gyro reads force: 0.5 deg/s a g, along one direction."""
+    if k != 1:
+        return plain(m, r, k)
+    felt = m.felt(r)
+    return Planted(felt, m.rate + 0.5 * DEG / G * felt[:, [1, 2, 0]])
+
+
+def shifted_pair(m: Moved, r: Array, k: int) -> Planted:
+    """imu5 and imu6 turned by 1.5 deg after the rests, by a knock."""
+    if k not in (5, 6):
+        return plain(m, r, k)
+    turn = 1.5 * DEG * np.array([0.6, -0.5, 0.62])
+    felt, rate = m.felt(r), m.rate
+    on = m.moving[:, None]
+    return Planted(felt + on * np.cross(turn, felt), rate + on * np.cross(turn, rate))
+
+
+def late_few(m: Moved, r: Array, k: int) -> Planted:
+    """imu0, imu1 and imu2 hang on a bus that is 2 ms late, both sensors."""
+    if k > 2:
+        return plain(m, r, k)
+    felt, step = m.felt(r), m.t[1] - m.t[0]
+    return Planted(felt - 2e-3 * np.gradient(felt, step, axis=0), m.rate - 2e-3 * m.spin)
+
+
+def humming(m: Moved, r: Array, k: int) -> Planted:
+    """A motor beside imu7 shakes it at 31 Hz with 3 m/s² while the board moves."""
+    if k != 7:
+        return plain(m, r, k)
+    hum = 3.0 * np.sin(2.0 * np.pi * 31.0 * m.t)[:, None] * np.array([0.5, 0.2, 0.84])
+    return Planted(m.felt(r) + m.moving[:, None] * hum, m.rate)
+
+
+PLANTS: dict[str, Plant] = {
+    "clean": plain, "flexing": flexing, "by rate": by_rate, "drifting": drifting,
+    "gyro drifting": gyro_drifting, "loose": loose, "sensitive": sensitive,
+    "shifted pair": shifted_pair, "late few": late_few, "humming": humming,
+}  # fmt: skip
+
+
+def odd_log(parts: Parts, plant: Plant, plan: BoardPlan, rng: np.random.Generator) -> Made:
+    """A log of a board of which some IMUs sense something else."""
+    rests, twist = handled(plan, rng), twisted(plan, rng)
+    w, spin, force = (np.concatenate(pair) for pair in zip(rests, twist, strict=True))
+    n = len(w)
+    t, moving = np.arange(n) / plan.hz, np.arange(n) >= len(rests[0])
+    truth, channels = Moved(t, w, spin, force, moving), {}
+    for i, name in enumerate(parts.names):
+        seen = plant(truth, parts.positions[i], i)
+        noise = rng.normal(size=(2, n, 3))
+        x = seen.felt @ parts.gain[i].T + rng.normal(size=3) * plan.bias + noise[0] * plan.sigma
+        y = seen.rate @ parts.gyro_gain[i].T
+        y = y + (rng.normal(size=3) * plan.gyro_bias + noise[1] * plan.sigma_gyro) * DEG
+        for quantity, unit, values in (("acceleration", "m/s2", x), ("angular_rate", "rad/s", y)):
+            channels[f"{name}/{quantity}"] = Channel(t, values, unit, quantity, name, plan.hz)
+    return Made(Recording(channels, "simulated", "simulated", ""), parts.positions, moving)
