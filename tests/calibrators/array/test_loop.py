@@ -401,7 +401,7 @@ def test_curves_correct_what_has_no_name_where_it_helps() -> None:
 
 
 def test_the_file_says_what_the_clocks_were() -> None:
-    from imucalib.calibrators.array.findings import effect_blocks
+    from imucalib.calibrators.array.effect_blocks import effect_blocks
     from imucalib.calibrators.array.loop.ages import beats
 
     found = closed(planted_log("clock skew, 1 ms", 11)[0], 200)
