@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.core.context import Context
+from imucalib.core.sphere import counted, even_directions
 from imucalib.effects import named
 from imucalib.errors import UsageError
 from imucalib.exports import exported
+from imucalib.exports.per_axis import nearest_row
 from worlds.rigid_board import board
 from worlds.rigid_board import calibration as board_calibration
 
@@ -219,3 +221,19 @@ def scaled(effect: str, value: float) -> Calibration:
 def test_a_name_stays_in_its_comment(form: str) -> None:
     text = exported(made(*SIX), "a\nrm -rf x\r1\t1\tCAL", form).text
     assert "# Accelerometer by imucal, from a?rm -rf x?1?1?CAL, status ok." in text.splitlines()
+
+
+def test_a_row_is_right_where_postures_were_recorded() -> None:
+    """A sensor whose cross terms six numbers cannot carry, worn in one octant only: the row is
+    better there than one that is fitted to all directions, and worse elsewhere."""
+    alike = made("bias", "scale", "non_orthogonality")
+    up = even_directions(400)
+    up = up[np.all(up > 0.0, axis=1)]
+    worn = replace(alike, facts={**alike.facts, "postures": counted(up).tolist()})
+    rows = [nearest_row(one) for one in (alike, worn)]
+    model, theta = alike.model()
+    raw = model.predict(theta, G * up[:, None], Context(len(up))).reading[:, 0] / G
+    off = [np.abs(np.linalg.norm(r.scale * (raw + r.offset), axis=1) - 1.0).mean() for r in rows]
+    assert off[1] < 0.5 * off[0]
+    assert rows[1].lost < rows[0].lost
+    assert rows[1].worst > rows[0].worst

@@ -2,7 +2,20 @@
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
+
+#: Cells of the sphere in which postures are counted.
+CELLS = 96
+
+
+def counted(directions: Array) -> Index:
+    """(CELLS,) how many of the vectors (n, 3) point into each cell of the sphere."""
+    return np.bincount(cell_of(directions), minlength=CELLS)
+
+
+def cell_of(directions: Array) -> Index:
+    """(n,) the cell that each vector (n, 3) points into: the nearest of CELLS even directions."""
+    return np.asarray(np.argmax(directions @ even_directions(CELLS).T, axis=1), np.intp)
 
 
 def even_directions(n: int = 400) -> Array:

@@ -15,10 +15,10 @@ from imucalib.exports.per_axis import demand_one, lost_per_axis, nearest_row
 def ggir_csv(calibration: Calibration, filename: str) -> Made:
     """One row of GGIR's backup.cal.coef: corrected = scale * (raw + offset + tempoffset ΔT), in g.
 
-    GGIR has no terms between the axes, so the row holds the numbers that come nearest over an even
-    sphere and the temperatures that were seen; their own mean error goes to cal.error.end with the
-    calibration's. ΔT counts from the middle of those temperatures, where the offsets hold. Raises
-    UsageError for an array.
+    GGIR has no terms between the axes, so the row holds the numbers that come nearest over the
+    postures and the temperatures that were recorded; their own mean error goes to
+    cal.error.end with the calibration's. ΔT counts from the middle of those temperatures, where
+    the offsets hold. Raises UsageError for an array.
     """
     demand_one(calibration, "a row of GGIR")
     row = nearest_row(calibration)

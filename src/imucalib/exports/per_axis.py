@@ -8,12 +8,15 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
+from imucalib.core.sphere import CELLS, cell_of
 from imucalib.errors import UsageError
 from imucalib.exports.linear import lost_parts, sphere_of
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 #: The catalogue's zero of the temperature effects.
 _REFERENCE_C = 25.0
+#: Share of the mean count that a part of the sphere without a posture has.
+_EMPTY = 0.05
 _CARRIED = {"bias", "scale"}
 
 
@@ -23,9 +26,9 @@ class Row:
 
     scale, offset (g), slope (g/°C) : (3,); middle : °C
     over the sphere and the calibrated ranges, by leaving out the rest, against the calibration:
-    lost, worst : mg, mean and largest error of |a|; vector : mg, mean error of the vector, and
-    angle : deg, the largest of its direction, both after the turn (deg) from the tool's axes to
-    the sensor's
+    lost, worst : mg, mean (by postures recorded) and largest error of |a|; vector : mg, mean error
+    of the vector, and angle : deg, the largest of its direction, both after the turn (deg) from the
+    tool's axes to the sensor's
     """
 
     scale: Array
@@ -40,7 +43,8 @@ class Row:
 
 
 def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
-    """The coefficients that make the norm right, by least squares.
+    """The coefficients that make the norm right, by least squares: as postures were recorded where
+    the calibration tells them, else in all alike.
 
     slope : whether the form has one over temperature; without, offsets are those of the middle.
     """
@@ -58,10 +62,15 @@ def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
         offset = p[3:6] + warm[:, None] * p[6:] if sloped and warm is not None else p[3:6]
         return np.asarray(p[:3] * (raw + offset))
 
+    weight = _recorded(calibration, raw)
+
     def norm_error(p: Array) -> Array:
         return np.asarray(np.linalg.norm(corrected(p), axis=1) - 1.0)
 
-    found = least_squares(norm_error, start, x_scale="jac", xtol=1e-12, ftol=1e-12).x
+    def weighted(p: Array) -> Array:
+        return np.asarray(np.sqrt(weight) * norm_error(p))
+
+    found = least_squares(weighted, start, x_scale="jac", xtol=1e-12, ftol=1e-12).x
     off = 1e3 * np.abs(norm_error(found))
     vector, angle, turn = _beside(corrected(found), force)
     return Row(
@@ -69,12 +78,21 @@ def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
         offset=found[3:6],
         slope=found[6:] if sloped else np.zeros(3),
         middle=middle,
-        lost=float(off.mean()),
+        lost=float(weight @ off / weight.sum()),
         worst=float(off.max()),
         vector=vector,
         angle=angle,
         turn=turn,
     )
+
+
+def _recorded(calibration: Calibration, raw: Array) -> Array:
+    """(n,) weight of readings (n, 3): the postures in each one's part of the sphere. An empty part
+    has a twentieth of the usual, so that nothing runs away there."""
+    counts = np.asarray(calibration.facts.get("postures", ()), float)
+    if counts.size != CELLS or not counts.any():
+        return np.ones(len(raw))
+    return np.asarray((counts + _EMPTY * counts.mean())[cell_of(raw)])
 
 
 def _beside(corrected: Array, force: Array) -> tuple[float, float, float]:

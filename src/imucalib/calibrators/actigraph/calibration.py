@@ -20,6 +20,7 @@ from imucalib.calibrators.actigraph.series import Series, series_block
 from imucalib.calibrators.actigraph.weak import from_data
 from imucalib.calibrators.separate.recorded import recorded_block
 from imucalib.core.fit import Fit
+from imucalib.core.sphere import counted
 from imucalib.rests.runs import Scan
 from imucalib.units import MG
 
@@ -41,6 +42,7 @@ def actigraph_calibration(
         "error_mg": details["error_mg"],
         "noise": _noise_block(result.final),
         "coverage": details["coverage"],
+        "postures": counted(result.final.observations.reading[:, 0]).tolist(),
         "from_data": details["from_data"],
         "provenance": outcome.provenance.as_dict(),
     }
