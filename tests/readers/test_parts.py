@@ -10,7 +10,8 @@ import pytest
 from imucalib import readers, writers
 from imucalib.readers import blocks, read
 from imucalib.readers.joining import join
-from imucalib.recording.recording import Channel, Recording
+from imucalib.readers.parts import in_parts
+from imucalib.recording.recording import Channel, Gap, Recording
 from worlds.mcap_logs import START, Reading, cdr, packed, readings, write_log
 from worlds.mcap_logs import values as axes
 
@@ -130,3 +131,17 @@ def test_one_wrong_stamp_sets_no_clock(row: int, off: float, tmp_path: Path) -> 
         same = np.delete(np.arange(acc.t.size), row)
         np.testing.assert_allclose(acc.t[same], t[same], atol=1e-9)
         assert not any("part of its own" in note for note in found.notes)
+
+
+def test_a_clock_without_a_rate_is_parted_too() -> None:
+    """A damaged log whose stamps name one moment and then an earlier one: no time step tells a rate,
+    and the part still follows the one before."""
+    t = np.repeat([100.0, 3.0], 8)
+    channel = Channel(t, np.zeros((16, 3)), "m/s2", "acceleration", "imu0", 0.0)
+    back = Gap(100.0, 3.0, "back")
+    log = Recording({"imu0/acceleration": channel}, "a.mcap", "mcap", "", START, (back,))
+    found = next(in_parts(iter([log])))
+    moved = found.channels["imu0/acceleration"].t
+    assert np.all(np.diff(moved) >= 0.0)
+    assert moved[0] == 100.0
+    assert any("set back by 97 s" in note for note in found.notes)

@@ -56,7 +56,9 @@ def _moved(block: Recording, clock: _Clock) -> Recording:
     clock.notes, clock.gaps, clock.steps = [], [], set()
     channels, parts = {}, {}
     for name, channel in block.channels.items():
-        parts[name] = _parts(name, channel.t, 1.0 / channel.rate, clock)
+        # Of a damaged log all stamps may name one moment, which tells no rate.
+        step = 1.0 / channel.rate if channel.rate > 0.0 else 0.0
+        parts[name] = _parts(name, channel.t, step, clock)
         channels[name] = replace(channel, t=channel.t + np.array(clock.moves)[parts[name]])
     kept = [
         _gap(g, block, parts, clock) for g in block.gaps if (g.start, g.stop) not in clock.steps
