@@ -134,8 +134,8 @@ def test_one_wrong_stamp_sets_no_clock(row: int, off: float, tmp_path: Path) -> 
 
 
 def test_a_clock_without_a_rate_is_parted_too() -> None:
-    """A damaged log whose stamps name one moment and then an earlier one: no time step tells a rate,
-    and the part still follows the one before."""
+    """A damaged log whose stamps name one moment and then an earlier one: no time step tells a
+    rate, and the part still follows the one before."""
     t = np.repeat([100.0, 3.0], 8)
     channel = Channel(t, np.zeros((16, 3)), "m/s2", "acceleration", "imu0", 0.0)
     back = Gap(100.0, 3.0, "back")
