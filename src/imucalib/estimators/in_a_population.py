@@ -29,16 +29,16 @@ def estimate_in_population(
     assert prior.noise is not None
     away = at.residual + at.jacobian @ (theta - prior.mean)
     among = at.jacobian @ prior.covariance @ at.jacobian.T
-    logs = _searched(at, among, away, prior.noise)
-    if fixed is not None:
+    if fixed is None:
+        logs = _searched(at, among, away, prior.noise)
+    else:
         logs = np.log(np.maximum([fixed.factor, *fixed.sd], 1e-300))
     own = _derivatives(at, logs)
     inverse = np.linalg.inv(0.5 * sum(own, np.zeros_like(among)))
     weighted = at.jacobian.T @ inverse
     covariance = np.linalg.inv(prior.root.T @ prior.root + weighted @ at.jacobian)
     gain = covariance @ weighted
-    value, slope, information = _posterior(at, among, away, prior.noise, logs)
-    del slope
+    value, _, information = _posterior(at, among, away, prior.noise, logs)
     spread = np.zeros_like(information) if fixed is not None else np.linalg.inv(information)
     noise = Noise(float(np.exp(logs[0])), at.component, tuple(np.exp(logs[1:]).tolist()))
     used = float(np.trace(gain @ at.jacobian))

@@ -25,9 +25,8 @@ from imucalib.loop.foretold import foretold
 from imucalib.loop.found import FitLoop, LoopSettings, Unexplained
 from imucalib.loop.held_out import Held, errors, theta_without, without_records
 from imucalib.loop.records import record_names
-from imucalib.loop.search import choose, search
+from imucalib.loop.search import beyond_chance, choose, search
 from imucalib.loop.subject import Refused
-from imucalib.loop.thresholds import BEYOND_CHANCE, STRONG
 from imucalib.units import MG
 
 
@@ -103,7 +102,7 @@ def judged(loop: FitLoop, held: CrossFit, metric: Metric) -> FitLoop:
     strong = tuple(
         Unexplained(f"what looks like {s.effect}", "", "probe", s.p, s.evidence, 0.0)
         for s in loop.named
-        if s.evidence > STRONG or s.p <= BEYOND_CHANCE
+        if beyond_chance(s)
     )
     return replace(
         loop,

@@ -12,7 +12,7 @@ from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.loop.candidates import correlated_noise, effect_candidates, family_candidates, probes
 from imucalib.loop.evidence import Candidate, Score, apart, score
-from imucalib.loop.found import LoopSettings, Unexplained
+from imucalib.loop.found import LoopSettings, Step, Unexplained
 from imucalib.loop.held_out import fitted, log_predictive
 from imucalib.loop.records import held_out_rms
 from imucalib.loop.subject import Refused, Searched
@@ -150,6 +150,11 @@ def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexpla
     )
 
 
+def beyond_chance(found: Score | Step) -> bool:
+    """Whether it stands out so far that it is told although other data refuse it."""
+    return found.evidence > STRONG or found.p <= BEYOND_CHANCE
+
+
 def looked_like(
     current: Fit,
     effects: Mapping[str, Effect],
@@ -170,8 +175,7 @@ def looked_like(
         if s.name not in some or not passes(s, rules):
             continue
         # By chance some stand out that other data refuse: only strong ones are more than that.
-        strong = s.evidence > STRONG or s.p <= BEYOND_CHANCE
-        if strong or not rejected[s.name].by_data:
+        if beyond_chance(s) or not rejected[s.name].by_data:
             name = f"what looks like {s.name} and was not taken: {rejected[s.name].reason}"
             driver = " and ".join(some[s.name].needs)
             return (Unexplained(name, driver, "probe", s.p, s.evidence, s.share),)
