@@ -148,7 +148,9 @@ def test_setting_errors_are_the_conditional_mean() -> None:
         [sd**2 * m.T @ np.linalg.solve(covariance, misfit)
          for m, sd in zip(fit.at.settings, fit.noise.sd, strict=True)]
     )  # fmt: skip
-    assert np.allclose(setting_errors(fit.at, fit.noise, misfit), expected, rtol=1e-7, atol=1e-14)
+    white = whitener(fit.at.settings, fit.noise.ratio)
+    found = setting_errors(fit.at, white, fit.noise.ratio, misfit)
+    assert np.allclose(found, expected, rtol=1e-7, atol=1e-14)
     assert np.allclose(fit.eta, expected, atol=1e-9)
 
 

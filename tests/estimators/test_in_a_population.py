@@ -21,14 +21,15 @@ def _prior(model: Model, context, share: float, logs: tuple[tuple[float, float],
     return Prior(model.start(context), np.diag(1.0 / sd), np.array(logs))
 
 
+@pytest.mark.parametrize("width", [100.0, 1e4])
 @pytest.mark.parametrize("known", [True, False])
-def test_a_kind_that_says_nothing_changes_nothing(known: bool) -> None:
+def test_a_kind_that_says_nothing_changes_nothing(known: bool, width: float) -> None:
     """With wide priors the estimate is that of restricted maximum likelihood, settings and all."""
     model, data = (base_model(), bench(4, 60)) if known else (NINE, tumble(4, 60))
     made = draw(model, ordinary_theta(model, data, 4), data, 5)
     plain = fit(model, made)
     count = 1 + len(plain.noise.component)
-    wide = fit(model, made, prior=_prior(model, made.context, 100.0, ((-3.0, 50.0),) * count))
+    wide = fit(model, made, prior=_prior(model, made.context, width, ((-3.0, 50.0),) * count))
     assert wide.converged
     assert np.all(np.abs(wide.theta - plain.theta) < 0.02 * plain.sd)
     assert wide.sd == pytest.approx(plain.sd, rel=0.01)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from imucalib.core.balance import Whitener
 from imucalib.core.context import Context
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
@@ -83,16 +84,14 @@ def silent(fit: Fit) -> float:
 def test_a_forgotten_projection_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = fit_model(base_model(), planted("tool_face_zero", 3.0))
     assert silent(fit) == 0.0
-    base, point = Fit.white_basis, evidence_grid._at_point
+    base, taken_out = Fit.white_basis, evidence_grid.restricted
 
-    def without(found: Fit) -> tuple[evidence_grid.Whitener, Array]:
+    def without(found: Fit) -> tuple[Whitener, Array]:
         white, basis = base(found)
         return white, np.zeros_like(basis)
 
     monkeypatch.setattr(Fit, "white_basis", without)
-    monkeypatch.setattr(
-        evidence_grid, "_at_point", lambda j, *rest: replace(point(j, *rest), basis=0.0 * j)
-    )
+    monkeypatch.setattr(evidence_grid, "restricted", lambda j, found: taken_out(0.0 * j, found))
     candidates, _ = effect_candidates(fit, [named("tool_face_zero")])
     assert not score(fit, candidates, np.random.default_rng(0), draws=19)[0].absorbed
 

@@ -108,22 +108,24 @@ def balanced(prediction: Prediction, eta: Array, observations: Observations) -> 
         keep = (across / np.linalg.norm(across, axis=1, keepdims=True))[..., None]
     elif flat:
         keep = np.linalg.qr(free[..., flat], mode="complete")[0][..., len(flat) :]
-    project = keep.transpose(0, 2, 1)
+    if flat:
+        project = keep.transpose(0, 2, 1)
+        residual = (project @ residual[..., None])[..., 0]
+        jacobian, free = project @ jacobian, project @ free
 
     names = tuple(dict.fromkeys(c for c in directions.component if c is not None))
     settings, rows = [], keep.shape[2]
     for name in names:
-        matrix = np.zeros((n, rows, observations.reference.eta_size))
-        for j in (j for j, c in enumerate(directions.component) if c == name):
-            part = project @ free[..., j, None]
-            matrix[np.arange(n), :, directions.index[:, j]] += part[..., 0]
-        used = np.unique(directions.index[:, [c == name for c in directions.component]])
-        dense = matrix.reshape(n * rows, -1)
-        settings.append(dense[:, used])
-        residual = residual + (project.transpose(0, 2, 1) @ (matrix @ eta)[..., None])[..., 0]
+        local = [j for j, c in enumerate(directions.component) if c == name]
+        used, column = np.unique(directions.index[:, local], return_inverse=True)
+        matrix = np.zeros((n, rows, used.size))
+        for j, own in zip(local, column.reshape(n, -1).T, strict=True):
+            matrix[np.arange(n), :, own] += free[..., j]
+        settings.append(matrix.reshape(n * rows, -1))
+        residual = residual + matrix @ eta[used]
     return Balanced(
-        residual=(project @ residual[..., None]).ravel(),
-        jacobian=(project @ jacobian).reshape(n * rows, -1),
+        residual=residual.ravel(),
+        jacobian=jacobian.reshape(n * rows, -1),
         settings=tuple(settings),
         component=names,
         keep=keep,
@@ -149,11 +151,21 @@ class Whitener:
     log_det: float
 
     def __call__(self, columns: Array) -> Array:
+        return columns if self.lower is None else self._solved(columns, transposed=False)
+
+    def weighted(self, columns: Array) -> Array:
+        """V⁻¹ s² times columns."""
         if self.lower is None:
             return columns
-        from scipy.linalg import solve_triangular
+        return self._solved(self(columns), transposed=True)
 
-        return np.asarray(solve_triangular(self.lower, columns, lower=True, check_finite=False))
+    def _solved(self, columns: Array, *, transposed: bool) -> Array:
+        # The rows of a lower triangle in C's order are an upper one in Fortran's: no copy.
+        from scipy.linalg.lapack import dtrtrs
+
+        assert self.lower is not None
+        trans = 0 if transposed else 1
+        return np.asarray(dtrtrs(self.lower.T, columns, lower=0, trans=trans)[0])
 
 
 def whitener(settings: tuple[Array, ...], ratio: tuple[float, ...]) -> Whitener:
@@ -167,18 +179,12 @@ def whitener(settings: tuple[Array, ...], ratio: tuple[float, ...]) -> Whitener:
     return Whitener(lower, 2.0 * float(np.log(np.diag(lower)).sum()))
 
 
-def setting_errors(at: Balanced, noise: Noise, misfit: Array) -> Array:
+def setting_errors(at: Balanced, white: Whitener, ratio: tuple[float, ...], misfit: Array) -> Array:
     """Best linear unbiased prediction of η (rad) from the misfit r - J δθ, component by component.
 
-    Concatenated in the components' order (Henderson 1975).
+    white : of the balance at these ratios. Concatenated in the components' order (Henderson 1975).
     """
-    ratio = noise.ratio
-    white = whitener(at.settings, ratio)
-    weighted = white(misfit)
-    if white.lower is not None:
-        from scipy.linalg import solve_triangular
-
-        weighted = solve_triangular(white.lower, weighted, lower=True, trans="T")
+    weighted = white.weighted(misfit)
     own = zip(at.settings[: at.free], ratio, strict=False)
     parts = [rho**2 * m.T @ weighted for m, rho in own]
     return np.concatenate(parts) if parts else np.zeros(0)

@@ -17,6 +17,7 @@ from imucalib.core.truth import Truth
 from imucalib.errors import NotConverged
 
 _ORDER = {"fixture": 0, "mounting": 1, "sensor": 2}
+_SAME = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -68,29 +69,29 @@ class Model:
         """Readings of the truth (n, K, 3) m/s² and all derivatives."""
         n, k, _ = truth.shape
         slope = np.zeros((n, k, 3, theta.size))
-        chain = np.broadcast_to(np.eye(3), (n, k, 3, 3))
+        chain = np.broadcast_to(_SAME, (n, k, 3, 3))
         x, slices = truth, self.slices(context)
         for effect in self.effects:
             if effect.stage == "sensor":
                 continue
             part, own = slices[effect.name], theta[slices[effect.name]]
             action = effect.act(own, Truth(x), context)
-            step = action.d_x + np.eye(3)
-            slope = step @ slope
-            slope[..., part] += action.d_theta
+            step = action.d_x + _SAME
+            slope[..., : part.start] = step @ slope[..., : part.start]  # of those that act before
+            slope[..., part] = action.d_theta
             chain = step @ chain
             x = x + action.delta
-        reading, response, direct = x.copy(), np.broadcast_to(np.eye(3), chain.shape).copy(), {}
+        reading, response = x.copy(), np.broadcast_to(_SAME, chain.shape).copy()
+        turning = theta.size
         for effect in self.effects:
             if effect.stage == "sensor":
                 part, own = slices[effect.name], theta[slices[effect.name]]
                 action = effect.act(own, Truth(x), context)
                 reading += action.delta
                 response += action.d_x
-                direct[effect.name] = action.d_theta
-        slope = response @ slope
-        for name, columns in direct.items():
-            slope[..., slices[name]] += columns
+                slope[..., part] = action.d_theta
+                turning = min(turning, part.start)
+        slope[..., :turning] = response @ slope[..., :turning]  # of those that turn the truth
         return Prediction(reading, slope, response @ chain, x)
 
     def correct(self, theta: Array, reading: Array, context: Context) -> Array:
@@ -103,7 +104,7 @@ class Model:
         sensor = [e for e in self.effects if e.stage == "sensor"]
         x = reading.copy()
         for _ in range(30):
-            predicted, response = x.copy(), np.broadcast_to(np.eye(3), (*x.shape, 3)).copy()
+            predicted, response = x.copy(), np.broadcast_to(_SAME, (*x.shape, 3)).copy()
             for effect in sensor:
                 action = effect.act(theta[slices[effect.name]], Truth(x), context)
                 predicted += action.delta
@@ -119,6 +120,6 @@ class Model:
             )
         for effect in reversed(self.effects):
             if effect.stage == "mounting":
-                turn = np.eye(3) + effect.act(theta[slices[effect.name]], Truth(x), context).d_x
+                turn = _SAME + effect.act(theta[slices[effect.name]], Truth(x), context).d_x
                 x = np.asarray(np.linalg.solve(turn, x[..., None])[..., 0], np.float64)
         return x

@@ -28,24 +28,21 @@ def estimate_in_population(
     """At a balance that is linearised at θ; with `fixed` only the covariance is computed."""
     assert prior.noise is not None
     away = at.residual + at.jacobian @ (theta - prior.mean)
-    among = at.jacobian @ prior.covariance @ at.jacobian.T
     if fixed is None:
-        logs = _searched(at, among, away, prior.noise)
+        logs = _searched(at, prior, away)
     else:
         logs = np.log(np.maximum([fixed.factor, *fixed.sd], 1e-300))
     own = _derivatives(at, logs)
-    inverse = np.linalg.inv(0.5 * sum(own, np.zeros_like(among)))
-    weighted = at.jacobian.T @ inverse
-    covariance = np.linalg.inv(prior.root.T @ prior.root + weighted @ at.jacobian)
+    inverse, covariance, weighted = _conditional(at, prior, own)
     gain = covariance @ weighted
-    value, _, information = _posterior(at, among, away, prior.noise, logs)
+    value, _, information = _posterior(at, prior, away, logs)
     spread = np.zeros_like(information) if fixed is not None else np.linalg.inv(information)
     noise = Noise(float(np.exp(logs[0])), at.component, tuple(np.exp(logs[1:]).tolist()))
     used = float(np.trace(gain @ at.jacobian))
     white = whitener(at.settings, noise.ratio)
     return NoiseEstimate(
         noise=noise,
-        covariance=np.asarray(covariance, np.float64),
+        covariance=covariance,
         slope=np.array([gain @ d @ gain.T for d in own]),
         noise_covariance=np.asarray(spread, np.float64),
         chi2=float(at.residual @ inverse @ at.residual) * noise.factor**2,
@@ -77,30 +74,46 @@ def _derivatives(at: Balanced, logs: Array) -> list[Array]:
     return derivative + [2.0 * v * m @ m.T for v, m in zip(values[1:], at.settings, strict=True)]
 
 
-def _posterior(
-    at: Balanced, among: Array, away: Array, noise: Array, logs: Array
-) -> tuple[float, Array, Array]:
-    """Minus the log posterior of the noise's logs, its slope, and its expected curvature."""
+def _conditional(at: Balanced, prior: Prior, own: list[Array]) -> tuple[Array, Array, Array]:
+    """V⁻¹, the covariance (Q⁻¹ + J'V⁻¹J)⁻¹ of θ, and J'V⁻¹."""
+    inverse: Array = np.asarray(np.linalg.inv(0.5 * np.sum(own, axis=0)), np.float64)
+    weighted = at.jacobian.T @ inverse
+    information = prior.root.T @ prior.root + weighted @ at.jacobian
+    return inverse, np.asarray(np.linalg.inv(information), np.float64), weighted
+
+
+def _posterior(at: Balanced, prior: Prior, away: Array, logs: Array) -> tuple[float, Array, Array]:
+    """Minus the log posterior of the noise's logs, its slope, and its expected curvature.
+
+    V + J Q Jᵀ is never formed: beside a prior that says little, V would be rounding in it.
+    """
+    assert prior.noise is not None
     own = _derivatives(at, logs)
-    whole = among + 0.5 * sum(own, np.zeros_like(among))
-    inverse = np.linalg.inv(whole)
-    u = inverse @ away
-    left = (logs - noise[:, 0]) / noise[:, 1]
-    value = 0.5 * (float(np.linalg.slogdet(whole)[1]) + float(away @ u) + float(left @ left))
-    products = [inverse @ d for d in own]
+    inverse, covariance, weighted = _conditional(at, prior, own)
+    shift = covariance @ (weighted @ away)
+    rest, pulled = away - at.jacobian @ shift, prior.root @ shift
+    u = inverse @ rest
+    left = (logs - prior.noise[:, 0]) / prior.noise[:, 1]
+    log_det = np.linalg.slogdet(0.5 * np.sum(own, axis=0))[1] - np.linalg.slogdet(covariance)[1]
+    value = 0.5 * float(log_det + rest @ u + pulled @ pulled + left @ left)
+    beside = inverse - weighted.T @ covariance @ weighted
+    products = [beside @ d for d in own]
     slope = [
         0.5 * (float(np.trace(p)) - float(u @ d @ u)) for p, d in zip(products, own, strict=True)
     ]
     curvature = 0.5 * np.array([[float(np.sum(a * b.T)) for b in products] for a in products])
-    return value, np.array(slope) + left / noise[:, 1], curvature + np.diag(noise[:, 1] ** -2.0)
+    slopes = np.array(slope) + left / prior.noise[:, 1]
+    return value, slopes, curvature + np.diag(prior.noise[:, 1] ** -2.0)
 
 
-def _searched(at: Balanced, among: Array, away: Array, noise: Array) -> Array:
+def _searched(at: Balanced, prior: Prior, away: Array) -> Array:
     from scipy.optimize import minimize
 
+    noise = prior.noise
+    assert noise is not None
     bounds = [(m - min(_REACH * sd, _WIDEST), m + min(_REACH * sd, _WIDEST)) for m, sd in noise]
     found = minimize(
-        lambda logs: _posterior(at, among, away, noise, logs)[:2], noise[:, 0], jac=True,
+        lambda logs: _posterior(at, prior, away, logs)[:2], noise[:, 0], jac=True,
         method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-13, "gtol": 1e-8, "maxiter": 200},
     )  # fmt: skip
     return np.asarray(found.x)

@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.balance import Balanced, Noise, balance, setting_errors, whitener
+from imucalib.core.balance import (
+    Balanced,
+    Noise,
+    Whitener,
+    balance,
+    setting_errors,
+    whitener,
+)
 from imucalib.core.fit import Fit
 from imucalib.core.identifiability import null_directions
 from imucalib.core.model import Model
@@ -22,6 +29,10 @@ from imucalib.estimators.in_a_population import estimate_in_population
 from imucalib.estimators.levenberg_marquardt import Solution, minimise
 from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate_with_prior
 
+#: Rounds in which η settles at one θ, and the change (rad) from which the next one, its square,
+#: would be rounding.
+_SETTLING, _SETTLED = 6, 1e-6
+
 
 @dataclass(frozen=True)
 class State:
@@ -29,6 +40,14 @@ class State:
 
     theta: Array
     eta: Array
+
+
+@dataclass(frozen=True)
+class Linearised(State):
+    """The same with its balance, and what whitens it."""
+
+    at: Balanced
+    white: Whitener
 
 
 def fit(
@@ -52,15 +71,14 @@ def fit(
     context, reference = observations.context, observations.reference
     theta = model.start(context) if start is None else start
     corrected = model.correct(theta, observations.reading, context)
-    state = State(theta, reference.start(corrected))
+    state: State = State(theta, reference.start(corrected))
     names = balance(model, state.theta, state.eta, observations).component
     current = noise or begin or Noise(1.0, names, tuple(0.01 for _ in names))
     estimate: NoiseEstimate | None = None
     converged, steps = False, 0
-    for _ in range(rounds):
-        solution = _solve(model, observations, state, current, prior)
-        state, steps = solution.state, steps + solution.iterations
-        at = balance(model, state.theta, state.eta, observations)
+    for turn in range(rounds):
+        solution = _solve(model, observations, state, current, prior, fresh=turn == 0)
+        state, at, steps = solution.state, solution.state.at, steps + solution.iterations
         if prior is None:
             estimate = estimate_noise(at, current, fixed=noise is not None)
         elif prior.noise is None:
@@ -115,56 +133,73 @@ def evaluate(
 
 
 def _solve(
-    model: Model, observations: Observations, start: State, noise: Noise, prior: Prior | None
-) -> Solution[State]:
+    model: Model,
+    observations: Observations,
+    start: State,
+    noise: Noise,
+    prior: Prior | None,
+    *,
+    fresh: bool,
+) -> Solution[Linearised]:
+    """fresh : nothing has been fitted yet, so that η may be of the start and not of the data."""
     ratio = noise.ratio
+    settled = _has_settings(observations, noise)
 
-    def linearise(state: State) -> tuple[Array, Array]:
-        at = balance(model, state.theta, state.eta, observations)
-        white = whitener(at.settings, ratio)
-        both = white(np.column_stack([at.residual, at.jacobian]))
+    def at_eta(theta: Array, eta: Array) -> Linearised:
+        return _with_eta(model, observations, State(theta, eta), ratio, settled)
+
+    def linearise(state: Linearised) -> tuple[Array, Array]:
+        both = state.white(np.column_stack([state.at.residual, state.at.jacobian]))
         if prior is not None:
             both = np.vstack([both, noise.factor * prior.rows(state.theta)])
         return both[:, 0], both[:, 1:]
 
-    def move(state: State, step: Array) -> State:
-        return _with_eta(model, observations, State(state.theta + step, state.eta), noise)
+    def move(state: Linearised, step: Array) -> Linearised:
+        eta = state.eta
+        if settled:  # where the settings go with the step, to first order
+            left = state.at.residual - state.at.jacobian @ step
+            eta = setting_errors(state.at, state.white, ratio, left)
+        return at_eta(state.theta + step, eta)
 
-    first = _with_eta(model, observations, start, noise)
-    if _has_settings(observations, noise):
+    first = at_eta(start.theta, start.eta)
+    if settled and fresh:
         # A gross error looks like a gross setting error until θ has had its say: start from
         # whichever comes out better, η settled before the first step of θ or after it.
-        residual, jacobian = linearise(start)
+        at = balance(model, start.theta, start.eta, observations)
+        white = whitener(at.settings, ratio)
+        residual, jacobian = white(at.residual), white(at.jacobian)
         scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
         step = np.linalg.lstsq(jacobian / scale, residual, rcond=1e-10)[0] / scale
         with suppress(np.linalg.LinAlgError):  # the step may lead where nothing can be evaluated
-            first = min(first, move(start, step), key=lambda s: float(np.sum(linearise(s)[0] ** 2)))
+            other = at_eta(start.theta + step, start.eta)
+            first = min(first, other, key=lambda s: float(np.sum(linearise(s)[0] ** 2)))
     return minimise(linearise, move, first)
 
 
-def _with_eta(model: Model, observations: Observations, state: State, noise: Noise) -> State:
+def _with_eta(
+    model: Model, observations: Observations, state: State, ratio: tuple[float, ...], settled: bool
+) -> Linearised:
     """η at its best for this θ; a flat direction moves to first order and converges along with θ.
 
     Large setting errors bend the linearisation: unless η is settled, the cost depends on the path
     and a step cannot be judged by it.
     """
-    if _has_settings(observations, noise):
-        for _ in range(6):
-            at = balance(model, state.theta, state.eta, observations)
-            eta = setting_errors(at, noise, at.residual)
-            moved = float(np.abs(eta - state.eta).max(initial=0.0))
-            state = State(state.theta, eta)
-            if moved < 1e-9:
-                break
-        return state
-    if not _has_flat(observations, state.eta):
-        return state
-    step = _flat_step(model, observations, state)
-    return State(state.theta, observations.reference.move(state.eta, step))
-
-
-def _has_flat(observations: Observations, eta: Array) -> bool:
-    return None in observations.reference.directions(eta).component
+    reference = observations.reference
+    if not settled and None in reference.directions(state.eta).component:
+        step = _flat_step(model, observations, state)
+        state = State(state.theta, reference.move(state.eta, step))
+    at = balance(model, state.theta, state.eta, observations)
+    white = whitener(at.settings, ratio)
+    if not settled:
+        return Linearised(state.theta, state.eta, at, white)
+    eta = state.eta
+    for _ in range(_SETTLING):
+        before, eta = eta, setting_errors(at, white, ratio, at.residual)
+        if float(np.abs(eta - before).max(initial=0.0)) < _SETTLED:
+            break
+        at = balance(model, state.theta, eta, observations)
+        white = whitener(at.settings, ratio)
+    return Linearised(state.theta, eta, at, white)
 
 
 def _has_settings(observations: Observations, noise: Noise) -> bool:

@@ -23,6 +23,8 @@ _OPEN = 1e-13
 #: A parameter whose column has shrunk to this share ran away to where it does nothing.
 _RUNAWAY = 1e-10
 _MOST_DAMPING = 1e16
+#: Share of the cost below which an undamped step moves nothing by 1e-8 of its standard deviation.
+_NOTHING = 1e-18
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,8 @@ def _polished(
     the weights move with the state.
     """
     for _ in range(20):
+        if point.gain <= _NOTHING * point.cost:
+            break
         trial = _moved(linearise, move, point, 0.0, widest)
         if trial is None or trial.gain > 0.8 * point.gain or trial.cost > 1.001 * point.cost:
             break

@@ -14,6 +14,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, whitener
 from imucalib.core.prior import Prior
+from imucalib.core.restricted import Restricted, restricted
 
 #: Search range of a setting's standard deviation, as its largest effect on a reading in units of
 #: the readings' noise. Below `_VANISHED` the component counts as zero.
@@ -128,20 +129,13 @@ def _search(at: Balanced, start: Noise) -> Noise:
     """Maximise over the log ratios sd_c / s, with s in closed form at each."""
     from scipy.optimize import minimize
 
-    dof = at.residual.size - at.jacobian.shape[1]
     reach = np.array([max(float(np.abs(m).max()), 1e-300) for m in at.settings])
     low, high = np.log(_RATIO[0] / reach), np.log(_RATIO[1] / reach)
+    left = restricted(at.jacobian, at.settings)
+    data, dof = left.frame.T @ at.residual, at.residual.size - at.jacobian.shape[1]
 
     def objective(logs: Array) -> tuple[float, Array]:
-        values = np.array([1.0, *np.exp(logs)])
-        projector, _, derivative, log_v, log_j = _projector(at, values)
-        py = projector @ at.residual
-        power = max(float(at.residual @ py), 1e-300)
-        slope = [
-            0.5 * (float(np.sum(projector * d)) - dof * float(py @ d @ py) / power)
-            for d in derivative[1:]
-        ]
-        return 0.5 * (log_v + log_j + dof * np.log(power)), np.array(slope)
+        return _profiled(left, data, dof, np.exp(logs))
 
     first = np.clip(np.log(np.maximum(start.sd, 1e-12)) - np.log(start.factor), low, high)
 
@@ -157,9 +151,29 @@ def _search(at: Balanced, start: Noise) -> Noise:
         # The likelihood is flat near zero: a long first step can be stranded there.
         found = min(found, descend(-np.log(reach)), key=lambda result: float(result.fun))
     ratio = np.where(found.x > zero, np.exp(found.x), 0.0)
-    projector = _projector(at, np.array([1.0, *ratio]))[0]
-    factor = float(np.sqrt(max(float(at.residual @ projector @ at.residual) / dof, 1e-30)))
+    covariance = left.at(ratio[None])
+    power = float(covariance.power(covariance.solve(data[:, None]))[0, 0])
+    factor = float(np.sqrt(max(power / dof, 1e-30)))
     return Noise(factor, at.component, tuple(float(r) * factor for r in ratio))
+
+
+def _profiled(left: Restricted, data: Array, dof: int, ratio: Array) -> tuple[float, Array]:
+    """Minus the restricted log likelihood with s at its best, and its slopes by the log ratios."""
+    covariance = left.at(ratio[None])
+    solved = covariance.solve(data[:, None])
+    rest, taken = solved[0][0, :, 0], solved[1][0, :, 0]
+    power = max(float(covariance.power(solved)[0, 0]), 1e-300)
+    inside = covariance.inside[0]
+    # tr V⁻¹ U_c U_c' = q_c - tr of the capacity's inverse, and U' V⁻¹ y is what U takes.
+    own = 1.0 - np.diag(inside) - dof * taken**2 / power
+    slope: Array = np.bincount(left.owner, own, minlength=ratio.size).astype(np.float64)
+    if left.wide >= 0:
+        each = ratio[left.wide] ** 2 * left.spread
+        weighted = covariance.weighted * covariance.size[0]
+        inner = weighted.T @ (each[:, None] * weighted)
+        trace = float(np.sum(each / covariance.diagonal) - np.sum(inside * inner))
+        slope[left.wide] = trace - dof * float(each @ rest**2) / power
+    return 0.5 * (float(covariance.log_det[0]) + dof * float(np.log(power))), slope
 
 
 def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:

@@ -21,6 +21,7 @@ from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.noise.grid import TAU, EvidenceGrid
+from imucalib.loop.noise.strength import strengths
 from imucalib.loop.thresholds import ABSORBED
 
 Kind = Literal["effect", "probe", "noise", "record"]
@@ -105,7 +106,7 @@ def score(
 def _undecided(p: float, done: int, alpha: float) -> bool:
     """Whether more draws could change which side of alpha p is on."""
     if done < _PARTS[1]:
-        return p < 0.3 + alpha
+        return p - 3.0 * float(np.sqrt(p * (1.0 - p) / done)) < alpha
     return 1.5 / (done + 1) < p < 4.0 * alpha
 
 
@@ -114,11 +115,11 @@ def _score_few(
 ) -> tuple[Score, ...]:
     at, noise = fit.at, fit.noise
     fitted = noise.ratio
-    alone = _each_alone(fit, candidates)
-    live = [k for k, (left, _, _) in enumerate(alone) if left >= ABSORBED]
+    alone = strengths(fit, [c.columns for c in candidates])
+    live = np.flatnonzero(alone.live)
     evidence, p, done = np.zeros(len(candidates)), np.ones(len(candidates)), 0
     null = np.zeros(0)
-    if live:
+    if live.size:
         grid = EvidenceGrid(
             at.jacobian,
             at.settings,
@@ -141,10 +142,11 @@ def _score_few(
         evidence[live] = found[:, 0]
     scores = [
         Score(
-            candidate=c, evidence=float(e), p=float(q), draws=done, left=left, strength=strength,
-            share=share, size=_size(fit, c), bar=_bar(null, alpha),
+            candidate=c, evidence=float(evidence[k]), p=float(p[k]), draws=done,
+            left=float(alone.left[k]), strength=float(alone.strength[k]),
+            share=float(alone.share[k]), size=_size(fit, c), bar=_bar(null, alpha),
         )
-        for c, e, q, (left, strength, share) in zip(candidates, evidence, p, alone, strict=True)
+        for k, c in enumerate(candidates)
     ]  # fmt: skip
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
@@ -197,29 +199,6 @@ def _score_many(
             )
         )
     return tuple(sorted(scores, key=lambda s: -s.evidence))
-
-
-def _each_alone(fit: Fit, candidates: tuple[Candidate, ...]) -> list[tuple[float, float, float]]:
-    """What the fitted parameters leave of each candidate, its λ, and the share that it explains."""
-    white, basis = fit.white_basis()
-    residual = white(fit.at.residual)
-    residual = residual - basis @ (basis.T @ residual)
-    power = max(float(residual @ residual), 1e-300)
-    freedom = residual.size - basis.shape[1]
-    found = []
-    for candidate in candidates:
-        columns = white(candidate.columns)
-        rest = columns - basis @ (basis.T @ columns)
-        whole, kept = float(np.sum(columns**2)), float(np.sum(rest**2))
-        left = kept / whole if whole > 0.0 else 0.0
-        if left < ABSORBED:
-            found.append((left, 0.0, 0.0))
-            continue
-        u = _span(rest)
-        unexplained = 1.0 - float(np.sum((u.T @ residual) ** 2)) / power
-        share = 1.0 - unexplained * freedom / max(freedom - u.shape[1], 1)
-        found.append((left, float(np.sqrt(kept)) / fit.noise.factor, max(share, 0.0)))
-    return found
 
 
 def _span(columns: Array) -> Array:

@@ -149,6 +149,16 @@ def test_the_down_date_is_the_likelihood_of_the_whole_sheet() -> None:
         assert p[0] == pytest.approx(base.as_it_stands, abs=0.3)  # noise's prior lacks the row
 
 
+def test_no_value_of_an_angle_exceeds_its_bound() -> None:
+    """Rows are passed over by it, so that it must hold for every row and every value."""
+    base = base_of(sheet_of(sheets.bench(8, scatter=0.1)))
+    assert base is not None
+    others = _others(base)
+    for row in (0, 7, 20):
+        for column, dial in ((0, np.arange(-90.0, 91.0)), (1, np.arange(0.0, 360.0))):
+            assert _density(base, others[row], row, column, dial).max() <= others[row].most
+
+
 @pytest.mark.parametrize(
     ("value", "sd", "shown"), [(118.6, 0.8, 120.0), (33.1, 0.2, 33.1), (-0.2, 0.3, 0.0)]
 )

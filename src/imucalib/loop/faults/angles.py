@@ -44,6 +44,11 @@ class _Others:
     each: Array
     r: Array
 
+    @property
+    def most(self) -> float:
+        """Log likelihood of the whole sheet that no value of the row exceeds: q = 0, |S| = 1."""
+        return float((self.each - 1.5 * np.log(self.rss)).max())
+
 
 def angles(base: Base, unit: tuple[float, float] = (1.0, 1.0)) -> list[Hypothesis]:
     """Every row's inclination and tool-face read anew at every degree of the dial.
@@ -64,10 +69,12 @@ def _typed(base: Base, others: _Others, row: int, column: int, unit: float) -> H
     sheet = base.sheet
     own = float((sheet.inclination, sheet.tool_face)[column][row])
     dial = _dial(column, (sheet.inclination, sheet.tool_face)[column])
+    paid = np.log(len(dial)) + np.log(2.0 * sheet.n)
+    if others.most - base.as_it_stands - paid <= ENOUGH:
+        return None  # not even a value that fits without any misfit
     off = _apart(dial, own, column)
     p = _density(base, others, row, column, np.append(dial, own))
     as_set = max(float(p[-1]), base.as_it_stands)
-    paid = np.log(len(dial)) + np.log(2.0 * sheet.n)
     best = int(np.argmax(np.where(off >= _NEAREST, p[:-1], -np.inf)))
     if p[best] - as_set - paid <= ENOUGH:
         return None  # a row that was set again, at the sheet's value, says as much

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array
-from imucalib.core.balance import Whitener, whitener
+from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
+from imucalib.core.restricted import Covariances, restricted
 
 #: Sizes of a candidate, in its typical size, over which the evidence is maximised.
 TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
@@ -27,18 +26,52 @@ SHRINK = (0.0, 0.15, 0.4, 0.72, 0.92, 1.15, 1.6)
 _COARSE = (0.0, 0.4, 0.92, 1.6)
 #: The same of what sessions share: effects within a session do not explain it.
 _HELD = (0.92,)
+#: Numbers that are held, and that are worked on, at a time.
+_NUMBERS, _CACHED = 2_000_000, 100_000
+#: A squared size below this share of its block's largest is rounding.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class _Point:
-    """One noise hypothesis: directions (N, M) of all candidates after projection, their squared
-    sizes, and the part of the log likelihood that no candidate changes."""
+class _Blocks:
+    """The blocks of one width, k of them with m columns each, under P noise hypotheses.
 
-    white: Whitener
-    basis: Array
-    u: Array
-    size: Array
-    constant: float
+    which : (k,) of the candidates; at : (k, m) their columns; turn : (P, k, m, m) from projections
+    to parts along the singular directions; share : (P, k, TAU, m) of each part's square that a
+    block of size τ explains; weight : (P, k, TAU, 1) what the restricted likelihood's determinants
+    cost, as a factor of the power that is left
+    """
+
+    which: Index
+    at: Index
+    turn: Array
+    share: Array
+    weight: Array
+
+    def left(self, power: Array, projection: Array) -> Array:
+        """(k, data sets) of the power left beside each block, at its best size and noise."""
+        times = np.multiply if self.at.shape[1] == 1 else np.matmul
+        best = np.full((len(self.which), power.shape[1]), np.inf)
+        step = max(1, _CACHED // (self.share.shape[2] * best.size))
+        for part in (slice(a, a + step) for a in range(0, len(power), step)):
+            explained = np.square(times(self.turn[part], projection[part][:, self.at]))
+            rest = power[part, None, None] - times(self.share[part], explained)
+            left = (self.weight[part] * np.maximum(rest, 1e-300)).min(axis=(0, 2))
+            np.minimum(best, left, out=best)
+        return best
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Noise hypotheses; weight : (P, 1) what each costs where no candidate is added."""
+
+    covariances: Covariances
+    blocks: tuple[_Blocks, ...]
+    weight: Array
+
+    @property
+    def size(self) -> int:
+        return len(self.weight)
 
 
 class EvidenceGrid:
@@ -63,37 +96,59 @@ class EvidenceGrid:
         coarse: bool = False,
         held: tuple[int, int] = (0, 0),
     ) -> None:
-        columns = np.column_stack(blocks)
-        self._starts = np.cumsum([0] + [b.shape[1] for b in blocks])[:-1]
+        left = restricted(jacobian, settings)
+        self._frame, self._freedom = left.frame, left.frame.shape[1]
+        self._columns = left.frame.T @ np.column_stack(blocks)
+        widths = [b.shape[1] for b in blocks]
+        self._size, starts = len(widths), np.cumsum([0, *widths])[:-1]
         shrink = _COARSE if coarse else SHRINK
         points = _around(ratio, shrink if without is None else _COARSE, held)
         if without is not None:
             points += [(*point, 0.0) for point in _around(without, shrink, held)]
-        self._points = [
-            _at_point(jacobian, whitener(settings, point), columns, self._starts)
-            for point in dict.fromkeys(points)
+        same = [
+            (which := np.flatnonzero(np.equal(widths, m)), starts[which, None] + np.arange(m))
+            for m in np.unique(widths)
+        ]
+        numbers = left.columns.shape[1] * self._columns.shape[1]
+        at = [left.at(some) for some in _parted(points, left.wide, numbers)]
+        lowest = min(float(some.log_det.min()) for some in at)
+        self._parts = [
+            _part(some, self._columns, same, (some.log_det - lowest) / self._freedom) for some in at
         ]
 
     def evidence(self, data: Array) -> Array:
         """(candidates, data sets) evidence in nats of data (N, data sets)."""
-        nothing: Array = np.full(data.shape[1], -np.inf)
-        best: Array = np.full((len(self._starts), data.shape[1]), -np.inf)
-        for point in self._points:
-            white = point.white(data)
-            white = white - point.basis @ (point.basis.T @ white)
-            power = np.einsum("ij,ij->j", white, white)
-            freedom = data.shape[0] - point.basis.shape[1]
-            np.maximum(nothing, point.constant - 0.5 * freedom * np.log(power), out=nothing)
-            explained = (point.u.T @ white) ** 2
-            for tau in TAU:
-                gain = tau**2 * point.size
-                share = (gain / (1.0 + gain))[:, None]
-                drop = np.add.reduceat(share * explained, self._starts, axis=0)
-                penalty = np.add.reduceat(np.log1p(gain), self._starts)[:, None]
-                rest = np.maximum(power - drop, 1e-300)
-                value = point.constant - 0.5 * (freedom * np.log(rest) + penalty)
-                np.maximum(best, value, out=best)
-        return best - nothing
+        data = self._frame.T @ data
+        most = max(part.size for part in self._parts) * self._columns.shape[1]
+        step = max(1, _NUMBERS // most)
+        found = [self._evidence(data[:, a : a + step]) for a in range(0, data.shape[1], step)]
+        return np.concatenate(found, axis=1)
+
+    def _evidence(self, data: Array) -> Array:
+        """A likelihood at its best noise is a power of what is left: the least over all hypotheses
+        and sizes is found first, and turned into nats once."""
+        nothing: Array = np.full(data.shape[1], np.inf)
+        best: Array = np.full((self._size, data.shape[1]), np.inf)
+        for part in self._parts:
+            solved = part.covariances.solve(data)
+            power, projection = part.covariances.power(solved), self._columns.T @ solved[0]
+            np.minimum(nothing, (part.weight * power).min(axis=0), out=nothing)
+            for blocks in part.blocks:
+                least = np.minimum(best[blocks.which], blocks.left(power, projection))
+                best[blocks.which] = least
+        return np.asarray(0.5 * self._freedom * (np.log(nothing) - np.log(best)))
+
+
+def _parted(
+    points: list[tuple[float, ...]], wide: int, numbers: int
+) -> list[list[tuple[float, ...]]]:
+    """The hypotheses without repeats, in parts that share the ratio of the wide component and
+    whose arrays, of so many numbers a hypothesis, stay small."""
+    same: dict[float, list[tuple[float, ...]]] = {}
+    for point in dict.fromkeys(points):
+        same.setdefault(point[wide] if wide >= 0 else 0.0, []).append(point)
+    step = max(1, _NUMBERS // max(numbers, 1))
+    return [some[a : a + step] for some in same.values() for a in range(0, len(some), step)]
 
 
 def _around(
@@ -104,21 +159,27 @@ def _around(
     return list(product(*(tuple(dict.fromkeys(s * r for s in some)) for r, some in sizes)))
 
 
-def _at_point(jacobian: Array, white: Whitener, columns: Array, starts: NDArray[np.intp]) -> _Point:
-    basis, triangle = np.linalg.qr(white(jacobian))
-    projected = white(columns)
-    projected = projected - basis @ (basis.T @ projected)
-    u, size = np.empty_like(projected), np.zeros(columns.shape[1])
-    widths = np.diff([*starts, columns.shape[1]])
-    for width in np.unique(widths):
-        # Eigenvectors of the small Gram matrices are the blocks' singular directions; blocks of
-        # one width are decomposed together.
-        at = starts[widths == width][:, None] + np.arange(width)
-        blocks = projected[:, at].transpose(1, 0, 2)
-        values, vectors = eigen(blocks.transpose(0, 2, 1) @ blocks)
-        size[at] = np.maximum(values, 0.0)
-        turned = blocks @ (vectors / np.sqrt(np.maximum(values, 1e-300))[:, None, :])
-        turned[np.broadcast_to((values <= 1e-12 * values[:, -1:])[:, None, :], turned.shape)] = 0.0
-        u[:, at] = turned.transpose(1, 0, 2)
-    log_j = float(np.log(np.maximum(np.abs(np.diag(triangle)), 1e-300)).sum())
-    return _Point(white, basis, u, size, -0.5 * white.log_det - log_j)
+def _part(
+    covariances: Covariances, columns: Array, same: Sequence[tuple[Index, Index]], penalty: Array
+) -> _Part:
+    """same : of each width which candidates have it and their columns (k, m), which are decomposed
+    together; penalty : (P,) of log det V, a degree of freedom."""
+    weighted = (columns / covariances.diagonal[:, None]).T
+    across = covariances.weighted.T @ columns
+    outer = covariances.size[:, :, None] * covariances.size[:, None]
+    taken = ((outer * covariances.inside) @ across).transpose(0, 2, 1)
+    freedom = columns.shape[0]
+    blocks = []
+    for which, at in same:
+        # Eigenvectors of the small Gram matrices are the blocks' singular directions.
+        gram = weighted[at] @ columns.T[at].transpose(0, 2, 1)
+        gram = gram - taken[:, at] @ across.T[at].transpose(0, 2, 1)
+        values, vectors = eigen(gram) if at.shape[1] > 1 else (gram[..., 0], np.ones(gram.shape))
+        size = np.maximum(values, 0.0)
+        open_ = values > _ROUNDING * values[..., -1:]
+        scale = np.where(open_, 1.0 / np.sqrt(np.where(open_, size, 1.0)), 0.0)
+        turn = scale[..., None] * vectors.swapaxes(-1, -2)
+        gain = TAU[:, None] ** 2 * size[..., None, :]
+        cost = penalty[:, None, None, None] + np.log1p(gain).sum(-1, keepdims=True) / freedom
+        blocks.append(_Blocks(which, at, turn, gain / (1.0 + gain), np.exp(cost)))
+    return _Part(covariances, tuple(blocks), np.exp(penalty[:, None]))
