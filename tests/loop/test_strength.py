@@ -40,5 +40,6 @@ def test_strength_and_share_are_those_of_least_squares_under_the_noise() -> None
         both = left(rest, own)
         share = 1.0 - (both @ both) / (rest @ rest) * freedom / (freedom - rank)
         assert result.share[k] == pytest.approx(max(share, 0.0), abs=1e-8)
-    assert not result.live[4] and result.strength[4] == 0.0
+    assert not result.live[4]
+    assert result.strength[4] == 0.0
     assert result.share[5] == pytest.approx(result.share[0], abs=1e-8)  # twice the same is one
