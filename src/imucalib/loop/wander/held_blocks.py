@@ -17,7 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.wander.bank import Bank, Mask, Split
-from imucalib.loop.wander.likelihood import Terms
+from imucalib.loop.wander.likelihood import Terms, totals
 
 
 @dataclass(frozen=True)
@@ -42,30 +42,25 @@ def inside(splits: Sequence[Split], keep: Mask) -> tuple[Split, ...]:
 def solved(bank: Bank, terms: Terms, walk: int, keep: Mask) -> Array:
     """(p,) the parameters from the parts that are kept, in units of the columns."""
     gram = bank.by_part(walk, np.append(terms.columns, bank.data))[keep].sum(axis=0)
-    precise = gram[:-1, :-1] + np.diag(terms.precision)
-    return np.asarray(np.linalg.solve(precise, gram[:-1, -1]))
+    return totals(gram[None], terms.precision)[2][0]
 
 
 def judged(bank: Bank, terms: Terms, walk: int, splits: Sequence[Split]) -> Judged:
     """Every block of the design predicted by the model fitted without it."""
     parts = bank.by_part(walk, np.append(terms.columns, bank.data))
-    nats, error, count = [], [], []
-    for split in splits:
-        fitted, both = parts[split.train].sum(axis=0), parts[split.train | split.test].sum(axis=0)
-        p_train, q_train, theta = _balance(fitted, terms.precision)
-        p_all, q_all, _ = _balance(both, terms.precision)
-        n = int(bank.count[split.test].sum())
-        s2 = max(q_train / max(int(bank.count[split.train].sum()) - terms.base, 1), 1e-300)
-        log_v = float(bank.log_det[walk, split.test].sum())
-        nats.append(-0.5 * (log_v + p_all - p_train + (q_all - q_train) / s2 + n * np.log(s2)))
-        rows = split.test[bank.course.part]
-        left = bank.columns[rows, bank.data] - bank.columns[np.ix_(rows, terms.columns)] @ theta
-        error.append(np.mean(np.abs(left)))
-        count.append(n)
-    return Judged(np.array(nats), np.array(error), np.array(count, dtype=float))
+    train, test = (np.array([getattr(s, name) for s in splits]) for name in ("train", "test"))
+    p_train, q_train, theta = totals(_summed(train, parts), terms.precision)
+    p_all, q_all, _ = totals(_summed(train | test, parts), terms.precision)
+    n, trained = test @ bank.count, train @ bank.count
+    s2 = np.maximum(q_train / np.maximum(trained - terms.base, 1), 1e-300)
+    log_v = test @ bank.log_det[walk]
+    nats = -0.5 * (log_v + p_all - p_train + (q_all - q_train) / s2 + n * np.log(s2))
+    left = bank.columns[:, [bank.data]] - bank.columns[:, terms.columns] @ theta.T
+    rows = test.T[bank.course.part]
+    return Judged(nats, (np.abs(left) * rows).sum(axis=0) / n, n.astype(float))
 
 
-def _balance(gram: Array, precision: Array) -> tuple[float, float, Array]:
-    precise = gram[:-1, :-1] + np.diag(precision)
-    theta = np.asarray(np.linalg.solve(precise, gram[:-1, -1]), np.float64)
-    return float(np.linalg.slogdet(precise)[1]), float(gram[-1, -1] - gram[-1, :-1] @ theta), theta
+def _summed(masks: Mask, parts: Array) -> Array:
+    """(k, c, c) products (parts, c, c) over each mask's parts."""
+    flat = masks.astype(np.float64) @ parts.reshape(len(parts), -1)
+    return np.asarray(flat.reshape(-1, *parts.shape[1:]))

@@ -49,17 +49,22 @@ def levels(bank: Bank, terms: Terms, keep: Mask) -> tuple[Level, ...]:
     """The likelihood under every walk, over the parts that are kept."""
     columns = np.append(terms.columns, bank.data)
     freedom = int(bank.count[keep].sum()) - terms.base
-    found = []
-    for walk in range(len(bank.walks)):
-        gram = bank.by_part(walk, columns)[keep].sum(axis=0)
-        precise = gram[:-1, :-1] + np.diag(terms.precision)
-        rest = gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(precise, gram[:-1, -1])
-        rest = max(float(rest), 1e-300)
-        sizes = np.linalg.slogdet(precise)[1] - np.log(terms.precision).sum()
-        log_v = float(bank.log_det[walk, keep].sum())
-        nats = -0.5 * (log_v + sizes + freedom * np.log(rest / freedom))
-        found.append(Level(walk, float(nats), rest / freedom, freedom))
-    return tuple(found)
+    every = range(len(bank.walks))
+    gram = np.stack([bank.by_part(walk, columns)[keep].sum(axis=0) for walk in every])
+    log_p, rest, _ = totals(gram, terms.precision)
+    variance = np.maximum(rest, 1e-300) / freedom
+    sizes = log_p - np.log(terms.precision).sum() + bank.log_det[:, keep].sum(axis=1)
+    nats = -0.5 * (sizes + freedom * np.log(variance))
+    return tuple(Level(k, float(nats[k]), float(variance[k]), freedom) for k in every)
+
+
+def totals(gram: Array, precision: Array) -> tuple[Array, Array, Array]:
+    """log|P| (k,), Q (k,) and the parameters P⁻¹b (k, p) of products (k, p + 1, p + 1), the data
+    last, under priors of these precisions (p,)."""
+    precise = gram[:, :-1, :-1] + np.diag(precision)
+    theta = np.linalg.solve(precise, gram[:, :-1, -1:])[..., 0]
+    rest = gram[:, -1, -1] - np.einsum("kp,kp->k", gram[:, -1, :-1], theta)
+    return np.linalg.slogdet(precise)[1], rest, theta
 
 
 def best_level(bank: Bank, terms: Terms, keep: Mask) -> Level:
