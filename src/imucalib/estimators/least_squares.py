@@ -31,7 +31,7 @@ from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate
 
 #: Rounds in which η settles at one θ, and the change (rad) from which the next one, its square,
 #: would be rounding.
-_SETTLING, _SETTLED = 6, 1e-6
+_SETTLING, _SETTLED = 6, 1e-5
 
 
 @dataclass(frozen=True)

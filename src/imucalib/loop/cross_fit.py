@@ -60,11 +60,11 @@ def cross_fitted(
     every = np.arange(data.n)
     for fold in folds:
         held, good = data.take(fold.rows), _without(fold, wrong)
-        chosen = _searched(loop, good.rest, effects, rng, rules, families)
+        plain = theta_without(loop.base, np.setdiff1d(every, fold.rest))
+        chosen = _searched(loop, good.rest, effects, rng, rules, families, theta=plain)
         found = len(chosen.model.names) > len(loop.plain.model.names)
         whole = loop.final.observations if found else data
         clean.append(errors(chosen, chosen.theta, held))
-        plain = theta_without(loop.base, np.setdiff1d(every, fold.rest))
         nats.append(
             foretold(chosen, chosen.theta, whole, good) - foretold(loop.base, plain, data, good)
         )
@@ -133,10 +133,13 @@ def _searched(
     rng: np.random.Generator,
     rules: LoopSettings,
     families: tuple[Family, ...],
+    *,
+    theta: Array,
 ) -> Fit:
-    """The loop on a part of the data that has no wrong record. The noise is that of the whole,
-    before and after: it costs most of the time and tells nothing about the choice. In between it is
-    estimated: one of two effects leaves the other."""
+    """The loop on a part of the data that has no wrong record; theta : of the base model there, to
+    first order. The noise is that of the whole, before and after: it costs most of the time and
+    tells nothing about the choice. In between it is estimated: one of two effects leaves the
+    other."""
     plain = loop.plain
     options = Options(
         effects, families, rng, rules, noise=loop.final.noise,
@@ -144,7 +147,7 @@ def _searched(
         forms=any(is_form(name) for step in loop.steps for name in (step.effect, *step.aliases)),
     )  # fmt: skip
     own = loop.base.model.slices(loop.base.observations.context)
-    start = np.concatenate([loop.base.theta[own[name]] for name in plain.model.names])
+    start = np.concatenate([theta[own[name]] for name in plain.model.names])
     fit = fit_model(plain.model, plain.observations.take(rest), start=start, noise=loop.base.noise)
     rejected: set[str] = set()
     last = ""

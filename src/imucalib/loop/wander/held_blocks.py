@@ -42,7 +42,7 @@ def inside(splits: Sequence[Split], keep: Mask) -> tuple[Split, ...]:
 def solved(bank: Bank, terms: Terms, walk: int, keep: Mask) -> Array:
     """(p,) the parameters from the parts that are kept, in units of the columns."""
     gram = bank.by_part(walk, np.append(terms.columns, bank.data))[keep].sum(axis=0)
-    return totals(gram[None], terms.precision)[2][0]
+    return np.asarray(totals(gram[None], terms.precision)[2][0])
 
 
 def judged(bank: Bank, terms: Terms, walk: int, splits: Sequence[Split]) -> Judged:

@@ -62,9 +62,9 @@ def totals(gram: Array, precision: Array) -> tuple[Array, Array, Array]:
     """log|P| (k,), Q (k,) and the parameters P⁻¹b (k, p) of products (k, p + 1, p + 1), the data
     last, under priors of these precisions (p,)."""
     precise = gram[:, :-1, :-1] + np.diag(precision)
-    theta = np.linalg.solve(precise, gram[:, :-1, -1:])[..., 0]
+    theta: Array = np.asarray(np.linalg.solve(precise, gram[:, :-1, -1:])[..., 0], np.float64)
     rest = gram[:, -1, -1] - np.einsum("kp,kp->k", gram[:, -1, :-1], theta)
-    return np.linalg.slogdet(precise)[1], rest, theta
+    return np.asarray(np.linalg.slogdet(precise)[1], np.float64), rest, theta
 
 
 def best_level(bank: Bank, terms: Terms, keep: Mask) -> Level:
