@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from imucalib.core.balance import balance
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.effects import catalogue, named
@@ -334,3 +335,28 @@ def test_p_holds_with_more_columns_than_observations(candidates: int) -> None:
         p.append((1 + int((found.best >= found.evidence.max()).sum())) / 100)
     assert 0.25 < np.mean(p) < 0.75
     assert np.max(p) > 0.7
+
+
+@pytest.mark.parametrize("large", [3e4, 1e5])
+def test_what_chance_reaches_is_the_same_beside_settings_as_large_as_may_be(large: float) -> None:
+    """Settings whose effect is 100,000 times the noise take their directions out and nothing else:
+    evidence of 200 data sets that lack nothing, at the same random numbers, agrees."""
+    model, data = base_model(), bench(3, 32, shared=True)
+    at = balance(model, ordinary_theta(model, data, 3), np.zeros(data.reference.eta_size), data)
+    size = at.residual.size
+    rng = np.random.default_rng(0)
+    blocks = [rng.standard_normal((size, m)) for m in (1, 3, 8, 24)]
+    white = rng.standard_normal((size, 200))
+    settings = [rng.standard_normal((m.shape[1], 200)) for m in at.settings]
+
+    def chance(scale: float) -> np.ndarray:
+        ratio = tuple(scale / float(np.abs(m).max()) for m in at.settings)
+        pairs = zip(at.settings, ratio, settings, strict=True)
+        drawn = white + sum((r * m @ z for m, r, z in pairs), np.zeros_like(white))
+        return (
+            evidence_grid.EvidenceGrid(at.jacobian, at.settings, ratio, blocks)
+            .evidence(drawn)
+            .max(axis=0)
+        )
+
+    assert chance(large) == pytest.approx(chance(3e3), abs=0.02)

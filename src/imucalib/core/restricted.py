@@ -57,32 +57,43 @@ class Covariances:
     size: Array
 
     @cached_property
-    def weighted(self) -> Array:
-        """(n, q) of the columns over the diagonal."""
-        return self.columns / self.diagonal[:, None]
+    def root(self) -> Array:
+        """(n,) standard deviations without the columns."""
+        return np.sqrt(self.diagonal)
 
     @cached_property
-    def _capacity(self) -> Array:
-        inner = self.columns.T @ self.weighted
-        outer = self.size[:, :, None] * self.size[:, None]
-        return np.eye(self.size.shape[1]) + outer * inner
+    def _factors(self) -> tuple[Array, Array, Array]:
+        """Q₁ (P, n, q), Q₂ (P, q, q) and |diag R| (P, q) of [diag^-½ U; 1] = [Q₁; Q₂] R.
+
+        V⁻¹ = diag^-½ (1 - Q₁Q₁') diag^-½: settings as large as may be cost no digits, as they do
+        where (1 + U'U)⁻¹ is formed.
+        """
+        above = (self.columns / self.root[:, None]) * self.size[:, None]
+        below = np.broadcast_to(np.eye(self.size.shape[1]), (*self.size.shape, self.size.shape[1]))
+        q, r = np.linalg.qr(np.concatenate([above, below], axis=1))
+        n = len(self.diagonal)
+        return q[:, :n], q[:, n:], np.abs(np.diagonal(r, axis1=1, axis2=2))
 
     @cached_property
     def inside(self) -> Array:
         """(P, q, q) of (1 + U' diag⁻¹ U)⁻¹."""
-        return np.asarray(np.linalg.inv(self._capacity), np.float64)
+        below = self._factors[1]
+        return np.asarray(below @ below.swapaxes(-1, -2))
 
     @cached_property
     def log_det(self) -> Array:
         """(P,)"""
-        capacity = np.linalg.slogdet(self._capacity)[1]
-        return np.asarray(np.log(self.diagonal).sum() + capacity)
+        return np.asarray(np.log(self.diagonal).sum() + 2.0 * np.log(self._factors[2]).sum(axis=1))
+
+    def along(self, data: Array) -> Array:
+        """(P, q, D) of data (n, D) over their sds, along Q₁: what V⁻¹ lacks of the plain square."""
+        return self._factors[0].swapaxes(-1, -2) @ (data / self.root[:, None])
 
     def solve(self, data: Array) -> tuple[Array, Array]:
         """V⁻¹ data (P, n, D) and what the columns take of it (P, q, D), in units of their sd."""
-        taken = self.inside @ (self.size[:, :, None] * (self.weighted.T @ data))
-        rest = data - self.columns @ (self.size[:, :, None] * taken)
-        return rest / self.diagonal[:, None], taken
+        along = self.along(data)
+        rest = data / self.root[:, None] - self._factors[0] @ along
+        return rest / self.root[:, None], self._factors[1] @ along
 
     def power(self, solved: tuple[Array, Array]) -> Array:
         """(P, D) of data' V⁻¹ data, as a sum of squares: a difference would lose what large

@@ -20,6 +20,9 @@ from imucalib.core.restricted import Restricted, restricted
 #: the readings' noise. Below `_VANISHED` the component counts as zero.
 _RATIO = (1e-3, 1e5)
 _VANISHED = 1e-2
+#: The same of noise that neighbours share, which can stand in for a reading's own: beyond it
+#: nothing would be left of that, in whose units all else is.
+_INSTEAD = 30.0
 #: What the prior of the noise factor weighs, in observations.
 _PRIOR_DOF = 4.0
 
@@ -132,6 +135,8 @@ def _search(at: Balanced, start: Noise) -> Noise:
     reach = np.array([max(float(np.abs(m).max()), 1e-300) for m in at.settings])
     low, high = np.log(_RATIO[0] / reach), np.log(_RATIO[1] / reach)
     left = restricted(at.jacobian, at.settings)
+    if left.wide >= at.free:
+        high[left.wide] = np.log(_INSTEAD / reach[left.wide])
     data, dof = left.frame.T @ at.residual, at.residual.size - at.jacobian.shape[1]
 
     def objective(logs: Array) -> tuple[float, Array]:
@@ -169,7 +174,7 @@ def _profiled(left: Restricted, data: Array, dof: int, ratio: Array) -> tuple[fl
     slope: Array = np.bincount(left.owner, own, minlength=ratio.size).astype(np.float64)
     if left.wide >= 0:
         each = ratio[left.wide] ** 2 * left.spread
-        weighted = covariance.weighted * covariance.size[0]
+        weighted = left.columns * covariance.size / covariance.diagonal[:, None]
         inner = weighted.T @ (each[:, None] * weighted)
         trace = float(np.sum(each / covariance.diagonal) - np.sum(inside * inner))
         slope[left.wide] = trace - dof * float(each @ rest**2) / power

@@ -9,7 +9,7 @@ an effect explains it. What is left is named as what it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
@@ -20,6 +20,7 @@ from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
+from imucalib.effects import known
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.anytime.e_value import e_value
 from imucalib.loop.candidates import effect_candidates
@@ -31,6 +32,7 @@ from imucalib.loop.noise.shared import WANDERING, lead_over_a_walk, with_shared_
 from imucalib.loop.records import (
     extended,
     held_out_rms,
+    least_strange,
     named_records,
     record_names,
     record_scores,
@@ -153,14 +155,22 @@ class _State:
         if rival is not None and rival.evidence > best[0].evidence:
             return None
         row = row_of(best[0].name)
+        doubts = ((step.effect, name) for step in self.steps for name in step.aliases)
         trial = set_aside(self.fit, row)
-        if not trial.converged:
+        if not trial.converged or not self._strange(self.fit, row, doubts):
             return None
-        if self.rules.gross:
-            error = named_records(trial, ((best[0], row),))[0]
-            if abs(error.size) < self.rules.gross:
-                return None
+        if abs(named_records(trial, ((best[0], row),))[0].size) < self.rules.gross:
+            return None
         return replace(self, fit=trial, records=(*self.records, (best[0], row)))
+
+    def _strange(self, fit: Fit, row: int, rivals: Iterable[tuple[str, str]]) -> bool:
+        """Whether a record stands out with each pair's effect replaced by what may replace it."""
+        swaps = ((name, rival) for name, other in rivals if (rival := known(other)) is not None)
+        p = least_strange(
+            fit, row, {r for _, r in self.records}, swaps, self.rng,
+            draws=self.rules.draws, alpha=self.rules.record_alpha,
+        )  # fmt: skip
+        return p <= self.rules.record_alpha
 
     @cached_property
     def suspects(self) -> tuple[Score, ...]:
@@ -229,7 +239,10 @@ class _State:
                 continue
             beside = extended(self.fit, effect_named(self.effects, chosen.name))
             again = self._records_of(beside, set())[:1]
-            if again and row_of(again[0].name) == row and again[0].p <= self.rules.record_alpha:
+            if not again or row_of(again[0].name) != row or again[0].p > self.rules.record_alpha:
+                continue
+            near = aliases(aside, self.effects, chosen, found.scores, strict)
+            if self._strange(beside, row, ((chosen.name, name) for name in near)):
                 return replace(self, fit=aside, records=(*self.records, (again[0], row)))
         return None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from imucalib.arrays import Array
@@ -24,6 +26,23 @@ def record_scores(
     """Every component of every record and every setting of one record, best first."""
     candidates = [c for c in record_candidates(fit) if row_of(c.name) not in taken]
     return score(fit, tuple(candidates), rng, draws=draws, alpha=alpha)
+
+
+def least_strange(
+    fit: Fit, row: int, taken: set[int], swaps: Iterable[tuple[str, Effect]],
+    rng: np.random.Generator, *, draws: int, alpha: float,
+) -> float:  # fmt: skip
+    """The largest p of a record over models that would do as well: each swap puts an effect in the
+    named one's place. A record that stands out beside one of them only may be right."""
+    largest = 0.0
+    for name, effect in swaps:
+        other = extended(reduced(fit, (name,)), effect)
+        scores = record_scores(other, taken, rng, draws=draws, alpha=alpha)
+        own = min((s.p for s in scores if row_of(s.name) == row), default=1.0)
+        largest = max(largest, own if other.converged else 0.0)
+        if largest > alpha:
+            break
+    return largest
 
 
 def row_of(name: str) -> int:

@@ -14,6 +14,8 @@ from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest, as_published
 from imucalib.calibrators.lab.run import LabRun, run_lab
+from imucalib.effects import named
+from imucalib.loop.records import extended, least_strange, record_scores, row_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG, MG
 from worlds.places import MEASURED, ROOT, SAMPLES
@@ -73,6 +75,33 @@ def test_the_papers_split() -> None:
     assert run.result.splits[-1].name == "test set"
     assert worst(test.inclination) <= 0.25
     assert rms(test.inclination) <= 0.19
+
+
+def test_two_thirds_of_the_table_find_the_dial_and_blame_no_record() -> None:
+    """What neighbours share stands in for all noise of rows 1-20 (standard gravity), to the last
+    digit of a reading; beside the dial's scale, which would do as well as its zero, row 1 stands
+    out."""
+    train = tuple(range(1, 21))
+    run = paper(LabRequest(fixes=REPAIR, train=train))
+    loop = run.result.loop
+    assert loop is not None
+    assert not loop.records
+    assert [s.effect for s in loop.steps] == ["inclination_zero"]
+    assert "inclination_scale" in loop.steps[0].aliases
+    assert loop.plain.noise.factor > loop.plain.noise.sd[-1] / (31.0 * MG)
+    test = run.result.splits[-1]
+    assert test.final.rms() < 0.5 * test.base.rms()
+
+    data, rng = loop.plain.observations, np.random.default_rng(0)
+    scale, zero = named("inclination_scale"), named("inclination_zero")
+    other = extended(loop.plain, scale)
+    scores = record_scores(other, set(), rng, draws=299, alpha=0.01)
+    assert row_of(scores[0].name) == 0
+    assert scores[0].p < 0.02
+    assert data.label[0] == "row 1"
+    swap = ((scale.name, zero),)
+    assert least_strange(other, 0, set(), swap, rng, draws=299, alpha=0.01) > 0.05
+    assert least_strange(other, 0, set(), (), rng, draws=299, alpha=0.01) == 0.0
 
 
 def test_as_published_is_the_printed_table_2() -> None:

@@ -28,8 +28,9 @@ _COARSE = (0.0, 0.4, 0.92, 1.6)
 _HELD = (0.92,)
 #: Numbers that are held, and that are worked on, at a time.
 _NUMBERS, _CACHED = 2_000_000, 100_000
-#: A squared size below this share of its block's largest is rounding.
-_ROUNDING = 1e-12
+#: A squared size below this share of what the block has before the settings take theirs of it, and
+#: a power below this share of the whole, is rounding.
+_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,9 @@ class _Blocks:
         step = max(1, _CACHED // (self.share.shape[2] * best.size))
         for part in (slice(a, a + step) for a in range(0, len(power), step)):
             explained = np.square(times(self.turn[part], projection[part][:, self.at]))
-            rest = power[part, None, None] - times(self.share[part], explained)
-            left = (self.weight[part] * np.maximum(rest, 1e-300)).min(axis=(0, 2))
+            whole = power[part, None, None]
+            rest = np.maximum(whole - times(self.share[part], explained), _ROUNDING * whole)
+            left = (self.weight[part] * rest).min(axis=(0, 2))
             np.minimum(best, left, out=best)
         return best
 
@@ -164,20 +166,18 @@ def _part(
 ) -> _Part:
     """same : of each width which candidates have it and their columns (k, m), which are decomposed
     together; penalty : (P,) of log det V, a degree of freedom."""
-    weighted = (columns / covariances.diagonal[:, None]).T
-    across = covariances.weighted.T @ columns
-    outer = covariances.size[:, :, None] * covariances.size[:, None]
-    taken = ((outer * covariances.inside) @ across).transpose(0, 2, 1)
+    scaled = (columns / covariances.root[:, None]).T
+    along = covariances.along(columns).swapaxes(-1, -2)
     freedom = columns.shape[0]
     blocks = []
     for which, at in same:
         # Eigenvectors of the small Gram matrices are the blocks' singular directions.
-        gram = weighted[at] @ columns.T[at].transpose(0, 2, 1)
-        gram = gram - taken[:, at] @ across.T[at].transpose(0, 2, 1)
+        whole = scaled[at] @ scaled[at].swapaxes(-1, -2)
+        gram = whole - along[:, at] @ along[:, at].swapaxes(-1, -2)
         values, vectors = eigen(gram) if at.shape[1] > 1 else (gram[..., 0], np.ones(gram.shape))
-        size = np.maximum(values, 0.0)
-        open_ = values > _ROUNDING * values[..., -1:]
-        scale = np.where(open_, 1.0 / np.sqrt(np.where(open_, size, 1.0)), 0.0)
+        open_ = values > _ROUNDING * np.trace(whole, axis1=1, axis2=2)[:, None]
+        size = np.where(open_, values, 0.0)
+        scale = np.where(open_, 1.0 / np.sqrt(np.where(open_, values, 1.0)), 0.0)
         turn = scale[..., None] * vectors.swapaxes(-1, -2)
         gain = TAU[:, None] ** 2 * size[..., None, :]
         cost = penalty[:, None, None, None] + np.log1p(gain).sum(-1, keepdims=True) / freedom
