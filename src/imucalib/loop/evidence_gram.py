@@ -23,8 +23,8 @@ from imucalib.core.eigen import eigen
 Null = Callable[[int], tuple[Array, Array]]
 #: Squared size of a block's direction over its largest from which it is more than rounding.
 _OPEN = 1e-8
-#: Observations, and simulated data sets, that are worked on at a time.
-_ROWS, _DRAWS = 512, 256
+#: Observations, simulated data sets, and blocks of one width, that are worked on at a time.
+_ROWS, _DRAWS, _BLOCKS = 512, 256, 32
 
 
 @dataclass(frozen=True)
@@ -219,12 +219,17 @@ def best_evidence(
     explained: Array, power: Array, size: Array, starts: NDArray[np.intp], freedom: int, tau: Array
 ) -> Array:
     """(k, draws) evidence, the maximum over τ."""
-    base = -0.5 * freedom * np.log(power)
-    best: Array = np.full((len(starts), explained.shape[1]), -np.inf)
-    for factor in tau:
-        gain = factor**2 * size
-        drop = np.add.reduceat((gain / (1.0 + gain))[:, None] * explained, starts, axis=0)
-        penalty = np.add.reduceat(np.log1p(gain), starts)[:, None]
-        rest = np.maximum(power - drop, 1e-300)
-        np.maximum(best, -0.5 * (freedom * np.log(rest) + penalty) - base, out=best)
-    return best
+    ends = np.append(starts[1:], len(size))
+    width = ends - starts
+    found = np.empty((len(starts), explained.shape[1]))
+    for m in np.unique(width):  # blocks of one width at once, and few enough to stay near
+        same = np.flatnonzero(width == m)
+        for a in range(0, len(same), _BLOCKS):
+            some = same[a : a + _BLOCKS]
+            rows = starts[some, None] + np.arange(m)
+            gain = tau[:, None] ** 2 * size[rows][:, None]
+            drop = np.matmul(gain / (1.0 + gain), explained[rows])
+            rest = np.maximum(power - drop, 1e-300)
+            penalty = np.log1p(gain).sum(axis=2)[:, :, None]
+            found[some] = np.min(freedom * np.log(rest) + penalty, axis=1)
+    return np.asarray(-0.5 * (found - freedom * np.log(power)))

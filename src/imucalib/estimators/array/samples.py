@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
+from imucalib.estimators.array.triangles import inverse_of_lower, lower_factor, solved_by
 
 _ROUNDS = 12
 #: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² is left.
@@ -31,6 +32,9 @@ class Readings:
 
     def take(self, rows: NDArray[np.intp]) -> Readings:
         return Readings(self.acceleration[rows], self.rate[rows])
+
+    def less(self, other: Readings) -> Readings:
+        return Readings(self.acceleration - other.acceleration, self.rate - other.rate)
 
 
 @dataclass(frozen=True)
@@ -171,15 +175,15 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
         right = np.matmul(off[:, None], slope)[:, 0]
         right[:, 3:6] -= _SPIN * x[:, 3:6]
         right[:, 6:] += pulled - own * x[:, 6:]
-        matrix = _matrix(normal, slope, weights)
         with np.errstate(invalid="ignore"):
-            step = _solved(matrix, right)
+            factor = _factored(_matrix(normal, slope, weights))
+        step = _solved(factor, right)
         x = x + step
         if not np.isfinite(step).all():
             raise np.linalg.LinAlgError("the motion of a sample runs away")
         if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
             break
-    return _at(x, readings, weights, r, _root(matrix))
+    return _at(x, readings, weights, r, _root(factor))
 
 
 def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -> Sampled:
@@ -198,35 +202,45 @@ def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -
     )
 
 
-def _root(matrix: Array) -> Array:
-    """(T, 9, 9) with root rootᵀ the inverse of each matrix, upper triangular.
+@dataclass(frozen=True)
+class _Factor:
+    """Matrices (T, 9, 9) on their way to their inverses. All accelerometers see s alike, so that
+    its block is a number `own` (T,) times one, and six unknowns are left when s is taken out by
+    `across` (T, 3, 6): in like units, size (6, T), they have the lower triangle (6, 6, T)."""
 
-    All accelerometers see s alike, so that its block is a number times one, and six are left.
-    """
-    own = matrix[:, 0, 0][:, None, None]
-    across = matrix[:, :3, 3:] / own
-    left = matrix[:, 3:, 3:] - own * np.matmul(across.transpose(0, 2, 1), across)
-    scale = 1.0 / np.sqrt(np.einsum("tii->ti", left))
-    unit = left * scale[:, :, None] * scale[:, None]
-    six = np.linalg.inv(np.linalg.cholesky(unit)).transpose(0, 2, 1) * scale[:, :, None]
-    root = np.zeros_like(matrix)
-    root[:, range(3), range(3)] = 1.0 / np.sqrt(own[:, 0])
+    own: Array
+    across: Array
+    size: Array
+    lower: Array
+
+
+def _factored(matrix: Array) -> _Factor:
+    own = matrix[:, 0, 0]
+    across = matrix[:, :3, 3:] / own[:, None, None]
+    taken = np.matmul(across.transpose(0, 2, 1), matrix[:, :3, 3:])
+    left = np.ascontiguousarray((matrix[:, 3:, 3:] - taken).transpose(1, 2, 0))
+    # In like units: a spin that only its prior holds is a small number beside the others.
+    size = 1.0 / np.sqrt(np.einsum("iit->it", left))
+    left *= size[:, None]
+    left *= size
+    return _Factor(own, across, size, lower_factor(left))
+
+
+def _root(factor: _Factor) -> Array:
+    """(T, 9, 9) with root rootᵀ the inverse of each matrix, upper triangular."""
+    six = (inverse_of_lower(factor.lower) * factor.size).transpose(2, 1, 0)
+    root = np.zeros((len(six), 9, 9))
+    root[:, range(3), range(3)] = 1.0 / np.sqrt(factor.own)[:, None]
     root[:, 3:, 3:] = six
-    root[:, :3, 3:] = -np.matmul(across, six)
-    return np.asarray(root)
+    root[:, :3, 3:] = -np.matmul(factor.across, six)
+    return root
 
 
-def _solved(matrix: Array, right: Array) -> Array:
-    """(T, 9) solutions of such systems. In like units: a spin that only its prior holds is a small
-    number beside the others."""
-    own = matrix[:, 0, 0][:, None]
-    across = matrix[:, :3, 3:] / own[..., None]
-    left = matrix[:, 3:, 3:] - own[..., None] * np.matmul(across.transpose(0, 2, 1), across)
-    size = 1.0 / np.sqrt(np.einsum("tii->ti", left))
-    unit = left * size[:, :, None] * size[:, None]
-    pull = (right[:, 3:] - np.matmul(right[:, None, :3], across)[:, 0]) * size
-    six = size * np.linalg.solve(unit, pull[..., None])[..., 0]
-    first = right[:, :3] / own - np.matmul(across, six[..., None])[..., 0]
+def _solved(factor: _Factor, right: Array) -> Array:
+    """(T, 9) solutions of such systems."""
+    pull = right[:, 3:] - np.matmul(right[:, None, :3], factor.across)[:, 0]
+    six = (solved_by(factor.lower, pull.T * factor.size) * factor.size).T
+    first = right[:, :3] / factor.own[:, None] - np.matmul(factor.across, six[..., None])[..., 0]
     return np.concatenate([first, six], axis=1)
 
 
@@ -234,4 +248,4 @@ def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     """The same motion with all weights of each kind of sensor times a factor."""
     weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
     matrix = _matrix(_normal(weights, sampled.r), slope_of(sampled.rate), weights)
-    return replace(sampled, weights=weights, root=_root(matrix))
+    return replace(sampled, weights=weights, root=_root(_factored(matrix)))

@@ -15,43 +15,51 @@ from functools import partial
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.loop.candidates import Candidates, Entry, candidates
+from imucalib.calibrators.array.loop.candidates import Entry, candidates, typical_columns
 from imucalib.calibrators.array.loop.noise_tests import NoiseTest, noise_tests
+from imucalib.calibrators.array.loop.setup import looked_at
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN, Term, determined, typical_of
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.gram import gram, starts_of
-from imucalib.estimators.array.reduced import Alone, Gram, Reduced, alone, reduced
+from imucalib.estimators.array.reduced import Alone, Reduced, alone, reduced
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.evidence_gram import GramEvidence, block_evidence
 from imucalib.loop.subject import Searched
 
 TAU = 10.0 ** np.arange(-3.0, 1.1, 0.5)
 ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest must leave
-_READINGS, _FEWEST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
 _APART = 0.2  # share of a curve's direction that the base must leave
 
 
 @dataclass(frozen=True)
 class Search(Searched):
-    """entries by name; index : where a candidate's columns are; whole : with the base taken out,
-    total : before that, halves : as whole, of the two held-out halves, each candidate by itself;
+    """state : where it was; entries by name; index : where a candidate's columns are
+    whole : of each candidate by itself, with the base taken out, total : before that
     carry : (b, M) base per unit of each column; null : the best evidences of simulated data
     impact : m rms that a candidate's typical size moves the positions"""
 
+    state: ArrayState
     entries: dict[str, Entry]
     index: dict[str, Index]
     whole: dict[str, Alone]
     total: dict[str, Array]
-    halves: tuple[dict[str, Alone], dict[str, Alone]]
     carry: Array
     null: Array
     impact: dict[str, float]
 
     def held_out(self, name: str) -> tuple[float, float]:
         """Nats that each half gains when the other has estimated the candidate and its size."""
-        halves = [half[name] for half in self.halves]
-        gains = []
+        state, entry = self.state, self.entries[name]
+        assert entry.effect is not None
+        columns = typical_columns(entry.effect, state.motion, entry.only)
+        blocks, some = [*state.base.blocks, columns], looked_at(state.setup)
+        first, gains = state.setup.first[some], []
+        halves = [
+            alone(state.base.free(gram(state.sampled, blocks, state.setup.inner[some[rows]])),
+                  state.base.rests)
+            for rows in (first, ~first)
+        ]  # fmt: skip
         for one, two in (halves, halves[::-1]):
             value = _most_likely(one.matrix, one.along)
             gains.append(float(two.along @ value - 0.5 * value @ two.matrix @ value))
@@ -116,7 +124,8 @@ def search(
     found = candidates(state, rejected)
     starts, b = starts_of(found.blocks), len(state.base.prior)
     index = {e.name: starts[e.block] + e.part for e in found.entries}
-    total, halves = _grams(state, found, index)
+    rows = state.setup.inner[looked_at(state.setup)]
+    total = state.base.free(gram(state.sampled, [*state.base.blocks, *found.blocks], rows))
     prior = state.base.rests
     whole = reduced(total, prior, state.base.pull * (prior > 0.0))
     before = {n: total.matrix[np.ix_(at + b, at + b)] for n, at in index.items()}
@@ -145,11 +154,11 @@ def search(
     return Search(
         scores=tuple(sorted(scores, key=lambda s: -s.evidence)),
         missing=found.missing,
+        state=state,
         entries={e.name: e for e in found.entries},
         index=index,
         whole=each,
         total=before,
-        halves=halves,
         carry=carry,
         null=null,
         impact=impact,
@@ -181,23 +190,6 @@ def _contest(
         rng=rng,
         draws=draws,
     )
-
-
-def _grams(
-    state: ArrayState, found: Candidates, index: dict[str, Index]
-) -> tuple[Gram, tuple[dict[str, Alone], dict[str, Alone]]]:
-    """Products over all samples, and of each held-out half what a candidate alone needs."""
-    setup, base = state.setup, state.base
-    blocks = [*base.blocks, *found.blocks]
-    # Many IMUs have many columns and many readings a sample: fewer samples say as much.
-    most = int(np.clip(_READINGS / setup.triads, _FEWEST, _MOST))
-    some = np.linspace(0, len(setup.inner) - 1, min(most, len(setup.inner))).astype(np.intp)
-    first = setup.first[some]
-    one = base.free(gram(state.sampled, blocks, setup.inner[some[first]]))
-    halves = [alone(one, index, base.rests)]
-    two = base.free(gram(state.sampled, blocks, setup.inner[some[~first]]))
-    halves.append(alone(two, index, base.rests))
-    return one.added(two), (halves[0], halves[1])
 
 
 def _score(

@@ -91,7 +91,10 @@ class MotionSubject:
         back = self.safe or _matched_in_vain(self, found, self.rules.alpha)
         if back is None:
             return None
-        return replace(back, ages=self.ages, clocks=False, over=True)
+        put_back = replace(back, ages=self.ages, clocks=False, over=True)
+        if "searched" in back.__dict__:  # at the same state: what could be missing is known
+            put_back.__dict__["searched"] = back.searched
+        return put_back
 
     def tried(
         self, found: Searched, chosen: Score, rejected: Collection[str]
