@@ -16,7 +16,6 @@ from imucalib.arrays import Array, Index
 from imucalib.estimators.array.reduced import Gram
 from imucalib.estimators.array.samples import Readings, Sampled
 
-
 _ROWS = 600  # samples that are worked on at a time
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.estimators.array.triangles import inverse_of_lower, lower_factor, solved_by
+from imucalib.estimators.array.nine import factored, root_of, solved
 
 _ROUNDS = 12
 #: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² is left.
@@ -72,17 +72,37 @@ class Sampled:
         return _arms(self.rate, self.r)
 
     @cached_property
-    def left(self) -> tuple[Array, Array]:
-        """(T, K) shares of the variance of a triad's axis that its residual keeps."""
+    def kept(self) -> tuple[Kept, Kept]:
+        """What the motion leaves of the errors of accelerometers and of gyros."""
         t, place = len(self.rate), _place(self.r)
-        reach = np.matmul(slope_of(self.rate), self.root).reshape(t, 3, 4, 9)
-        each = reach.transpose(0, 2, 1, 3).reshape(t, 4, 27)
-        each = np.matmul(each, each.transpose(0, 2, 1)).reshape(t, 16)
-        acceleration = each @ _pairs(place).T * self.weights.acceleration / 3.0
-        own = np.einsum("tij,tij->t", self.root[:, 6:], self.root[:, 6:])
-        rate = own[:, None] * self.weights.rate / 3.0
-        floor = 0.02
-        return np.maximum(1.0 - acceleration, floor), np.maximum(1.0 - rate, floor)
+        reach = np.matmul(slope_of(self.rate), self.root)
+        moved = np.matmul(reach, reach.transpose(0, 2, 1)).reshape(t, 3, 4, 3, 4)
+        moved = moved.transpose(0, 1, 3, 2, 4).reshape(t, 9, 16) @ _pairs(place).T
+        turned = self.root[:, 6:] @ self.root[:, 6:].transpose(0, 2, 1)
+        weights = self.weights
+        return (
+            _kept(moved.transpose(0, 2, 1) * weights.acceleration[..., None]),
+            _kept(turned.reshape(t, 1, 9) * weights.rate[..., None]),
+        )
+
+
+@dataclass(frozen=True)
+class Kept:
+    """share : (T, K) of the variance of a triad's axis that its residual keeps; numbers : (T, K)
+    how many independent numbers a residual has, (Σ λ)² / Σ λ² of the shares λ of its principal
+    axes: three where alike, one where the motion takes all but one (Satterthwaite 1946)"""
+
+    share: Array
+    numbers: Array
+
+
+def _kept(taken: Array) -> Kept:
+    """taken : (T, K, 9) what the motion takes of a triad's covariance, over that of one axis"""
+    left = np.eye(3).ravel() - taken
+    whole = left[..., 0] + left[..., 4] + left[..., 8]
+    square = np.einsum("tki,tki->tk", left, left)
+    floor = 0.02
+    return Kept(np.maximum(whole / 3.0, floor), np.clip(whole**2 / square, 1.0, 3.0))
 
 
 def _skew(v: Array) -> Array:
@@ -176,14 +196,14 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
         right[:, 3:6] -= _SPIN * x[:, 3:6]
         right[:, 6:] += pulled - own * x[:, 6:]
         with np.errstate(invalid="ignore"):
-            factor = _factored(_matrix(normal, slope, weights))
-        step = _solved(factor, right)
+            factor = factored(_matrix(normal, slope, weights))
+        step = solved(factor, right)
         x = x + step
         if not np.isfinite(step).all():
             raise np.linalg.LinAlgError("the motion of a sample runs away")
         if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
             break
-    return _at(x, readings, weights, r, _root(factor))
+    return _at(x, readings, weights, r, root_of(factor))
 
 
 def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -> Sampled:
@@ -202,50 +222,8 @@ def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -
     )
 
 
-@dataclass(frozen=True)
-class _Factor:
-    """Matrices (T, 9, 9) on their way to their inverses. All accelerometers see s alike, so that
-    its block is a number `own` (T,) times one, and six unknowns are left when s is taken out by
-    `across` (T, 3, 6): in like units, size (6, T), they have the lower triangle (6, 6, T)."""
-
-    own: Array
-    across: Array
-    size: Array
-    lower: Array
-
-
-def _factored(matrix: Array) -> _Factor:
-    own = matrix[:, 0, 0]
-    across = matrix[:, :3, 3:] / own[:, None, None]
-    taken = np.matmul(across.transpose(0, 2, 1), matrix[:, :3, 3:])
-    left = np.ascontiguousarray((matrix[:, 3:, 3:] - taken).transpose(1, 2, 0))
-    # In like units: a spin that only its prior holds is a small number beside the others.
-    size = 1.0 / np.sqrt(np.einsum("iit->it", left))
-    left *= size[:, None]
-    left *= size
-    return _Factor(own, across, size, lower_factor(left))
-
-
-def _root(factor: _Factor) -> Array:
-    """(T, 9, 9) with root rootᵀ the inverse of each matrix, upper triangular."""
-    six = (inverse_of_lower(factor.lower) * factor.size).transpose(2, 1, 0)
-    root = np.zeros((len(six), 9, 9))
-    root[:, range(3), range(3)] = 1.0 / np.sqrt(factor.own)[:, None]
-    root[:, 3:, 3:] = six
-    root[:, :3, 3:] = -np.matmul(factor.across, six)
-    return root
-
-
-def _solved(factor: _Factor, right: Array) -> Array:
-    """(T, 9) solutions of such systems."""
-    pull = right[:, 3:] - np.matmul(right[:, None, :3], factor.across)[:, 0]
-    six = (solved_by(factor.lower, pull.T * factor.size) * factor.size).T
-    first = right[:, :3] / factor.own[:, None] - np.matmul(factor.across, six[..., None])[..., 0]
-    return np.concatenate([first, six], axis=1)
-
-
 def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     """The same motion with all weights of each kind of sensor times a factor."""
     weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
     matrix = _matrix(_normal(weights, sampled.r), slope_of(sampled.rate), weights)
-    return replace(sampled, weights=weights, root=_root(_factored(matrix)))
+    return replace(sampled, weights=weights, root=root_of(factored(matrix)))

@@ -17,7 +17,7 @@ from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.estimators.array.gram import beside_motion, gradient, gram
-from imucalib.estimators.array.noise import SensorNoise, chosen_noise, log_density, scaled
+from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, log_density, scaled
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
@@ -65,14 +65,16 @@ class ArrayState:
     def found(self) -> tuple[Term, ...]:
         return tuple(term for term in self.terms if term.found)
 
-    def squares(self, off: Readings | None = None) -> tuple[Array, Array, Array]:
-        """(inner, K) squared residuals of accelerometers and gyros, each over the share of the
-        variance that it keeps, and the speed (inner,) rad/s; off : (T, K, 3) other residuals."""
+    def squares(self, off: Readings | None = None) -> tuple[Squares, Squares, Array]:
+        """Residuals of accelerometers and gyros at the inner samples as their noise is judged by,
+        and the speed (inner,) rad/s; off : (T, K, 3) other residuals."""
         off, inner = off or self.sampled.off, self.setup.inner
-        left = self.sampled.left
-        a = np.sum(off.acceleration**2, axis=2)[inner] / left[0][inner]
-        g = np.sum(off.rate**2, axis=2)[inner] / left[1][inner]
-        return a, g, np.linalg.norm(self.sampled.rate, axis=1)[inner]
+        found = []
+        for values, kept in zip((off.acceleration, off.rate), self.sampled.kept, strict=True):
+            numbers = np.mean(kept.numbers[inner], axis=0)
+            length = np.sum(values[inner] ** 2, axis=2) / kept.share[inner]
+            found.append(Squares(length * (numbers / 3.0), numbers))
+        return found[0], found[1], np.linalg.norm(self.sampled.rate, axis=1)[inner]
 
     def sd_of(self, term: Term) -> Array:
         """(p,) posterior standard deviations of a term's parameters."""
