@@ -201,15 +201,21 @@ def _null(
 
 
 def _root(correlation: Array) -> Array:
-    """Cholesky factor; rounding and absorbed columns need a little on the diagonal, which is used
-    up: of many columns a copy would be large."""
-    own = np.diag(correlation).copy()
-    for jitter in (1e-13, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7):
+    """Cholesky factor, in the place of the matrix: of many columns a copy would be large. Rounding
+    and absorbed columns need a little on the diagonal."""
+    from scipy.linalg.lapack import dpotrf
+
+    own, every = np.diag(correlation).copy(), range(len(correlation))
+    for jitter in 10.0 ** np.arange(-13.0, -4.0):
         np.fill_diagonal(correlation, own + jitter)
-        try:
-            return np.asarray(np.linalg.cholesky(correlation))
-        except np.linalg.LinAlgError:
-            continue
+        # What is the upper half to the library, which counts by columns, is the lower one here.
+        _, failed = dpotrf(correlation.T, lower=False, clean=False, overwrite_a=True)
+        if not failed:
+            for i in every:
+                correlation[i, i + 1 :] = 0.0
+            return correlation
+        for i in every:
+            correlation[i, :i] = correlation[:i, i]
     np.fill_diagonal(correlation, own)
     values, vectors = eigen(correlation)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -16,7 +16,7 @@ from imucalib.arrays import Array, Index
 from imucalib.estimators.array.reduced import Gram
 from imucalib.estimators.array.samples import Readings, Sampled
 
-_ROWS = 600  # samples that are worked on at a time
+_ROWS, _COLUMNS = 600, 512  # samples, and columns of the sum, that are worked on at a time
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,9 @@ def _part(
     matrix = flat.T @ flat
     np.negative(matrix, out=matrix)
     for columns in (order[:force], order[force:]):
-        matrix[np.ix_(columns, columns)] += own.pop(0)
+        one = own.pop(0)
+        for a in range(0, len(columns), _COLUMNS):  # of many columns a copy would be large
+            matrix[np.ix_(columns[a : a + _COLUMNS], columns)] += one[a : a + _COLUMNS]
     along = along[back] - flat.T @ residual[:, 6:].ravel()
     power -= float(np.sum(residual * residual))
     return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole[back])

@@ -9,6 +9,8 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.eigen import eigen
 
+_COLUMNS = 512  # that are worked on at a time
+
 
 @dataclass(frozen=True)
 class Gram:
@@ -48,7 +50,8 @@ class Reduced:
 
 
 def reduced(found: Gram, prior: Array, pull: Array) -> Reduced:
-    """Take the base, the first columns, out of those that follow it.
+    """Take the base, the first columns, out of those that follow it, in the place of their matrix:
+    of many IMUs another would be large.
 
     prior : (b,) inverse variances of the base's parameters, zero for free ones; pull : (b,) prior
     times how far they stand from their means
@@ -57,8 +60,9 @@ def reduced(found: Gram, prior: Array, pull: Array) -> Reduced:
     half = _inverse_root(found.matrix[:b, :b] + np.diag(prior))
     across = half.T @ found.matrix[:b, b:]
     right = half.T @ (found.along[:b] - pull)
-    matrix = across.T @ across
-    np.subtract(found.matrix[b:, b:], matrix, out=matrix)
+    matrix = found.matrix[b:, b:]
+    for a in range(0, len(matrix), _COLUMNS):
+        matrix[a : a + _COLUMNS] -= across[:, a : a + _COLUMNS].T @ across
     return Reduced(
         matrix,
         found.along[b:] - across.T @ right,

@@ -92,8 +92,8 @@ class MotionSubject:
         if back is None:
             return None
         put_back = replace(back, ages=self.ages, clocks=False, over=True)
-        if "searched" in back.__dict__:  # at the same state: what could be missing is known
-            put_back.__dict__["searched"] = back.searched
+        # At the same state: what could be missing is known.
+        put_back.__dict__["searched"] = back.searched
         return put_back
 
     def tried(
@@ -150,14 +150,22 @@ class MotionSubject:
         if self.safe is None:
             if leader.candidate.kind == "effect":
                 return grown
-            grown = replace(grown, matched=(*self.matched, (leader.name, self)))
+            before = self._aside()
+            grown = replace(grown, matched=(*self.matched, (leader.name, before)))
             if leader.evidence <= chosen.evidence + self.rules.margin:
                 return grown
-            grown = replace(grown, safe=self, debt=leader.evidence - self.rules.margin)
+            grown = replace(grown, safe=before, debt=leader.evidence - self.rules.margin)
         debt = grown.debt - gained
         if debt <= 0.0:
             return replace(grown, safe=None, debt=0.0, taken=0)
         return replace(grown, debt=debt, taken=grown.taken + 1)
+
+    def _aside(self) -> MotionSubject:
+        """This path to come back to, with its search, without its columns: of many IMUs they are
+        large."""
+        aside = replace(self, state=replace(self.state))
+        aside.__dict__["searched"] = self.searched
+        return aside
 
     def smoothed(self, found: Searched) -> MotionSubject | None:
         if sum(step.curve for step in self.steps) >= CURVES:
