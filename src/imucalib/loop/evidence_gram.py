@@ -23,8 +23,8 @@ from imucalib.core.eigen import eigen
 Null = Callable[[int], tuple[Array, Array]]
 #: Squared size of a block's direction over its largest from which it is more than rounding.
 _OPEN = 1e-8
-#: Observations, and simulated data sets, that are worked on at a time.
-_ROWS, _DRAWS = 512, 256
+#: Observations, simulated data sets, and blocks of one width, that are worked on at a time.
+_ROWS, _DRAWS, _BLOCKS = 512, 256, 32
 
 
 @dataclass(frozen=True)
@@ -201,15 +201,21 @@ def _null(
 
 
 def _root(correlation: Array) -> Array:
-    """Cholesky factor; rounding and absorbed columns need a little on the diagonal, which is used
-    up: of many columns a copy would be large."""
-    own = np.diag(correlation).copy()
-    for jitter in (1e-13, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7):
+    """Cholesky factor, in the place of the matrix: of many columns a copy would be large. Rounding
+    and absorbed columns need a little on the diagonal."""
+    from scipy.linalg.lapack import dpotrf
+
+    own, every = np.diag(correlation).copy(), range(len(correlation))
+    for jitter in 10.0 ** np.arange(-13.0, -4.0):
         np.fill_diagonal(correlation, own + jitter)
-        try:
-            return np.asarray(np.linalg.cholesky(correlation))
-        except np.linalg.LinAlgError:
-            continue
+        # What is the upper half to the library, which counts by columns, is the lower one here.
+        _, failed = dpotrf(correlation.T, lower=False, clean=False, overwrite_a=True)
+        if not failed:
+            for i in every:
+                correlation[i, i + 1 :] = 0.0
+            return correlation
+        for i in every:
+            correlation[i, :i] = correlation[:i, i]
     np.fill_diagonal(correlation, own)
     values, vectors = eigen(correlation)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -219,12 +225,17 @@ def best_evidence(
     explained: Array, power: Array, size: Array, starts: NDArray[np.intp], freedom: int, tau: Array
 ) -> Array:
     """(k, draws) evidence, the maximum over τ."""
-    base = -0.5 * freedom * np.log(power)
-    best: Array = np.full((len(starts), explained.shape[1]), -np.inf)
-    for factor in tau:
-        gain = factor**2 * size
-        drop = np.add.reduceat((gain / (1.0 + gain))[:, None] * explained, starts, axis=0)
-        penalty = np.add.reduceat(np.log1p(gain), starts)[:, None]
-        rest = np.maximum(power - drop, 1e-300)
-        np.maximum(best, -0.5 * (freedom * np.log(rest) + penalty) - base, out=best)
-    return best
+    ends = np.append(starts[1:], len(size))
+    width = ends - starts
+    found = np.empty((len(starts), explained.shape[1]))
+    for m in np.unique(width):  # blocks of one width at once, and few enough to stay near
+        same = np.flatnonzero(width == m)
+        for a in range(0, len(same), _BLOCKS):
+            some = same[a : a + _BLOCKS]
+            rows = starts[some, None] + np.arange(m)
+            gain = tau[:, None] ** 2 * size[rows][:, None]
+            drop = np.matmul(gain / (1.0 + gain), explained[rows])
+            rest = np.maximum(power - drop, 1e-300)
+            penalty = np.log1p(gain).sum(axis=2)[:, :, None]
+            found[some] = np.min(freedom * np.log(rest) + penalty, axis=1)
+    return np.asarray(-0.5 * (found - freedom * np.log(power)))

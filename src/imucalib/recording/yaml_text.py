@@ -6,6 +6,7 @@ import re
 from io import StringIO
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 
@@ -54,7 +55,13 @@ def dump(content: dict[str, Any]) -> str:
         style = '"' if value.lower() in _TRUE_OR_FALSE or _MARKS.search(value) else None
         return self.represent_scalar("tag:yaml.org,2002:str", value, style=style)
 
+    mark, lines = f"x{uuid4().hex}x", list[str]()
+
     def sequence(self: RoundTripRepresenter, value: list[Any]) -> Any:
+        if value and len(value) < 64 and all(type(v) is float for v in value):
+            # Thousands of numbers of a covariance: a mark now, the numbers in its place at the end.
+            lines.append("[" + ", ".join(_float(v) for v in value) + "]")
+            return self.represent_scalar("tag:yaml.org,2002:str", f"{mark}{len(lines) - 1}x")
         flat = all(isinstance(v, int | float | str) for v in value) and len(value) < 64
         return self.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=flat)
 
@@ -68,7 +75,7 @@ def dump(content: dict[str, Any]) -> str:
     yaml.width = 4096
     stream = StringIO()
     yaml.dump(content, stream)
-    return stream.getvalue()
+    return re.sub(f"{mark}(\\d+)x", lambda m: lines[int(m[1])], stream.getvalue())
 
 
 def _float(value: float) -> str:

@@ -25,7 +25,7 @@ from imucalib.calibrators.array.loop.terms import columns_of, rest_terms
 from imucalib.calibrators.array.loop.worth import worth
 from imucalib.errors import Undetermined, UsageError
 from imucalib.estimators.array.gram import Columns, gram
-from imucalib.estimators.array.noise import SensorNoise, chosen_noise, fitted_noise
+from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, fitted_noise
 from imucalib.estimators.array.samples import Readings, Weights, fit_samples
 from imucalib.recording.recording import Channel
 from imucalib.report.document import Document, Text
@@ -99,17 +99,22 @@ def test_unexplained_structure_is_said_and_not_named() -> None:
     assert found.verdict in ("unexplained", "explained in part")
 
 
+def squares(errors: np.ndarray) -> Squares:
+    """Of residuals (T, K, 3) from which nothing was taken."""
+    return Squares(np.sum(errors**2, axis=2), np.full(errors.shape[1], 3.0))
+
+
 def test_heavy_tails_are_taken_in() -> None:
     rng = np.random.default_rng(2)
     tails = rng.standard_t(4.0, size=(400, 8, 3))
     plain = rng.standard_normal((400, 8, 3))
     speed, first = rng.uniform(5.0, 30.0, 400), np.arange(400) % 2 == 0
-    square = np.sum(plain**2, axis=2)
+    square = squares(plain)
     assert chosen_noise(square, speed, first, robust=True).plain
     # Independent tails on three axes are lighter than those of one vector.
-    found = chosen_noise(np.sum(tails**2, axis=2), speed, first, robust=True)
+    found = chosen_noise(squares(tails), speed, first, robust=True)
     assert found.freedom <= 10.0
-    grown = square * (1.0 + (speed / 10.0) ** 2)[:, None]
+    grown = squares(plain * np.hypot(1.0, speed / 10.0)[:, None, None])
     noise = chosen_noise(grown, speed, first, robust=True)
     assert noise.growth > 0.0
     assert not np.isfinite(noise.freedom)

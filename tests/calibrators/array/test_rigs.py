@@ -9,6 +9,9 @@ import pytest
 
 from imucalib.calibrators.array.board import Board, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
+from imucalib.calibrators.array.loop.setup import array_setup
+from imucalib.calibrators.array.loop.state import start_state
+from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.estimators.array.sampler import open_direction
@@ -95,3 +98,18 @@ def test_clipping_shows_without_a_stated_range() -> None:
 def test_what_stays_open_is_named() -> None:
     spread = np.diag([1.0, 1.0, 9.0, 1.0, 2.0, 30.0]) * 1e-9
     assert open_direction(spread) == "along (0.00, 0.00, 1.00) of the board"
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_the_noise_of_few_imus_keeps_its_shape_and_its_size(count: int) -> None:
+    """The motion takes whole directions of their errors: what it leaves of a pair's forces lies
+    along one line, so that squares of Gaussian errors scatter as those of tails would."""
+    board = rig(*[(20.0 * i, 0.0, 0.0) for i in range(count)])
+    run = calibrated(logged(board)[0], board)
+    moving, rests = run.moving, run.rests
+    setup = array_setup(moving, board, 600, robust=True)
+    assert setup is not None
+    state = start_state(setup, rest_terms(rests))
+    for noise, sigma in zip(state.noise, (PLAN.sigma, np.deg2rad(PLAN.sigma_gyro)), strict=True):
+        assert noise.plain
+        assert noise.sigma == pytest.approx(sigma, rel=0.06)

@@ -14,7 +14,9 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.estimators.array.reduced import Gram
-from imucalib.estimators.array.samples import Sampled
+from imucalib.estimators.array.samples import Readings, Sampled
+
+_ROWS, _COLUMNS = 600, 512  # samples, and columns of the sum, that are worked on at a time
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,20 @@ def starts_of(blocks: Sequence[Columns]) -> Index:
 
 
 def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
-    """Products of all columns over some of the samples."""
-    k = sampled.force.shape[1]
-    order, force = _by_triad(blocks, k)
-    total = len(order)
+    """Products of all columns over some of the samples, a few at a time, so that what is made of
+    them stays near the processor."""
+    order, force = _by_triad(blocks, sampled.force.shape[1])
+    found = _part(sampled, blocks, rows[:_ROWS], order, force)
+    for a in range(_ROWS, len(rows), _ROWS):
+        found = found.added(_part(sampled, blocks, rows[a : a + _ROWS], order, force))
+    return found
+
+
+def _part(
+    sampled: Sampled, blocks: Sequence[Columns], rows: Index, order: Index, force: int
+) -> Gram:
+    """order, force : of `_by_triad`"""
+    k, total = sampled.force.shape[1], len(order)
     along, residual, power = np.zeros(total), np.zeros((len(rows), 9)), 0.0
     # What the motion takes. Gyros see ω only, and the root is upper triangular: of the nine rows a
     # sample they have three.
@@ -69,7 +81,9 @@ def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
     matrix = flat.T @ flat
     np.negative(matrix, out=matrix)
     for columns in (order[:force], order[force:]):
-        matrix[np.ix_(columns, columns)] += own.pop(0)
+        one = own.pop(0)
+        for a in range(0, len(columns), _COLUMNS):  # of many columns a copy would be large
+            matrix[np.ix_(columns[a : a + _COLUMNS], columns)] += one[a : a + _COLUMNS]
     along = along[back] - flat.T @ residual[:, 6:].ravel()
     power -= float(np.sum(residual * residual))
     return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole[back])
@@ -102,13 +116,14 @@ def _of_one_kind(
     off = (sampled.off.rate if gyro else sampled.off.acceleration)[rows] * weight[..., None]
     own = [b.basis for b in blocks if b.gyro is gyro and not b.shared]
     shared = [b.basis for b in blocks if b.gyro is gyro and b.shared]
-    x = _side_by_side([*own, *shared], rows, weight)
     width = sum(b.shape[3] for b in own)
-    size = k * width + x.shape[3] - width
+    x = np.empty((len(rows), 3, width + sum(b.shape[3] for b in shared)))
+    size = k * width + x.shape[2] - width
     matrix, along, common = np.zeros((size, size)), np.zeros(size), slice(k * width, size)
     for triad in range(k):
         mine = slice(triad * width, (triad + 1) * width)
-        one = x[triad].reshape(3 * len(rows), x.shape[3])
+        _side_by_side([*own, *shared], triad, rows, weight[:, triad], x)
+        one = x.reshape(3 * len(rows), x.shape[2])
         product, seen = one.T @ one, one.T @ off[:, triad].ravel()
         matrix[mine, mine] = product[:width, :width]
         matrix[mine, common] = product[:width, width:]
@@ -118,7 +133,7 @@ def _of_one_kind(
         arms = arms * weight[:, triad, None, None]
         for out, part in ((taken.six, arms[:, :, :6]), (taken.three, arms[:, :, 6:])):
             if out is not None:
-                lost = np.matmul(part.transpose(0, 2, 1), x[triad])
+                lost = np.matmul(part.transpose(0, 2, 1), x)
                 out[:, :, mine] = lost[:, :, :width]
                 out[:, :, common] += lost[:, :, width:]
         taken.residual[...] += np.einsum("tij,ti->tj", arms, off[:, triad])
@@ -168,6 +183,19 @@ def scores(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Array:
     return np.concatenate(parts, axis=1)
 
 
+def beside_motion(sampled: Sampled, change: Readings, rows: Index | slice) -> Readings:
+    """What is left of a change (n, K, 3) of the readings at some samples when their motion follows
+    it, to first order."""
+    n, k = change.rate.shape[:2]
+    arms, root = sampled.arms[rows].reshape(n, 3 * k, 9), sampled.root[rows]
+    heavy = change.acceleration * sampled.weights.acceleration[rows][..., None]
+    right = np.matmul(heavy.reshape(n, 1, 3 * k), arms)
+    right[:, 0, 6:] += np.einsum("tk,tki->ti", sampled.weights.rate[rows], change.rate)
+    nine = np.matmul(root, np.matmul(right, root).transpose(0, 2, 1))
+    moved = np.matmul(arms, nine).reshape(n, k, 3)
+    return Readings(change.acceleration - moved, change.rate - nine[:, None, 6:, 0])
+
+
 def _heavy(sampled: Sampled, rows: Index, *, gyro: bool) -> Array:
     """(K, rows, 3) weighted residuals of one kind of sensor."""
     weight = sampled.weights.rate if gyro else sampled.weights.acceleration
@@ -175,13 +203,11 @@ def _heavy(sampled: Sampled, rows: Index, *, gyro: bool) -> Array:
     return np.asarray((off[rows] * weight[rows][..., None]).swapaxes(0, 1))
 
 
-def _side_by_side(bases: list[Array], rows: Index, weight: Array) -> Array:
-    """(K, rows, 3, all columns of a triad), whitened."""
-    k = weight.shape[1]
-    x = np.empty((k, len(rows), 3, sum(b.shape[3] for b in bases)))
+def _side_by_side(bases: list[Array], triad: int, rows: Index, weight: Array, out: Array) -> None:
+    """Fill (rows, 3, all columns of a triad), whitened by weights (rows,)."""
     at = 0
     for basis in bases:
         width = basis.shape[3]
-        np.multiply(basis[:, rows], weight.T[:, :, None, None], out=x[..., at : at + width])
+        out[..., at : at + width] = basis[triad, rows]
         at += width
-    return x
+    out *= weight[:, None, None]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.core.eigen import eigen
+
+_COLUMNS = 512  # that are worked on at a time
 
 
 @dataclass(frozen=True)
@@ -24,16 +25,13 @@ class Gram:
     whole: Array
 
     def __add__(self, other: Gram) -> Gram:
-        return Gram(
-            self.matrix + other.matrix, self.along + other.along, self.power + other.power,
-            self.numbers + other.numbers, self.whole + other.whole,
-        )  # fmt: skip
+        return replace(self, matrix=self.matrix.copy()).added(other)
 
     def added(self, other: Gram) -> Gram:
-        """The sum, in the place of the other's matrix: of many IMUs a third would be large."""
-        np.add(self.matrix, other.matrix, out=other.matrix)
+        """The sum, in the place of this one's matrix: of many IMUs a third would be large."""
+        np.add(self.matrix, other.matrix, out=self.matrix)
         return Gram(
-            other.matrix, self.along + other.along, self.power + other.power,
+            self.matrix, self.along + other.along, self.power + other.power,
             self.numbers + other.numbers, self.whole + other.whole,
         )  # fmt: skip
 
@@ -52,7 +50,8 @@ class Reduced:
 
 
 def reduced(found: Gram, prior: Array, pull: Array) -> Reduced:
-    """Take the base, the first columns, out of those that follow it.
+    """Take the base, the first columns, out of those that follow it, in the place of their matrix:
+    of many IMUs another would be large.
 
     prior : (b,) inverse variances of the base's parameters, zero for free ones; pull : (b,) prior
     times how far they stand from their means
@@ -61,8 +60,9 @@ def reduced(found: Gram, prior: Array, pull: Array) -> Reduced:
     half = _inverse_root(found.matrix[:b, :b] + np.diag(prior))
     across = half.T @ found.matrix[:b, b:]
     right = half.T @ (found.along[:b] - pull)
-    matrix = across.T @ across
-    np.subtract(found.matrix[b:, b:], matrix, out=matrix)
+    matrix = found.matrix[b:, b:]
+    for a in range(0, len(matrix), _COLUMNS):
+        matrix[a : a + _COLUMNS] -= across[:, a : a + _COLUMNS].T @ across
     return Reduced(
         matrix,
         found.along[b:] - across.T @ right,
@@ -81,22 +81,16 @@ class Alone:
     along: Array
 
 
-def alone(found: Gram, index: Mapping[str, Index], prior: Array) -> dict[str, Alone]:
-    """Each of several sets of columns, counted after the base, with the base taken out of it, whose
-    parameters are believed to be where they stand.
+def alone(found: Gram, prior: Array) -> Alone:
+    """The columns after the base, with the base taken out, whose parameters are believed to be
+    where they stand.
 
     prior : (b,) inverse variances of the base's parameters, which are the first
     """
     b = len(prior)
     half = _inverse_root(found.matrix[:b, :b] + np.diag(prior))
     across, right = half.T @ found.matrix[:b, b:], half.T @ found.along[:b]
-    return {
-        name: Alone(
-            found.matrix[np.ix_(b + at, b + at)] - across[:, at].T @ across[:, at],
-            found.along[b + at] - across[:, at].T @ right,
-        )
-        for name, at in index.items()
-    }
+    return Alone(found.matrix[b:, b:] - across.T @ across, found.along[b:] - across.T @ right)
 
 
 def _inverse_root(inner: Array) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
+from imucalib.estimators.array.nine import factored, root_of, solved
 
 _ROUNDS = 12
 #: rad/s, a last step: forces are linear in all but ω, and of its square 1e-8 m/s² is left.
@@ -31,6 +32,9 @@ class Readings:
 
     def take(self, rows: NDArray[np.intp]) -> Readings:
         return Readings(self.acceleration[rows], self.rate[rows])
+
+    def less(self, other: Readings) -> Readings:
+        return Readings(self.acceleration - other.acceleration, self.rate - other.rate)
 
 
 @dataclass(frozen=True)
@@ -68,17 +72,37 @@ class Sampled:
         return _arms(self.rate, self.r)
 
     @cached_property
-    def left(self) -> tuple[Array, Array]:
-        """(T, K) shares of the variance of a triad's axis that its residual keeps."""
+    def kept(self) -> tuple[Kept, Kept]:
+        """What the motion leaves of the errors of accelerometers and of gyros."""
         t, place = len(self.rate), _place(self.r)
-        reach = np.matmul(slope_of(self.rate), self.root).reshape(t, 3, 4, 9)
-        each = reach.transpose(0, 2, 1, 3).reshape(t, 4, 27)
-        each = np.matmul(each, each.transpose(0, 2, 1)).reshape(t, 16)
-        acceleration = each @ _pairs(place).T * self.weights.acceleration / 3.0
-        own = np.einsum("tij,tij->t", self.root[:, 6:], self.root[:, 6:])
-        rate = own[:, None] * self.weights.rate / 3.0
-        floor = 0.02
-        return np.maximum(1.0 - acceleration, floor), np.maximum(1.0 - rate, floor)
+        reach = np.matmul(slope_of(self.rate), self.root)
+        moved = np.matmul(reach, reach.transpose(0, 2, 1)).reshape(t, 3, 4, 3, 4)
+        moved = moved.transpose(0, 1, 3, 2, 4).reshape(t, 9, 16) @ _pairs(place).T
+        turned = self.root[:, 6:] @ self.root[:, 6:].transpose(0, 2, 1)
+        weights = self.weights
+        return (
+            _kept(moved.transpose(0, 2, 1) * weights.acceleration[..., None]),
+            _kept(turned.reshape(t, 1, 9) * weights.rate[..., None]),
+        )
+
+
+@dataclass(frozen=True)
+class Kept:
+    """share : (T, K) of the variance of a triad's axis that its residual keeps; numbers : (T, K)
+    how many independent numbers a residual has, (Σ λ)² / Σ λ² of the shares λ of its principal
+    axes: three where alike, one where the motion takes all but one (Satterthwaite 1946)"""
+
+    share: Array
+    numbers: Array
+
+
+def _kept(taken: Array) -> Kept:
+    """taken : (T, K, 9) what the motion takes of a triad's covariance, over that of one axis"""
+    left = np.eye(3).ravel() - taken
+    whole = left[..., 0] + left[..., 4] + left[..., 8]
+    square = np.einsum("tki,tki->tk", left, left)
+    floor = 0.02
+    return Kept(np.maximum(whole / 3.0, floor), np.clip(whole**2 / square, 1.0, 3.0))
 
 
 def _skew(v: Array) -> Array:
@@ -171,15 +195,15 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
         right = np.matmul(off[:, None], slope)[:, 0]
         right[:, 3:6] -= _SPIN * x[:, 3:6]
         right[:, 6:] += pulled - own * x[:, 6:]
-        matrix = _matrix(normal, slope, weights)
         with np.errstate(invalid="ignore"):
-            step = _solved(matrix, right)
+            factor = factored(_matrix(normal, slope, weights))
+        step = solved(factor, right)
         x = x + step
         if not np.isfinite(step).all():
             raise np.linalg.LinAlgError("the motion of a sample runs away")
         if float(np.abs(step[:, 6:]).max(initial=0.0)) < _LAST:
             break
-    return _at(x, readings, weights, r, _root(matrix))
+    return _at(x, readings, weights, r, root_of(factor))
 
 
 def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -> Sampled:
@@ -198,40 +222,8 @@ def _at(x: Array, readings: Readings, weights: Weights, r: Array, root: Array) -
     )
 
 
-def _root(matrix: Array) -> Array:
-    """(T, 9, 9) with root rootᵀ the inverse of each matrix, upper triangular.
-
-    All accelerometers see s alike, so that its block is a number times one, and six are left.
-    """
-    own = matrix[:, 0, 0][:, None, None]
-    across = matrix[:, :3, 3:] / own
-    left = matrix[:, 3:, 3:] - own * np.matmul(across.transpose(0, 2, 1), across)
-    scale = 1.0 / np.sqrt(np.einsum("tii->ti", left))
-    unit = left * scale[:, :, None] * scale[:, None]
-    six = np.linalg.inv(np.linalg.cholesky(unit)).transpose(0, 2, 1) * scale[:, :, None]
-    root = np.zeros_like(matrix)
-    root[:, range(3), range(3)] = 1.0 / np.sqrt(own[:, 0])
-    root[:, 3:, 3:] = six
-    root[:, :3, 3:] = -np.matmul(across, six)
-    return np.asarray(root)
-
-
-def _solved(matrix: Array, right: Array) -> Array:
-    """(T, 9) solutions of such systems. In like units: a spin that only its prior holds is a small
-    number beside the others."""
-    own = matrix[:, 0, 0][:, None]
-    across = matrix[:, :3, 3:] / own[..., None]
-    left = matrix[:, 3:, 3:] - own[..., None] * np.matmul(across.transpose(0, 2, 1), across)
-    size = 1.0 / np.sqrt(np.einsum("tii->ti", left))
-    unit = left * size[:, :, None] * size[:, None]
-    pull = (right[:, 3:] - np.matmul(right[:, None, :3], across)[:, 0]) * size
-    six = size * np.linalg.solve(unit, pull[..., None])[..., 0]
-    first = right[:, :3] / own - np.matmul(across, six[..., None])[..., 0]
-    return np.concatenate([first, six], axis=1)
-
-
 def reweighed(sampled: Sampled, acceleration: float, rate: float) -> Sampled:
     """The same motion with all weights of each kind of sensor times a factor."""
     weights = Weights(sampled.weights.acceleration * acceleration, sampled.weights.rate * rate)
     matrix = _matrix(_normal(weights, sampled.r), slope_of(sampled.rate), weights)
-    return replace(sampled, weights=weights, root=_root(matrix))
+    return replace(sampled, weights=weights, root=root_of(factored(matrix)))

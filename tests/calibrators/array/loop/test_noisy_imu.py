@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from imucalib.calibrators.array.loop.noise_tests import _each
-from imucalib.estimators.array.noise import SensorNoise
+from imucalib.estimators.array.noise import SensorNoise, Squares
 
 IMUS = ("a", "b", "c", "d")
 
@@ -16,7 +16,7 @@ def test_its_evidence_is_the_likelihood_ratio() -> None:
     """All numbers of the IMU at its own scatter, over the same at that of the others."""
     sigma, rng = 0.1, np.random.default_rng(0)
     values = sigma * rng.standard_normal((300, 4, 3)) * np.array([1.0, 1.0, 2.0, 1.0])[:, None]
-    square = np.sum(values**2, axis=2)
+    square = Squares(np.sum(values**2, axis=2), np.full(4, 3.0))
     noise = SensorNoise(sigma, 0.0, np.inf, np.ones(4))
     found = _each("gyroscope", square, np.zeros(300), noise, IMUS)
     assert [t.driver for t in found] == list(IMUS)

@@ -11,6 +11,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.estimators.array.gram import Columns, gram
 from imucalib.estimators.array.reduced import Gram, Reduced, reduced
+from imucalib.estimators.array.samples import Readings
 
 if TYPE_CHECKING:
     from imucalib.calibrators.array.loop.state import ArrayState
@@ -66,6 +67,15 @@ class Base:
         ends = np.cumsum([live.shape[0] for live in self.lives])[:-1]
         parts = zip(self.lives, np.split(raw, ends, axis=-1), strict=True)
         return np.concatenate([part @ live for live, part in parts], axis=-1)
+
+    def reading(self, step: Array, shape: tuple[int, ...]) -> Readings:
+        """What a step of the free coordinates adds to the readings; shape : (T, K, 3) of each."""
+        acceleration, rate = np.zeros(shape), np.zeros(shape)
+        ends = np.cumsum([live.shape[1] for live in self.lives])[:-1]
+        for block, live, part in zip(self.blocks, self.lives, np.split(step, ends), strict=True):
+            target = rate if block.gyro else acceleration
+            target += block.at(live @ part)
+        return Readings(acceleration, rate)
 
     def solved(self, found: Gram) -> Reduced:
         """One Gauss-Newton step of the base alone, from its free coordinates."""

@@ -14,7 +14,7 @@ from imucalib.estimators.array.samples import Weights, fit_samples
 #: Readings of one kind, samples times IMUs, that a fit takes where nobody says how many: beyond
 #: them memory and time grow, and positions are known far better than they repeat.
 READINGS = 60_000
-_FOLLOWED = 2  # rounds of the motion at new samples, so that a fit there begins with its noise
+_FOLLOWED = 1  # round of the motion at new samples, so that a fit there begins with its noise
 
 
 def samples_taken(moving: Moving, asked: int | None) -> int:

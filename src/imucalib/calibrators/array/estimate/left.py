@@ -45,10 +45,10 @@ def residual_in_motion(
         after = loop.gained.after
         return Residual(NORMAL_MAD * after.acceleration, NORMAL_MAD * after.rate * DEG, True)
     if state is not None:
-        inner, off, left = state.setup.inner, state.sampled.off, state.sampled.left
+        inner, off, kept = state.setup.inner, state.sampled.off, state.sampled.kept
         return Residual(
-            _deviation(off.acceleration, left[0], inner),
-            _deviation(off.rate, left[1], inner),
+            _deviation(off.acceleration, kept[0].share, inner),
+            _deviation(off.rate, kept[1].share, inner),
             False,
         )
     rate = float(np.median(moving.gyros.scatter[moving.good]))

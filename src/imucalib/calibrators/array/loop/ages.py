@@ -13,9 +13,10 @@ from imucalib.calibrators.array.loop.setup import Setup, with_neighbours
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.timing import SampleAge, fit_sample_age
 from imucalib.calibrators.array.moving import Moving
-from imucalib.estimators.array.samples import Readings, Weights, fit_samples
+from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 
 _GROUP = 8  # samples that learn or vote together where all are in the search
+_READINGS = 20_000  # samples times IMUs that are worked on at a time
 _TRAIN = 0.5  # share of the informative samples outside of the search from which they suffice
 
 
@@ -116,9 +117,21 @@ def _everywhere(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> tu
     """(N, K, 3) gyro residuals and (N, 3) dω/dt at all informative samples, the clocks not yet
     taken out; zero elsewhere."""
     n, k = len(moving.t), state.setup.triads
+    off, spin = np.zeros((n, k, 3)), np.zeros((n, 3))
+    some = max(_READINGS // k, 1)
+    for a in range(0, len(rows), some):  # of many IMUs the columns of all samples would be large
+        part = rows[a : a + some]
+        sampled = _fitted_at(state, moving, part)
+        off[part] = sampled.off.rate - sampled.off.rate.mean(axis=1, keepdims=True)
+        spin[part] = sampled.spin
+    return off, spin
+
+
+def _fitted_at(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> Sampled:
+    """The motion of other samples under what was found."""
     t, span = moving.t[rows], float(max(np.ptp(state.setup.t), 1e-9))
     readings = Readings(moving.acceleration[rows], moving.rate[rows])
-    ones = np.ones((len(rows), k))
+    ones = np.ones((len(rows), state.setup.triads))
     weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
     order = (t - state.setup.t[0]) / span
     sampled = fit_samples(readings, weights, state.r, np.median(readings.rate, axis=1))
@@ -134,7 +147,4 @@ def _everywhere(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> tu
             columns = term.columns(motion)
             (rate if columns.gyro else acceleration)[...] -= term.reading(columns)
         sampled = fit_samples(Readings(acceleration, rate), weights, state.r, sampled.rate)
-    off, spin = np.zeros((n, k, 3)), np.zeros((n, 3))
-    off[rows] = sampled.off.rate - sampled.off.rate.mean(axis=1, keepdims=True)
-    spin[rows] = sampled.spin
-    return off, spin
+    return sampled

@@ -54,9 +54,8 @@ def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
             continue
         if effect.name in taken:
             continue
-        columns = columns_of(effect, motion)
-        typical = np.array([p.typical for p in effect.each])
-        blocks.append(Columns(columns.basis * typical, columns.gyro, columns.shared))
+        columns = typical_columns(effect, motion)
+        blocks.append(columns)
         here = len(blocks) - 1
         if effect.name not in rejected:
             every = np.arange(columns.size)
@@ -68,6 +67,13 @@ def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
             entries += [e for e in own if e.name not in taken | rejected]
     _add_curves(blocks, entries, motion, taken)
     return Candidates(tuple(blocks), tuple(entries), missing)
+
+
+def typical_columns(effect: Response, motion: BoardMotion, only: int | None = None) -> Columns:
+    """Its columns in units of typical sizes, of all IMUs or of one."""
+    columns = columns_of(effect, motion, only)
+    columns.basis[...] *= np.array([p.typical for p in effect.each])
+    return columns
 
 
 def _of_each(
@@ -95,9 +101,8 @@ def _add_curves(
     for driver, curve in array_curves(motion):
         if CURVE + curve.name in taken:
             continue
-        columns = columns_of(curve, motion)
-        typical = np.array([p.typical for p in curve.each])
-        blocks.append(Columns(columns.basis * typical, columns.gyro, columns.shared))
+        columns = typical_columns(curve, motion)
+        blocks.append(columns)
         here = len(blocks) - 1
         if driver:
             entries.append(Entry(curve.name, "probe", driver, here, np.arange(columns.size), curve))

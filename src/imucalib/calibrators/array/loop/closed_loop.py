@@ -127,8 +127,7 @@ def _ended(
         gained=gained,
         impact=absorbed(searches),
         moved={
-            u.name: max((s.moves(u.name, final.positions) for s in searches[-1:]), default=0.0)
-            for u in unexplained
+            u.name: max((s.moves(u.name) for s in searches[-1:]), default=0.0) for u in unexplained
         },
         dispersion=dispersion,
         asked=asked,

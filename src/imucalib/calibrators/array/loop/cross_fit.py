@@ -26,7 +26,7 @@ from imucalib.units import DEG
 
 Searching = Callable[[Setup], tuple[MotionSubject, MotionSubject]]
 _HALVES = 2
-_FOLLOWED = 6  # rounds of the motion, with its weights, under a model that does not move
+_FOLLOWED = 3  # rounds of the motion, with its weights, under a model that does not move
 _COUNTS = (
     0.1  # share of an error from which on a loss of one sensor counts against the other's gain
 )

@@ -8,12 +8,13 @@ from dataclasses import replace
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.ages import found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import named_effect
+from imucalib.calibrators.array.loop.candidates import typical_columns
 from imucalib.calibrators.array.loop.state import ArrayState, settled
-from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, typical_of
+from imucalib.calibrators.array.loop.terms import Term, determined
 from imucalib.calibrators.array.moving import Moving
 from imucalib.core.effect import Response
 from imucalib.errors import Undetermined
-from imucalib.estimators.array.gram import Columns, gram
+from imucalib.estimators.array.gram import gram
 from imucalib.estimators.array.reduced import reduced
 
 
@@ -48,9 +49,7 @@ def declared_term(state: ArrayState, name: str) -> Term:
 def beside_the_fit(state: ArrayState, effect: Response, only: int | None = None) -> Array:
     """(p, p) Gram matrix, in units of the noise, of an effect's columns in typical sizes, with
     motion, positions and terms taken out."""
-    columns = columns_of(effect, state.motion, only)
-    typical = typical_of(effect, columns.basis.shape[3])
-    columns = Columns(columns.basis * typical, columns.gyro, columns.shared)
+    columns = typical_columns(effect, state.motion, only)
     found = state.base.free(gram(state.sampled, [*state.base.blocks, columns], state.setup.inner))
     rests = state.base.rests
     return reduced(found, rests, 0.0 * rests).matrix

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.estimators.array.gram import beside_motion
 from imucalib.loop.found import Checked
 from imucalib.units import DEG
 
@@ -36,32 +35,11 @@ def held_out_residuals(state: ArrayState) -> Residuals:
     One Gauss-Newton step from the joint fit; the motion of a sample is always its own.
     """
     setup, sampled, base = state.setup, state.sampled, state.base
-    parts: list[tuple[Array, Array]] = []
+    off, parts = sampled.off, []
     for one, found in zip((setup.first, ~setup.first), base.halves, strict=True):
-        step = base.solved(found).step
         rows = setup.inner[~one]
-        acceleration = sampled.off.acceleration[rows].copy()
-        rate = sampled.off.rate[rows].copy()
-        at = 0
-        for block, live in zip(base.blocks, base.lives, strict=True):
-            theta = live @ step[at : at + live.shape[1]]
-            at += live.shape[1]
-            target = rate if block.gyro else acceleration
-            target -= block.at(theta)[rows]
-        parts.append(_without_motion(state, rows, acceleration, rate))
-    a = np.concatenate([p[0].ravel() for p in parts])
-    g = np.concatenate([p[1].ravel() for p in parts])
+        change = base.reading(base.solved(found).step, off.rate.shape)
+        parts.append(beside_motion(sampled, off.less(change).take(rows), rows))
+    a = np.concatenate([p.acceleration.ravel() for p in parts])
+    g = np.concatenate([p.rate.ravel() for p in parts])
     return Residuals(float(np.median(np.abs(a))), float(np.median(np.abs(g)) / DEG))
-
-
-def _without_motion(
-    state: ArrayState, rows: NDArray[np.intp], acceleration: Array, rate: Array
-) -> tuple[Array, Array]:
-    sampled = state.sampled
-    arms, root = sampled.arms[rows], sampled.root[rows]
-    heavy = acceleration * sampled.weights.acceleration[rows][..., None]
-    right = np.einsum("tkij,tki->tj", arms, heavy)
-    right[:, 6:] += np.einsum("tk,tki->ti", sampled.weights.rate[rows], rate)
-    nine = np.einsum("tij,tkj,tk->ti", root, root, right, optimize=True)
-    moved = np.einsum("tkij,tj->tki", arms, nine)
-    return acceleration - moved, rate - nine[:, None, 6:]

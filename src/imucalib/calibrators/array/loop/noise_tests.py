@@ -8,7 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.estimators.array.noise import SensorNoise, log_density, scaled
+from imucalib.estimators.array.noise import SensorNoise, Squares, log_density, power_of_each, scaled
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def _test(name: str, driver: str, evidence: float) -> NoiseTest:
     return NoiseTest(name, driver, evidence, float(np.sqrt(2.0 * max(evidence, 0.0))))
 
 
-def _shapes(sensor: str, square: Array, speed: Array, noise: SensorNoise) -> list[NoiseTest]:
+def _shapes(sensor: str, square: Squares, speed: Array, noise: SensorNoise) -> list[NoiseTest]:
     """Tails, and growth with the rate, where they are not in the noise already."""
     now = scaled(noise, square, speed)
     level = float(log_density(now, square, speed).sum())
@@ -73,15 +73,13 @@ def _shapes(sensor: str, square: Array, speed: Array, noise: SensorNoise) -> lis
 
 
 def _each(
-    sensor: str, square: Array, speed: Array, noise: SensorNoise, imus: tuple[str, ...]
+    sensor: str, square: Squares, speed: Array, noise: SensorNoise, imus: tuple[str, ...]
 ) -> list[NoiseTest]:
     """One IMU that is noisier than the others: its mean weighted square against theirs."""
-    share = noise.weight(square, speed) * square / 3.0
-    own = np.mean(share, axis=0)
-    n = 3.0 * len(share)
-    found = []
+    own, found = power_of_each(noise, square, speed), []
     for k, imu in enumerate(imus):
         ratio = own[k] / max(float(np.delete(own, k).mean()), 1e-300)
+        n = len(square.length) * float(square.numbers[k])
         gain = 0.5 * n * (ratio - 1.0 - np.log(ratio)) if ratio > 1.0 else 0.0
         found.append(_test(f"{sensor} noise of {imu}", imu, float(gain)))
     return found

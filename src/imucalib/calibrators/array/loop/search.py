@@ -9,61 +9,55 @@ standard normal.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.loop.candidates import Candidates, Entry, candidates
+from imucalib.calibrators.array.loop.candidates import Entry, candidates
 from imucalib.calibrators.array.loop.noise_tests import NoiseTest, noise_tests
+from imucalib.calibrators.array.loop.setup import looked_at
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN, Term, determined, typical_of
-from imucalib.core.eigen import eigen
+from imucalib.calibrators.array.loop.worth import TAU, Beside, beside
 from imucalib.estimators.array.gram import gram, starts_of
-from imucalib.estimators.array.reduced import Alone, Gram, Reduced, alone, reduced
+from imucalib.estimators.array.reduced import Reduced, reduced
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.evidence_gram import GramEvidence, block_evidence
 from imucalib.loop.subject import Searched
 
-TAU = 10.0 ** np.arange(-3.0, 1.1, 0.5)
 ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest must leave
-_READINGS, _FEWEST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
-_APART = 0.2  # share of a curve's direction that the base must leave
 
 
 @dataclass(frozen=True)
 class Search(Searched):
-    """entries by name; index : where a candidate's columns are; whole : with the base taken out,
-    total : before that, halves : as whole, of the two held-out halves, each candidate by itself;
-    carry : (b, M) base per unit of each column; null : the best evidences of simulated data
-    impact : m rms that a candidate's typical size moves the positions"""
+    """state : where it was; entries by name; null : the best evidences of simulated data
+    impact : m rms that a candidate's typical size moves the positions
+    asked : candidates by themselves, as far as they were asked for"""
 
+    state: ArrayState
     entries: dict[str, Entry]
-    index: dict[str, Index]
-    whole: dict[str, Alone]
-    total: dict[str, Array]
-    halves: tuple[dict[str, Alone], dict[str, Alone]]
-    carry: Array
     null: Array
     impact: dict[str, float]
+    asked: dict[str, Beside] = field(default_factory=dict)
+
+    def beside(self, name: str) -> Beside:
+        """Made where it is asked for: of all candidates of many IMUs they would be large."""
+        if name not in self.asked:
+            self.asked[name] = beside(self.state, self.entries[name])
+        return self.asked[name]
 
     def held_out(self, name: str) -> tuple[float, float]:
         """Nats that each half gains when the other has estimated the candidate and its size."""
-        halves = [half[name] for half in self.halves]
-        gains = []
-        for one, two in (halves, halves[::-1]):
-            value = _most_likely(one.matrix, one.along)
-            gains.append(float(two.along @ value - 0.5 * value @ two.matrix @ value))
-        return gains[0], gains[1]
+        return self.beside(name).held_out
 
-    def moves(self, name: str, coordinates: int) -> float:
+    def moves(self, name: str) -> float:
         """m rms over the positions' coordinates: what taking a candidate in would move them by;
         zero for noise, which has no columns."""
-        if name not in self.index:
+        if name not in self.entries:
             return 0.0
-        value = _most_likely(self.whole[name].matrix, self.whole[name].along)
-        return float(np.sqrt(np.mean((self.carry[:coordinates, self.index[name]] @ value) ** 2)))
+        return self.beside(name).moves
 
     def correctable(self, name: str) -> bool:
         """Whether it is a curve that may be corrected. What all accelerometers share as a function
@@ -75,38 +69,14 @@ class Search(Searched):
 
     def term(self, name: str) -> Term:
         """A candidate as a new term: the directions that the data can determine, at zero."""
-        entry, at = self.entries[name], self.index[name]
+        entry, found = self.entries[name], self.beside(name)
         assert entry.effect is not None
-        matrix = self.whole[name].matrix
         if entry.kind == "effect":
-            return determined(name, entry.effect, entry.only, matrix)
-        kept = _apart(matrix, self.total[name])
-        live = typical_of(entry.effect, len(at))[:, None] * kept
+            return determined(name, entry.effect, entry.only, found.whole.matrix)
+        kept = found.apart
+        live = typical_of(entry.effect, len(kept))[:, None] * kept
         n = kept.shape[1]
         return Term(name, entry.effect, entry.only, live, np.zeros(n), np.ones(n))
-
-
-def _apart(matrix: Array, total: Array) -> Array:
-    """(p, q) orthonormal directions of a curve of which the positions and terms take little: in the
-    others it would trade off against the answer, whatever its cause.
-
-    matrix, total : (p, p) Gram matrices with these taken out, and before
-    """
-    values, vectors = eigen(total)
-    seen = values > 1e-9 * float(values[-1])
-    white = vectors[:, seen] / np.sqrt(values[seen])
-    share, turn = eigen(white.T @ matrix @ white)
-    kept = white @ turn[:, share >= _APART]
-    return np.asarray(np.linalg.qr(kept)[0])
-
-
-def _most_likely(matrix: Array, along: Array) -> Array:
-    """Estimate of a block of columns under the size that its own evidence prefers."""
-    values, vectors = eigen(matrix)
-    values, seen = np.maximum(values, 0.0), vectors.T @ along
-    shrunk = TAU[:, None] ** 2 / (1.0 + TAU[:, None] ** 2 * values)
-    evidence = np.sum(shrunk * seen**2 - np.log1p(TAU[:, None] ** 2 * values), axis=1)
-    return np.asarray(vectors @ (shrunk[np.argmax(evidence)] * seen))
 
 
 def search(
@@ -116,20 +86,22 @@ def search(
     found = candidates(state, rejected)
     starts, b = starts_of(found.blocks), len(state.base.prior)
     index = {e.name: starts[e.block] + e.part for e in found.entries}
-    total, halves = _grams(state, found, index)
+    rows = state.setup.inner[looked_at(state.setup)]
+    total = state.base.free(gram(state.sampled, [*state.base.blocks, *found.blocks], rows))
     prior = state.base.rests
+    own_size = np.diag(total.matrix)[b:].copy()
     whole = reduced(total, prior, state.base.pull * (prior > 0.0))
-    before = {n: total.matrix[np.ix_(at + b, at + b)] for n, at in index.items()}
-    diagonal = np.diag(total.matrix)[b:].copy(), np.diag(whole.matrix).copy()
+    diagonal = own_size, np.diag(whole.matrix).copy()
     left = {n: float(diagonal[1][at].sum() / max(diagonal[0][at].sum(), 1e-300))
             for n, at in index.items()}  # fmt: skip
     size = {n: float(np.sqrt(max(diagonal[1][at].sum(), 0.0))) for n, at in index.items()}
     live = [e for e in found.entries if left[e.name] >= ABSORBED and size[e.name] >= OPEN]
     own = [index[e.name] for e in live]
     freedom = total.numbers - b
-    each = {n: Alone(whole.matrix[np.ix_(at, at)], whole.along[at]) for n, at in index.items()}
-    carry, contest = whole.carry, _contest(whole, diagonal[0], own, freedom, rng, draws)
-    del total, whole  # of many IMUs they are large
+    moved = np.sqrt(np.mean(whole.carry[: state.positions] ** 2, axis=0))
+    contest = _contest(whole, diagonal[0], own, freedom, rng, draws)
+    entries, missing = found.entries, found.missing
+    del total, whole, found  # of many IMUs they are large
     evidence = contest()
     noises = noise_tests(state, rng, draws)
     null = np.maximum(evidence.best, noises.null)
@@ -137,20 +109,15 @@ def search(
     share = dict(zip((e.name for e in live), evidence.share, strict=True))
     scores = [
         _score(e, value.get(e.name), left[e.name], size[e.name], share.get(e.name, 0.0), null)
-        for e in found.entries
+        for e in entries
     ]
     scores += [_noise_score(test, null) for test in noises.tests]
-    moved = np.sqrt(np.sum(carry[: state.positions] ** 2, axis=0) / state.positions)
-    impact = {e.name: float(np.linalg.norm(moved[index[e.name]])) for e in found.entries}
+    impact = {e.name: float(np.linalg.norm(moved[index[e.name]])) for e in entries}
     return Search(
         scores=tuple(sorted(scores, key=lambda s: -s.evidence)),
-        missing=found.missing,
-        entries={e.name: e for e in found.entries},
-        index=index,
-        whole=each,
-        total=before,
-        halves=halves,
-        carry=carry,
+        missing=missing,
+        state=replace(state),  # without its columns: a search outlives them
+        entries={e.name: e for e in entries},
         null=null,
         impact=impact,
     )
@@ -181,23 +148,6 @@ def _contest(
         rng=rng,
         draws=draws,
     )
-
-
-def _grams(
-    state: ArrayState, found: Candidates, index: dict[str, Index]
-) -> tuple[Gram, tuple[dict[str, Alone], dict[str, Alone]]]:
-    """Products over all samples, and of each held-out half what a candidate alone needs."""
-    setup, base = state.setup, state.base
-    blocks = [*base.blocks, *found.blocks]
-    # Many IMUs have many columns and many readings a sample: fewer samples say as much.
-    most = int(np.clip(_READINGS / setup.triads, _FEWEST, _MOST))
-    some = np.linspace(0, len(setup.inner) - 1, min(most, len(setup.inner))).astype(np.intp)
-    first = setup.first[some]
-    one = base.free(gram(state.sampled, blocks, setup.inner[some[first]]))
-    halves = [alone(one, index, base.rests)]
-    two = base.free(gram(state.sampled, blocks, setup.inner[some[~first]]))
-    halves.append(alone(two, index, base.rests))
-    return one.added(two), (halves[0], halves[1])
 
 
 def _score(

@@ -16,6 +16,7 @@ from imucalib.estimators.array.samples import Readings, Sampled
 _STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
 _BLOCK = 5.0  # s, parts of the motion that are held out together
 FEWEST = 60
+_READINGS, _LEAST, _MOST = 5000, 200, 625  # IMUs times samples that a search looks at
 #: Sample intervals from one neighbour to the other below which they are neighbours.
 _NEAR = 2.6
 
@@ -113,6 +114,13 @@ def part_of(setup: Setup, chosen: NDArray[np.bool_]) -> Setup:
         first=turn % 2 == 0,
         rows=setup.rows[rows],
     )
+
+
+def looked_at(setup: Setup) -> Index:
+    """Which of the samples (inner,) a search looks at. Many IMUs have many columns and many
+    readings a sample: fewer samples say as much."""
+    most = int(np.clip(_READINGS / setup.triads, _LEAST, _MOST))
+    return np.linspace(0, len(setup.inner) - 1, min(most, len(setup.inner))).astype(np.intp)
 
 
 def with_neighbours(moving: Moving) -> Index:

@@ -16,15 +16,17 @@ from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.terms import Term
-from imucalib.estimators.array.gram import gradient, gram
-from imucalib.estimators.array.noise import SensorNoise, chosen_noise, log_density, scaled
+from imucalib.estimators.array.gram import beside_motion, gradient, gram
+from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, log_density, scaled
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
-#: step at which a fit is settled.
-_ROUNDS, _AGAIN, _CLOSE = 30, (0, 8, 16, 24), 0.05
+#: steps at which a fit is settled: one in the search, which compares nats, and one that is stated.
+_ROUNDS, _AGAIN, _NEAR, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.05
 #: Change of the noise from which the matrix no longer serves.
 _STALE = 0.1
+#: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
+_WEIGHED = 2
 #: Step of a position, in its prior's sd, from which a fit is lost.
 _RUNAWAY = 10.0
 
@@ -53,18 +55,26 @@ class ArrayState:
     def base(self) -> Base:
         return Base(self)
 
+    def measured(self, covariance: Array, density: float) -> ArrayState:
+        """The same with these: nothing that its base stands on has moved."""
+        same = replace(self, covariance=covariance, density=density)
+        same.__dict__["base"] = self.base
+        return same
+
     @property
     def found(self) -> tuple[Term, ...]:
         return tuple(term for term in self.terms if term.found)
 
-    def squares(self) -> tuple[Array, Array, Array]:
-        """(inner, K) squared residuals of accelerometers and gyros, each over the share of the
-        variance that it keeps, and the speed (inner,) rad/s."""
-        off, inner = self.sampled.off, self.setup.inner
-        left = self.sampled.left
-        a = np.sum(off.acceleration**2, axis=2)[inner] / left[0][inner]
-        g = np.sum(off.rate**2, axis=2)[inner] / left[1][inner]
-        return a, g, np.linalg.norm(self.sampled.rate, axis=1)[inner]
+    def squares(self, off: Readings | None = None) -> tuple[Squares, Squares, Array]:
+        """Residuals of accelerometers and gyros at the inner samples as their noise is judged by,
+        and the speed (inner,) rad/s; off : (T, K, 3) other residuals."""
+        off, inner = off or self.sampled.off, self.setup.inner
+        found = []
+        for values, kept in zip((off.acceleration, off.rate), self.sampled.kept, strict=True):
+            numbers = np.mean(kept.numbers[inner], axis=0)
+            length = np.sum(values[inner] ** 2, axis=2) / kept.share[inner]
+            found.append(Squares(length * (numbers / 3.0), numbers))
+        return found[0], found[1], np.linalg.norm(self.sampled.rate, axis=1)[inner]
 
     def sd_of(self, term: Term) -> Array:
         """(p,) posterior standard deviations of a term's parameters."""
@@ -107,9 +117,9 @@ def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
 def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for.
 
-    shaped : whether they are asked, or the shape is kept
+    shaped : whether they are asked, or the shape is kept, as where the search is over
     """
-    state = _climbed(_with_scale(state))
+    state = _climbed(_with_scale(state), _NEAR if shaped else _CLOSE)
     if state.setup.robust and shaped:
         # Which shape only shows once the fit is near; the fit then moves a little with it.
         for _ in range(3):
@@ -118,7 +128,7 @@ def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
             state = replace(state, noise=noise)
             if same:
                 break
-            state = _climbed(state)
+            state = _climbed(state, _NEAR)
     return _measured(state)
 
 
@@ -128,8 +138,8 @@ def _alike(one: SensorNoise, two: SensorNoise) -> bool:
     return one.freedom == two.freedom and bool(np.allclose(a, b, rtol=_STALE, atol=0.0))
 
 
-def _with_scale(state: ArrayState) -> ArrayState:
-    a, g, speed = state.squares()
+def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
+    a, g, speed = state.squares(off)
     noise = scaled(state.noise[0], a, speed), scaled(state.noise[1], g, speed)
     return replace(state, noise=noise)
 
@@ -142,12 +152,14 @@ def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
     return scaled(found[0], a, speed), scaled(found[1], g, speed)
 
 
-def _climbed(state: ArrayState) -> ArrayState:
+def _climbed(state: ArrayState, close: float) -> ArrayState:
     """Newton with the matrix of the start: what changes on the way is the residual."""
     converged, matrix, made = False, np.empty((0, 0)), np.zeros(2)
     base: Base | None = None
+    off = state.sampled.off
+    share = min(noise.information for noise in state.noise)
     for k in range(_ROUNDS):
-        state = moved_motion(state, base)
+        state = moved_motion(state, base, off)
         base = state.base
         sigma = np.array([noise.sigma for noise in state.noise])
         if k in _AGAIN or np.any(np.abs(made / sigma - 1.0) > _STALE):
@@ -156,16 +168,20 @@ def _climbed(state: ArrayState) -> ArrayState:
         along = base.along(gradient(state.sampled, base.blocks, state.setup.inner))
         inner = matrix + np.diag(base.prior)
         covariance = np.asarray(np.linalg.inv(inner), np.float64)
-        step = covariance @ (along - base.pull)
+        pull = along - base.pull
+        # Weights that follow residuals answer less than they say, so a step goes farther.
+        step = np.linalg.solve(share * matrix + np.diag(base.prior), pull)
         if not float(np.abs(step[: state.positions]).max()) < _RUNAWAY * state.setup.board.prior_sd:
             break
-        state = _moved(state, step, covariance)
-        state = _with_scale(state)
+        # Weights go by the residuals after the step, not by those that led to it.
+        change = beside_motion(state.sampled, base.reading(step, off.rate.shape), slice(None))
+        off = state.sampled.off.less(change)
+        state = _with_scale(_moved(state, step, covariance), off)
         moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
-        converged = float(step @ inner @ step) < _CLOSE and float(np.abs(moved).max()) < _STALE
+        converged = float(step @ inner @ step) < close and float(np.abs(moved).max()) < _STALE
         if converged:
             break
-    return replace(moved_motion(state, base), converged=converged)
+    return replace(moved_motion(state, base, off), converged=converged)
 
 
 def _measured(state: ArrayState) -> ArrayState:
@@ -178,7 +194,7 @@ def _measured(state: ArrayState) -> ArrayState:
     for term in state.terms:
         density -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
     density += 0.5 * float(np.linalg.slogdet(covariance)[1])
-    return replace(state, density=density, covariance=covariance)
+    return state.measured(covariance, density)
 
 
 def _moved(state: ArrayState, step: Array, covariance: Array) -> ArrayState:
@@ -193,17 +209,24 @@ def _moved(state: ArrayState, step: Array, covariance: Array) -> ArrayState:
     return replace(state, r=r, terms=tuple(terms))
 
 
-def moved_motion(state: ArrayState, base: Base | None = None) -> ArrayState:
+def moved_motion(
+    state: ArrayState, base: Base | None = None, off: Readings | None = None
+) -> ArrayState:
     """The motion for the positions, terms and noise as they are.
 
     base : with the columns of the same terms at the same motion, where they are made already
+    off : residuals that the weights go by, where they are foreseen
     """
-    speed, off = np.linalg.norm(state.sampled.rate, axis=1), state.sampled.off
-    weights = Weights(
-        state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
-        state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
-    )
-    sampled = fit_samples(corrected(state, base), weights, state.r, state.sampled)
+    readings, sampled, off = corrected(state, base), state.sampled, off or state.sampled.off
+    tailed = any(np.isfinite(noise.freedom) for noise in state.noise)
+    for _ in range(_WEIGHED if tailed else 1):
+        speed = np.linalg.norm(sampled.rate, axis=1)
+        weights = Weights(
+            state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
+            state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
+        )
+        sampled = fit_samples(readings, weights, state.r, sampled)
+        off = sampled.off
     return replace(state, sampled=sampled, motion=motion_at(state.setup, sampled, state.motion.age))
 
 

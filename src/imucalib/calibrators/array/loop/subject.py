@@ -91,7 +91,10 @@ class MotionSubject:
         back = self.safe or _matched_in_vain(self, found, self.rules.alpha)
         if back is None:
             return None
-        return replace(back, ages=self.ages, clocks=False, over=True)
+        put_back = replace(back, ages=self.ages, clocks=False, over=True)
+        # At the same state: what could be missing is known.
+        put_back.__dict__["searched"] = back.searched
+        return put_back
 
     def tried(
         self, found: Searched, chosen: Score, rejected: Collection[str]
@@ -147,14 +150,22 @@ class MotionSubject:
         if self.safe is None:
             if leader.candidate.kind == "effect":
                 return grown
-            grown = replace(grown, matched=(*self.matched, (leader.name, self)))
+            before = self._aside()
+            grown = replace(grown, matched=(*self.matched, (leader.name, before)))
             if leader.evidence <= chosen.evidence + self.rules.margin:
                 return grown
-            grown = replace(grown, safe=self, debt=leader.evidence - self.rules.margin)
+            grown = replace(grown, safe=before, debt=leader.evidence - self.rules.margin)
         debt = grown.debt - gained
         if debt <= 0.0:
             return replace(grown, safe=None, debt=0.0, taken=0)
         return replace(grown, debt=debt, taken=grown.taken + 1)
+
+    def _aside(self) -> MotionSubject:
+        """This path to come back to, with its search, without its columns: of many IMUs they are
+        large."""
+        aside = replace(self, state=replace(self.state))
+        aside.__dict__["searched"] = self.searched
+        return aside
 
     def smoothed(self, found: Searched) -> MotionSubject | None:
         if sum(step.curve for step in self.steps) >= CURVES:

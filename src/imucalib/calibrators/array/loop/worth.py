@@ -1,12 +1,23 @@
-"""How large a term of the array's model is, in words, and what it is worth in nats."""
+"""How large a term of the array's model is, what it is worth, and what one more would be."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
+from imucalib.arrays import Array
+from imucalib.calibrators.array.loop.candidates import Entry, typical_columns
+from imucalib.calibrators.array.loop.setup import looked_at
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term
+from imucalib.core.eigen import eigen
+from imucalib.estimators.array.gram import gram
+from imucalib.estimators.array.reduced import Alone, alone, reduced
 from imucalib.significant_digits import plus_minus
+
+TAU = 10.0 ** np.arange(-3.0, 1.1, 0.5)
+_APART = 0.2  # share of a curve's direction that the base must leave
 
 
 def size_in_words(state: ArrayState, term: Term) -> str:
@@ -34,3 +45,66 @@ def worth(state: ArrayState, term: Term) -> float:
     precision = np.linalg.inv(state.covariance[part, part])
     log_ratio = np.linalg.slogdet(precision * np.outer(term.sd, term.sd))[1]
     return float(0.5 * term.value @ precision @ term.value - 0.5 * log_ratio)
+
+
+@dataclass(frozen=True)
+class Beside:
+    """One candidate by itself, its columns with the base taken out: whole, over all samples that a
+    search looks at, and over each held-out half. total : (p, p) before the base was taken out;
+    carry : (d, p) positions per unit of each column"""
+
+    whole: Alone
+    halves: tuple[Alone, Alone]
+    total: Array
+    carry: Array
+
+    @property
+    def held_out(self) -> tuple[float, float]:
+        """Nats that each half gains when the other has estimated the candidate and its size."""
+        gains = []
+        for one, two in (self.halves, self.halves[::-1]):
+            value = _most_likely(one)
+            gains.append(float(two.along @ value - 0.5 * value @ two.matrix @ value))
+        return gains[0], gains[1]
+
+    @property
+    def moves(self) -> float:
+        """m rms over the positions' coordinates: what taking it in would move them by."""
+        return float(np.sqrt(np.mean((self.carry @ _most_likely(self.whole)) ** 2)))
+
+    @property
+    def apart(self) -> Array:
+        """(p, q) orthonormal directions of which the positions and terms take little: in the others
+        a curve would trade off against the answer, whatever its cause."""
+        values, vectors = eigen(self.total)
+        seen = values > 1e-9 * float(values[-1])
+        white = vectors[:, seen] / np.sqrt(values[seen])
+        share, turn = eigen(white.T @ self.whole.matrix @ white)
+        return np.asarray(np.linalg.qr(white @ turn[:, share >= _APART])[0])
+
+
+def beside(state: ArrayState, entry: Entry) -> Beside:
+    """A candidate beside the fit, in typical sizes."""
+    assert entry.effect is not None
+    state = replace(state)  # the columns of its base go with it: of many IMUs they are large
+    base, setup, some = state.base, state.setup, looked_at(state.setup)
+    blocks = [*base.blocks, typical_columns(entry.effect, state.motion, entry.only)]
+    first, b = setup.first[some], len(base.prior)
+    one, two = (
+        base.free(gram(state.sampled, blocks, setup.inner[some[rows]])) for rows in (first, ~first)
+    )
+    halves = alone(one, base.rests), alone(two, base.rests)
+    both = one.added(two)
+    total = both.matrix[b:, b:].copy()
+    found = reduced(both, base.rests, base.pull * (base.rests > 0.0))
+    whole = Alone(found.matrix.copy(), found.along)
+    return Beside(whole, halves, total, found.carry[: state.positions].copy())
+
+
+def _most_likely(found: Alone) -> Array:
+    """Estimate of a block of columns under the size that its own evidence prefers."""
+    values, vectors = eigen(found.matrix)
+    values, seen = np.maximum(values, 0.0), vectors.T @ found.along
+    shrunk = TAU[:, None] ** 2 / (1.0 + TAU[:, None] ** 2 * values)
+    evidence = np.sum(shrunk * seen**2 - np.log1p(TAU[:, None] ** 2 * values), axis=1)
+    return np.asarray(vectors @ (shrunk[np.argmax(evidence)] * seen))
