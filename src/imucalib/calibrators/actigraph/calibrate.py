@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.calibration.outcome import ErrorSummary
 from imucalib.calibrators.actigraph.errors import error_summary
 from imucalib.calibrators.actigraph.observations import observations_of, quantisation
+from imucalib.calibrators.actigraph.of_a_kind import OfAKind, fit_of_a_kind
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.weak import NINE, base_fit, is_weak
 from imucalib.core.fit import Fit
@@ -33,6 +35,7 @@ class ActigraphResult:
         time
     light : runs that count less, because nothing else is like them
     declined : why the loop's model was not taken, or empty
+    of_a_kind : what a fleet said, or None where none was asked
     """
 
     runs: PostureRuns
@@ -44,11 +47,17 @@ class ActigraphResult:
     error: ErrorSummary
     light: int
     declined: str = ""
+    of_a_kind: OfAKind | None = None
 
     @property
     def added(self) -> bool:
         """Whether the final model has more than the base model."""
         return len(self.final.theta) > len(self.base.theta)
+
+    @property
+    def beside_fleet(self) -> bool:
+        """Whether the calibration stands on what a fleet said."""
+        return self.of_a_kind is not None and self.of_a_kind.taken
 
     @property
     def weak(self) -> bool:
@@ -71,9 +80,16 @@ def calibrate(
     data = observations_of(runs, scanned, request.gravity, request.blocks)
     model = base_model(request, data)
     base, light = base_fit(model, data, runs)
+    said = None
+    if request.kind is not None:
+        kind = request.kind
+        said, base, fewer = fit_of_a_kind(
+            kind, base, lambda: base_model(request, data, kind.effects), data, runs
+        )
+        light = fewer if said.taken else light
     if not base.converged:
         raise NotConverged("the fit did not settle", where=scanned.path)
-    if not request.loop or is_weak(base):
+    if not request.loop or is_weak(base) or (said is not None and said.taken):
         held = held_out(base)
         error = error_summary(base, base, held, held)
         return ActigraphResult(
@@ -85,8 +101,9 @@ def calibrate(
             final_held=held,
             error=error,
             light=light,
+            of_a_kind=said,
         )
-    return _of_loop(runs, search(base, runs, request, rng))
+    return replace(_of_loop(runs, search(base, runs, request, rng)), of_a_kind=said)
 
 
 def _of_loop(runs: PostureRuns, closed: Closed) -> ActigraphResult:
@@ -112,15 +129,16 @@ def _of_loop(runs: PostureRuns, closed: Closed) -> ActigraphResult:
     )
 
 
-def base_model(request: ActigraphRequest, data: Observations) -> Model:
-    """The nine parameters and what the user declares beside them."""
+def base_model(request: ActigraphRequest, data: Observations, of_kind: Sequence[str] = ()) -> Model:
+    """The nine parameters and what the user declares, or a fleet has, beside them."""
     declared = tuple(
         request.extra_effects[n] if n in request.extra_effects else named(n)
-        for n in request.declare
+        for n in dict.fromkeys((*request.declare, *of_kind))
     )
     for effect in declared:
         if reason := effect.missing(data.context):
-            raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
+            option = "--declare" if effect.name in request.declare else "--fleet has"
+            raise UsageError(f"{option} {effect.name}: {reason}", remedy=effect.identify)
     return Model((*(named(n) for n in NINE), *declared))
 
 

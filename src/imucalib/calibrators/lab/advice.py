@@ -26,20 +26,6 @@ from imucalib.loop.noise.doubts import beyond_declared
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
 
-#: Chance below which a device is told not to be of its fleet's kind.
-STRANGE = 0.01
-
-
-def not_of_its_kind(result: LabResult) -> tuple[str, ...]:
-    """What a user must decide where a device is far from its fleet."""
-    if not result.strange < STRANGE:
-        return ()
-    chance = f"{max(result.strange, 1e-12):.1g}"
-    return (
-        f"not of its fleet's kind: one of the kind is as far off with a chance of {chance}; "
-        "calibrate it alone, in 24 positions or more, without --fleet",
-    )
-
 
 def fix_option(record: RecordError, raw: RawUnit) -> str:
     """The options that settle a record error, the repair first when it is known."""

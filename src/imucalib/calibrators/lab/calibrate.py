@@ -219,7 +219,8 @@ def base_model(settings: LabSettings, observations: Observations) -> Model:
     declared = tuple(extra[n] if n in extra else named(n) for n in every)
     for effect in declared:
         if reason := effect.missing(observations.context):
-            raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
+            option = "--declare" if effect.name in settings.declare else "--fleet has"
+            raise UsageError(f"{option} {effect.name}: {reason}", remedy=effect.identify)
     return Model((*(named(name) for name in names), *declared))
 
 

@@ -14,8 +14,8 @@ from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import fitted
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text
 from imucalib.report.gain import gain_plot
+from imucalib.report.kind import kind_section
 from imucalib.report.lab.card import lab_card
-from imucalib.report.lab.kind import kind_section
 from imucalib.report.lab.plots import dial_section, uncertainty_section
 from imucalib.report.lab.residuals import attitude_map, residual_plots
 from imucalib.report.lab.sessions import sessions_section
@@ -39,7 +39,9 @@ def lab_document(run: LabRun) -> Document:
         ),
         _angle_section(run),
         _parameter_section(run),
-        kind_section(run.result),
+        kind_section(
+            run.request.settings.population, run.result.final, run.result.strange, "positions"
+        ),
         _bench_section(run),
         sessions_section(run.sessions),
         dial_section(run),
