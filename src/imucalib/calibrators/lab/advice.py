@@ -13,7 +13,7 @@ from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
 from imucalib.calibrators.lab.design import judge
-from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.faults import SCATTER
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
@@ -87,7 +87,7 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
 def _settings(fit: Fit) -> list[str]:
     """Whose the scatter is: the table's settings or the sensor's noise."""
     noise = setting_noise(fit)
-    sensor = fit.noise.factor * float(np.median(fit.at.sigma))
+    sensor = reading_noise(fit).whole
     reference = fit.observations.reference
     assert isinstance(reference, KnownVector)
     share = sensor / reference.gravity / DEG
