@@ -171,13 +171,14 @@ def following(fleets: int, devices: int, folder: Path) -> None:
         fleet = run_recorded(paths, Wanted(devices=table), lambda _: None)
         file = folder / "fleet.yaml"
         file.write_text(to_yaml(fleet.following))
-        request = replace(REQUEST, kind=read(file))
+        plain = replace(REQUEST, loop=False)
+        request = replace(plain, kind=read(file))
         for _ in range(8):
             one = device(rng, 0.05)
             for n in counts:
                 runs, scan = one.runs(n, rng, 0.2)
                 beside = run_of(runs, scan, request, lambda _: None).result
-                lone = run_of(runs, scan, REQUEST, lambda _: None).result
+                lone = run_of(runs, scan, plain, lambda _: None).result
                 alone, told, z, strange = rows[n]
                 alone.append(one.error(lone.final))
                 told.append(one.error(beside.final))

@@ -15,11 +15,14 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.balance import Noise, balance
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.parameter import Parameter
 from imucalib.core.prior import Prior, correlated
+from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit
 from imucalib.readers.source import sha256_of
@@ -82,6 +85,19 @@ class Population:
         sigma = float(np.median(data.sigma))
         noise = [self._noise("reading", sigma), *(self._noise(c, 1.0) for c in components)]
         return replace(correlated(mean, covariance), noise=np.array(noise))
+
+    def driven(self, context: Context) -> tuple[Effect, ...]:
+        """The shared effects, whose sizes the fleet knows: what drives them must be known, and need
+        not vary. Raises UsageError where it is not."""
+        found = tuple(named(name) for name in self.effects)
+        for effect in found:
+            absent = [name.replace("_", " ") for name in effect.needs if name not in context]
+            if absent:
+                raise UsageError(
+                    f"the fleet has {effect.name}, and no {', '.join(absent)} was recorded",
+                    remedy="record it, or calibrate without --fleet",
+                )
+        return found
 
     def _noise(self, name: str, unit: float) -> tuple[float, float]:
         for one in self.noise:

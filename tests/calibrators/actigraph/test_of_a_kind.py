@@ -108,12 +108,20 @@ def test_a_fleet_that_knows_less_than_data_sheets_changes_nothing() -> None:
     np.testing.assert_array_equal(result(runs, wide).final.theta, result(runs, None).final.theta)
 
 
-def test_an_effect_of_the_fleet_needs_what_drives_it() -> None:
-    told = (*KIND.parameters, *(Told(f"temperature_bias_{a}", "mg/degC", 0.3, 0.1) for a in "xyz"))
-    covariance = np.diag(np.r_[SD, 0.1, 0.1, 0.1] ** 2)
+def test_an_effect_of_the_fleet_needs_what_drives_it_and_no_more() -> None:
+    """Six postures within a tenth of a degree show nothing of a temperature; the fleet does: at 35
+    degC a device that drifts by 0.3 mg/degC is off by 3 mg."""
+    told = (*KIND.parameters, *(Told(f"temperature_bias_{a}", "mg/degC", 0.3, 0.01) for a in "xyz"))
+    covariance = np.diag(np.r_[SD, 0.01, 0.01, 0.01] ** 2)
     warm = replace(KIND, effects=("temperature_bias",), parameters=told, covariance=covariance)
-    with pytest.raises(UsageError, match="--fleet has temperature_bias: no temperature"):
-        result(sensor(MEAN, 6, np.random.default_rng(6)), warm)
+    moved = MEAN + 3.0 * np.r_[1.0, 1.0, 1.0, np.zeros(6)]
+    runs = sensor(moved, 6, np.random.default_rng(6))
+    found = result(replace(runs, temperature=np.linspace(34.95, 35.05, 6)), warm).final
+    names = [p.name for p in found.parameters]
+    assert found.theta[names.index("temperature_bias_x")] == pytest.approx(0.3, abs=0.04)
+    assert np.all(np.abs(found.theta[:9] - MEAN) < 4.0 * found.sd[:9])
+    with pytest.raises(UsageError, match="and no temperature was recorded"):
+        result(replace(runs, temperature=np.full(6, np.nan)), warm)
 
 
 @pytest.mark.parametrize(
@@ -133,3 +141,19 @@ def test_what_knows_no_prior_is_refused(
     done = CliRunner().invoke(cli, arguments, standalone_mode=False)
     assert isinstance(done.exception, UsageError)
     assert message in str(done.exception)
+
+
+@pytest.mark.parametrize("postures", [9, 10, 12, 17])
+def test_few_postures_that_tell_all_parameters_leave_nothing_to_search_by(postures: int) -> None:
+    """Nine evenly spread postures are nine numbers for nine parameters: the search divided by zero
+    degrees of freedom."""
+    z = 1.0 - (2.0 * np.arange(postures) + 1.0) / postures
+    turn = np.pi * (1.0 + 5.0**0.5) * np.arange(postures)
+    u = np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
+    rng = np.random.default_rng(0)
+    mean = (1000.0 * u + 0.5 * rng.standard_normal(u.shape)) * MG
+    runs = replace(sensor(MEAN, postures, rng), mean=mean)
+    told = run_of(runs, SCAN, ActigraphRequest(), lambda _: None)
+    assert told.result.loop is None
+    if not told.result.weak:
+        assert "twice as many posture runs" in told.outcome.advice[0]

@@ -62,6 +62,11 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
             "What the nine parameters lack was not searched for: that takes postures which "
             "determine all of them."
         )
+    elif result.few:
+        found.append(
+            "What the nine parameters lack was not searched for: that takes twice as many posture "
+            "runs as parameters."
+        )
     if missing and coverage.worst_sd > _WELL_KNOWN:
         found.append(
             f"Rest the sensor for ten seconds with {', '.join(missing)}, or record more nights."

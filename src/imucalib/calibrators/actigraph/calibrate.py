@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +23,9 @@ from imucalib.loop.held_out import Held, fitted, held_out
 from imucalib.loop.wander.engine import Asked, Closed, close
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
+
+#: Posture runs a parameter below which what is left over is no noise to search in.
+_SEARCHED = 2
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,11 @@ class ActigraphResult:
         return is_weak(self.base)
 
     @property
+    def few(self) -> bool:
+        """Whether the runs are too few to search in."""
+        return _few(self.base)
+
+    @property
     def fitted(self) -> Held:
         return fitted(self.final)
 
@@ -75,21 +82,19 @@ def calibrate(
     """Fit, search for what is missing, and measure the error on time that was not fitted.
 
     Where the postures leave parameters open, these stay near their nominal values (see
-    `weak`) and nothing is searched for. Raises NotConverged.
+    `weak`) and nothing is searched for; nor is it in fewer than two runs a parameter. Raises
+    NotConverged.
     """
     data = observations_of(runs, scanned, request.gravity, request.blocks)
     model = base_model(request, data)
     base, light = base_fit(model, data, runs)
     said = None
     if request.kind is not None:
-        kind = request.kind
-        said, base, fewer = fit_of_a_kind(
-            kind, base, lambda: base_model(request, data, kind.effects), data, runs
-        )
+        said, base, fewer = fit_of_a_kind(request.kind, base, runs)
         light = fewer if said.taken else light
     if not base.converged:
         raise NotConverged("the fit did not settle", where=scanned.path)
-    if not request.loop or is_weak(base) or (said is not None and said.taken):
+    if not request.loop or _few(base) or is_weak(base) or (said is not None and said.taken):
         held = held_out(base)
         error = error_summary(base, base, held, held)
         return ActigraphResult(
@@ -104,6 +109,10 @@ def calibrate(
             of_a_kind=said,
         )
     return replace(_of_loop(runs, search(base, runs, request, rng)), of_a_kind=said)
+
+
+def _few(base: Fit) -> bool:
+    return base.observations.n < _SEARCHED * len(base.theta)
 
 
 def _of_loop(runs: PostureRuns, closed: Closed) -> ActigraphResult:
@@ -129,16 +138,15 @@ def _of_loop(runs: PostureRuns, closed: Closed) -> ActigraphResult:
     )
 
 
-def base_model(request: ActigraphRequest, data: Observations, of_kind: Sequence[str] = ()) -> Model:
-    """The nine parameters and what the user declares, or a fleet has, beside them."""
+def base_model(request: ActigraphRequest, data: Observations) -> Model:
+    """The nine parameters and what the user declares beside them."""
     declared = tuple(
         request.extra_effects[n] if n in request.extra_effects else named(n)
-        for n in dict.fromkeys((*request.declare, *of_kind))
+        for n in request.declare
     )
     for effect in declared:
         if reason := effect.missing(data.context):
-            option = "--declare" if effect.name in request.declare else "--fleet has"
-            raise UsageError(f"{option} {effect.name}: {reason}", remedy=effect.identify)
+            raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
     return Model((*(named(n) for n in NINE), *declared))
 
 
