@@ -5,10 +5,11 @@
     python benchmarks/actigraph/fleet.py cost [--devices 1000]
 
 A device is made by plain numpy: two recordings of a day, 200 posture runs about few habits each, a
-temperature that follows the hour and cools while the device is not worn, 0.5 mg from run to
-run and a bias that wanders by 0.5 mg in an hour. Devices differ by 20 mg of bias and 1 % of scale,
-recordings of one device by 1 mg of bias. `size` is what the temperature does, mg/degC on every
-axis, alike within a third.
+temperature that follows the hour and cools while the device is not worn, 0.5 mg from run to run and
+a bias that wanders by 0.5 mg in an hour. Devices differ by 20 mg of bias and 1 % of scale
+(`narrow`: 3 mg and 0.2 %), their kind is off by as much as the first, recordings of one device
+differ by 1 mg of bias. `size` is what the temperature does, mg/degC on every axis, alike within a
+third.
 """
 
 from __future__ import annotations
@@ -26,12 +27,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from imucalib.calibration.sums import KEY, sums_of
+from imucalib.calibrators.actigraph.errors import norm_sd
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import postures, scan_of
-from imucalib.calibrators.population import read, to_yaml
+from imucalib.calibrators.population import Population, read, to_yaml
 from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
 from imucalib.core.context import Context
+from imucalib.core.sphere import even_directions
 from imucalib.effects import named
 from imucalib.loop.found import LoopSettings
 from imucalib.report.data import report_dict
@@ -51,7 +54,7 @@ class Device:
     size: np.ndarray
 
     def runs(self, count: int, rng: np.random.Generator, days: float = 1.0) -> tuple:
-        """Posture runs and their scan."""
+        """Posture runs, their scan, and the device as it was in that recording."""
         time_ = np.sort(rng.uniform(0.0, days * DAY, count))
         warm = warmth(time_, rng.uniform(0.0, DAY)) + 0.3 * rng.standard_normal(count)
         u = postures(count, rng)
@@ -61,8 +64,8 @@ class Device:
             keep = np.exp(-gap[k] / HOUR) if k else 0.0
             step = WANDER * np.sqrt(1.0 - keep**2) * rng.standard_normal(3)
             walk[k] = keep * walk[k - 1] + step
-        offset = self.bias + rng.standard_normal(3)
-        reading = 1000.0 * u @ self.matrix.T + offset + self.size * (warm - 25.0)[:, None]
+        now = replace(self, bias=self.bias + rng.standard_normal(3))
+        reading = 1000.0 * u @ self.matrix.T + now.bias + self.size * (warm - 25.0)[:, None]
         reading = reading + walk + SCATTER * rng.standard_normal((count, 3))
         runs = PostureRuns(
             mean=reading * MG, windows=np.full(count, 6, np.intp), time=time_, temperature=warm,
@@ -70,10 +73,10 @@ class Device:
         )  # fmt: skip
         grid = np.arange(5.0, days * DAY, 60.0)
         series = np.interp(grid, time_, warm)
-        return runs, scan_of(grid, series, rate=100.0, seconds=days * DAY)
+        return runs, scan_of(grid, series, rate=100.0, seconds=days * DAY), now
 
     def error(self, fit) -> float:
-        """mg rms of |a| at 300 attitudes and 30 degC, without the recording's own offset."""
+        """mg rms of |a| at 300 attitudes and 30 degC."""
         u = np.random.default_rng(1).standard_normal((300, 3))
         u /= np.linalg.norm(u, axis=1, keepdims=True)
         reading = 1000.0 * u @ self.matrix.T + self.bias + self.size * 5.0
@@ -87,24 +90,42 @@ def warmth(time_: np.ndarray, start: float) -> np.ndarray:
     return 31.0 + 1.5 * np.sin(2.0 * np.pi * (time_ + start) / DAY) - 6.0 * off
 
 
-def device(rng: np.random.Generator, size: float) -> Device:
+@dataclass(frozen=True)
+class Kind:
+    """What devices of a kind have on average, and their scatter: mg of bias, share of scale."""
+
+    matrix: np.ndarray
+    bias: np.ndarray
+    scatter: tuple[float, float]
+
+    def device(self, rng: np.random.Generator, size: float) -> Device:
+        bias, share = self.scatter
+        matrix = self.matrix + share * np.tril(rng.standard_normal((3, 3)))
+        own = size * (1.0 + 0.3 * rng.standard_normal(3))
+        return Device(matrix, self.bias + bias * rng.standard_normal(3), own)
+
+
+KINDS = {"wide": (20.0, 0.01), "narrow": (3.0, 0.002)}
+
+
+def kind_of(name: str, rng: np.random.Generator) -> Kind:
+    """A kind off by 20 mg and 1 %."""
     matrix = np.eye(3) + 0.01 * np.tril(rng.standard_normal((3, 3)))
-    own = size * (1.0 + 0.3 * rng.standard_normal(3))
-    return Device(matrix, 20.0 * rng.standard_normal(3), own)
+    return Kind(matrix, 20.0 * rng.standard_normal(3), KINDS[name])
 
 
 def recorded(one: Device, name: str, folder: Path, rng: np.random.Generator) -> Path:
     """The report of a recording, as `imucal batch` keeps it."""
-    runs, scan = one.runs(200, rng)
+    runs, scan, _ = one.runs(200, rng)
     run = run_of(runs, replace(scan, path=name, sha256=name), REQUEST, lambda _: None)
     path = folder / f"{name}.json"
     path.write_text(json.dumps(report_dict(run)))
     return path
 
 
-def made(rng: np.random.Generator, devices: int, size: float, folder: Path) -> tuple:
+def made(kind: Kind, rng: np.random.Generator, devices: int, size: float, folder: Path) -> tuple:
     """Devices, entries of two recordings each, and the table of who is who."""
-    every = [device(rng, size) for _ in range(devices)]
+    every = [kind.device(rng, size) for _ in range(devices)]
     paths, rows = [], ["recording,device"]
     for k, one in enumerate(every):
         for part in "ab":
@@ -122,7 +143,7 @@ def power(fleets: int, devices: int, sizes: list[float], folder: Path) -> None:
         found, right, alone, z, between, within, strength = 0, 0, 0, [], [], [], []
         for seed in range(fleets):
             rng = np.random.default_rng((seed, devices))
-            every, paths, table = made(rng, devices, planted, folder)
+            every, paths, table = made(kind_of("wide", rng), rng, devices, planted, folder)
             for k, path in enumerate(paths):
                 content = json.loads(path.read_text())
                 alone += "temperature_bias" in [s["effect"] for s in content["loop"]["steps"]]
@@ -161,41 +182,49 @@ def strength_of(content: dict, size: np.ndarray) -> float:
 
 def following(fleets: int, devices: int, folder: Path) -> None:
     """The next device from few postures, with and without the fleet."""
-    counts = (4, 6, 9, 15, 40)
-    print("| postures | alone, mg | beside the fleet, mg | z rms of the nine | told strange |")
-    print("|---|---|---|---|---|")
-    rows = {n: ([], [], [], []) for n in counts}
-    for seed in range(fleets):
-        rng = np.random.default_rng((seed, devices, 1))
-        _, paths, table = made(rng, devices, 0.05, folder)
-        fleet = run_recorded(paths, Wanted(devices=table), lambda _: None)
-        file = folder / "fleet.yaml"
-        file.write_text(to_yaml(fleet.following))
-        plain = replace(REQUEST, loop=False)
-        request = replace(plain, kind=read(file))
-        for _ in range(8):
-            one = device(rng, 0.05)
-            for n in counts:
-                runs, scan = one.runs(n, rng, 0.2)
-                beside = run_of(runs, scan, request, lambda _: None).result
-                lone = run_of(runs, scan, plain, lambda _: None).result
-                alone, told, z, strange = rows[n]
-                alone.append(one.error(lone.final))
-                told.append(one.error(beside.final))
-                truth = np.concatenate([one.bias, np.diag(one.matrix) - 1.0,
-                                        one.matrix[[1, 2, 2], [0, 0, 1]]])  # fmt: skip
-                z += list((beside.final.theta[:9] - truth) / beside.final.sd[:9])
-                strange.append(beside.of_a_kind.contradicted)
-    for n, (alone, told, z, strange) in rows.items():
-        cells = [np.sqrt(np.mean(np.square(v))) for v in (alone, told)]
-        print(f"| {n} | {cells[0]:.2f} | {cells[1]:.2f} | {np.sqrt(np.mean(np.square(z))):.2f} | "
-              f"{sum(strange)} of {len(strange)} |", flush=True)  # fmt: skip
+    print("| devices differ | postures | alone, mg | beside the fleet, mg | sd of the worst |a| | "
+          "z rms | told strange |")  # fmt: skip
+    print("|---" * 7 + "|")
+    for name in KINDS:
+        rows: dict[int, list[list]] = {n: [] for n in (4, 6, 9, 15)}
+        for seed in range(fleets):
+            rng = np.random.default_rng((seed, devices, len(name)))
+            kind = kind_of(name, rng)
+            _, paths, table = made(kind, rng, devices, 0.05, folder)
+            fleet = run_recorded(paths, Wanted(devices=table), lambda _: None)
+            file = folder / "fleet.yaml"
+            file.write_text(to_yaml(fleet.following))
+            told = read(file)
+            for _ in range(8):
+                one = kind.device(rng, 0.05)
+                for n, row in rows.items():
+                    row.append(trial(one, n, told, rng))
+        for n, row in rows.items():
+            alone, beside, before, now, z, strange = zip(*row, strict=True)
+            errors = [float(np.sqrt(np.mean(np.square(v)))) for v in (alone, beside)]
+            sds = f"{np.median(before):.1f} -> {np.median(now):.1f} mg"
+            rms = float(np.sqrt(np.mean(np.square(np.concatenate(z)))))
+            print(f"| {name} | {n} | {errors[0]:.1f} | {errors[1]:.1f} | {sds} | {rms:.2f} | "
+                  f"{sum(strange)} of {len(strange)} |", flush=True)  # fmt: skip
+
+
+def trial(one: Device, count: int, told: Population, rng: np.random.Generator) -> list:
+    """Errors and sds of the worst |a|, mg, alone and beside the fleet; z; whether it is strange."""
+    runs, scan, now = one.runs(count, rng, 0.2)
+    plain = replace(REQUEST, loop=False)
+    alone = run_of(runs, scan, plain, lambda _: None).result.final
+    result = run_of(runs, scan, replace(plain, kind=told), lambda _: None).result
+    fit, matrix = result.final, now.matrix
+    truth = np.concatenate([now.bias, np.diag(matrix) - 1.0, matrix[[1, 2, 2], [0, 0, 1]]])
+    sds = [float(norm_sd(f, even_directions()).max()) / MG for f in (alone, fit)]
+    z = (fit.theta[:9] - truth) / fit.sd[:9]
+    return [now.error(alone), now.error(fit), *sds, z, result.of_a_kind.contradicted]
 
 
 def cost(devices: int, folder: Path) -> None:
     """CPU seconds of the fleet, calibrations aside: every entry is one of ten, under new names."""
     rng = np.random.default_rng(0)
-    _, paths, _ = made(rng, 5, 0.03, folder)
+    _, paths, _ = made(kind_of("wide", rng), rng, 5, 0.03, folder)
     texts = [p.read_text() for p in paths]
     every = []
     for k in range(devices):

@@ -30,37 +30,33 @@ def beyond(value: Array, variance: Array, group: Index | None = None) -> Beyond:
     """
     from scipy.special import chdtri
 
-    of = np.zeros(value.size, np.intp) if group is None else group
-    dof = _dof(of)
+    dof = value.size - (1 if group is None else np.unique(group).size)
     if dof < 1:
         return Beyond(float("nan"), float("nan"), float("nan"))
     wanted = (float(dof), float(chdtri(dof, 0.025)), float(chdtri(dof, 0.975)))
-    return Beyond(*(_solved(q, value, variance, of) for q in wanted))
+    return Beyond(*(_solved(q, value, variance, group) for q in wanted))
 
 
 def beyond_sd(value: Array, variance: Array) -> float:
     """The same of one group, without its interval."""
-    of = np.zeros(value.size, np.intp)
-    return _solved(float(_dof(of)), value, variance, of)
+    return _solved(value.size - 1.0, value, variance, None)
 
 
 def chi_square(value: Array, variance: Array) -> float:
     """Weighted squares of values (m,) about their mean."""
-    return _q(0.0, value, variance, np.zeros(value.size, np.intp))
+    return _q(0.0, value, variance, None)
 
 
-def _dof(group: Index) -> int:
-    return int(group.size - np.unique(group).size)
-
-
-def _q(square: float, value: Array, variance: Array, group: Index) -> float:
+def _q(square: float, value: Array, variance: Array, group: Index | None) -> float:
     weight = 1.0 / (variance + square)
+    if group is None:
+        return float(weight @ (value - weight @ value / weight.sum()) ** 2)
     total = np.bincount(group, weight)
     mean = np.bincount(group, weight * value) / np.where(total > 0.0, total, 1.0)
     return float(weight @ (value - mean[group]) ** 2)
 
 
-def _solved(wanted: float, value: Array, variance: Array, group: Index) -> float:
+def _solved(wanted: float, value: Array, variance: Array, group: Index | None) -> float:
     """τ where Q(τ²) is so large; 0 where it never is."""
     from scipy.optimize import brentq
 

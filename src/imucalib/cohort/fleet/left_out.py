@@ -19,6 +19,8 @@ from imucalib.core.prior import Prior, correlated
 
 #: Groups that are left out at most, and simulated fleets of a search without one: enough for alpha.
 _GROUPS, _DRAWS = 20, 199
+#: Devices beyond which a fifth of them says no less than a twentieth would.
+_MANY, _OF_MANY = 60, 5
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def foretold(devices: Sequence[Device], rules: Rules, seed: int) -> dict[str, Ma
 
     devices : with their own noise, not drawn towards the fleet's, which the one left out would tell
     """
-    groups = min(len(devices), _GROUPS)
+    groups = min(len(devices), _GROUPS if len(devices) <= _MANY else _OF_MANY)
     few = replace(rules, draws=min(rules.draws, _DRAWS))
     every: dict[str, Mapping[str, Prior]] = {}
     for group in range(groups):
