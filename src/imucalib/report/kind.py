@@ -41,9 +41,10 @@ def kind_section(
     )
     count = fit.observations.n
     chance = probability(strange, 999)
+    own_rows = f"{count} {what}{'s' * (count != 1)}"
     words = (
-        f"{kind.devices} devices of its kind say what to expect, {count} {what} of this one the "
-        f"rest. Chance that one of the kind is as far from the others: {chance}."
+        f"{kind.devices} devices of its kind say what to expect, {own_rows} of this one the rest. "
+        f"Chance that one of the kind is as far from the others: {chance}."
     )
     table = Table(
         "",

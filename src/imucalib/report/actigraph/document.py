@@ -31,10 +31,10 @@ def actigraph_document(run: ActigraphRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
     outcome = run.outcome
     sections = [
+        _of_a_kind(run),
         activity_section(run),
         loop_section(outcome),
         _parameters(run),
-        _of_a_kind(run),
         _coverage(run),
         advice_section(outcome),
         Section(
@@ -47,7 +47,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
         sensor_section(run.calibration),
     ]
     if run.series:
-        sections.insert(2, series_section(run.series))
+        sections.insert(3, series_section(run.series))
     if outcome.findings:
         sections.append(candidate_section(outcome.findings))
     return Document(
@@ -107,7 +107,7 @@ def _of_a_kind(run: ActigraphRun) -> Section:
             f"{probability(said.strange, 999)}. The calibration is the recording's own."
         )
         return Section("The fleet's word", (Text(words, "warning"),))
-    told = kind_section(said.kind, fit, said.strange, "posture runs", said.alone)
+    told = kind_section(said.kind, fit, said.strange, "posture run", said.alone)
     before, now = (
         1.96 * float(norm_sd(one, even_directions()).max()) / MG for one in (said.alone, fit)
     )

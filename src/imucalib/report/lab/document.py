@@ -40,7 +40,7 @@ def lab_document(run: LabRun) -> Document:
         _angle_section(run),
         _parameter_section(run),
         kind_section(
-            run.request.settings.population, run.result.final, run.result.strange, "positions"
+            run.request.settings.population, run.result.final, run.result.strange, "position"
         ),
         _bench_section(run),
         sessions_section(run.sessions),
