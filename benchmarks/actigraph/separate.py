@@ -13,13 +13,17 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from separating import best_of, right, row, told_of
 
 from imucalib.calibration.calibration import from_fit
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
@@ -28,9 +32,7 @@ from imucalib.calibrators.actigraph.simulation import postures, scan_of
 from imucalib.calibrators.separate.candidates import Rests, pool_of, rests_of
 from imucalib.calibrators.separate.plan import after_a_power_up
 from imucalib.calibrators.separate.recorded import recorded_block, recorded_of
-from imucalib.effects.shape import is_form
 from imucalib.loop.found import LoopSettings
-from imucalib.loop.separation.choice import Pool, exchanged, informative, one_by_one
 from imucalib.loop.separation.plan import separation
 from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
@@ -89,15 +91,6 @@ def search(runs: PostureRuns, thermometer: np.ndarray, stop: float) -> Actigraph
     return calibrate(runs, scan, REQUEST, np.random.default_rng(0))
 
 
-def right(result: ActigraphResult, truth: str) -> str:
-    """ "alone", "form" where a form without a cause stands beside the name, or nothing."""
-    steps = result.loop.named if result.loop else ()
-    if len(steps) != 1 or steps[0].effect != truth:
-        return ""
-    beside = [name for name in steps[0].aliases if not is_form(name)]
-    return "" if beside else "form" if steps[0].aliases else "alone"
-
-
 def held(one: Device, runs: PostureRuns, rests: Rests, truth: str) -> str:
     """Whether the name is right and alone once these postures were held, within 8 deg by hand.
     Where the temperature before counts, eight hours of it come before each."""
@@ -121,7 +114,7 @@ def held(one: Device, runs: PostureRuns, rests: Rests, truth: str) -> str:
     both = [(runs.mean, one.read(u, warm, time)), (runs.time, time), (runs.temperature, warm)]
     grown = runs_of(*(np.concatenate(pair) for pair in both))
     series = np.column_stack([(runs.time, runs.temperature), np.array(steps).T])
-    return right(search(grown, series, float(time[-1]) + 60.0), truth)
+    return right(search(grown, series, float(time[-1]) + 60.0).loop, truth)
 
 
 def trial(truth: str, seed: int) -> dict[str, object] | None:
@@ -146,26 +139,12 @@ def trial(truth: str, seed: int) -> dict[str, object] | None:
     if recorded.wander > 0.0:
         ambiguity, pool = after_a_power_up(ambiguity, pool, recorded.wander)
     made = separation(ambiguity, pool, np.random.default_rng(seed))
-    n = len(made.plan)
-    told = {
-        "rests": n,
-        "now": float(made.now.min(initial=np.inf)),
-        "apart": made.least,
-        "promised": made.ended.get(truth, 0.0),
-        "informative": made.informative,
-        "random": made.random,
-        "rivals": tuple(found[0].rivals),
-    }
+    n, told = len(made.plan), told_of(made, ambiguity, truth)
     if n:
         told["right"] = held(one, runs, rests.take(np.array(made.plan)), truth)
         told["informative 2"] = held(one, runs, rests.take(best_of(ambiguity, pool, 2 * n)), truth)
         told["random 2"] = held(one, runs, rests.take(rng.integers(0, rests.n, 2 * n)), truth)
     return told
-
-
-def best_of(ambiguity, pool: Pool, count: int) -> np.ndarray:
-    worth = informative(ambiguity.products.gram, ambiguity.first)
-    return np.array(exchanged(pool, one_by_one(pool, worth, count), worth))
 
 
 def main() -> None:
@@ -179,29 +158,9 @@ def main() -> None:
         if os.environ.get("SHOW"):
             print(*told, sep="\n", flush=True)
         told = [o for o in told if "rests" in o]
-        print(row(truth, asked.devices, told) if told else f"{truth}: none ambiguous", flush=True)
-
-
-def row(truth: str, devices: int, told: list[dict]) -> str:
-    """A line of the table: medians, and how often the name is right and alone."""
-    few = [o for o in told if 0 < o["rests"] <= 8]
-    rests = np.median([o["rests"] for o in told])
-    now, then = (np.median([o[k] for o in told]) for k in ("now", "apart"))
-    longer = [o["rests"] * 8 + 1 for o in told]
-    other = [
-        np.median([o[k].needed or most for o, most in zip(told, longer, strict=True)])
-        for k in ("informative", "random")
-    ]
-    ways = ("right", "informative 2", "random 2")
-    counts = [
-        f"{sum(o.get(way) == 'alone' for o in told)} + {sum(o.get(way) == 'form' for o in told)}"
-        for way in ways
-    ]
-    cells = [truth, f"{len(told)} of {devices}", f"{rests:.0f}", f"{now:.1f} -> {then:.1f}",
-             f"{100.0 * np.mean([o['promised'] for o in told]):.0f}", counts[0],
-             f"{len(few)}",
-             *(f"{v:.0f}" for v in other), *counts[1:]]  # fmt: skip
-    return "| " + " | ".join(cells) + " |"
+        print(
+            row((truth,), asked.devices, told) if told else f"{truth}: none ambiguous", flush=True
+        )
 
 
 if __name__ == "__main__":

@@ -81,7 +81,8 @@ def power(fleets: int, devices: int, strength: float, folder: Path) -> None:
             )  # fmt: skip
             if planted and own.search.found:
                 for member, size in zip(own.members, truth, strict=True):
-                    fit = [p for p in member.calibration.parameters if p.effect == "quadratic"]
+                    every = member.recordings[0].calibration.parameters
+                    fit = [p for p in every if p.effect == "quadratic"]
                     z += [(p.value - q) / p.sd for p, q in zip(fit, size, strict=True)]
                     covered += [abs(v) < 1.96 for v in z[-3:]]
         line = f"| {devices} | {planted:.1f} | {found} of {fleets} | {right} | "

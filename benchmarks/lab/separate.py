@@ -17,13 +17,17 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from separating import best_of, right, row, told_of
 
 from imucalib.calibration.calibration import from_fit
 from imucalib.calibrators.lab.calibrate import LabSettings, base_model
@@ -34,13 +38,11 @@ from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
-from imucalib.effects.shape import is_form
 from imucalib.estimators.starting_point import full_matrix_start
 from imucalib.loop.asked import searched
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.separation.ambiguities import ambiguities
-from imucalib.loop.separation.choice import Pool, exchanged, informative, one_by_one
 from imucalib.loop.separation.plan import separation
 
 G = 9.80665
@@ -145,15 +147,6 @@ def search(kind: str, table: Table) -> FitLoop:
     )
 
 
-def right(loop: FitLoop, truth: str) -> str:
-    """ "alone", "form" where a form without a cause stands beside the name, or nothing."""
-    steps = loop.named
-    if len(steps) != 1 or steps[0].effect != truth:
-        return ""
-    beside = [name for name in steps[0].aliases if not is_form(name)]
-    return "" if beside else "form" if steps[0].aliases else "alone"
-
-
 def calibration_of(fit: Fit):
     return from_fit(fit, "lab", raw_unit="mg", raw_to_si=MG, gravity=G, status="", reasons=(),
                     facts={})  # fmt: skip
@@ -185,16 +178,7 @@ def trial(kind: str, truth: str, size: float, seed: int) -> dict[str, object] | 
     pool = pool_of(block, calibration_of(fit), found[0], rests)
     rng = np.random.default_rng(seed)
     made = separation(found[0], pool, rng)
-    n = len(made.plan)
-    told = {
-        "rests": n,
-        "now": float(made.now.min(initial=np.inf)),
-        "apart": made.least,
-        "promised": made.ended.get(truth, 0.0),
-        "informative": made.informative,
-        "random": made.random,
-        "rivals": tuple(found[0].rivals),
-    }
+    n, told = len(made.plan), told_of(made, found[0], truth)
     if not n:
         return told
     told["right"] = recorded(one, kind, table, rests.take(np.array(made.plan)), truth)
@@ -204,12 +188,6 @@ def trial(kind: str, truth: str, size: float, seed: int) -> dict[str, object] | 
         some = rng.integers(0, rests.n, times * n)
         told[f"random {times}"] = recorded(one, kind, table, rests.take(some), truth)
     return told
-
-
-def best_of(ambiguity, pool: Pool, count: int) -> np.ndarray:
-    """The plan that determines the base model's parameters best."""
-    worth = informative(ambiguity.products.gram, ambiguity.first)
-    return np.array(exchanged(pool, one_by_one(pool, worth, count), worth))
 
 
 TRUTHS = {"angles": ("quadratic", "asymmetry"), "norm": ("quadratic", "asymmetry"),
@@ -236,29 +214,7 @@ def main() -> None:
         if not told:
             print(f"{truth}: none of {asked.devices} is ambiguous")
             continue
-        print(row(asked.what, truth, asked.devices, told), flush=True)
-
-
-def row(what: str, truth: str, devices: int, told: list[dict]) -> str:
-    """A line of the table: medians, and how often the name is right and alone."""
-    few = [o for o in told if o["rests"] <= 8]
-    rests = np.median([o["rests"] for o in told])
-    now, then = (np.median([o[k] for o in told]) for k in ("now", "apart"))
-    longer = [o["rests"] * 8 + 1 for o in told]
-    other = [
-        np.median([o[k].needed or most for o, most in zip(told, longer, strict=True)])
-        for k in ("informative", "random")
-    ]
-    ways = ("right", "informative 2", "random 2")
-    counts = [
-        f"{sum(o.get(way) == 'alone' for o in told)} + {sum(o.get(way) == 'form' for o in told)}"
-        for way in ways
-    ]
-    cells = [what, truth, f"{len(told)} of {devices}", f"{rests:.0f}", f"{now:.1f} -> {then:.1f}",
-             f"{100.0 * np.mean([o['promised'] for o in told]):.0f}", counts[0],
-             f"{len(few)}",
-             *(f"{v:.0f}" for v in other), *counts[1:]]  # fmt: skip
-    return "| " + " | ".join(cells) + " |"
+        print(row((asked.what, truth), asked.devices, told), flush=True)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import pytest
 from goldens.test_programs import golden
 from imucalib.calibration.checking.misfit import Misfits, Part
 from imucalib.calibration.checking.statistic import ANYTHING, Statistic
-from imucalib.calibration.comparison.agreement import between
+from imucalib.calibration.comparison.beyond import beyond
 from imucalib.core.fit import Fit
 from imucalib.loop.difference import difference, with_density
 from imucalib.loop.noise.doubts import beyond_declared
@@ -91,6 +91,6 @@ def test_the_scatter_between_calibrations_has_the_ends_of_chi_square() -> None:
     for dof, high, low in zip(*golden("chi_quantiles").values(), strict=True):
         value, v = np.random.default_rng(int(dof)).normal(0.0, 3.0, int(dof) + 1), 0.2
         squares = float(np.sum((value - value.mean()) ** 2))
-        found = between(value, np.full(value.size, v))
+        found = beyond(value, np.full(value.size, v))
         expected = [np.sqrt(max(squares / x - v, 0.0)) for x in (dof, high, low)]
-        assert found == pytest.approx(expected, rel=1e-6)
+        assert (found.sd, found.low, found.high) == pytest.approx(expected, rel=1e-6)

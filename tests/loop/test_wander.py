@@ -17,7 +17,7 @@ from imucalib.loop.wander.held_blocks import judged, solved
 from imucalib.loop.wander.likelihood import Terms, best_level, levels
 from imucalib.loop.wander.noise import Noise
 from imucalib.loop.wander.scores import SIZES, Entry, null_of, scored
-from imucalib.loop.wander.walk import Course, Walk, beside, drawn, whitened
+from imucalib.loop.wander.walk import Course, Walk, beside, correlated, drawn, weighted, whitened
 from imucalib.units import MG
 from worlds.bench import GRAVITY, draw, tumble
 
@@ -72,6 +72,18 @@ def test_what_is_left_beside_the_smoothed_walk() -> None:
     v = dense(at, walk)
     smoothed = (v - np.diag(at.variance)) @ np.linalg.solve(v, residual)
     assert np.allclose(beside(at, walk, residual), residual - smoothed, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("walk", WALKS)
+def test_columns_by_the_covariance_and_by_its_inverse_are_the_dense_ones(walk: Walk) -> None:
+    """V without borders between parts; V⁻¹ with the walk anew in every part."""
+    at = course()
+    columns = np.random.default_rng(3).standard_normal((60, 4))
+    lag = np.abs(at.time[:, None] - at.time)
+    whole = np.diag(at.variance) + walk.rho * np.exp(-lag / walk.tau) * (at.seen @ at.seen.T)
+    np.testing.assert_allclose(correlated(at, walk, columns), whole @ columns, rtol=1e-9, atol=1e-9)
+    inverse = np.linalg.solve(dense(at, walk), columns)
+    np.testing.assert_allclose(weighted(at, walk, columns), inverse, rtol=1e-9, atol=1e-9)
 
 
 def test_drawn_noise_has_the_covariance_without_borders() -> None:

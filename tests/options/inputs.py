@@ -18,6 +18,8 @@ Rows = NDArray[np.float64]
 Make = Callable[[Path], None]
 HEADING = "inclination,tool_face,x_mg,y_mg,z_mg"
 G = 9.80665
+#: Which recording of the cohort is of which device.
+DEVICES = "recording,device\nworn1.h5,left\nworn2.h5,right\n"
 #: K and b of the bench's sensor: reading = 1000 K f + b, mg.
 GAIN = np.array([[1.006, 0.004, -0.006], [-0.003, 0.995, 0.002], [0.008, 0.001, 1.003]])
 BIAS = np.array([12.0, -25.0, 31.0])
@@ -118,12 +120,12 @@ def _curved(path: Path) -> None:
     path.write_text(text_of(reading, "x_mg,y_mg,z_mg"))
 
 
-def _kind(path: Path) -> None:
-    """A fleet that knows one number of its devices better than the bench can tell it."""
-    path.write_text(
-        "schema: imucal/fleet\nversion: 1\ndevices: 9\nreference: vector\neffects: []\n"
-        "parameters: [{name: bias_x, unit: mg, mean: 11.0, sd: 0.001}]\ncovariance: [[1.0e-06]]\n"
-        "noise: []\n",
+def _kind(bias: float, reference: str) -> Make:
+    """A fleet that knows one number of its devices better than their readings can tell it."""
+    return lambda path: path.write_text(
+        f"schema: imucal/fleet\nversion: 1\ndevices: 9\nreference: {reference}\neffects: []\n"
+        f"parameters: [{{name: bias_x, unit: mg, mean: {bias}, sd: 0.001}}]\n"
+        "covariance: [[1.0e-06]]\nnoise: []\n",
         encoding="utf-8",
     )
 
@@ -189,7 +191,9 @@ TABLES: dict[str, Make] = {
     "norms_short.csv": sheet(lambda r: np.delete(r[:, 2:], 2, axis=0), "x_mg,y_mg,z_mg"),
     "norms2_short.csv": _other_device("x_mg,y_mg,z_mg", leave=2),
     "curved.csv": _curved,
-    "kind.yaml": _kind,
+    "kind.yaml": _kind(11.0, "vector"),
+    "worn_kind.yaml": _kind(25.0, "norm"),
+    "devices.csv": lambda path: path.write_text(DEVICES),
     "renamed.csv": sheet(_same, "alpha,beta,x_mg,y_mg,z_mg"),
     "upward.csv": _angles(np.negative, _same),
     "vertical.csv": _angles(lambda i: 90.0 - i, _same),

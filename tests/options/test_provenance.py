@@ -32,7 +32,10 @@ BEGINS: dict[str, tuple[str, ...]] = {
         "imucalib.calibrators.actigraph.published.calibrate_as_published",
     ),
     "array": ("imucalib.calibrators.array.calibrate.calibrate_array",),
-    "fleet": ("imucalib.cohort.fleet.run.run_fleet",),
+    "fleet": (
+        "imucalib.cohort.fleet.run.run_fleet",
+        "imucalib.cohort.fleet.recorded.run.run_recorded",
+    ),
 }
 #: What is printed, and where; and what only names other inputs, which have their own check sums.
 NO_NUMBER = {*LAWS, "--output", "--full", "--verbose", "--export", "--save-draws", "--recording"}

@@ -7,7 +7,7 @@ about both included; the noise is log-normal.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,14 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.balance import Noise, balance
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.parameter import Parameter
-from imucalib.core.prior import Prior
+from imucalib.core.prior import Prior, correlated
+from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit
 from imucalib.readers.source import sha256_of
@@ -27,6 +30,8 @@ from imucalib.recording.yaml_text import dump, load
 from imucalib.units import MG
 
 SCHEMA, VERSION = "imucal/fleet", 1
+#: Chance below which a device is told not to be of its fleet's kind.
+STRANGE = 0.01
 #: A noise that the fleet knows nothing of: anything within a factor of ten.
 _UNKNOWN = float(np.log(10.0))
 _ABOUT = 1e-3  # rad, of a setting that no device of the fleet had
@@ -77,18 +82,39 @@ class Population:
         _demand_units(parameters, self.parameters)
         mean[here] = [self.parameters[j].mean for j in there]
         covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
-        typical = np.array([p.typical for p in parameters])
-        scaled = np.linalg.cholesky(covariance / np.outer(typical, typical))
-        root = np.linalg.inv(scaled) / typical
         sigma = float(np.median(data.sigma))
         noise = [self._noise("reading", sigma), *(self._noise(c, 1.0) for c in components)]
-        return Prior(mean, root, np.array(noise))
+        return replace(correlated(mean, covariance), noise=np.array(noise))
+
+    def driven(self, context: Context) -> tuple[Effect, ...]:
+        """The shared effects, whose sizes the fleet knows: what drives them must be known, and need
+        not vary. Raises UsageError where it is not."""
+        found = tuple(named(name) for name in self.effects)
+        for effect in found:
+            absent = [name.replace("_", " ") for name in effect.needs if name not in context]
+            if absent:
+                raise UsageError(
+                    f"the fleet has {effect.name}, and no {', '.join(absent)} was recorded",
+                    remedy="record it, or calibrate without --fleet",
+                )
+        return found
 
     def _noise(self, name: str, unit: float) -> tuple[float, float]:
         for one in self.noise:
             if one.name == name:
                 return float(np.log(one.middle / unit)), one.log_sd
         return float(np.log((MG if name == "reading" else _ABOUT) / unit)), _UNKNOWN
+
+
+def not_of_its_kind(strange: float, instead: str) -> tuple[str, ...]:
+    """What a user must decide where a device is far from its fleet. strange : chance that one of
+    the kind is as far off; instead : what to do"""
+    if not strange < STRANGE:
+        return ()
+    return (
+        f"not of its fleet's kind: one of the kind is as far off with a chance of "
+        f"{max(strange, 1e-12):.1g}; {instead}",
+    )
 
 
 def of_a_kind(kind: Population, model: Model, data: Observations) -> Fit:

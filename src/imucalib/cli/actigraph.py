@@ -19,6 +19,7 @@ from imucalib.cli.recording_options import mapping_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.actigraph.request import ActigraphRequest
+    from imucalib.calibrators.population import Population
 
 
 @click.command("actigraph", cls=PagedCommand, short_help="Calibrate a worn sensor by gravity.")
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
               help="The paper's own method, as it was published.")  # fmt: skip
 @click.option("--arithmetic", type=click.Choice(["float", "int32", "int16"]), default="float",
               show_default=True, help="Of the gradient descent, with --as-published.")  # fmt: skip
+@click.option("--fleet", type=click.Path(path_type=Path, dir_okay=False),
+              help="fleet.yaml of imucal fleet: what devices of its kind say where this one's "
+              "postures leave something open.")  # fmt: skip
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
 def command(recording: Path, **options: Any) -> int:
@@ -75,6 +79,7 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         as_published=options["as_published"],
         arithmetic=options["arithmetic"],
         every=_seconds(options["every"]) if options["every"] else None,
+        kind=_kind(options),
         declare=shared.declare,
         only=shared.only,
         # Of a worn sensor the free curve is the converter's.
@@ -87,6 +92,29 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         seed=shared.seed,
         command=shared.command,
     )
+
+
+def _kind(options: dict[str, Any]) -> Population | None:
+    from imucalib.calibrators.population import read
+    from imucalib.errors import UsageError
+
+    if options["fleet"] is None:
+        return None
+    for name in ("as_published", "every"):
+        if options[name]:
+            option = name.replace("_", "-")
+            raise UsageError(
+                f"--{option} knows no prior", remedy=f"leave out --fleet or --{option}"
+            )
+    kind = read(options["fleet"])
+    if kind.reference != "norm":
+        raise UsageError(
+            f"the fleet was calibrated with --reference {kind.reference}, a worn sensor by the "
+            "size of gravity",
+            where=str(options["fleet"]),
+            remedy="give a fleet of worn sensors, or of tables with --reference norm",
+        )
+    return kind
 
 
 def _seconds(text: str) -> float:

@@ -10,6 +10,11 @@ from typing import Any
 _DEVICE = re.compile(r"(?:ActiGraph|GENEActiv|Axivity AX\d) (?!of unknown)([\w-]+)")
 
 
+def device_of(report: Mapping[str, Any]) -> str | None:
+    """Serial number of the device, where the recording's file names it."""
+    return next((m[1] for n in report["notes"] if (m := _DEVICE.match(n))), None)
+
+
 def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """Columns of one recording from its report.json; None where a report does not tell.
 
@@ -19,12 +24,11 @@ def quality_of(report: Mapping[str, Any]) -> dict[str, Any]:
     coverage, activity = report.get("coverage", {}), report.get("activity") or {}
     held = report["loop"]["errors"][0]["held_out"]
     warm = coverage.get("temperature_degC") or (None, None)
-    device = next((m[1] for n in report["notes"] if (m := _DEVICE.match(n))), None)
     span = coverage.get("axis_range_g")
     worst, size = _worst(report.get("sphere", ()))
     enmo = activity.get("enmo_mg", {}).get("all") or {}
     return {
-        "serial": device,
+        "serial": device_of(report),
         "rate_hz": coverage.get("rate_hz"),
         "hours_recorded": _rounded(activity.get("hours_recorded", coverage.get("hours"))),
         "hours_worn": _rounded(activity.get("hours_worn")),

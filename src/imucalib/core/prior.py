@@ -32,6 +32,16 @@ class Prior:
         return np.asarray(inverse @ inverse.T)
 
 
+def correlated(mean: Array, covariance: Array) -> Prior:
+    """Of parameters (p,) that are known together, covariance (p, p).
+
+    Scaled to unit variances first: parameters differ by orders of magnitude in their units.
+    """
+    size = np.sqrt(np.diag(covariance))
+    lower = np.linalg.cholesky(covariance / np.outer(size, size))
+    return Prior(mean, np.asarray(np.linalg.inv(lower) / size, np.float64))
+
+
 def independent(mean: Array, sd: Array) -> Prior:
     """Of parameters (p,) that are known each by itself."""
     return Prior(mean, np.diag(1.0 / sd))

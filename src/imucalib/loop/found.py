@@ -13,6 +13,7 @@ from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation.products import Ambiguity
+from imucalib.loop.separation.sums import Sums
 from imucalib.loop.thresholds import ALPHA, CERTAIN, MARGIN, NOISE_ALPHA, RECORD_ALPHA, STRONG
 
 _WALK_NATS = 5.0  # from which on a walk is more than independent noise
@@ -200,9 +201,11 @@ class FitLoop(Loop[Fit]):
     plain, as_recorded : the base and the final model with every record taken as it stands
     bar : nats that the best candidate of the first search had to reach
     ambiguous : what names left open, where the search keeps its own products
+    sums : what the data say of every effect beside the base model, where the search keeps that
     """
 
     plain: Fit
     as_recorded: Fit
     bar: float = math.inf
     ambiguous: tuple[Ambiguity, ...] = ()
+    sums: Sums | None = None

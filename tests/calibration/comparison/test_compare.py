@@ -9,7 +9,7 @@ import pytest
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.comparison.agreement import between
+from imucalib.calibration.comparison.beyond import beyond
 from imucalib.calibration.comparison.compare import compared
 from imucalib.calibration.comparison.drift import due, slope_of
 from imucalib.core.sphere import even_directions
@@ -132,9 +132,9 @@ def test_the_scatter_between_calibrations_and_its_interval() -> None:
     for _ in range(400):
         variance = rng.uniform(0.01, 0.09, 8)
         value = np.sqrt(variance + true**2) * rng.standard_normal(8)
-        sd, low, high = between(value, variance)
-        estimates.append(sd**2)
-        inside += low <= true <= high
+        found = beyond(value, variance)
+        estimates.append(found.sd**2)
+        inside += found.low <= true <= found.high
     assert inside / 400 == pytest.approx(0.95, abs=0.03)
     assert np.mean(estimates) == pytest.approx(true**2, rel=0.12)
 

@@ -100,6 +100,13 @@ def _cost(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert not differences(without.content, done.content)
 
 
+def _devices_named(without: Outcome, done: Outcome, bench: Bench) -> None:
+    """The same two, by the names of the table."""
+    for outcome, expected in ((without, ["worn1", "worn2"]), (done, ["left", "right"])):
+        assert [d["name"] for d in outcome.content["devices"]] == expected
+    assert _numbers(without) == _numbers(done)
+
+
 WORDS = tuple(a for a in PLAIN if a != "--json")
 CASES: tuple[Case, ...] = (
     FLEET("--output <out>", _written),
@@ -109,6 +116,7 @@ CASES: tuple[Case, ...] = (
     FLEET("--only cubic", _only_that, *_without("--only")),
     FLEET("--without cubic", _not_that, *_without("--only")),
     FLEET("--draws 199", _finer),
+    FLEET("--devices <devices.csv>", _devices_named, "fleet", "<entries>", "--json"),
     FLEET("--full", _longer, *WORDS),
     FLEET("--gravity 9.75", _weaker),
     FLEET("--latitude 46.3", _like(*PLAIN, "--gravity", repr(normal_gravity(46.3, 0.0)))),

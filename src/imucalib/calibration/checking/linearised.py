@@ -20,6 +20,7 @@ from imucalib.core.observations import Observations
 from imucalib.core.truth import Truth
 from imucalib.effects import known, named
 from imucalib.errors import UnreadableInput
+from imucalib.units import MG
 
 #: Of an effect's parameter in the unit of its kind of change.
 _PER_UNIT = {"bias": 1.0, "scale": 1e-3, "mounting": 1.0}
@@ -71,19 +72,32 @@ def misfits_of(
     at = balance(part.model, part.theta, eta, observations)
     jacobian = np.zeros((at.unit.size, len(calibration.parameters)))
     jacobian[:, part.at] = at.jacobian * at.unit[:, None]
+    changes = _changes(part, eta, observations, at)
     return Misfits(
         value=at.residual * at.unit,
-        reading=Part(np.diag((noise.reading.sd * at.unit) ** 2), noise.reading.dof),
+        reading=Part(_readings(at, noise, changes["bias"]), noise.reading.dof),
         setting=_settings(at, noise),
         session=noise.session,
         jacobian=jacobian,
         parameters=calibration.covariance,
-        changes=_changes(part, eta, observations, at),
+        changes=changes,
         owner=at.owner,
         label=observations.label,
         force=corrected[:, 0],
         directed=directed,
     ), (*notes, *more)
+
+
+def _readings(at: Balanced, noise: CheckNoise, bias: Array) -> Array:
+    """(N, N) of the readings' noise, rows in their order. bias : (N, 3) m/s² per mg"""
+    square = noise.reading.sd**2
+    alone = np.diag(square * at.unit**2)
+    if noise.shared is None:
+        return np.asarray(alone)
+    apart = np.abs(np.subtract.outer(at.owner, at.owner))
+    together = (bias @ bias.T) * np.exp(-apart / noise.shared.memory) / MG**2
+    share = noise.shared.share
+    return np.asarray((1.0 - share) * alone + share * square * together)
 
 
 def _fitting(part: Acting, context: Context) -> tuple[Acting, tuple[str, ...]]:

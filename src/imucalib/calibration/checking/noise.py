@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from imucalib.calibration.calibration import Calibration
 from imucalib.errors import UnreadableInput
 from imucalib.units import DEG, MG
@@ -32,16 +34,26 @@ class Scatter:
 
 
 @dataclass(frozen=True)
+class Shared:
+    """Noise of a bias that neighbouring readings share: share of a reading's variance, and the
+    readings after which they forget."""
+
+    share: float
+    memory: float
+
+
+@dataclass(frozen=True)
 class CheckNoise:
     """reading : m/s², of one rest or position; setting : rad, by the name of the reference's
     component, of what was set; session : what one switching on brings, by the kind of change and
-    in its unit; words : where each comes from
+    in its unit; words : where each comes from; shared : of the readings' noise, or None
     """
 
     reading: Scatter
     setting: Mapping[str, Scatter]
     session: Mapping[str, Scatter]
     words: tuple[str, ...] = ()
+    shared: Shared | None = None
 
 
 def check_noise(
@@ -57,7 +69,7 @@ def check_noise(
     Raises UnreadableInput where neither tells the noise of a reading.
     """
     block = calibration.facts.get("noise") or {}
-    words = []
+    words, shared = [], None
     if reading is not None:
         own = Scatter(reading)
         words.append(f"a reading scatters by {reading / MG:.3g} mg, as given")
@@ -68,16 +80,30 @@ def check_noise(
                 "the calibration does not state the noise of a reading",
                 remedy="give it: --noise 0.5mg, or calibrate again with this version",
             )
-        own = stated
+        own, shared = _with_shared(stated, block)
         words.append(
             f"a reading scatters by {own.sd / MG:.3g} mg, as in the calibration "
             f"({own.dof:.0f} degrees of freedom)"
+            + (f", of which neighbours share {100.0 * shared.share:.0f} %" if shared else "")
         )
-    between, said = _session(calibration, block, session or {})
+    between, said = _session(calibration, session or {})
     names = ("inclination setting", "tool-face setting", "tilt")
     found = {name: _stated(block, _key(name), "deg", DEG) for name in names}
     setting = {name: _at_most(scatter) for name, scatter in found.items() if scatter is not None}
-    return CheckNoise(own, setting, between, (*words, *said))
+    return CheckNoise(own, setting, between, (*words, *said), shared)
+
+
+def _with_shared(own: Scatter, block: Mapping[str, Any]) -> tuple[Scatter, Shared | None]:
+    """A reading's noise with what its neighbours share, which can be all of it; degrees of freedom
+    by Satterthwaite."""
+    shared = _stated(block, "shared", "mg", MG)
+    if shared is None or not shared.sd > 0.0:
+        return own, None
+    parts = np.array([own.sd**2, shared.sd**2])
+    whole = float(parts.sum())
+    dof = whole**2 / float(np.sum(parts**2 / np.array([own.dof, shared.dof])))
+    memory = float(block["shared_memory_positions"])
+    return Scatter(whole**0.5, dof), Shared(float(parts[1]) / whole, memory)
 
 
 def _at_most(stated: Scatter) -> Scatter:
@@ -95,7 +121,7 @@ def _of_rests(calibration: Calibration) -> Scatter | None:
 
 
 def _session(
-    calibration: Calibration, block: Mapping[str, Any], given: Mapping[str, float]
+    calibration: Calibration, given: Mapping[str, float]
 ) -> tuple[dict[str, Scatter], tuple[str, ...]]:
     """What a power-up brings: as given, as the file states it, or nothing."""
     if given:
@@ -112,10 +138,6 @@ def _session(
         }  # fmt: skip
         said = ", ".join(f"{s.sd:.3g} {FAMILIES[name]} of {name}" for name, s in found.items())
         return found, (f"power-ups scatter by {said}, as in the calibration",)
-    shared = _stated(block, "shared", "mg", 1.0)
-    if shared is not None and shared.sd > 0.0:
-        words = f"neighbouring readings share {shared.sd:.3g} mg, as in the calibration"
-        return {"bias": shared}, (words,)
     return {}, (
         "the scatter of biases between power-ups is not in it: the file states none "
         "(--between-sessions)",

@@ -2,10 +2,7 @@
 
 All agree: χ² = Σ (θ_i - θ̄)ᵀ C_i⁻¹ (θ_i - θ̄), θ̄ by generalised least squares, with (m-1) p degrees
 of freedom; since the covariances' scale was estimated, χ² / dof is held against F (ν by
-Satterthwaite).
-Scatter of one parameter beyond its sds: τ² solves Q(τ²) = Σ (y_i - ȳ)² / (v_i + τ²) = m - 1 (Paule
-and Mandel 1982; the iterated DerSimonian and Laird 1986), its interval Q(τ²) = the quantiles of
-χ²(m-1) (Viechtbauer 2007, Statistics in Medicine 26, 37-52).
+Satterthwaite). The scatter of one parameter beyond its sds is that of `beyond`.
 """
 
 from __future__ import annotations
@@ -16,6 +13,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.comparison.basis import Basis
+from imucalib.calibration.comparison.beyond import beyond, chi_square
 
 
 @dataclass(frozen=True)
@@ -109,42 +107,15 @@ def noise_dof(covariance: Array, dof: Array) -> float:
 
 def scatter(basis: Basis) -> Scatter | None:
     """Parameter by parameter; None of fewer than three calibrations."""
-    m, p = basis.value.shape
+    m = len(basis.value)
     if m < 3:
         return None
     variance = np.einsum("kii->ki", basis.covariance)
-    found = np.array([between(basis.value[:, k], variance[:, k]) for k in range(p)])
-    z_rms = np.array([np.sqrt(_q(0.0, basis.value[:, k], variance[:, k]) / (m - 1))
-                      for k in range(p)])  # fmt: skip
-    return Scatter(found[:, 0], found[:, 1], found[:, 2], z_rms)
-
-
-def between(value: Array, variance: Array) -> tuple[float, float, float]:
-    """Standard deviation between values (m,) beyond their variances, and its 95 % interval."""
-    from scipy.special import chdtri
-
-    m = value.size
-    wanted = (m - 1.0, float(chdtri(m - 1, 0.025)), float(chdtri(m - 1, 0.975)))
-    sd, low, high = (_solve(q, value, variance) for q in wanted)
-    return sd, low, high
-
-
-def _q(square: float, value: Array, variance: Array) -> float:
-    weight = 1.0 / (variance + square)
-    mean = float(weight @ value / weight.sum())
-    return float(weight @ (value - mean) ** 2)
-
-
-def _solve(wanted: float, value: Array, variance: Array) -> float:
-    """τ where Q(τ²) is so large; 0 where it never is."""
-    from scipy.optimize import brentq
-
-    if _q(0.0, value, variance) <= wanted:
-        return 0.0
-    high = float(np.ptp(value)) ** 2 + float(variance.max())
-    while _q(high, value, variance) > wanted:
-        high *= 4.0
-    return float(np.sqrt(brentq(lambda s: _q(s, value, variance) - wanted, 0.0, high)))
+    pairs = list(zip(basis.value.T, variance.T, strict=True))
+    found = [beyond(value, own) for value, own in pairs]
+    sd, low, high = (np.array([getattr(one, k) for one in found]) for k in ("sd", "low", "high"))
+    z_rms = np.sqrt([chi_square(value, own) / (m - 1) for value, own in pairs])
+    return Scatter(sd, low, high, z_rms)
 
 
 def _mean(value: Array, covariance: Array) -> tuple[Array, Array]:

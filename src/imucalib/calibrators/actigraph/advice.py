@@ -44,7 +44,9 @@ def coverage_words(result: ActigraphResult, coverage: Coverage) -> str:
     count = f"{result.runs.n} posture run" + "s" * (result.runs.n != 1)
     never = f" (never {', '.join(missing)})" if missing else ""
     text = f"weak coverage of the sphere: {count}{never} leave open {open_words(result.base)}"
-    if result.base.prior is not None:
+    if result.beside_fleet:
+        text += "; what is open stays as devices of its kind have it"
+    elif result.base.prior is not None:
         text += "; what is open stays near its nominal value, with a data sheet's uncertainty"
     return f"{text}; |a| is known to {coverage.worst_sd:.1f} mg in the worst direction"
 
@@ -53,10 +55,17 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
     """The next steps, most useful first."""
     found = []
     missing = coverage.unseen
-    if result.weak and result.loop is None:
+    if result.beside_fleet:
+        found.append("What the model lacks is not searched for beside a fleet.")
+    elif result.weak and result.loop is None:
         found.append(
             "What the nine parameters lack was not searched for: that takes postures which "
             "determine all of them."
+        )
+    elif result.few:
+        found.append(
+            "What the nine parameters lack was not searched for: that takes twice as many posture "
+            "runs as parameters."
         )
     if missing and coverage.worst_sd > _WELL_KNOWN:
         found.append(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.calibration.outcome import ErrorSummary
 from imucalib.calibrators.actigraph.errors import error_summary
 from imucalib.calibrators.actigraph.observations import observations_of, quantisation
+from imucalib.calibrators.actigraph.of_a_kind import OfAKind, fit_of_a_kind
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.weak import NINE, base_fit, is_weak
 from imucalib.core.fit import Fit
@@ -23,6 +24,9 @@ from imucalib.loop.wander.engine import Asked, Closed, close
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.units import MG
 
+#: Posture runs a parameter below which what is left over is no noise to search in.
+_SEARCHED = 2
+
 
 @dataclass(frozen=True)
 class ActigraphResult:
@@ -33,6 +37,7 @@ class ActigraphResult:
         time
     light : runs that count less, because nothing else is like them
     declined : why the loop's model was not taken, or empty
+    of_a_kind : what a fleet said, or None where none was asked
     """
 
     runs: PostureRuns
@@ -44,6 +49,7 @@ class ActigraphResult:
     error: ErrorSummary
     light: int
     declined: str = ""
+    of_a_kind: OfAKind | None = None
 
     @property
     def added(self) -> bool:
@@ -51,9 +57,19 @@ class ActigraphResult:
         return len(self.final.theta) > len(self.base.theta)
 
     @property
+    def beside_fleet(self) -> bool:
+        """Whether the calibration stands on what a fleet said."""
+        return self.of_a_kind is not None and self.of_a_kind.taken
+
+    @property
     def weak(self) -> bool:
         """Whether the postures leave some of the nine parameters open."""
         return is_weak(self.base)
+
+    @property
+    def few(self) -> bool:
+        """Whether the runs are too few to search in."""
+        return _few(self.base)
 
     @property
     def fitted(self) -> Held:
@@ -66,14 +82,19 @@ def calibrate(
     """Fit, search for what is missing, and measure the error on time that was not fitted.
 
     Where the postures leave parameters open, these stay near their nominal values (see
-    `weak`) and nothing is searched for. Raises NotConverged.
+    `weak`) and nothing is searched for; nor is it in fewer than two runs a parameter. Raises
+    NotConverged.
     """
     data = observations_of(runs, scanned, request.gravity, request.blocks)
     model = base_model(request, data)
     base, light = base_fit(model, data, runs)
+    said = None
+    if request.kind is not None:
+        said, base, fewer = fit_of_a_kind(request.kind, base, runs)
+        light = fewer if said.taken else light
     if not base.converged:
         raise NotConverged("the fit did not settle", where=scanned.path)
-    if not request.loop or is_weak(base):
+    if not request.loop or _few(base) or is_weak(base) or (said is not None and said.taken):
         held = held_out(base)
         error = error_summary(base, base, held, held)
         return ActigraphResult(
@@ -85,8 +106,13 @@ def calibrate(
             final_held=held,
             error=error,
             light=light,
+            of_a_kind=said,
         )
-    return _of_loop(runs, search(base, runs, request, rng))
+    return replace(_of_loop(runs, search(base, runs, request, rng)), of_a_kind=said)
+
+
+def _few(base: Fit) -> bool:
+    return base.observations.n < _SEARCHED * len(base.theta)
 
 
 def _of_loop(runs: PostureRuns, closed: Closed) -> ActigraphResult:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.calibration import sums
 from imucalib.calibration.ambiguity import KEY
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome
@@ -77,6 +78,8 @@ def actigraph_details(
     if result.loop is not None and result.loop.wander is not None:
         wander = result.loop.wander
         found = result.loop.ambiguous if not result.declined else ()
+        if result.loop.sums is not None:
+            details[sums.KEY] = sums.sums_block(result.loop.sums)
         details[KEY] = recorded_block(result.final, found, MG * wander.scatter, {}, wander.sd)
     return details
 

@@ -65,6 +65,14 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     return found
 
 
+def with_temperature(data: Observations, runs: PostureRuns) -> Observations:
+    """With the runs' temperature, also where it varies too little to show what it does."""
+    if not np.isfinite(runs.temperature).all():
+        return data
+    known = {**data.context.covariates, "temperature": runs.temperature}
+    return replace(data, context=replace(data.context, covariates=known))
+
+
 def quantisation(runs: PostureRuns) -> float:
     """m/s², what the resolution adds to a posture's error where the noise does not average it out.
 

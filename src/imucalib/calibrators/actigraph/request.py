@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from imucalib.calibrators.population import Population
 from imucalib.core.effect import Effect
 from imucalib.effects import own_effects
 from imucalib.loop.found import LoopSettings
@@ -21,6 +22,7 @@ class ActigraphRequest:
     declare, only, without : effects of the base model, and of the search
     every : s, length of the parts that are calibrated each on its own, or None
     blocks : contiguous stretches of time that are left out in turn to measure the error
+    kind : what a fleet says of the device, for postures that leave parameters open
     command : the line that was typed, for the provenance
     """
 
@@ -40,6 +42,7 @@ class ActigraphRequest:
     every: float | None = None
     limits: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
+    kind: Population | None = None
     command: str = ""
 
     def stated(self) -> dict[str, object]:
@@ -61,4 +64,5 @@ class ActigraphRequest:
             "alpha": self.rules.alpha,
             "draws": self.rules.draws,
             "limits": dict(self.limits),
+            "fleet_sha256": self.kind.sha256 if self.kind else None,
         }

@@ -30,6 +30,7 @@ from imucalib.calibrators.actigraph.wear import (
     minutes_of,
     wear_of,
 )
+from imucalib.calibrators.population import not_of_its_kind
 from imucalib.loop.found import FitLoop
 from imucalib.readers import blocks, stored_blocks
 from imucalib.recording.mapping import FieldMapping
@@ -115,7 +116,7 @@ def _judged(
     result: ActigraphResult, coverage: Coverage, scanned: Scan, request: ActigraphRequest,
     exchange: Exchange | None,
 ) -> Outcome:  # fmt: skip
-    declined = (result.declined,) if result.declined else ()
+    declined, said = (result.declined,) if result.declined else (), result.of_a_kind
     return Outcome(
         calibrator="actigraph",
         errors=(result.error,),
@@ -126,6 +127,9 @@ def _judged(
         advice=advice(result, coverage),
         limits=limits_of(result, request.limits),
         notes=(*scanned.notes, *result.runs.notes, *declined),
+        undecided=() if said is None else not_of_its_kind(
+            said.strange, "calibrated without --fleet: is it another kind, or was it turned?"
+        ),
         weak=result.weak,
     )  # fmt: skip
 

@@ -6,6 +6,8 @@ data leave something open: what gravity has shown moves, the rest keeps the prio
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from imucalib.arrays import Array
@@ -13,7 +15,7 @@ from imucalib.calibrators.actigraph.observations import weighted
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.core.prior import independent
+from imucalib.core.prior import Prior, independent
 from imucalib.errors import NotConverged
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns
@@ -32,8 +34,7 @@ def base_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, 
     Returns the fit and how many runs count less.
     """
     parameters = model.parameters(data.context)
-    many = data.n > _ENOUGH * len(parameters)
-    if many:
+    if data.n > _ENOUGH * len(parameters):
         try:
             found, light = robust_fit(model, data, runs)
             if found.converged and not is_weak(found):
@@ -41,8 +42,15 @@ def base_fit(model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, 
         except (NotConverged, np.linalg.LinAlgError):
             pass  # open directions ran away; the prior holds them
     typical = np.array([p.typical for p in parameters])
-    prior = independent(model.start(data.context), typical)
-    found, light = fit_model(model, data, prior=prior), 0
+    return beside(independent(model.start(data.context), typical), model, data, runs)
+
+
+def beside(prior: Prior, model: Model, data: Observations, runs: PostureRuns) -> tuple[Fit, int]:
+    """The maximum a posteriori, and how many runs count less. Many runs tell their scatter
+    themselves."""
+    many = data.n > _ENOUGH * len(prior.mean)
+    prior = replace(prior, noise=None) if many else prior
+    found, light = fit_model(model, data, start=prior.mean, prior=prior), 0
     for _ in range(2 * many):
         data, light = weighted(found, runs)
         found = fit_model(model, data, start=found.theta, prior=prior)
@@ -66,18 +74,29 @@ def is_weak(fit: Fit) -> bool:
         return True
     slices = fit.model.slices(fit.observations.context)
     own = np.concatenate([np.arange(slices[n].start, slices[n].stop) for n in NINE])
-    typical = np.array([fit.parameters[k].typical for k in own])
-    scaled = fit.covariance[np.ix_(own, own)] / np.outer(typical, typical)
-    return bool(np.linalg.eigvalsh(scaled)[-1] > _WEAK**2)
+    some = np.zeros((own.size, len(fit.theta)))
+    some[np.arange(own.size), own] = [1.0 / fit.parameters[k].typical for k in own]
+    return known_worse(fit, some)
+
+
+def known_worse(fit: Fit, root: Array) -> bool:
+    """Whether some combination is known worse than a third of what is known beforehand.
+
+    root : (q, p), rootᵀ root the precision of that
+    """
+    return bool(np.linalg.eigvalsh(root @ fit.covariance @ root.T)[-1] > _WEAK**2)
 
 
 def from_data(fit: Fit) -> Array:
-    """(p,) share of what is known of each parameter that the data have shown: 1 - (sd / typical)².
+    """(p,) share of what is known of a parameter that the data have shown: 1 - (sd / sd before)².
 
-    0: as uncertain as before the recording; 1: known from the recording alone.
+    0: as uncertain as before the recording, by the prior or by its typical size; 1: known from the
+    recording alone.
     """
-    typical = np.array([p.typical for p in fit.parameters])
-    return np.asarray(np.clip(1.0 - (fit.sd / typical) ** 2, 0.0, 1.0))
+    before = np.array([p.typical for p in fit.parameters])
+    if fit.prior is not None:
+        before = np.sqrt(np.diag(fit.prior.covariance))
+    return np.asarray(np.clip(1.0 - (fit.sd / before) ** 2, 0.0, 1.0))
 
 
 def open_words(fit: Fit) -> str:

@@ -13,7 +13,7 @@ from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
 from imucalib.calibrators.lab.design import judge
-from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.faults import SCATTER
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
@@ -25,20 +25,6 @@ from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.noise.doubts import beyond_declared
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
-
-#: Chance below which a device is told not to be of its fleet's kind.
-STRANGE = 0.01
-
-
-def not_of_its_kind(result: LabResult) -> tuple[str, ...]:
-    """What a user must decide where a device is far from its fleet."""
-    if not result.strange < STRANGE:
-        return ()
-    chance = f"{max(result.strange, 1e-12):.1g}"
-    return (
-        f"not of its fleet's kind: one of the kind is as far off with a chance of {chance}; "
-        "calibrate it alone, in 24 positions or more, without --fleet",
-    )
 
 
 def fix_option(record: RecordError, raw: RawUnit) -> str:
@@ -101,7 +87,7 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
 def _settings(fit: Fit) -> list[str]:
     """Whose the scatter is: the table's settings or the sensor's noise."""
     noise = setting_noise(fit)
-    sensor = fit.noise.factor * float(np.median(fit.at.sigma))
+    sensor = reading_noise(fit).whole
     reference = fit.observations.reference
     assert isinstance(reference, KnownVector)
     share = sensor / reference.gravity / DEG

@@ -214,13 +214,14 @@ def base_model(settings: LabSettings, observations: Observations) -> Model:
     if not observations.reference.directed:
         names = tuple(name for name in names if name != "mounting")
     extra = {**catalogue(), **settings.extra_effects}
-    of_kind = settings.population.effects if settings.population else ()
-    every = dict.fromkeys((*settings.declare, *of_kind))
-    declared = tuple(extra[n] if n in extra else named(n) for n in every)
+    declared = tuple(extra[n] if n in extra else named(n) for n in settings.declare)
     for effect in declared:
         if reason := effect.missing(observations.context):
             raise UsageError(f"--declare {effect.name}: {reason}", remedy=effect.identify)
-    return Model((*(named(name) for name in names), *declared))
+    kind = settings.population
+    shared = () if kind is None else kind.driven(observations.context)
+    every = {e.name: e for e in (*(named(name) for name in names), *declared, *shared)}
+    return Model(tuple(every.values()))
 
 
 def demand_enough(model: Model, data: Observations) -> None:

@@ -15,7 +15,7 @@ from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
 from imucalib.calibrators.lab.dial import dial_of
-from imucalib.calibrators.lab.errors import setting_noise, shared_noise
+from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.faults import Faults
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions.between import Sessions
@@ -83,8 +83,7 @@ def lab_details(
     if result.loop is not None:
         fit = result.final
         # What neighbours share is noise of a later rest too.
-        own = fit.noise.factor * float(np.median(fit.observations.sigma))
-        reading, found = float(np.hypot(own, shared_noise(fit)[0])), ambiguities(result.loop)
+        reading, found = reading_noise(fit).whole, ambiguities(result.loop)
         details[KEY] = recorded_block(fit, found, reading, setting_noise(fit))
     return details
 
@@ -111,16 +110,15 @@ def sessions_block(sessions: Sessions) -> dict[str, Any]:
 
 def noise_block(fit: Fit) -> dict[str, Any]:
     """Noise of the readings (mg) and scatter of the settings (deg), with their sd."""
-    sigma = fit.noise.factor * float(np.median(fit.at.sigma)) / MG
-    block: dict[str, Any] = {"reading_mg": sigma, "reading_sd_mg": sigma * float(fit.noise_sd[0])}
+    noise = reading_noise(fit)
+    block: dict[str, Any] = {"reading_mg": noise.own / MG, "reading_sd_mg": noise.own_sd / MG}
     for k, (name, sd) in enumerate(setting_noise(fit).items(), start=1):
         key = name.replace(" ", "_").replace("-", "_")
         block[f"{key}_deg"] = sd / DEG
         block[f"{key}_sd_deg"] = sd / DEG * float(fit.noise_sd[k])
-    shared, memory = shared_noise(fit)
-    if shared > 0.0:
-        block |= {"shared_mg": shared / MG, "shared_sd_mg": shared / MG * float(fit.noise_sd[-1])}
-        block["shared_memory_positions"] = memory
+    if noise.shared > 0.0:
+        block |= {"shared_mg": noise.shared / MG, "shared_sd_mg": noise.shared_sd / MG}
+        block["shared_memory_positions"] = noise.memory
     return block
 
 

@@ -18,6 +18,8 @@ from imucalib.units import MG
 
 #: Pairs of rows in one attitude from which on they say what the noise is; 1 / the MAD of a normal.
 _REPEATS, _MAD = 6, 1.4826
+#: Share of what neighbours share below which a noise is where its estimate ended.
+_VANISHED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -140,8 +142,29 @@ def setting_noise(fit: Fit) -> dict[str, float]:
     return dict(zip(fit.noise.component[: fit.at.free], fit.noise.sd, strict=False))
 
 
-def shared_noise(fit: Fit) -> tuple[float, float]:
-    """Of the noise that neighbours share its standard deviation (m/s²) and after how many
-    observations it forgets; zero where there is none."""
+@dataclass(frozen=True)
+class ReadingNoise:
+    """Of a reading, m/s²: own, shared : by itself, and with its neighbours, 0 where there is none;
+    own_sd, shared_sd : of these; memory : observations after which neighbours forget"""
+
+    own: float
+    own_sd: float
+    shared: float = 0.0
+    shared_sd: float = 0.0
+    memory: float = 0.0
+
+    @property
+    def whole(self) -> float:
+        return float(np.hypot(self.own, self.shared))
+
+
+def reading_noise(fit: Fit) -> ReadingNoise:
+    """What neighbours share can take it whole: then it has vanished, and its size is where the
+    estimate ended."""
+    own, sizes = fit.noise.factor * float(np.median(fit.at.sigma)), fit.noise_sd
     walk = fit.observations.walk
-    return (fit.noise.sd[-1], walk.memory) if walk else (0.0, 0.0)
+    if walk is None:
+        return ReadingNoise(own, own * float(sizes[0]))
+    shared = fit.noise.sd[-1]
+    own = 0.0 if own < _VANISHED * shared else own
+    return ReadingNoise(own, own * float(sizes[0]), shared, shared * float(sizes[-1]), walk.memory)

@@ -15,7 +15,6 @@ from imucalib.calibrators.lab.advice import (
     advice,
     fix_option,
     limits_of,
-    not_of_its_kind,
     reasons,
 )
 from imucalib.calibrators.lab.bench import RawUnit, raw_unit, row_numbers
@@ -33,6 +32,7 @@ from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.repairs import repaired
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions.between import Sessions, sessions_of
+from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.observations import Observations
 from imucalib.errors import NotConverged, UnreadableInput
 from imucalib.loop.found import FitLoop
@@ -74,7 +74,9 @@ def run_lab(
         faults = look_for_faults(table, raw, whole, rows, request)
         result = _calibrated(whole, rows, request)
     undecided = _undecided(result, faults, raw) or doubts(result, raw, request)
-    undecided += not_of_its_kind(result)
+    undecided += not_of_its_kind(
+        result.strange, "calibrate it alone, in 24 positions or more, without --fleet"
+    )
     provenance = _provenance(table, raw, request, mapping or dict(table.names), gaps)
     why = reasons(result, raw) + worthless(result, whole)
     outcome = _judged(

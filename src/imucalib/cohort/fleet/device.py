@@ -1,4 +1,4 @@
-"""One device of a fleet: its base fit, and what every candidate effect would explain beside it."""
+"""One device of a fleet: what every candidate effect would explain beside its base model."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.loop.candidates import effect_candidates
@@ -21,17 +21,17 @@ _MODERATED, _ALL_ALIKE = 3, 1e4
 
 @dataclass(frozen=True)
 class Device:
-    """A device's base fit seen by the pooled search.
+    """A device as the pooled search sees it.
 
+    noise : size of its noise, in a unit that all devices share; dof : its degrees of freedom
     columns : effect -> (k,) where its parameters stand in `gram`
     gram : (m, m) products of all candidates' columns in units of the noise, at typical sizes, with
         the base model's parameters taken out; along : (m,) their products with the residual
-    dof : degrees of freedom of the noise
     """
 
     name: str
-    fit: Fit
-    columns: Mapping[str, Array]
+    noise: float
+    columns: Mapping[str, Index]
     gram: Array
     along: Array
     dof: float
@@ -42,7 +42,7 @@ def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> Device:
     candidates, _ = effect_candidates(fit, effects.values())
     white, q = fit.white_basis()
     residual = white(fit.at.residual) / fit.noise.factor
-    kept, columns, at = list[Array](), dict[str, Array](), 0
+    kept, columns, at = list[Array](), dict[str, Index](), 0
     for candidate in candidates:
         whole = white(candidate.columns) / fit.noise.factor
         rest = whole - q @ (q.T @ whole)
@@ -53,7 +53,9 @@ def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> Device:
         kept.append(rest)
         at += rest.shape[1]
     every = np.column_stack(kept) if kept else np.zeros((residual.size, 0))
-    return Device(name, fit, columns, every.T @ every, every.T @ residual, float(fit.dof))
+    return Device(
+        name, fit.noise.factor, columns, every.T @ every, every.T @ residual, float(fit.dof)
+    )
 
 
 def moderated(devices: Sequence[Device]) -> tuple[Device, ...]:
@@ -68,7 +70,7 @@ def moderated(devices: Sequence[Device]) -> tuple[Device, ...]:
     if len(devices) < _MODERATED:
         return tuple(devices)
     dof = np.array([d.dof for d in devices])
-    square = np.array([d.fit.noise.factor**2 for d in devices])
+    square = np.array([d.noise**2 for d in devices])
     own = np.log(square) - psi(dof / 2.0) + np.log(dof / 2.0)
     spread = float(np.var(own, ddof=1) - np.mean(polygamma(1, dof / 2.0)))
     if spread > 0.0:

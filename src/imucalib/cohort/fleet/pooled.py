@@ -147,16 +147,18 @@ def told_by_others(gram: Array, along: Array, groups: int) -> tuple[tuple[Array,
 
 
 def predictive(gram: Array, along: Array, groups: int) -> Array:
-    """(devices,) nats that each device's data gain by what the others say of the effect:
-    ln ∫ N(θ; m, S) exp(aᵀθ - θᵀGθ/2) dθ."""
-    nats = np.zeros(len(gram))
-    for k, (mean, spread) in enumerate(told_by_others(gram, along, groups)):
-        own = gram[k]
-        inner = np.linalg.inv(np.eye(len(own)) + own @ spread)
-        away = along[k] - own @ mean
-        gain = along[k] @ mean - 0.5 * mean @ own @ mean + 0.5 * away @ spread @ inner @ away
-        nats[k] = gain + 0.5 * np.linalg.slogdet(inner)[1]
-    return nats
+    """(devices,) nats that each device's data gain by what the others say of the effect."""
+    told = told_by_others(gram, along, groups)
+    every = zip(gram, along, told, strict=True)
+    return np.array([gained(own, sums, *said) for own, sums, said in every])
+
+
+def gained(gram: Array, along: Array, mean: Array, spread: Array) -> float:
+    """Nats of a device with sizes N(m, S): ln ∫ N(θ; m, S) exp(aᵀθ - θᵀGθ/2) dθ."""
+    inner = np.linalg.inv(np.eye(len(gram)) + gram @ spread)
+    away = along - gram @ mean
+    gain = along @ mean - 0.5 * mean @ gram @ mean + 0.5 * away @ spread @ inner @ away
+    return float(gain + 0.5 * np.linalg.slogdet(inner)[1])
 
 
 def _sums(gram: Array, along: Array, tau: float) -> tuple[Array, Array, Array]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.cohort.fleet.device import Device
-from imucalib.cohort.fleet.pooled import Pooled, Sizes, pooled, predictive, sizes
+from imucalib.cohort.fleet.pooled import Pooled, Sizes, pooled, predictive, sizes, told_by_others
+from imucalib.core.prior import Prior, correlated
 from imucalib.loop.thresholds import MARGIN
 
 #: Families of devices beyond which a device is foretold by whole groups of the others.
@@ -78,6 +79,17 @@ def search(devices: Sequence[Device], rules: Rules, rng: np.random.Generator) ->
 def predictive_by_groups(gram: Array, along: Array) -> Array:
     """(devices,) as `predictive`; of many devices by groups that are left out together."""
     return predictive(gram, along, groups=min(len(gram), _GROUPS))
+
+
+def told_to_each(devices: Sequence[Device], found: Search) -> dict[str, dict[str, Prior]]:
+    """Of each device what the others say of the effects that were found, in typical sizes."""
+    every: dict[str, dict[str, Prior]] = {device.name: {} for device in devices}
+    for one in found.found:
+        able, gram, along = _of(devices, one.effect)
+        told = told_by_others(gram, along, min(len(able), _GROUPS))
+        for name, said in zip(able, told, strict=True):
+            every[name][one.effect] = correlated(*said)
+    return every
 
 
 def _of(devices: Sequence[Device], effect: str) -> tuple[tuple[str, ...], Array, Array]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,48 +11,48 @@ from imucalib.arrays import Array
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
+from imucalib.core.prior import Prior
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.cross_fit import by_folds
 from imucalib.loop.design import folds_of
 from imucalib.loop.held_out import Held, errors
 
 
-@dataclass(frozen=True)
-class Prior:
-    """What others say of an effect's size, in typical sizes: mean (k,), covariance (k, k)."""
+def with_priors(fit: Fit, said: Mapping[str, Prior], effects: Mapping[str, Effect]) -> Fit:
+    """The fit with effects of whose sizes others say something: θ and covariance of both together.
 
-    effect: Effect
-    mean: Array
-    covariance: Array
-
-
-def with_priors(fit: Fit, priors: Sequence[Prior]) -> Fit:
-    """The fit with effects whose sizes have priors: θ and covariance of both together."""
-    if not priors:
+    said : effect -> its sizes, in typical sizes
+    """
+    if not said:
         return fit
-    model = Model((*fit.model.effects, *(prior.effect for prior in priors)))
-    return _combined(_extended(fit, model), priors)
+    return _combined(_extended(fit, _model(fit, said, effects)), said)
 
 
-def held_out(fit: Fit, priors: Sequence[Prior]) -> tuple[Held, Held]:
+def held_out(
+    fit: Fit, said: Mapping[str, Prior], effects: Mapping[str, Effect]
+) -> tuple[Held, Held]:
     """Errors on each fold of the design, predicted by the rest, without and with the effects."""
     folds = folds_of(fit.observations)
     before = by_folds(fit, folds)
-    if not priors:
+    if not said:
         return before, before
-    model = Model((*fit.model.effects, *(prior.effect for prior in priors)))
+    model = _model(fit, said, effects)
     parts = []
     for fold in folds:
         rest = fit.observations.take(fold.rest)
         start = _start(fit, model)
         own = fit_model(model, rest, start=start, noise=fit.noise)
-        parts.append(errors(own, _combined(own, priors).theta, fit.observations.take(fold.rows)))
+        parts.append(errors(own, _combined(own, said).theta, fit.observations.take(fold.rows)))
     order = np.argsort(np.concatenate([fold.rows for fold in folds]))
 
     def each(name: str) -> Array:
         return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])
 
     return before, Held(each("corrected"), each("expected"), each("error"))
+
+
+def _model(fit: Fit, said: Mapping[str, Prior], effects: Mapping[str, Effect]) -> Model:
+    return Model((*fit.model.effects, *(effects[name] for name in said)))
 
 
 def _extended(fit: Fit, model: Model) -> Fit:
@@ -67,18 +67,17 @@ def _start(fit: Fit, model: Model) -> Array:
     return start
 
 
-def _combined(fit: Fit, priors: Sequence[Prior]) -> Fit:
+def _combined(fit: Fit, said: Mapping[str, Prior]) -> Fit:
     """Normal prior times normal likelihood, in typical sizes so that rounding stays small."""
     context = fit.observations.context
     typical = np.array([p.typical for p in fit.parameters])
     slices = fit.model.slices(context)
     precision = np.linalg.pinv(fit.covariance / np.outer(typical, typical), hermitian=True)
     whole, towards = precision.copy(), precision @ (fit.theta / typical)
-    for prior in priors:
-        part = slices[prior.effect.name]
-        inverse = np.linalg.inv(prior.covariance + 1e-8 * np.eye(len(prior.mean)))
-        whole[part, part] += inverse
-        towards[part] += inverse @ prior.mean
+    for name, prior in said.items():
+        part, own = slices[name], prior.root.T @ prior.root
+        whole[part, part] += own
+        towards[part] += own @ prior.mean
     covariance = np.linalg.inv(whole)
     theta = covariance @ towards * typical
     return replace(

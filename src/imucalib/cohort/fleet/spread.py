@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
+from imucalib.calibration.comparison.beyond import Beyond, beyond, beyond_sd
 
 #: Family-wise chance of an outlying device where none is, and devices from which on one is told.
 _ALPHA, _FEWEST = 0.01, 5
@@ -16,7 +17,8 @@ _ALPHA, _FEWEST = 0.01, 5
 @dataclass(frozen=True)
 class Spread:
     """A parameter over a fleet: mean ± sd of the mean, and the scatter between devices, in `unit`;
-    values, sds : (devices,)"""
+    values, sds : (devices,); sessions : the scatter between recordings of one device, beyond what
+    each one's sd explains, None where no device was recorded twice"""
 
     name: str
     unit: str
@@ -25,6 +27,25 @@ class Spread:
     scatter: float
     values: Array
     sds: Array
+    sessions: Beyond | None = None
+
+    @property
+    def interval(self) -> Beyond:
+        """The scatter between devices with its 95 % interval."""
+        return beyond(self.values, self.sds**2)
+
+    def next_sd(self) -> float:
+        """Of one recording of the next device: the scatter between devices and between recordings,
+        the doubt about the mean, and Student's (K - 1) / (K - 3) for that about the scatter."""
+        count = len(self.values)
+        within = 0.0 if self.sessions is None else self.sessions.sd
+        whole = self.scatter**2 + within**2 + self.mean_sd**2
+        return float(np.sqrt(grown(count) * whole))
+
+
+def grown(devices: int) -> float:
+    """By how much a variance that few devices tell falls short of the next one's, on average."""
+    return (devices - 1.0) / (devices - 3.0)
 
 
 @dataclass(frozen=True)
@@ -42,22 +63,29 @@ class Outlier:
 
 
 def spread_of(name: str, unit: str, values: Array, sds: Array) -> Spread:
-    """Scatter by Paule and Mandel (1982): where the weighted squares equal their freedom."""
-    from scipy.optimize import brentq
-
-    def excess(tau: float) -> float:
-        weight = 1.0 / (sds**2 + tau**2)
-        mean = float(weight @ values / weight.sum())
-        return float(weight @ (values - mean) ** 2) - (len(values) - 1)
-
-    top = 10.0 * float(np.ptp(values)) + float(sds.max())
-    scatter = float(brentq(excess, 0.0, top)) if excess(0.0) > 0.0 else 0.0
+    """Of devices with one value each."""
+    scatter = beyond_sd(values, sds**2)
     weight = 1.0 / (sds**2 + scatter**2)
     mean = float(weight @ values / weight.sum())
     return Spread(
         name=name, unit=unit, mean=mean, mean_sd=float(weight.sum() ** -0.5), scatter=scatter,
         values=values, sds=sds,
     )  # fmt: skip
+
+
+def nested_spread(name: str, unit: str, values: Array, sds: Array, device: Index) -> Spread:
+    """Of recordings with one value each; device : (recordings,) 0 to devices - 1.
+
+    A device's value is the mean of its recordings, whose scatter beyond their sds all devices tell
+    together.
+    """
+    within = beyond(values, sds**2, device)
+    if np.isnan(within.sd):
+        return spread_of(name, unit, values, sds)
+    weight = 1.0 / (sds**2 + within.sd**2)
+    total = np.bincount(device, weight)
+    own = np.bincount(device, weight * values) / total
+    return replace(spread_of(name, unit, own, np.sqrt(1.0 / total)), sessions=within)
 
 
 def outliers(devices: Sequence[str], spreads: Sequence[Spread]) -> tuple[Outlier, ...]:

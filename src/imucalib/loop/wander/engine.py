@@ -25,6 +25,7 @@ from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
+from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import scores_of, steps_of, unexplained
 
 #: Rows that a search uses at most: more change no decision.
@@ -197,6 +198,7 @@ def _told(
         as_recorded=final,
         steps=steps,
         ambiguous=ambiguities(problem, found.search, steps),
+        sums=sums_of(problem, found.level, problem.fit),
         rejected=found.search.refused,
         unexplained=_left(found, final, last, folds, asked, rng),
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),

@@ -122,6 +122,33 @@ def covariance(course: Course, walk: Walk, rows: Index) -> Array:
     return np.diag(course.variance[rows]) + walk.rho * (seen @ seen.T) * together
 
 
+def correlated(course: Course, walk: Walk, columns: Array) -> Array:
+    """V columns (n, m) for a walk that goes on through all parts, as `drawn` has it.
+
+    exp(-|t - t'| / τ) times a column is one sum forwards and one backwards in time.
+    """
+    out = course.variance[:, None] * columns
+    if walk.rho == 0.0:
+        return np.asarray(out)
+    each = course.seen[:, :, None] * columns[:, None]
+    keep = np.exp(-np.diff(course.time) / walk.tau)
+    before, after = each.copy(), each.copy()
+    for row in range(1, len(each)):
+        before[row] += keep[row - 1] * before[row - 1]
+        after[-row - 1] += keep[-row] * after[-row]
+    whole = before + after - each
+    return np.asarray(out + walk.rho * np.einsum("nq,nqm->nm", course.seen, whole))
+
+
+def weighted(course: Course, walk: Walk, columns: Array) -> Array:
+    """V⁻¹ columns (n, m), the walk beginning anew in every part."""
+    out = np.empty_like(columns)
+    for part in range(course.parts):
+        rows = np.flatnonzero(course.part == part)
+        out[rows] = np.linalg.solve(covariance(course, walk, rows), columns[rows])
+    return out
+
+
 def beside(course: Course, walk: Walk, residual: Array) -> Array:
     """(n,) what is left of a residual when the smoothed walk is taken out: D V⁻¹ r."""
     if walk.rho == 0.0:

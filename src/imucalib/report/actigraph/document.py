@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from imucalib.calibrators.actigraph.coverage import Coverage
+from imucalib.calibrators.actigraph.errors import norm_sd
 from imucalib.calibrators.actigraph.run import ActigraphRun
 from imucalib.calibrators.actigraph.weak import from_data
+from imucalib.core.sphere import even_directions
 from imucalib.report.actigraph.activity import activity_section, rule_section
 from imucalib.report.actigraph.card import actigraph_card
 from imucalib.report.actigraph.plots import residual_plots, sphere_blocks
 from imucalib.report.actigraph.series import series_section
 from imucalib.report.document import Document, Facts, Section, Table, Text
 from imucalib.report.gain import gain_plot
+from imucalib.report.kind import kind_section
 from imucalib.report.loop import advice_section, candidate_section, loop_section
 from imucalib.report.sections import sensor_section, verdict
 from imucalib.report.terms import TERMS
-from imucalib.significant_digits import with_sd
+from imucalib.significant_digits import probability, with_sd
+from imucalib.units import MG
 
 _MOST_ROWS = 12  # parameters of one effect that are shown in full
 
@@ -25,6 +31,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
     """Everything that a reader of the calibration must know, headline first."""
     outcome = run.outcome
     sections = [
+        _of_a_kind(run),
         activity_section(run),
         loop_section(outcome),
         _parameters(run),
@@ -40,7 +47,7 @@ def actigraph_document(run: ActigraphRun) -> Document:
         sensor_section(run.calibration),
     ]
     if run.series:
-        sections.insert(2, series_section(run.series))
+        sections.insert(3, series_section(run.series))
     if outcome.findings:
         sections.append(candidate_section(outcome.findings))
     return Document(
@@ -84,6 +91,31 @@ def _parameters(run: ActigraphRun) -> Section:
     table = Table("Parameters", ("parameter", "effect", "value", "sd", "unit", "data, %"),
                   tuple(rows), "llrrlr", note)  # fmt: skip
     return Section("Parameters", (table,))
+
+
+def _of_a_kind(run: ActigraphRun) -> Section:
+    """What a fleet said, and what that does to the uncertainty."""
+    said, fit = run.result.of_a_kind, run.result.final
+    if said is None:
+        return Section("The fleet's word", ())
+    if np.isnan(said.strange):
+        words = "Its own postures tell all nine parameters so well that the fleet was not needed."
+        return Section("The fleet's word", (Text(words, "plain"),))
+    if not said.taken:
+        words = (
+            "Not believed: one of the fleet's kind is as far off with a chance of "
+            f"{probability(said.strange, 999)}. The calibration is the recording's own."
+        )
+        return Section("The fleet's word", (Text(words, "warning"),))
+    told = kind_section(said.kind, fit, said.strange, "posture run", said.alone)
+    before, now = (
+        1.96 * float(norm_sd(one, even_directions()).max()) / MG for one in (said.alone, fit)
+    )
+    words = (
+        f"|a| is known to ± {now:.2g} mg (95 %) in the worst attitude, without the fleet to "
+        f"± {before:.2g} mg."
+    )
+    return Section(told.title, (*told.blocks, Text(words, "plain")))
 
 
 def _coverage(run: ActigraphRun) -> Section:

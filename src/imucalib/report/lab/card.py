@@ -9,6 +9,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.calibrate import gravity_of
+from imucalib.calibrators.lab.errors import reading_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector
 from imucalib.report.card import card_of, error_worth
@@ -47,7 +48,7 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
     """Of one corrected reading, 95 %, at the worst attitude; and on positions left out."""
     result, fit = run.result, run.result.final
     i, t = (g.ravel() for g in np.meshgrid(np.arange(-85.0, 86.0, 5.0), np.arange(0, 360, 15.0)))
-    sigma = fit.noise.factor * float(np.median(fit.at.sigma))
+    sigma = reading_noise(fit).whole
     found = angle_uncertainty(fit, i * DEG, t * DEG, run.request.gravity, sigma)
     held = result.splits[-1] if result.splits else None
     left = attitude_errors(held.final, gravity_of(result.observations)) if held else None

@@ -7,15 +7,15 @@ import numpy as np
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms, worst
 from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.dial import bends, dial_words
-from imucalib.calibrators.lab.errors import setting_noise, shared_noise
+from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import fitted
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text
 from imucalib.report.gain import gain_plot
+from imucalib.report.kind import kind_section
 from imucalib.report.lab.card import lab_card
-from imucalib.report.lab.kind import kind_section
 from imucalib.report.lab.plots import dial_section, uncertainty_section
 from imucalib.report.lab.residuals import attitude_map, residual_plots
 from imucalib.report.lab.sessions import sessions_section
@@ -39,7 +39,9 @@ def lab_document(run: LabRun) -> Document:
         ),
         _angle_section(run),
         _parameter_section(run),
-        kind_section(run.result),
+        kind_section(
+            run.request.settings.population, run.result.final, run.result.strange, "position"
+        ),
         _bench_section(run),
         sessions_section(run.sessions),
         dial_section(run),
@@ -73,10 +75,13 @@ def _verdict(run: LabRun) -> Text:
 
 def _parameter_section(run: LabRun) -> Section:
     factor = run.result.final.noise.factor
-    note = (
-        f"sd with the noise as estimated ({factor:.2f} times the declared or assumed one); with "
-        f"the declared noise taken at its word, divide by {factor:.2f}."
-    )
+    note = "sd with the noise as estimated"
+    if reading_noise(run.result.final).own > 0.0:
+        note += (
+            f" ({factor:.2f} times the declared or assumed one); with the declared noise taken at "
+            f"its word, divide by {factor:.2f}"
+        )
+    note += "."
     return Section("Parameters", (parameter_table(run.calibration, note),))
 
 
@@ -137,15 +142,16 @@ def _order_words(fit: Fit) -> str:
 def _bench_section(run: LabRun) -> Section:
     fit = run.result.final
     noise = setting_noise(fit)
-    sigma = fit.noise.factor * float(np.median(fit.at.sigma)) / MG
-    rows = [("noise of a reading", plus_minus(sigma, sigma * float(fit.noise_sd[0]), "mg"))]
+    reading = reading_noise(fit)
+    own = plus_minus(reading.own / MG, reading.own_sd / MG, "mg")
+    rows = [("noise of a reading", own if reading.own > 0.0 else "none that it does not share")]
     for k, (name, sd) in enumerate(noise.items(), start=1):
         spread_sd = sd / DEG * float(fit.noise_sd[k])
         rows.append((name, f"{plus_minus(sd / DEG, spread_sd, 'deg')} scatter"))
-    shared, memory = shared_noise(fit)
-    if shared > 0.0:
-        own = plus_minus(shared / MG, shared / MG * float(fit.noise_sd[-1]), "mg")
-        rows.append(("noise that neighbours share", f"{own}, forgotten in {memory:.2g} positions"))
+    if reading.shared > 0.0:
+        size = plus_minus(reading.shared / MG, reading.shared_sd / MG, "mg")
+        after = f"forgotten in {reading.memory:.2g} positions"
+        rows.append(("noise that neighbours share", f"{size}, {after}"))
     rows += [("local gravity", f"{run.request.gravity:.5f} m/s² ({run.request.gravity_source})")]
     if (kind := run.request.settings.population) is not None:
         rows += [("beside these rows", f"what {kind.devices} devices of its kind say (--fleet)")]

@@ -7,6 +7,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.calibrators.lab.dial import bends, dial_of
+from imucalib.calibrators.lab.errors import reading_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector
 from imucalib.report.document import Plot, Section, Series, Table
@@ -39,7 +40,7 @@ def uncertainty_section(run: LabRun) -> Section:
     if not isinstance(fit.observations.reference, KnownVector):
         return Section("Uncertainty of the angles", ())
     at = np.radians(np.linspace(-85.0, 85.0, 69))
-    sigma = fit.noise.factor * float(np.median(fit.at.sigma))
+    sigma = reading_noise(fit).whole
     curves = [
         angle_uncertainty(fit, at, np.full(69, t), run.request.gravity, sigma)
         for t in np.radians([0, 90, 180, 270])

@@ -9,7 +9,7 @@ from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms
 from imucalib.calibrators.lab.bench import row_numbers
 from imucalib.calibrators.lab.calibrate import gravity_of
-from imucalib.calibrators.lab.errors import setting_noise
+from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector, angles_of
 from imucalib.loop.held_out import Held, fitted
@@ -117,7 +117,7 @@ def _drivers(run: LabRun) -> tuple[str, ...]:
 def _bands(run: LabRun) -> dict[str, float]:
     """Two standard deviations of a reading's noise and of a setting, mg and deg."""
     fit = run.result.final
-    sigma = fit.noise.factor * float(np.median(fit.at.sigma))
+    sigma = reading_noise(fit).whole
     bands = {"norm": 2.0 * sigma / MG}
     if isinstance(fit.observations.reference, KnownVector):
         i, t = angles_of(fitted(fit).expected[:, 0])

@@ -1,0 +1,1 @@
+"""A fleet of finished calibrations: worn sensors and arrays, several recordings a device."""

@@ -1,0 +1,171 @@
+"""Finished calibrations as a fleet takes them: from a run's folder, its files, or a batch."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imucalib.calibration import sums as block
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.file import check, read
+from imucalib.calibration.provenance import Provenance
+from imucalib.calibration.triads import triad_from
+from imucalib.cohort.quality import device_of
+from imucalib.errors import ImucalError, UnreadableInput
+from imucalib.loop.separation.sums import Sums
+from imucalib.units import MG
+
+#: What is no table: a folder of a run or of a batch, a calibration, a report, an entry.
+_SUFFIXES = (".yaml", ".yml", ".json")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter as a report states it, of an effect, value and sd in `unit`."""
+
+    name: str
+    effect: str
+    value: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """One recording's calibration.
+
+    recording : its path as far as it is known; name : short, of its own in a fleet
+    device : serial number where the recording names one, or empty; status : of the run
+    values : all parameters, fixture included; of an array also each IMU's gain and bias
+    sums : what it says of every effect, or None; calibration : its file, or None
+    """
+
+    name: str
+    recording: str
+    device: str
+    calibrator: str
+    status: str
+    values: tuple[Value, ...]
+    sums: Sums | None
+    provenance: Provenance
+    calibration: Calibration | None
+
+
+def is_calibrated(path: Path) -> bool:
+    """Whether a path is a calibration's, and not a table's or a recording's."""
+    return path.is_dir() or path.suffix.lower() in _SUFFIXES
+
+
+def calibrated(
+    paths: Sequence[Path],
+) -> tuple[tuple[Calibrated, ...], tuple[tuple[str, str], ...]]:
+    """Every calibration, and what could not be read or was no calibration: file -> why."""
+    found, failed = list[Calibrated](), list[tuple[str, str]]()
+    for path in paths:
+        for file in _reports(path):
+            try:
+                one = _read(file)
+                _demand_new(one, found)
+                found.append(one)
+            except ImucalError as error:
+                failed.append((_short(file), str(error)))
+    return _named_apart(found), tuple(failed)
+
+
+def _demand_new(one: Calibrated, others: Sequence[Calibrated]) -> None:
+    """Raise UnreadableInput for a recording that is there: counted twice, it would agree with
+    itself."""
+    for other in others:
+        if one.provenance.sha256 == other.provenance.sha256:
+            raise UnreadableInput(
+                f"the same recording as {other.name}", remedy="give each calibration once"
+            )
+
+
+def _named_apart(found: Sequence[Calibrated]) -> tuple[Calibrated, ...]:
+    """Recordings of the same name are numbered in the order given."""
+    often, seen, apart = Counter(one.name for one in found), Counter[str](), []
+    for one in found:
+        seen[one.name] += 1
+        number = f"_{seen[one.name]}" if often[one.name] > 1 else ""
+        apart.append(replace(one, name=f"{one.name}{number}"))
+    return tuple(apart)
+
+
+def _reports(path: Path) -> Iterator[Path]:
+    """The JSON files that a path stands for. Raises UnreadableInput where there are none."""
+    if path.is_file() and path.suffix.lower() == ".json":
+        yield path
+        return
+    folder = path if path.is_dir() else path.parent
+    if (folder / "report.json").is_file():
+        yield folder / "report.json"
+        return
+    entries = sorted(folder.glob("*.json")) if path.is_dir() else []
+    if not entries:
+        raise UnreadableInput(
+            "no report.json of a calibration, and no entries of a batch",
+            where=str(path),
+            remedy="give the folder that a calibrating command wrote, with all of its files, or "
+            "that of `imucal batch`",
+        )
+    yield from entries
+
+
+def _short(file: Path) -> str:
+    return file.parent.name if file.name == "report.json" else file.stem
+
+
+def _read(file: Path) -> Calibrated:
+    """Raises UnreadableInput for what is no report, or an entry of what was not calibrated."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        if "report" in content and content["report"] is None:
+            raise UnreadableInput(content["error"] or "it was not calibrated", where=str(file))
+        report = content.get("report", content)
+        stored = file.with_name("calibration.yaml")
+        own = read(stored) if file.name == "report.json" and stored.is_file() else None
+        if own is not None:
+            check(own, str(stored))
+        return _of(report, str(content.get("recording", report["provenance"]["input"])), own)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UnreadableInput(
+            f"no report of imucal, or a damaged one: {error!r}", where=str(file)
+        ) from None
+
+
+def _of(report: Mapping[str, Any], recording: str, own: Calibration | None) -> Calibrated:
+    made = report["provenance"]
+    given = {one.name: made[one.name] for one in fields(Provenance) if one.name != "path"}
+    values = [Value(p["name"], p["effect"], float(p["value"]), float(p["sd"]), p["unit"])
+              for p in report["parameters"]]  # fmt: skip
+    sums = report.get(block.KEY)
+    return Calibrated(
+        name=Path(made["input"]).name.partition(".")[0],
+        recording=recording,
+        device=device_of(report) or "",
+        calibrator=str(report["calibrator"]),
+        status=str(report["status"]),
+        values=(*values, *_of_imus(report.get("triads", ()))),
+        sums=None if sums is None else block.sums_of(sums),
+        provenance=Provenance(path=made["input"], **given),
+        calibration=own,
+    )
+
+
+def _of_imus(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Value]:
+    """Gain and bias of every IMU of an array."""
+    for triad in map(triad_from, blocks):
+        sd = np.sqrt(np.maximum(np.diag(triad.covariance), 0.0))
+        for k, (i, j) in enumerate(np.ndindex(3, 3)):
+            name = f"{triad.name}.gain_{'xyz'[i]}{'xyz'[j]}"
+            yield Value(name, "scale", float(triad.gain[i, j]), float(sd[k]), "1")
+        for k, axis in enumerate("xyz"):
+            bias, own = float(triad.bias[k]) / MG, float(sd[9 + k]) / MG
+            yield Value(f"{triad.name}.bias_{axis}", "bias", bias, own, "mg")

@@ -1,0 +1,336 @@
+"""A fleet of finished calibrations: worn sensors recorded more than once, arrays, batches.
+
+Reports are written by plain numpy: y = B θ + X s + noise, 150 postures a recording, with the
+products of its columns worked out here a second time.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.file import read, to_yaml
+from imucalib.calibration.sums import KEY, sums_block, sums_of
+from imucalib.calibrators.actigraph.calibrate import calibrate
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_week
+from imucalib.calibrators.population import read as read_population
+from imucalib.cli import cli
+from imucalib.cohort.fleet.outcome import Fleet
+from imucalib.cohort.fleet.recorded.calibrated import calibrated
+from imucalib.cohort.fleet.recorded.pooled import combined, device_of, sizes_of
+from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
+from imucalib.cohort.fleet.search import Rules
+from imucalib.cohort.fleet.spread import nested_spread
+from imucalib.core.context import Context
+from imucalib.effects import named
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.loop.found import LoopSettings
+
+NINE = ("bias", "scale", "non_orthogonality")
+BASE = [(e, p) for e in NINE for p in named(e).parameters(Context(1))]
+#: Two effects that the reports know of, three columns each, at typical size.
+EFFECTS = ("temperature_bias", "quadratic")
+POSTURES, NOISE = 150, 0.5
+
+
+def report(
+    name: str, theta: np.ndarray, sizes: np.ndarray, seed: int, kind: str = "actigraph",
+    status: str = "ok",
+) -> dict:  # fmt: skip
+    """What a recording's report.json must hold for a fleet. theta : (9,) in its units; sizes : (6,)
+    in typical ones; the columns are as strong as a week's: 0.6 in units of the noise."""
+    rng = np.random.default_rng(seed)
+    typical = np.array([p.typical for _, p in BASE])
+    base = 30.0 * rng.standard_normal((POSTURES, 9))
+    columns = 0.05 * rng.standard_normal((POSTURES, 6)) + 0.01 * base[:, :6]
+    y = base @ (theta / typical) + columns @ sizes + rng.standard_normal(POSTURES)
+    gram = base.T @ base
+    taken = np.linalg.solve(gram, base.T @ columns)
+    rest = columns - base @ taken
+    covariance = np.linalg.inv(gram) * np.outer(typical, typical)
+    found = np.linalg.solve(gram, base.T @ y) * typical
+    lower = rest.T @ rest
+    return {
+        "calibrator": kind,
+        "status": status,
+        "parameters": [
+            {"name": p.name, "effect": e, "value": v, "sd": s, "unit": p.unit}
+            for (e, p), v, s in zip(BASE, found, np.sqrt(np.diag(covariance)), strict=True)
+        ],
+        "covariance": {"estimated_noise": covariance.tolist()},
+        "notes": [],
+        "loop": {"steps": []},
+        "provenance": {
+            "input": name, "sha256": name, "samples": 1, "gaps": 0, "mapping": {}, "settings": {},
+            "seed": 0, "versions": {}, "time": "2026-01-01T00:00:00Z", "command": "",
+        },
+        KEY: {
+            "parameters": [p.name for _, p in BASE], "theta": found.tolist(),
+            "covariance": covariance.tolist(),
+            "blocks": {"temperature_bias": [0, 3], "quadratic": [3, 6]},
+            "gram": [row[: k + 1].tolist() for k, row in enumerate(lower)],
+            "along": (rest.T @ y).tolist(), "taken": (taken * typical[:, None]).tolist(),
+            "noise_mg": NOISE, "noise_dof": POSTURES - 9.0, "wander_mg": 0.0,
+        },
+    }  # fmt: skip
+
+
+def device(rng: np.random.Generator, bias: float = 20.0) -> np.ndarray:
+    """(9,) mg and shares."""
+    spread = np.array([bias] * 3 + [0.01] * 6)
+    return spread * rng.standard_normal(9)
+
+
+def cohort(
+    folder: Path, devices: int, size: float, *, per: int = 2, within: float = 1.0, odd: int = -1
+) -> tuple[list[Path], Path, np.ndarray]:
+    """Entries of a batch, `per` of each device, the table of who is who, and the sizes (devices, 3)
+    of the temperature; device `odd` has a bias that no other has."""
+    rng = np.random.default_rng(7)
+    truth = size * (1.0 + 0.3 * rng.standard_normal((devices, 3)))
+    paths, rows = [], ["recording,device"]
+    for k, own in enumerate(truth):
+        theta = device(rng) + (400.0 if k == odd else 0.0) * np.eye(9)[0]
+        for r in range(per):
+            name = f"d{k}_{r}.csv"
+            moved = theta + within * np.r_[rng.standard_normal(3), np.zeros(6)]
+            content = report(name, moved, np.r_[own, np.zeros(3)], 100 * k + r)
+            path = folder / f"{name}.json"
+            path.write_text(json.dumps({"recording": f"/data/{name}", "report": content}))
+            paths.append(path)
+            rows.append(f"/data/{name},dev{k}")
+    table = folder / "devices.csv"
+    table.write_text("\n".join(rows) + "\n")
+    return paths, table, truth
+
+
+def pooled(paths: Sequence[Path], table: Path | None) -> Fleet:
+    return run_recorded(paths, Wanted(devices=table, rules=Rules(draws=199)), lambda _: None)
+
+
+def test_what_no_recording_shows_alone_is_found_in_all(tmp_path: Path) -> None:
+    paths, table, truth = cohort(tmp_path, 12, 2.0)
+    found = pooled(paths, table)
+    assert [one.effect for one in found.search.found] == ["temperature_bias"]
+    assert [m.name for m in found.members] == [f"dev{k}" for k in range(12)]
+    assert [len(m.recordings) for m in found.members] == [2] * 12
+    sizes = found.search.found[0].sizes
+    sds = np.sqrt(np.einsum("dii->di", sizes.covariance))
+    assert 0.7 < np.sqrt(np.mean(((sizes.each - truth) / sds) ** 2)) < 1.3
+    assert sds.mean() < 1.3  # alone a recording leaves 1.7
+    assert (found.verdict, found.difference.by_density) == ("explained", True)
+    assert found.difference.nats_low > 0.0
+
+
+def test_a_clean_cohort_stays_clean(tmp_path: Path) -> None:
+    paths, table, _ = cohort(tmp_path, 8, 0.0)
+    found = pooled(paths, table)
+    assert (found.verdict, found.exit_code, found.outliers) == ("nothing found", 0, ())
+    assert all(m.base == m.final == NOISE for m in found.members)
+
+
+def test_scatter_between_devices_and_between_recordings_of_one(tmp_path: Path) -> None:
+    """20 mg and 1 mg were put in; 60 and 60 degrees of freedom: 4.5 sd are 41 %."""
+    paths, table, _ = cohort(tmp_path, 60, 0.0)
+    bias = next(s for s in pooled(paths, table).spreads if s.name == "bias_x")
+    assert bias.scatter == pytest.approx(20.0, rel=0.41)
+    assert bias.sessions.sd == pytest.approx(1.0, rel=0.41)
+    assert bias.sessions.low < 1.0 < bias.sessions.high
+    assert bias.interval.low < 20.0 < bias.interval.high
+
+
+def test_recordings_without_a_table_are_devices_by_themselves(tmp_path: Path) -> None:
+    paths, _, _ = cohort(tmp_path, 5, 0.0, per=1)
+    found = pooled(paths, None)
+    assert [m.name for m in found.members] == [f"d{k}_0" for k in range(5)]
+    assert all(s.sessions is None for s in found.spreads)
+
+
+def test_a_device_of_another_kind_is_named(tmp_path: Path) -> None:
+    paths, table, _ = cohort(tmp_path, 8, 0.0, odd=5)
+    found = pooled(paths, table)
+    assert {o.device for o in found.outliers} == {"dev5"}
+    assert found.exit_code == 5
+
+
+def test_the_scatter_within_devices_is_that_beyond_their_own_sds() -> None:
+    """Two recordings each, alike in sd: Q = Σ (a - b)² / 2 / (sd² + τ²) is as large as there are
+    pairs; and a device's value is their mean."""
+    rng = np.random.default_rng(0)
+    pairs = rng.normal(0.0, 3.0, (200, 1)) + rng.normal(0.0, 2.0, (200, 2))
+    found = nested_spread("b", "mg", pairs.ravel(), np.full(400, 0.5), np.arange(400) // 2)
+    expected = np.mean((pairs[:, 0] - pairs[:, 1]) ** 2) / 2.0 - 0.25
+    assert found.sessions.sd == pytest.approx(np.sqrt(expected), rel=1e-6)
+    assert found.values == pytest.approx(pairs.mean(axis=1))
+    assert found.sds == pytest.approx(np.full(200, np.sqrt((0.25 + expected) / 2.0)))
+
+
+def test_the_next_recording_has_both_scatters_before_it(tmp_path: Path) -> None:
+    paths, table, _ = cohort(tmp_path, 12, 0.0)
+    found = pooled(paths, table)
+    told = found.following.parameters[0]
+    bias = found.spreads[0]
+    whole = bias.scatter**2 + bias.sessions.sd**2 + bias.mean_sd**2
+    assert told.sd == pytest.approx(np.sqrt(11.0 / 9.0 * whole))
+    assert found.following.reference == "norm"
+
+
+def folder_of(path: Path, content: dict) -> Path:
+    """As `imucal actigraph -o` leaves it."""
+    path.mkdir()
+    (path / "report.json").write_text(json.dumps(content))
+    stored = tuple(
+        StoredParameter(p["name"], p["effect"], "sensor", p["value"], p["sd"], p["unit"])
+        for p in content["parameters"]
+    )
+    covariance = np.array(content["covariance"]["estimated_noise"])
+    own = Calibration("actigraph", stored, covariance, "m/s2", 1.0, 9.8, "ok")
+    (path / "calibration.yaml").write_text(to_yaml(own))
+    return path
+
+
+def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_path: Path) -> None:
+    rng, folders = np.random.default_rng(3), []
+    for k in range(12):
+        content = report(f"w{k}.csv", device(rng), np.r_[2.5, 2.5, 2.5, 0.0, 0.0, 0.0], k)
+        folders.append(str(folder_of(tmp_path / f"w{k}", content)))
+    out = tmp_path / "fleet"
+    arguments = ["fleet", *folders, "-o", str(out), "--draws", "199"]
+    done = CliRunner().invoke(cli, arguments, standalone_mode=False)
+    assert "temperature_bias, in every device" in done.stdout, done.exception
+    stored = read(out / "w3" / "calibration.yaml")
+    assert {p.effect for p in stored.parameters} == {*NINE, "temperature_bias"}
+    assert read_population(out / "fleet.yaml").effects == ("temperature_bias",)
+    content = json.loads((out / "report.json").read_text())
+    assert content["devices"][3]["recordings"][0]["input"] == "w3.csv"
+    valid = CliRunner().invoke(cli, ["validate", str(out / "w3" / "calibration.yaml")])
+    assert valid.exit_code == 0
+
+
+def test_a_recording_with_a_scan_of_its_own_stays_as_it_is(tmp_path: Path) -> None:
+    paths, table, _ = cohort(tmp_path, 12, 2.5)
+    content = json.loads(paths[0].read_text())
+    step = {"name": "s", "effect": "bias_step@600s", "value": 3.0, "sd": 0.1, "unit": "mg"}
+    content["report"]["parameters"].append(step)
+    paths[0].write_text(json.dumps(content))
+    found = pooled(paths, table)
+    assert found.search.found
+    assert found.members[0].recordings[0].kept == "it has bias_step@600s of its own"
+    assert not found.members[0].recordings[1].kept
+
+
+def test_what_cannot_be_pooled_is_told(tmp_path: Path) -> None:
+    paths, table, _ = cohort(tmp_path, 6, 0.0, per=1)
+    weak, failed, broken = (json.loads(p.read_text()) for p in paths[:3])
+    weak["report"]["status"] = "weak"
+    failed |= {"report": None, "error": "no rest in it"}
+    broken["report"][KEY]["along"] = ["x"]
+    for path, content in zip(paths, (weak, failed, broken), strict=False):
+        path.write_text(json.dumps(content))
+    found = pooled(paths, table)
+    assert len(found.members) == 3
+    assert "d0_0" in found.notes[0]
+    assert [name for name, _ in found.failed] == ["d1_0.csv", "d2_0.csv"]
+    assert "no rest in it" in found.failed[0][1]
+    with pytest.raises(UsageError, match="two devices or more"):
+        pooled(paths[:4], table)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["one", "one/calibration.yaml"], "the same recording as"),
+        (["one", "array"], "of different kinds"),
+        (["one", "table.csv"], "is a calibration"),
+        (["one", "two", "--columns", "x=B"], "--columns says how to read a table"),
+        (["empty", "one"], "no entries of a batch"),
+        (["table.csv", "table.csv", "--devices", "table.csv"], "--devices is for calibrations"),
+        (["one", "two", "--devices", "table.csv"], "which device made it"),
+        (["one", "two", "--devices", "other.csv"], "no device is named for two.csv"),
+    ],
+)
+def test_input_that_makes_no_fleet_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for k, name in enumerate(("one", "two")):
+        folder_of(tmp_path / name, report(f"{name}.csv", np.zeros(9), np.zeros(6), k))
+    other = report("b.mcap", np.zeros(9), np.zeros(6), 3, kind="array")
+    folder_of(tmp_path / "array", other)
+    (tmp_path / "empty").mkdir()
+    Path("table.csv").write_text("a,b\n1,2\n")
+    Path("other.csv").write_text("recording,device\none.csv,x\n")
+    done = CliRunner().invoke(cli, ["fleet", *arguments], standalone_mode=False)
+    assert isinstance(done.exception, UnreadableInput | UsageError)
+    assert message in str(done.exception)
+
+
+def test_boards_are_compared_imu_by_imu(tmp_path: Path) -> None:
+    """Reports of arrays hold no products: positions, gains and biases are compared."""
+    rng, paths = np.random.default_rng(1), []
+    for k in range(6):
+        content = report(f"b{k}.mcap", np.zeros(9), np.zeros(6), k, kind="array")
+        del content[KEY]
+        content["parameters"] = [
+            {"name": f"imu1.{a}", "effect": "positions", "value": 20.0 + 0.3 * rng.standard_normal()
+             + (9.0 if k == 4 and a == "y" else 0.0), "sd": 0.05, "unit": "mm"} for a in "xyz"
+        ]  # fmt: skip
+        content["triads"] = [{
+            "imu": "imu1", "rotation": np.eye(3).tolist(), "gain": np.eye(3).tolist(),
+            "bias_m_per_s2": (0.1 * rng.standard_normal(3)).tolist(),
+            "covariance": (1e-8 * np.eye(12)).tolist(), "noise_m_per_s2": 0.04,
+            "gyro_gain": np.eye(3).tolist(), "gyro_bias_deg_per_s": [0.0, 0.0, 0.0],
+            "gyro_noise_deg_per_s": 0.1,
+        }]  # fmt: skip
+        paths.append(tmp_path / f"b{k}.json")
+        paths[-1].write_text(json.dumps(content))
+    found = pooled(paths, None)
+    assert (found.verdict, found.search, found.following) == ("not searched", None, None)
+    assert {o.parameter for o in found.outliers} == {"imu1.y"}
+    assert {o.device for o in found.outliers} == {"b4"}
+    names = {s.name: s for s in found.spreads}
+    assert names["imu1.bias_x"].unit == "mg"
+    assert 3.0 < names["imu1.bias_x"].scatter < 30.0
+
+
+def test_the_products_survive_the_file() -> None:
+    content = report("w.csv", np.ones(9), np.ones(6), 0)[KEY]
+    sums = sums_of(content)
+    again = sums_of(json.loads(json.dumps(sums_block(sums))))
+    assert again.gram == pytest.approx(sums.gram, rel=1e-6)
+    assert again.taken == pytest.approx(sums.taken, rel=1e-6)
+    assert list(again.blocks) == list(EFFECTS)
+
+
+def test_one_recordings_products_give_the_fit_with_the_effect(tmp_path: Path) -> None:
+    """Under a white noise, what the report keeps must give what a fit with the effect gives."""
+    plan = replace(WeekPlan(days=1.0), plant={"temperature_bias": (0.3, -0.2, 0.1)})
+    week = simulated_week(plan, 4)
+    rules = LoopSettings(draws=49, most_effects=0)
+    request = replace(ActigraphRequest(), rules=rules)
+    rng = np.random.default_rng(0)
+    searched = calibrate(week.runs, week.scanned, request, rng)
+    fitted = calibrate(
+        week.runs, week.scanned, replace(request, declare=("temperature_bias",), loop=False), rng
+    ).final
+    sums = searched.loop.sums
+    path = tmp_path / "w.json"
+    content = report("w.csv", np.zeros(9), np.zeros(6), 0)
+    content[KEY] = sums_block(sums)
+    path.write_text(json.dumps(content))
+    (one,), _ = calibrated([path])
+    own = device_of("w", [one.sums], ["temperature_bias"])
+    made = combined(one, sizes_of(own, {}, ["temperature_bias"]))
+    values = {v.name: v for v in made.values}
+    for p, theta, sd in zip(fitted.parameters, fitted.theta, fitted.sd, strict=True):
+        # The search's noise holds what the effect does, so that its sd is wider.
+        assert abs(values[p.name].value - theta) < 0.5 * values[p.name].sd, p.name
+        assert values[p.name].sd > 0.8 * sd
