@@ -105,11 +105,16 @@ def test_the_tables_angles_come_back_in_its_conventions(
     level = np.abs(dial["inclination"]) < 60
     assert np.abs(turn[level]).max() < 1.0
 
+
 def by_hand() -> Calibration:
     """Nine parameters and a mounting, with a full covariance."""
     rng = np.random.default_rng(3)
-    names = [("bias", "sensor", 3, "mg", 20.0), ("scale", "sensor", 3, "1", 0.02),
-             ("non_orthogonality", "sensor", 3, "1", 0.01), ("mounting", "mounting", 3, "deg", 1.0)]  # fmt: skip
+    names = (
+        ("bias", "sensor", 3, "mg", 20.0),
+        ("scale", "sensor", 3, "1", 0.02),
+        ("non_orthogonality", "sensor", 3, "1", 0.01),
+        ("mounting", "mounting", 3, "deg", 1.0),  # last here, first in the model
+    )
     stored = tuple(
         StoredParameter(f"{effect}_{k}", effect, stage, float(size * rng.normal()), size, unit)
         for effect, stage, count, unit, size in names

@@ -10,9 +10,17 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from imucalib.recording.recording import Channel, Gap
-from imucalib.rests import candidates, drift, edges, levels, refused, runs, stillness
+from imucalib.rests import candidates, edges, levels, refused, runs, stillness
 from imucalib.rests.candidates import Seen
-from imucalib.rests.drift import Noise, colour_of, drift_of, far_apart, is_noise, parts_of, whiteness
+from imucalib.rests.drift import (
+    Noise,
+    colour_of,
+    drift_of,
+    far_apart,
+    is_noise,
+    parts_of,
+    whiteness,
+)
 from imucalib.rests.grouping import Group, groups_of
 from imucalib.rests.levels import Kinds, steady_windows
 from imucalib.rests.refused import Candidate
@@ -57,7 +65,7 @@ def kinds(still: Array, **changed: Array) -> Kinds:
 
 
 def test_noise_is_told_from_the_quiet_windows() -> None:
-    """The median of those within three times the quietest ones' variance, but for the step / √12."""
+    """The median of those within three times the variance of the quietest; at least step / √12."""
     sd = np.concatenate([np.full(20, 1.0), np.full(30, 1.3), np.full(50, 9.0)])[:, None] * MG
     w = windows(level(100), sd * np.ones(3))
     np.testing.assert_allclose(sensor(w).noise / MG, 1.3)
@@ -96,7 +104,8 @@ def test_what_a_sensor_at_rest_may_do() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sd", "reach", "still"), [(1.9, 8, True), (2.1, 8, False), (1.5, 9.9, True), (1.5, 10.1, False)]
+    ("sd", "reach", "still"),
+    [(1.9, 8, True), (2.1, 8, False), (1.5, 9.9, True), (1.5, 10.1, False)],
 )
 def test_a_still_window_has_four_times_the_variance_and_ten_times_the_range_at_most(
     sd: float, reach: float, still: bool
@@ -121,7 +130,8 @@ def test_frozen_samples_are_told_in_seconds_with_the_windows_beside_them() -> No
     assert np.flatnonzero(~found).tolist() == [19, 20, 21, 22, 23]
     assert notes == ["imu0/acceleration: 2.5 s of frozen samples left out of the rests"]
     parted = replace(frozen, run=(np.arange(60) > 22).astype(np.intp))
-    assert np.flatnonzero(~stillness.still_windows(sensor(parted), StillSettings())[0]).tolist() == [
+    found, _ = stillness.still_windows(sensor(parted), StillSettings())
+    assert np.flatnonzero(~found).tolist() == [
         19, 20, 21, 22
     ]  # fmt: skip
 
@@ -164,8 +174,10 @@ def test_steady_windows_are_alike_in_variance_and_in_mean(
     assert not steady_windows(apart, np.zeros(3), np.zeros(4, bool)).any()
 
 
-@pytest.mark.parametrize(("height", "share", "spiky"), [(0.11, 1.0, True), (0.09, 1.0, False),
-                                                       (0.11, 1.55, True), (0.11, 1.65, False)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("height", "share", "spiky"),
+    [(0.11, 1.0, True), (0.09, 1.0, False), (0.11, 1.55, True), (0.11, 1.65, False)],
+)
 def test_a_dropout_is_one_sample_far_away(height: float, share: float, spiky: bool) -> None:
     """h²/n of variance, up to 1.6 times that; noise has 2.5 times."""
     w = windows(level(5))
@@ -304,7 +316,8 @@ def test_groups_part_at_a_jump_a_gap_and_a_moving_window() -> None:
         found = groups_of(sensor(w), kinds(still), StillSettings())
         assert len(found) == count
     gap = replace(windows(level(30), noise), run=(np.arange(30) > 9).astype(np.intp))
-    assert [g.windows.size for g in groups_of(sensor(gap), kinds(np.ones(30)), StillSettings())] == [
+    found = groups_of(sensor(gap), kinds(np.ones(30)), StillSettings())
+    assert [g.windows.size for g in found] == [
         10, 20
     ]  # fmt: skip
     moving = kinds(np.arange(30) != 12)
@@ -381,7 +394,8 @@ def test_what_a_stretch_is_judged_by() -> None:
 
 
 def test_a_bias_at_rest_unlike_the_others_is_a_turn() -> None:
-    """A tenth of a degree a second, or six deviations of what rests have, and five standard errors."""
+    """A tenth of a degree a second, or six deviations of what rests have, and five errors."""
+
     def of(off: float, scatter: float, rests: int = 9) -> list[str]:
         values = np.zeros((900, 3))
         bias = scatter * np.tile([-1.0, 1.0, 0.0], 3)[:rests] / 1.4826
@@ -491,9 +505,10 @@ def test_a_lag_is_an_exponential_of_its_hours() -> None:
 
 def test_a_thermometer_that_is_silent_for_an_hour_holds() -> None:
     t = np.array([0.0, 100.0, 3701.0, 3801.0])
-    made = Channel(t, np.array([[10.0], [20.0], [60.0], [70.0]]), "degC", "temperature", "imu0", 0.0)
+    made = Channel(
+        t, np.array([[10.0], [20.0], [60.0], [70.0]]), "degC", "temperature", "imu0", 0.0
+    )
     at = np.array([50.0, 100.0, 1900.0, 3700.9, 3751.0, 9999.0])
     np.testing.assert_allclose(temperature_at(made, at), [15.0, 20.0, 20.0, 20.0, 65.0, 70.0])
     close = replace(made, t=np.array([0.0, 100.0, 3700.0, 3800.0]))
     np.testing.assert_allclose(temperature_at(close, np.array([1900.0])), [40.0])
-    assert drift._TILT == pytest.approx(np.sin(0.3 * DEG))

@@ -74,9 +74,7 @@ def test_a_time_is_days_hours_and_minutes() -> None:
 
 def test_a_runs_noise_is_that_of_its_windows_beside_a_milli_g() -> None:
     data = observations_of(runs_of(), scanned(6 * 3600.0), G, blocks=3)
-    np.testing.assert_allclose(
-        data.sigma[:, 0, 0] / MG, np.sqrt(1.0 + 9.0 / np.arange(1.0, 7.0))
-    )
+    np.testing.assert_allclose(data.sigma[:, 0, 0] / MG, np.sqrt(1.0 + 9.0 / np.arange(1.0, 7.0)))
     # Three stretches of equal time between the first run and the last.
     assert data.group.tolist() == [0, 0, 1, 1, 2, 2]
     assert data.label[1] == "run at 0 d 01:00"
@@ -178,8 +176,10 @@ def test_errors_over_the_sphere_are_those_of_the_nearest_part() -> None:
             assert np.isnan(cell.raw)
         assert cell.sd > 0.0
     summary = errors.error_summary(found, found, held, held)  # type: ignore[arg-type]
-    assert summary.raw == summary.held_out.final == pytest.approx(
-        np.mean(np.abs(np.linalg.norm(runs.mean, axis=1) - G)) / MG
+    assert (
+        summary.raw
+        == summary.held_out.final
+        == pytest.approx(np.mean(np.abs(np.linalg.norm(runs.mean, axis=1) - G)) / MG)
     )
     sigma = found.noise.factor * found.observations.sigma[:, 0, 0]  # type: ignore[attr-defined]
     # Mean of |normal|.
@@ -258,8 +258,8 @@ def test_parts_differ_by_more_than_their_covariances() -> None:
     assert found.statistic == pytest.approx(rest[0])
     assert found.dof == 4
     assert found.p == pytest.approx(stats.chi2.sf(rest[0], 4))
-    z = np.array([[(f.theta - common)[k] / np.sqrt(
-        (f.covariance - np.linalg.inv(x.T @ x))[k, k]) for k in range(2)] for f in fits])  # fmt: skip
+    own = np.linalg.inv(x.T @ x)
+    z = np.array([(f.theta - common) / np.sqrt(np.diag(f.covariance - own)) for f in fits])
     chance = np.minimum(1.0, 6.0 * 2.0 * stats.norm.sf(np.abs(z).max(axis=0)))
     assert found.moved == tuple(
         ("ab"[k], pytest.approx(chance[k])) for k in np.argsort(chance) if chance[k] < 0.01

@@ -99,7 +99,7 @@ def test_two_gyros_may_differ_by_half() -> None:
 
 def test_thirty_informative_samples_are_enough() -> None:
     moving._refuse_few({"rotating": 40}, 30)
-    with pytest.raises(Undetermined, match="29 informative samples .40 rotating"):
+    with pytest.raises(Undetermined, match=r"29 informative samples \(40 rotating"):
         moving._refuse_few({"rotating": 40}, 29)
 
 
@@ -128,7 +128,9 @@ def test_the_sampler_gets_the_scatter_of_the_mean() -> None:
     level = made.levelled.rate[rows]
     own = np.array([np.cov(one.T) for one in level])
     floor = 1e-3 * np.trace(covariance) / 3.0
-    np.testing.assert_allclose(np.linalg.inv(alone.rate_precision), own + floor * np.eye(3), rtol=1e-6)
+    np.testing.assert_allclose(
+        np.linalg.inv(alone.rate_precision), own + floor * np.eye(3), rtol=1e-6
+    )
     np.testing.assert_allclose(level.mean(axis=1), made.gyros.mean[rows])
 
 

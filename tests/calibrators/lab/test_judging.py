@@ -6,12 +6,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from imucalib.calibrators.lab import advice
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.dial import bends
 from imucalib.calibrators.lab.errors import noise_floor, setting_noise, shared_noise
+from imucalib.calibrators.lab.sessions import between as sessions
+from imucalib.calibrators.lab.sessions.between import Between
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations, SharedNoise
 from imucalib.core.references import KnownNorm, KnownVector
@@ -24,7 +27,9 @@ from worlds.sheets import direction
 G = 9.80665
 
 
-def errors_of(meant: tuple[float, float], read: tuple[float, float], size: float = G) -> list[float]:
+def errors_of(
+    meant: tuple[float, float], read: tuple[float, float], size: float = G
+) -> list[float]:
     """Inclination and tool-face (deg) and norm (mg) of one position."""
     one, other = (np.array([[direction(*map(np.array, a))]]) for a in (read, meant))
     found = attitude_errors(Held(size * one, G * other, size * one - G * other), G)
@@ -183,3 +188,35 @@ def test_only_what_turns_inclination_bends_the_dial() -> None:
 
     assert of("bias", "inclination_zero")
     assert not of("bias", "tool_face_zero")
+
+
+def between(sizes: np.ndarray, weights: np.ndarray, sd: float = 1.0) -> Between:
+    return Between(
+        name="session bias", effect="bias", unit="mg", sd=sd, sizes=sizes, weights=weights,
+        by_axis=np.tile(weights, (3, 1)), offsets=np.zeros((5, 3)), offsets_sd=np.ones((5, 3)),
+    )  # fmt: skip
+
+
+def test_the_interval_of_a_scatter_holds_the_middle_95_percent() -> None:
+    """Of a normal density on a grid: ±1.96 deviations."""
+    sizes = np.linspace(0.0, 20.0, 2001)
+    weights = stats.norm.pdf(sizes, 10.0, 2.0)
+    low, high = between(sizes, weights / weights.sum()).interval
+    assert (low, high) == pytest.approx((10.0 - 3.92, 10.0 + 3.92), abs=0.02)
+
+
+def test_the_next_power_up_scatters_by_the_mean_and_by_what_sessions_do() -> None:
+    """Of one known size s: variance of the mean and s²; of two, a mixture's quantile."""
+    parameter = SimpleNamespace(name="bias_x", unit="mg")
+    fit = SimpleNamespace(parameters=(parameter,), covariance=np.array([[0.25]]),
+                          theta=np.array([7.0]))  # fmt: skip
+    one = sessions._next(fit, 0, between(np.array([2.0]), np.ones(1), sd=2.0), np.ones(1))  # type: ignore[arg-type]
+    assert (one.value, one.mean, one.sd) == pytest.approx((7.0, 0.5, np.sqrt(4.25)))
+    assert one.half == pytest.approx(1.959964 * np.sqrt(4.25))
+    # A larger scatter leaves the mean more open: by its share over the five sessions.
+    sizes, weights = np.array([1.0, 3.0]), np.array([0.4, 0.6])
+    two = sessions._next(fit, 0, between(sizes, weights, sd=2.0), weights)  # type: ignore[arg-type]
+    var = np.maximum(0.25 + (sizes**2 - 4.0) / 5.0, 0.025) + sizes**2
+    assert two.sd == pytest.approx(np.sqrt(weights @ var))
+    inside = 2.0 * stats.norm.cdf(two.half / np.sqrt(var)) - 1.0
+    assert weights @ inside == pytest.approx(0.95)

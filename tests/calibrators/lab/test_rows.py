@@ -58,9 +58,10 @@ def test_noise_falls_with_the_root_of_the_samples() -> None:
     assert data.sigma.shape == (3, 1, 3)
     assert data.sigma[:, 0, 1].tolist() == [6.0, 3.0, 1.5]
     never = table(inclination=[0, 1], tool_face=[0, 0], samples=[0, 1])
-    assert still_observations(never, never.raw(), G, sigma=2.0).sigma[:, 0, 0].tolist() == [
-        pytest.approx(2.0 * 0.5**0.5)
-    ] * 2
+    assert (
+        still_observations(never, never.raw(), G, sigma=2.0).sigma[:, 0, 0].tolist()
+        == [pytest.approx(2.0 * 0.5**0.5)] * 2
+    )
     alike = table(inclination=[0, 1], tool_face=[0, 0])
     assert (still_observations(alike, alike.raw(), G).sigma == MG).all()
 

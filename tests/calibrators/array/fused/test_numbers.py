@@ -118,7 +118,9 @@ def test_a_reading_at_the_end_of_its_range_is_clipped() -> None:
 
 def test_noise_grows_with_the_rate() -> None:
     made = ChipNoise(np.array([[3.0, 3.0, 4.0]]), np.array([2.0]), np.inf)
-    np.testing.assert_allclose(made.variance(np.array([0.0, 2.0]))[:, 0], [[9, 9, 16], [25, 25, 32]])
+    np.testing.assert_allclose(
+        made.variance(np.array([0.0, 2.0]))[:, 0], [[9, 9, 16], [25, 25, 32]]
+    )
     assert made.widening == 1.0
     assert ChipNoise(made.rest, made.growth, 5.0).widening == 10.0 / 8.0
     assert not at_rest(made.rest).growth.any()
@@ -249,7 +251,9 @@ def test_noise_of_a_log_replaces_that_of_the_calibration_where_it_is_measured() 
         rate_noise=np.array([[0.1, 0.2, 0.3], [np.nan] * 3]),
     )
     force, rate = survey._noise_at_rest(
-        rests, {0: 1, 1: 0}, (np.full((2, 3), 9.0), np.full((2, 3), 0.9))  # type: ignore[arg-type]
+        rests,
+        {0: 1, 1: 0},
+        (np.full((2, 3), 9.0), np.full((2, 3), 0.9)),  # type: ignore[arg-type]
     )
     assert force.tolist() == [[9.0, 4.0, 5.0], [1.0, 2.0, 9.0]]
     assert rate.tolist() == [[0.9] * 3, [0.1, 0.2, 0.3]]
