@@ -1,5 +1,5 @@
-"""What slips of hand are worth, by the sum of squares that their repair leaves, written out; and the
-limits by which a value, a converter or a column is told."""
+"""What slips of hand are worth, by the sum of squares that their repair leaves, written out; and
+the limits by which a value, a converter or a column is told."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the array's search decides by, in small sums: halves, moves, noise of another kind, clocks."""
+"""What the array's search decides by, in small sums: halves, moves, other noise, clocks."""
 
 from __future__ import annotations
 
