@@ -98,7 +98,7 @@ def catalogue_markdown(effects: Sequence[Effect]) -> str:
         "effects(x), x = mounting(fixture(truth)). Fixture effects belong to the bench, not the "
         "tool. Every calibrator searches those whose needs its data meet; rate ω, spin dω/dt and",
         "jerk are the motion of an array, whose parameters are those of one IMU, or of all. A size",
-        "beyond the largest believable one names no cause: an effect that comes out so is not taken.",
+        "beyond the largest believable one names no cause: what comes out so is not taken.",
         "",
     ]
     for effect in effects:
