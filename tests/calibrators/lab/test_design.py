@@ -114,6 +114,20 @@ def test_what_a_ring_leaves_open_is_infinite() -> None:
     assert second.gain == pytest.approx(np.sqrt(2.0))  # the same once more
 
 
+def test_open_is_known_worse_than_three_typical_sizes() -> None:
+    """Two rings a little above and below the level: the less they are apart, the more is open."""
+    t = np.arange(0.0, 360.0, 30.0)
+    counts = set()
+    for apart in np.geomspace(0.01, 30.0, 60):
+        i = np.where(np.arange(12) % 2 == 0, apart, -apart)
+        known = np.sqrt(np.maximum(np.linalg.eigvalsh(scaled(i, t)), 0.0))
+        due = int(np.sum(3.0 * known < 1.0))
+        found = judge(MODEL, np.deg2rad(i), np.deg2rad(t), norm=True).open_directions
+        assert len(found) == due
+        counts.add(due)
+    assert len(counts) > 2
+
+
 def test_the_recommended_rings() -> None:
     """Level, +45 and -45 deg, each turned a third of its step against the last; both poles from
     fourteen positions on."""
