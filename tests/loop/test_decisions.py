@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from imucalib.calibrators.array.loop import subject
+from imucalib.core.balance import Noise
+from imucalib.core.context import Context
+from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
+from imucalib.effects import catalogue
 from imucalib.loop import candidates, choice, search, shapes
 from imucalib.loop.anytime import e_value as anytime
 from imucalib.loop.design import Fold, folds_of, parts_of
@@ -20,16 +24,19 @@ from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import LoopSettings, Wander
 from imucalib.loop.noise import shared
 from imucalib.loop.separation import repeated as again
+from imucalib.loop.separation.ambiguities import columns_of
 from imucalib.loop.separation.angle import pairs_of
 from imucalib.loop.separation.choice import Pool, informative, separating
 from imucalib.loop.separation.products import Ambiguity, Products
 from imucalib.loop.separation.prospect import Added, ends
 from imucalib.loop.wander import choice as wander_choice
 from imucalib.loop.wander import noise as wander_noise
+from imucalib.loop.wander.ambiguous import _products as worn_products
 from imucalib.loop.wander.bank import parts_of as parts_in_time
 from imucalib.loop.wander.bank import walks_of
 from imucalib.loop.wander.likelihood import Level
 from imucalib.loop.wander.walk import Walk
+from worlds.bench import base_model
 
 Array = NDArray[np.float64]
 
@@ -470,3 +477,91 @@ def test_new_data_have_an_offset_of_their_own_after_a_power_up() -> None:
     np.testing.assert_allclose(gram[3:, 3:], one.products.gram)
     assert not gram[:3, 3:].any()
     np.testing.assert_allclose(later.products.along, [0.0] * 3 + one.products.along.tolist())
+
+
+def test_columns_of_what_could_be_recorded_are_white_by_their_settings() -> None:
+    """Each position's three numbers by themselves: V = 1 + Σ sd² n nᵀ, in units of the noise; an
+    effect's own derivative at typical size."""
+    rng = np.random.default_rng(0)
+    n, sigma = 5, 3e-3
+    i, t, ids = rng.uniform(-1.0, 1.0, n), rng.uniform(0.0, 6.0, n), np.arange(n)
+    reference = KnownVector(i, t, 9.8, ids, ids)
+    model = base_model(("bias", "scale"))
+    theta = np.array([5.0, -3.0, 2.0, 0.01, -0.02, 0.005])
+    truth = reference.truth(np.zeros(2 * n))
+    reading = model.predict(theta, truth, Context(n)).reading
+    data = Observations(reading, np.full((n, 1, 3), sigma), reference, Context(n), ids, ("",) * n)
+    names, sds = KnownVector.COMPONENTS, (2e-3, 4e-3)
+    quadratic = catalogue()["quadratic"]
+    found = columns_of(model, theta, [quadratic], data, Noise(1.0, names, sds))
+
+    def by(values: Array, own: Array, angles: tuple[Array, Array]) -> Array:
+        """The reading of bias, scale and squares at angles, by their equations."""
+        u = np.stack([np.cos(angles[0]) * np.sin(angles[1]), np.cos(angles[0]) * np.cos(angles[1]),
+                      np.sin(angles[0])], axis=-1)  # fmt: skip
+        mg = 9.80665e-3
+        return 9.8 * u * (1.0 + values[3:6]) + mg * values[:3] + mg * own * (9.8 * u / 9.80665) ** 2
+
+    step = 1e-6
+    for k in range(n):
+        at = (i[k : k + 1], t[k : k + 1])
+        slopes = [(by(theta + step * e, np.zeros(3), at) - by(theta - step * e, np.zeros(3), at))[0]
+                  for e in np.eye(6)]  # fmt: skip
+        slopes += [(by(theta, step * e, at) - by(theta, -step * e, at))[0] for e in np.eye(3)]
+        typical = [50.0] * 3 + [0.03] * 3 + [3.0] * 3
+        rows = np.array(slopes).T / (2.0 * step) * typical / sigma
+        v = np.eye(3)
+        for sd, moved in zip(sds, ((step, 0.0), (0.0, step)), strict=True):
+            up, down = (by(theta, np.zeros(3), (at[0] + s * moved[0], at[1] + s * moved[1]))[0]
+                        for s in (1.0, -1.0))  # fmt: skip
+            away = sd * (up - down) / (2.0 * step) / sigma
+            v += np.outer(away, away)
+        np.testing.assert_allclose(found[k].T @ found[k], rows.T @ np.linalg.solve(v, rows),
+                                   rtol=1e-5)  # fmt: skip
+
+
+def test_a_worn_recordings_products_count_for_all_of_its_rows() -> None:
+    """Of the rows that were searched, white under the fitted walk."""
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=(2, 40, 6))
+    bank = SimpleNamespace(white=white, data=5)
+    found = SimpleNamespace(bank=bank, level=SimpleNamespace(walk=1, variance=2.5))
+    problem = SimpleNamespace(fit=SimpleNamespace(observations=SimpleNamespace(n=120)))
+    made = worn_products(problem, found, [0, 3])  # type: ignore[arg-type]
+    rows = white[1][:, [0, 3]]
+    np.testing.assert_allclose(made.gram, 3.0 / 2.5 * rows.T @ rows)
+    np.testing.assert_allclose(made.along, 3.0 / 2.5 * rows.T @ white[1][:, 5])
+    assert made.power == pytest.approx(1.2 * np.sum(white[1][:, 5] ** 2))
+    assert made.numbers == 120.0
+
+
+def path(density: float, **more: object) -> subject.MotionSubject:
+    state = SimpleNamespace(density=density)
+    made: dict[str, object] = {"residuals": None, "moving": None, "rng": None, "ages": None}
+    made.update(rules=LoopSettings(margin=3.0), left_out=frozenset())
+    return subject.MotionSubject(state=state, **{**made, **more})  # type: ignore[arg-type]
+
+
+def test_effects_owe_what_a_leading_curve_has_explained() -> None:
+    """Its evidence less the margin, until their refits have gained as much; three may try."""
+    effect, curve = score("effect", 20.0), score("curve", 30.0, kind="probe")
+    start = path(100.0)
+    start.__dict__["searched"] = SimpleNamespace(scores=(curve, effect))
+    grown = start._owing(path(112.0), effect, ())
+    assert grown.debt == pytest.approx(27.0 - 12.0)
+    assert (grown.safe, grown.taken) == (start, 1)
+    assert grown.matched == (("curve", start),)
+    grown.__dict__["searched"] = start.searched
+    paid = grown._owing(replace(grown, state=SimpleNamespace(density=127.0)), effect, ())
+    assert (paid.debt, paid.safe, paid.taken) == (0.0, None, 0)
+    owing = grown._owing(replace(grown, state=SimpleNamespace(density=126.9)), effect, ())
+    assert owing.debt == pytest.approx(0.1)
+    assert owing.taken == 2
+    # A lead of the margin is none, and an effect that leads owes nothing.
+    near = path(100.0)
+    near.__dict__["searched"] = SimpleNamespace(scores=(score("curve", 23.0, kind="probe"), effect))
+    assert near._owing(path(101.0), effect, ()).safe is None
+    leading = path(100.0)
+    leading.__dict__["searched"] = SimpleNamespace(scores=(effect, curve))
+    assert leading._owing(path(101.0), effect, ()).matched == ()
+    assert start._owing(path(101.0), effect, ("curve",)).matched == ()
