@@ -17,6 +17,7 @@ from imucalib.calibrators.actigraph.calibration_points import (
     published_still,
     two_sets,
 )
+from imucalib.calibrators.actigraph.closest_point import closest_point
 from imucalib.calibrators.actigraph.observations import (
     covariates_of,
     hours,
@@ -424,3 +425,19 @@ def test_major_codes_are_a_saw_tooth() -> None:
     curve = code_steps(5.0, period=0.2)
     np.testing.assert_allclose(curve(np.array([0.0, 0.05, 0.1, 0.15, 0.2])), [5, 0, -5, 0, 5],
                                atol=1e-9)  # fmt: skip
+
+
+def test_the_fields_rule_takes_windows_below_13_mg_and_2_g() -> None:
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((40, 3))
+    mean = G * u / np.linalg.norm(u, axis=1, keepdims=True)
+    mean[0] = [1.99 * G, 0.1, 0.1]
+    mean[1] = [2.01 * G, 0.1, 0.1]
+    mean[2] = 0.0
+    variance = np.full((40, 3), (3.0 * MG) ** 2)
+    variance[3] = (12.9 * MG) ** 2
+    variance[4, 1] = (13.1 * MG) ** 2
+    scanned = SimpleNamespace(windows=SimpleNamespace(mean=mean, variance=variance))
+    found = closest_point(scanned)  # type: ignore[arg-type]
+    assert found is not None
+    assert found.points == 37  # all but numbers 1, 2 and 4
