@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
+from imucalib.calibration.checking.limits import Limits
 from imucalib.calibration.comparison.agreement import (
     agreement,
     between,
@@ -27,7 +29,8 @@ from imucalib.calibration.comparison.attitudes import (
 from imucalib.calibration.comparison.basis import Basis
 from imucalib.calibration.comparison.compare import Comparison
 from imucalib.calibration.comparison.drift import due, slope_of
-from imucalib.calibration.comparison.meaning import Meaning
+from imucalib.calibration.comparison.meaning import Meaning, array_meanings
+from imucalib.units import DEG
 
 Array = NDArray[np.float64]
 
@@ -191,3 +194,38 @@ def test_beyond_a_limit_and_beyond_chance_at_5_of_100(
     assert one.verdict == verdict
     assert one.exit_code == code
     assert one.differ == (p <= 0.05)
+
+
+def test_an_arrays_places_and_gyros_that_differ_most() -> None:
+    """Three boards of four IMUs; the first IMU is where places are counted from."""
+    rng = np.random.default_rng(6)
+    places, rates = rng.normal(size=(3, 3, 3)), rng.normal(size=(3, 4, 3))
+    boards = [
+        SimpleNamespace(
+            triads=[SimpleNamespace(name=f"imu{k}", gyro_bias=DEG * r[k]) for k in range(4)]
+        )
+        for r in rates
+    ]
+    root = 0.1 * rng.normal(size=(3, 9, 9))
+    covariance = root @ root.swapaxes(1, 2)
+    made = Basis(("p",) * 9, ("mm",) * 9, places.reshape(3, 9), covariance, np.full(3, 9.0), "")
+    (place, rate), (said,) = array_meanings(boards, made, Limits(position=0.5, rate=0.7))  # type: ignore[arg-type]
+    away = places[:, None] - places[None]
+    far = np.linalg.norm(away, axis=3)
+    i, j, k = (int(v) for v in np.unravel_index(np.argmax(far), far.shape))
+    assert set(place.worst.pair) == {i, j}
+    assert place.worst.value == pytest.approx(far.max())
+    assert place.sensor == f"imu{k + 1}"
+    assert place.limit == 0.5
+    along = away[i, j, k] / far.max()
+    own = covariance[[i, j], 3 * k : 3 * k + 3, 3 * k : 3 * k + 3].sum(axis=0)
+    assert place.worst.sd == pytest.approx(np.sqrt(along @ own @ along))
+    apart = np.abs(rates[:, None] - rates[None])
+    i, j, k, axis = (int(v) for v in np.unravel_index(np.argmax(apart), apart.shape))
+    assert set(rate.worst.pair) == {i, j}
+    assert rate.worst.value == pytest.approx(apart.max())
+    assert rate.sensor == f"imu{k}"
+    assert f"{apart.max():.2g} deg/s at most (imu{k}, {'xyz'[axis]})" in said
+    # Without limits: twice the largest stated sd of a coordinate.
+    (place,), _ = array_meanings(boards, made, Limits())  # type: ignore[arg-type]
+    assert place.limit == pytest.approx(2.0 * np.sqrt(np.einsum("kii->ki", covariance).max()))

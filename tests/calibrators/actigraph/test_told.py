@@ -441,3 +441,36 @@ def test_the_fields_rule_takes_windows_below_13_mg_and_2_g() -> None:
     found = closest_point(scanned)  # type: ignore[arg-type]
     assert found is not None
     assert found.points == 37  # all but numbers 1, 2 and 4
+
+
+def test_the_papers_coefficients_are_the_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Corrected = K (raw + o), K lower triangular: the same force from the effects' parameters."""
+    rng = np.random.default_rng(11)
+    u = rng.standard_normal((18, 3))
+    points = 1.02 * u / np.linalg.norm(u, axis=1, keepdims=True) + 0.01
+    p = np.array([1.01, 0.98, 1.02, 0.003, -0.004, 0.005, 0.02, -0.03, 0.01])
+    gain = np.array([[1.01, 0.0, 0.0], [0.003, 0.98, 0.0], [-0.004, 0.005, 1.02]])
+    expected = (points + p[6:]) @ gain.T
+    found = published.published_fit(p, points, 9.8)
+    read = found.model.correct(found.theta, 9.8 * points[:, None], found.observations.context)
+    np.testing.assert_allclose(read[:, 0] / 9.8, expected, atol=1e-9)
+    jacobian = found.at.jacobian
+    whole = found.noise.factor**2 * np.linalg.inv(jacobian.T @ jacobian)
+    np.testing.assert_allclose(found.covariance, whole, rtol=1e-6)
+    # Errors of both sets, in mg.
+    second = points[:5] * 1.1
+    sets = (SimpleNamespace(points=list(points)), SimpleNamespace(points=list(second)))
+    monkeypatch.setattr(published, "METHODS", {"m": lambda _: p})
+    (method,) = published.compared(*sets)  # type: ignore[arg-type]
+    for value, some in ((method.fitted, points), (method.verified, second)):
+        size = np.linalg.norm((some + p[6:]) @ gain.T, axis=1)
+        assert value == pytest.approx(1e3 * np.mean(np.abs(size - 1.0)))
+    chosen = published.PublishedMethod("m", p, 3.0, 4.0, 50.0)
+    told = published._error(chosen, found, points, second)
+    assert told.raw == pytest.approx(1e3 * np.mean(np.abs(np.linalg.norm(points, axis=1) - 1.0)))
+    assert told.base == told.final == 3.0
+    assert told.floor == pytest.approx(found.noise.factor * np.sqrt(2.0 / np.pi))
+    raw = 1e3 * np.mean(np.abs(np.linalg.norm(second, axis=1) - 1.0))
+    assert told.held_out.raw == pytest.approx(raw)
+    assert told.held_out.final == 4.0
+    assert np.isnan(published._error(chosen, found, points, second[:0]).held_out.raw)
