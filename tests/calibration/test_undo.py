@@ -13,7 +13,10 @@ from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.undo import Undo
 from imucalib.core.context import Context
+from imucalib.core.effect import Response
 from imucalib.core.model import Model
+from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
 from imucalib.effects import catalogue, known, named
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -159,3 +162,43 @@ def test_every_steady_effect_of_the_catalogue_is_undone() -> None:
         exact = model.correct(theta, reading[:, None], context)[:, 0]
         assert np.allclose(Undo(model, theta)(reading, context).force, exact, atol=1e-3 * MG), name
     assert named("bias") is not None
+
+
+def test_an_effect_of_its_own_with_a_slope_and_a_product_is_undone() -> None:
+    per = MG / STANDARD_GRAVITY
+
+    def basis(truth: Truth, _: Context) -> Array:
+        x = truth.force
+        out = np.zeros((*x.shape, 1))
+        out[..., 2, 0] = per * (4.0 * x[..., 0] + x[..., 0] * x[..., 1] / STANDARD_GRAVITY) + MG
+        return out
+
+    own = Response(
+        "leak", "x leaks into z.", "y_z = x_z + c (1 + 4 x_x + x_x x_y)", "made", "none",
+        each=(Parameter("leak", "mg", 3.0, 60.0),), basis=basis,
+    )  # fmt: skip
+    model = Model((*(effect for n in NINE if (effect := known(n))), own))
+    theta = np.array([20.0, -9.0, 4.0, 5.0, -3.0, 2.0, 1.0, -2.0, 3.0, 6.0])
+    force, context = around(60, 2)
+    reading = model.predict(theta, force[:, None], context).reading[:, 0]
+    assert np.abs(reading - force).max() > 20.0 * MG
+    np.testing.assert_allclose(Undo(model, theta)(reading, context).force, force, atol=1e-3 * MG)
+
+
+@pytest.mark.parametrize("later", [0.0, 7200.0, -3600.0])
+def test_the_time_of_day_and_of_the_calibration_go_by_the_clock(later: float) -> None:
+    """A bias of one day's period and a drift, as numbers by hand."""
+    start = 1_700_000_000  # s; 22:13:20 UTC
+    names = ("bias", "bias_drift", "time_of_day")
+    made = calibration(names, {"order": (0.0, 1.0)})
+    clock = {"start_ns": str(start * 10**9), "span_s": 600.0}
+    made = replace(made, facts={"clock": clock})
+    values = np.array([p.value for p in made.parameters]) * MG
+    bias, drift, cosine, sine = values.reshape(4, 3)
+    log = replace(recorded(50), start_ns=int((start + later) * 10**9))
+    t = np.arange(50.0) + later
+    angle = 2.0 * np.pi * (22.0 * 3600.0 + 800.0 + t) / 86400.0
+    by_day = np.cos(angle)[:, None] * cosine + np.sin(angle)[:, None] * sine
+    expected = log.channels["acc"].values - bias - by_day - (t / 600.0 - 0.5)[:, None] * drift
+    found = apply_to_recording(made, log).channels["acc"].values
+    np.testing.assert_allclose(found, expected, atol=1e-9)

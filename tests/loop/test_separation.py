@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations
@@ -13,12 +14,13 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.found import FitLoop
+from imucalib.loop.noise.grid import TAU
 from imucalib.loop.separation.ambiguities import ambiguities
 from imucalib.loop.separation.angle import Pair, apart, pairs_of
 from imucalib.loop.separation.choice import Pool, separating, total_of
 from imucalib.loop.separation.plan import FEWEST, separation
-from imucalib.loop.separation.products import Ambiguity
-from imucalib.loop.separation.prospect import Added, ends
+from imucalib.loop.separation.products import Ambiguity, Products
+from imucalib.loop.separation.prospect import Added, Drawn, alone, ends
 from imucalib.units import MG
 from worlds.bench import base_model
 
@@ -154,3 +156,52 @@ def test_more_of_the_same_ends_more_often(truth: str, other: str) -> None:
     assert shares == sorted(shares)
     assert shares[0] < 0.6
     assert shares[-1] > 0.98
+
+
+def judged(rows: np.ndarray, y: np.ndarray, found: list[np.ndarray]) -> bool:
+    """Whether the first block is alone for one draw of the data: by covariances and least squares
+    on contrasts that the base (two columns) leaves nothing in."""
+    away = null_space(rows[:, :2].T)
+    data, freedom = away.T @ y, len(rows) - 2
+    blocks = [away.T @ rows[:, at] for at in found]
+
+    def nats(block: np.ndarray) -> float:
+        def one(tau: float) -> float:
+            covariance = np.eye(freedom) + tau**2 * block @ block.T
+            power = data @ np.linalg.solve(covariance, data)
+            change = np.log(power) - np.log(data @ data)
+            return float(-0.5 * np.linalg.slogdet(covariance)[1] - 0.5 * freedom * change)
+
+        return max(one(tau) for tau in TAU)
+
+    first, *others = blocks
+    best = nats(first)
+    theta, (rest,) = np.linalg.lstsq(first, data, rcond=None)[:2]
+    noise = np.sqrt(rest / (freedom - first.shape[1]))
+    for other in others:
+        signal = first @ theta
+        left = signal - other @ np.linalg.lstsq(other, signal, rcond=None)[0]
+        close = np.linalg.norm(left) < 2.0 * noise
+        own = nats(other)
+        if own >= max(best - 3.0, 0.5 * best) or (own >= 0.5 * best and close):
+            return False
+    return True
+
+
+@pytest.mark.parametrize("size", [0.3, 0.5, 0.8])
+def test_a_rival_is_alone_by_evidence_and_by_what_the_others_cannot_explain(size: float) -> None:
+    rng = np.random.default_rng(7)
+    rows = rng.standard_normal((11, 7))
+    rows[:, 4:6] = 0.6 * rows[:, 2:4] + rows[:, 4:6]
+    found = [np.array([2, 3]), np.array([4, 5]), np.array([6])]
+    names = ("true", "near", "far")
+    y = (size * rows[:, 2:4] @ np.array([2.0, -1.0]))[:, None] + rng.standard_normal((11, 300))
+    one = Ambiguity(
+        "true", ("base",), tuple("abcdefg"), names, dict(zip(names, found, strict=True)), {},
+        Products(rows.T @ rows, rows.T @ y[:, 0], 1.0, 11.0), 9.0,
+    )  # fmt: skip
+    data = Drawn(rows.T @ rows, rows.T @ y, np.sum(y**2, axis=0), 11.0)
+    share = alone(one, data, "true", names[1:])
+    assert 0.03 < share.mean() < 0.97
+    expected = [judged(rows, y[:, k], found) for k in range(300)]
+    np.testing.assert_array_equal(share, expected)

@@ -31,12 +31,14 @@ _TOKEN = re.compile(r"\s*(\d+\.?\d*|[A-Za-zα-ωΑ-Ω]\w*'?|\*\*|[-+*/()\[\]>Σ]
 
 @dataclass(frozen=True)
 class Entry:
-    """One effect as the page prints it. parameters : name -> unit; typical : their sizes."""
+    """One effect as the page prints it. parameters : name -> unit; typical, most : their
+    sizes, and those beyond which they are not believed."""
 
     name: str
     equation: str
     parameters: Mapping[str, str]
     typical: tuple[float, ...] = ()
+    most: tuple[float, ...] = ()
 
 
 def page(path: Path = PAGE) -> dict[str, Entry]:
@@ -48,9 +50,12 @@ def page(path: Path = PAGE) -> dict[str, Entry]:
         listed = re.search(r"^- Parameters: (.*)$", part, re.M)
         if equation is None or listed is None:
             continue
-        found = re.findall(r"`(\w+)` typical ([-+.\de]+) ?([^;]*)", listed[1])
-        units = {n: unit.strip() for n, _, unit in found}
-        out[name] = Entry(name, equation[1], units, tuple(float(size) for _, size, _ in found))
+        number = r"([-+.\de]+|inf)"
+        size = rf"`(\w+)` typical {number} \(at most {number}\) ?([^;]*)"
+        found = re.findall(size, listed[1])
+        units = {n: unit.strip() for n, _, _, unit in found}
+        typical, most = (tuple(float(row[k]) for row in found) for k in (1, 2))
+        out[name] = Entry(name, equation[1], units, typical, most)
     return out
 
 

@@ -87,6 +87,7 @@ def test_sizes_and_names_are_those_of_the_page(name: str) -> None:
     assert tuple(p.name for p in parameters) == tuple(PAGE[name].parameters)
     assert tuple(p.unit for p in parameters) == tuple(PAGE[name].parameters.values())
     np.testing.assert_allclose([p.typical for p in parameters], PAGE[name].typical)
+    np.testing.assert_allclose([p.plausible for p in parameters], PAGE[name].most)
 
 
 def test_the_page_has_every_effect() -> None:

@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import (
+    TIME_UNITS,
     FieldMapping,
     from_dict,
     load_mapping,
     parse_axis_map,
     save_mapping,
 )
+from imucalib.recording.recording import Channel
 
 NAMES = st.text(
     st.characters(codec="utf-8", exclude_categories=("Cs", "Cc"), exclude_characters=","),
@@ -64,6 +66,10 @@ def test_saved_and_loaded(mapping: FieldMapping, tmp_path: Path) -> None:
         ({"time_unit": "days"}, "unknown time unit"),
         ({"decimal": ";"}, "neither"),
         ({"lsb_per_g": [0]}, "not zero"),
+        ({"lsb_per_dps": [1.0, float("inf")]}, "finite"),
+        ({"rate": 0}, "not a positive number"),
+        ({"axis_map": "x,y,--z"}, "x, y and z once each"),
+        ({"axis_map": "x,y,z,x"}, "x, y and z once each"),
     ],
 )
 def test_bad_fields_are_named(data: dict[str, object], match: str) -> None:
@@ -99,3 +105,18 @@ def test_axis_maps(order: list[str], flips: list[bool]) -> None:
     for i, (axis, flip) in enumerate(zip(order, flips, strict=True)):
         want = values[..., "xyz".index(axis)] * (-1 if flip else 1)
         np.testing.assert_array_equal(got[..., i], want)
+
+
+def test_what_is_just_right_is_taken() -> None:
+    assert from_dict({"skip": 0}).skip == 0
+    assert from_dict({"lsb_per_g": "-256,256,256"}).lsb_per_g == (-256.0, 256.0, 256.0)
+    assert from_dict({"rate": 1e-9}).rate == 1e-9
+    assert parse_axis_map(" +x, -y ,z") == parse_axis_map("x,-y,z")
+    assert TIME_UNITS == {"s": 1.0, "ms": 0.001, "us": 1e-6, "ns": 1e-9, "100us": 0.0001}
+
+
+@pytest.mark.parametrize("values", [np.zeros(4), np.zeros((3, 2)), np.zeros((4, 2, 1))])
+def test_a_channel_has_a_row_for_every_instant(values: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="shapes differ"):
+        Channel(np.arange(4.0), values, "m/s2", "acceleration", "imu0", 1.0)
+    Channel(np.arange(4.0), np.zeros((4, 1)), "m/s2", "acceleration", "imu0", 1.0)

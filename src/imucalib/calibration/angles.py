@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.calibration.calibration import NEVER_APPLIED, Calibration
+from imucalib.calibration.calibration import Calibration
 from imucalib.core.context import Context
 from imucalib.core.references import angles_of
 from imucalib.rests.segments import Segments
@@ -90,8 +90,7 @@ def _angles(calibration: Calibration, force: Array, noise: Array, t: Array, stil
 def _uncertainty(calibration: Calibration, force: Array, noise: Array) -> Array:
     """(4, n) deg: inclination by the calibration and in all, tool-face likewise."""
     model, theta = calibration.model()
-    keep = [i for i, p in enumerate(calibration.parameters) if p.stage not in NEVER_APPLIED]
-    covariance = calibration.covariance[np.ix_(keep, keep)]
+    covariance = calibration.covariance_of(model)
     middle = {n: np.full(len(force), 0.5 * (a + b)) for n, (a, b) in calibration.valid.items()}
     # Attitude alone counts: what moves beside gravity is no rest.
     direction = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)

@@ -78,6 +78,11 @@ class Calibration:
         by_effect = {n: [p.value for p in self.parameters if p.effect == n] for n in names}
         return model, np.array([v for e in model.effects for v in by_effect[e.name]])
 
+    def covariance_of(self, model: Model) -> Array:
+        """(p, p) of the θ of `model`, in its order, whatever the order of the file's parameters."""
+        at = [k for e in model.effects for k, p in enumerate(self.parameters) if p.effect == e.name]
+        return np.asarray(self.covariance[np.ix_(at, at)])
+
     def apply(self, reading: Array, context: Context | None = None) -> Array:
         """Correct readings (n, 3) in m/s² to specific force (n, 3) in m/s² in the tool's frame.
 
@@ -102,8 +107,7 @@ class Calibration:
     @cached_property
     def _matrices(self) -> Matrices:
         model, theta = self.model()
-        keep = [k for k, p in enumerate(self.parameters) if p.stage not in NEVER_APPLIED]
-        return matrices(model, theta, self.covariance[np.ix_(keep, keep)])
+        return matrices(model, theta, self.covariance_of(model))
 
 
 def stored_parameters(fit: Fit) -> tuple[StoredParameter, ...]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import NEVER_APPLIED, Calibration
+from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.mark import identity
 from imucalib.core.sphere import even_directions
 from imucalib.exports import Export, Made
@@ -105,10 +105,9 @@ def _sd(calibration: Calibration) -> Array:
     """(3,) m/s², the largest of a corrected 1 g over the sphere and the calibrated ranges."""
     model, theta = calibration.model()
     seen = sphere_of(calibration)
-    keep = [k for k, p in enumerate(calibration.parameters) if p.stage not in NEVER_APPLIED]
     own = model.predict(theta, seen.force[:, None], seen.context)
     slope = np.asarray(np.linalg.solve(own.d_truth[:, 0], own.d_theta[:, 0]), np.float64)
-    return _largest(slope, calibration.covariance[np.ix_(keep, keep)])
+    return _largest(slope, calibration.covariance_of(model))
 
 
 def _triad_sd(gain: Array, covariance: Array) -> Array:

@@ -97,11 +97,15 @@ def catalogue_markdown(effects: Sequence[Effect]) -> str:
         "Generated from the code by `make docs`. Effects act on the truth: reading = x + Σ sensor",
         "effects(x), x = mounting(fixture(truth)). Fixture effects belong to the bench, not the "
         "tool. Every calibrator searches those whose needs its data meet; rate ω, spin dω/dt and",
-        "jerk are the motion of an array, whose parameters are those of one IMU, or of all.",
+        "jerk are the motion of an array, whose parameters are those of one IMU, or of all. A size",
+        "beyond the largest believable one names no cause: what comes out so is not taken.",
         "",
     ]
     for effect in effects:
-        sizes = "; ".join(f"`{p.name}` typical {p.typical:g} {p.unit}" for p in _parameters(effect))
+        sizes = "; ".join(
+            f"`{p.name}` typical {p.typical:g} (at most {p.plausible:g}) {p.unit}"
+            for p in _parameters(effect)
+        )
         lines += [
             f"## {effect.name}",
             "",

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imucalib.calibrators.actigraph import wear
 from imucalib.calibrators.actigraph.closest_point import closest_point
 from imucalib.calibrators.actigraph.observations import observations_of
 from imucalib.calibrators.actigraph.wear import Minutes, Wear, activity_of, minutes_of, wear_of
@@ -99,6 +100,29 @@ def test_the_field_needs_both_signs(scanned: Scan) -> None:
     rule = closest_point(replace(scanned, windows=replace(w, **cut)))
     assert rule is not None
     assert not rule.enough
+
+
+def test_what_bends_counts_in_enmo_at_the_mean_of_its_minute(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of samples that stand still for a minute that is exact."""
+
+    def bent(_: object, x: np.ndarray) -> np.ndarray:
+        return 1.02 * x + 0.1 + 0.004 * x**2 * np.sign(x)
+
+    monkeypatch.setattr(wear, "corrected_by", bent)
+    rng = np.random.default_rng(3)
+    u = rng.standard_normal((5, 3))
+    each = 1.03 * STANDARD_GRAVITY * u / np.linalg.norm(u, axis=1, keepdims=True)
+    values = np.repeat(each, 60, axis=0)
+    channel = Channel(np.arange(300.0), values, "m/s2", "acceleration", "imu0", 1.0)
+    made = minutes_of([Recording({"a": channel}, "", "", "")], "imu0", None)  # type: ignore[arg-type]
+    assert made.minute.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert made.count.tolist() == [60.0] * 5
+    for found, reading in ((made.raw, each), (made.corrected, bent(None, each))):
+        over = np.linalg.norm(reading, axis=1) - STANDARD_GRAVITY
+        assert (over > 0.0).all()
+        np.testing.assert_allclose(found, over)
 
 
 def test_enmo_is_that_of_the_corrected_samples(recording: Recording, scanned: Scan) -> None:

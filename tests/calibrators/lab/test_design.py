@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.calibrators.lab.design import judge, uniform_directions
+from imucalib.calibrators.lab.conventions import PRESETS
+from imucalib.calibrators.lab.design import (
+    design_of,
+    judge,
+    recommend,
+    settings_of,
+    uniform_directions,
+)
 from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.effects import named
@@ -53,3 +60,95 @@ def test_the_position_that_tells_most_is_offered(pole: float) -> None:
     assert grid[int(np.argmax(worth))] == (pole, 0.0)
     first = judge(MODEL, np.deg2rad(i), np.deg2rad(t), norm=True).additions[0]
     assert first.inclination == pytest.approx(pole)
+
+
+def scaled(i: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Information of positions for 1 mg of noise: `columns` are in g."""
+    return 1e6 * columns(i, t).T @ columns(i, t)
+
+
+def test_efficiency_sd_and_gain_are_those_of_the_information() -> None:
+    """D-efficiency: the root of the determinant's share of a uniform sphere's, per reading."""
+    rng = np.random.default_rng(4)
+    i, t = rng.uniform(-80.0, 80.0, 30), rng.uniform(0.0, 360.0, 30)
+    found = judge(MODEL, np.deg2rad(i), np.deg2rad(t), norm=True)
+    known, sphere = scaled(i, t), scaled(*np.rad2deg(uniform_directions(4000)))
+    share = np.linalg.slogdet(known / 30.0)[1] - np.linalg.slogdet(sphere / 4000.0)[1]
+    assert found.efficiency == pytest.approx(np.exp(share / 9.0), rel=1e-6)
+    sd = np.sqrt(np.diag(np.linalg.inv(known)))
+    typical = np.array([p.typical for p in MODEL.parameters(Context(1))])
+    np.testing.assert_allclose(found.sd, sd * typical, rtol=1e-6)
+    assert found.positions == 30
+
+    more, count = known, 30
+    for added in found.additions:
+        before = np.sqrt(np.diag(np.linalg.inv(more)))
+        more = more + scaled(*np.array([[added.inclination], [added.tool_face]]))
+        count += 1
+        gain = before / np.sqrt(np.diag(np.linalg.inv(more)))
+        assert added.gain == pytest.approx(gain.max(), rel=1e-6)
+        assert added.parameter == found.names[int(np.argmax(gain))]
+        share = np.linalg.slogdet(more / count)[1] - np.linalg.slogdet(sphere / 4000.0)[1]
+        assert added.efficiency == pytest.approx(np.exp(share / 9.0), rel=1e-6)
+    assert len(found.additions) == 2
+
+
+def test_what_a_ring_leaves_open_is_infinite() -> None:
+    """Level rings never turn z to gravity: its bias, scale and angles stay open, the rest not."""
+    t = np.arange(0.0, 360.0, 30.0)
+    found = judge(MODEL, 0.0 * t, np.deg2rad(t), norm=True)
+    assert found.efficiency == 0.0
+    shut = [n for n, sd in zip(found.names, found.sd, strict=True) if np.isfinite(sd)]
+    known = columns(0.0 * t, t)
+    seen = [n for n, c in zip(found.names, known.T, strict=True) if np.linalg.norm(c) > 1e-9]
+    assert shut == seen
+    assert 0 < len(seen) < 9
+    part = [found.names.index(n) for n in seen]
+    sd = np.sqrt(np.diag(np.linalg.inv(1e6 * known[:, part].T @ known[:, part])))
+    typical = np.array([p.typical for p in MODEL.parameters(Context(1))])
+    np.testing.assert_allclose(found.sd[part], (sd * typical[part]), rtol=1e-6)
+    bias = judge(Model((named("bias"),)), 0.0 * t, np.deg2rad(t), norm=True)
+    assert np.isfinite(bias.sd).tolist() == [True, True, False]
+    first, second = bias.additions
+    assert (abs(first.inclination), first.gain, first.parameter) == (90.0, np.inf, bias.names[2])
+    assert second.gain == pytest.approx(np.sqrt(2.0))  # the same once more
+
+
+def test_open_is_known_worse_than_three_typical_sizes() -> None:
+    """Two rings a little above and below the level: the less they are apart, the more is open."""
+    t = np.arange(0.0, 360.0, 30.0)
+    counts = set()
+    for apart in np.geomspace(0.01, 30.0, 60):
+        i = np.where(np.arange(12) % 2 == 0, apart, -apart)
+        known = np.sqrt(np.maximum(np.linalg.eigvalsh(scaled(i, t)), 0.0))
+        due = int(np.sum(3.0 * known < 1.0))
+        found = judge(MODEL, np.deg2rad(i), np.deg2rad(t), norm=True).open_directions
+        assert len(found) == due
+        counts.add(due)
+    assert len(counts) > 2
+
+
+def test_the_recommended_rings() -> None:
+    """Level, +45 and -45 deg, each turned a third of its step against the last; both poles from
+    fourteen positions on."""
+    i, t = np.rad2deg(recommend(14))
+    np.testing.assert_allclose(i, [0.0] * 4 + [45.0] * 4 + [-45.0] * 4 + [90.0, -90.0])
+    np.testing.assert_allclose(
+        t, [0, 90, 180, 270, 30, 120, 210, 300, 60, 150, 240, 330, 0, 0], atol=1e-9
+    )
+    assert np.abs(recommend(13)[0]).max() == pytest.approx(np.pi / 4.0)
+    i, t = np.rad2deg(recommend(8, axes=1))
+    np.testing.assert_allclose(i, 0.0)
+    np.testing.assert_allclose(t, 45.0 * np.arange(8))
+    assert settings_of(*recommend(14)) == (5, 13)
+
+
+def test_a_plan_is_judged_in_the_users_convention() -> None:
+    """Drilling counts inclination from the vertical and tool-face from -y."""
+    i, t = recommend(20)
+    own = PRESETS["drilling-gravity"].outside(i, t)
+    found = design_of(*own, PRESETS["drilling-gravity"])
+    np.testing.assert_allclose(own[0], 90.0 - np.rad2deg(i))
+    assert found.norm.efficiency == pytest.approx(judge(MODEL, i, t, norm=True).efficiency)
+    assert len(found.vector.names) == 12
+    assert found.vector.efficiency > found.norm.efficiency

@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from imucalib import cli
+from imucalib.calibrators.lab.misread import _composed
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.repairs import Repairs, repaired, repairs_of
 from imucalib.errors import ImucalError, UsageError
@@ -147,6 +149,16 @@ def test_axes_and_cells() -> None:
     assert changed.raw()[1].tolist() == [-9.0, 2.0, 0.0]
     assert changed.columns["tool_face"][1] == 7.0
     assert changed.unit["inclination"] == "rad"
+
+
+def test_axes_over_axes_are_one_after_the_other() -> None:
+    def read_as(before: PositionTable, axes: str) -> PositionTable:
+        return repaired(before, repairs_of((), (), (), axes, None), (), False)[0]
+
+    for over, under in product(("-z,x,-y", "x,-y,-z", "y,z,x"), ("z,-y,x", "-x,-z,y", "x,y,z")):
+        at_once = _composed(over.split(","), tuple(under.split(",")))
+        both = read_as(read_as(table(), under), over)
+        assert read_as(table(), at_once).raw().tolist() == both.raw().tolist()
 
 
 @pytest.mark.parametrize(

@@ -15,11 +15,14 @@ from imucalib import cli
 from imucalib.core.observations import Observations
 from imucalib.effects import catalogue
 from imucalib.estimators.least_squares import fit
-from imucalib.loop.anytime.e_value import SCATTER, SIZES, e_value, log_e_value
+from imucalib.loop.anytime.e_value import e_value, log_e_value
 from imucalib.loop.candidates import effect_candidates
 from worlds.bench import NINE, base_model, bench, draw, ordinary_theta, tumble
 
 DEG = np.pi / 180.0
+# Laid down before the data: deg of a setting at a noise of one, sizes over an effect's typical one.
+SCATTER = (0.0, 0.03, 0.1, 0.3)
+SIZES = (0.05, 0.2, 0.8)
 
 
 def _clean(seed: int, n: int, *, angles: bool) -> Observations:

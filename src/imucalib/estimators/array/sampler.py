@@ -146,7 +146,8 @@ def refuse_collapse(geometry: Array, nominal: Array) -> None:
     centred, drawn = geometry - geometry.mean(axis=0), nominal - nominal.mean(axis=0)
     _, values, axes = np.linalg.svd(drawn, full_matrices=False)
     wide = values > 1e-6
-    extent = np.linalg.norm(centred @ axes.T, axis=0)[wide] / values[wide]
+    # Sorted extents: a square has no axes of its own along which to look for the short side.
+    extent = np.linalg.svd(centred @ axes[wide].T, compute_uv=False) / values[wide]
     least = float(extent.min(initial=np.inf))
     if least < COLLAPSED:
         raise Undetermined(

@@ -5,47 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.board import Board, read_board
+from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.estimate.covariance import stated_covariance
 from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
 from imucalib.calibrators.array.estimate.response import information
-from imucalib.calibrators.array.gyros import relative_gyros
 from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.state import ArrayState, start_state
-from imucalib.calibrators.array.moving import Moving
-from worlds.boards import DEG, BoardPlan, twisted
+from imucalib.calibrators.array.loop.state import start_state
+from worlds.boards import BoardPlan
+from worlds.twisted_board import BOARD, fitted, moved
 
-BOARD = read_board("mimu4444_corners")
 TWIST = BoardPlan(twist_s=6.0)
-
-
-def moved(
-    plan: BoardPlan, rng: np.random.Generator, board: Board = BOARD
-) -> tuple[Moving, np.ndarray]:
-    """The twisting part alone, calibrated perfectly, by numpy; and the true positions."""
-    true = board.drawn + rng.normal(size=board.drawn.shape) * plan.places
-    true -= true[0]
-    w, spin, force = twisted(plan, rng)
-    n, k = len(w), board.count
-    felt = force[:, None] + np.cross(w[:, None], np.cross(w[:, None], true))
-    felt = felt + np.cross(spin[:, None], true)
-    noise = rng.normal(size=(2, n, k, 3))
-    if np.isfinite(plan.tails):
-        noise /= np.sqrt(rng.chisquare(plan.tails, (2, n, k, 1)) / plan.tails)
-    rate = w[:, None] + noise[1] * plan.sigma_gyro * DEG
-    good = np.flatnonzero(np.linalg.norm(w, axis=1) > 200.0 * DEG)
-    t = np.arange(n) / plan.hz
-    gyros = relative_gyros(rate, good)
-    return Moving(t, felt + noise[0] * plan.sigma, rate, gyros, good, 1.0 / plan.hz, {}), true
-
-
-def fitted(
-    plan: BoardPlan, seed: int, samples: int, board: Board = BOARD
-) -> tuple[ArrayState, np.ndarray]:
-    moving, true = moved(plan, np.random.default_rng(seed), board)
-    setup = array_setup(moving, board, samples, robust=True)
-    assert setup is not None
-    return start_state(setup, ()), true
 
 
 @pytest.mark.parametrize("tails", [3.0, np.inf])

@@ -1,0 +1,231 @@
+"""Whether calibrations agree, scatter and drift: each number by its equation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+from imucalib.calibration.checking.limits import Limits
+from imucalib.calibration.comparison.agreement import (
+    agreement,
+    between,
+    noise_dof,
+    odd_ones,
+    scatter,
+)
+from imucalib.calibration.comparison.attitudes import (
+    Seen,
+    Worst,
+    largest_sd,
+    pairs_of,
+    worst_size,
+    worst_turn,
+)
+from imucalib.calibration.comparison.basis import Basis
+from imucalib.calibration.comparison.compare import Comparison
+from imucalib.calibration.comparison.drift import due, slope_of
+from imucalib.calibration.comparison.meaning import Meaning, array_meanings
+from imucalib.units import DEG
+
+Array = NDArray[np.float64]
+
+
+def basis(seed: int = 0, m: int = 4) -> Basis:
+    rng = np.random.default_rng(seed)
+    roots = rng.normal(size=(m, 2, 2))
+    covariance = roots @ roots.swapaxes(1, 2) + 0.3 * np.eye(2)
+    dof = np.array([9.0, 20.0, 14.0, 30.0])[:m]
+    return Basis(("a", "b"), ("mg", "1"), 2.0 * rng.normal(size=(m, 2)), covariance, dof, "")
+
+
+def test_all_agree_by_generalised_least_squares() -> None:
+    made = basis()
+    white = [np.linalg.inv(np.linalg.cholesky(c)) for c in made.covariance]
+    y = np.concatenate([w @ v for w, v in zip(white, made.value, strict=True)])
+    x = np.concatenate(white)
+    mean, rest = np.linalg.lstsq(x, y, rcond=None)[:2]
+    found = agreement(made)
+    np.testing.assert_allclose(found.mean, mean)
+    np.testing.assert_allclose(found.mean_sd, np.sqrt(np.diag(np.linalg.inv(x.T @ x))))
+    assert found.chi2 == pytest.approx(rest[0])
+    assert found.dof == 6
+    assert found.z_rms == pytest.approx(np.sqrt(rest[0] / 6.0))
+    assert found.p == pytest.approx(stats.f.sf(rest[0] / 6.0, 6, found.noise_dof))
+    # Each against the mean of the others.
+    for k in range(4):
+        others = [j for j in range(4) if j != k]
+        weight = np.sum([np.linalg.inv(made.covariance[j]) for j in others], axis=0)
+        own = np.linalg.inv(weight)
+        weighted = [np.linalg.solve(made.covariance[j], made.value[j]) for j in others]
+        other = own @ np.sum(weighted, axis=0)
+        whole = made.covariance[k] + own
+        away = made.value[k] - other
+        np.testing.assert_allclose(found.z[k], away / np.sqrt(np.diag(whole)))
+        nu = noise_dof(np.array([made.covariance[k], own]),
+                       np.array([made.dof[k], made.dof[others].sum()]))  # fmt: skip
+        due = stats.f.sf(away @ np.linalg.solve(whole, away) / 2.0, 2, nu)
+        assert found.without[k] == pytest.approx(due)
+
+
+def test_freedom_is_shared_as_the_covariances_are() -> None:
+    """Of equal covariances by the harmonic mean: m² over the sum of 1 / ν."""
+    one = np.array([[2.0, 0.3], [0.3, 1.0]])
+    assert noise_dof(np.array([one, one, one]), np.array([4.0, 8.0, 8.0])) == pytest.approx(18.0)
+    assert noise_dof(np.array([one, 1e-9 * one]), np.array([4.0, 90.0])) == pytest.approx(4.0)
+
+
+def test_the_scatter_solves_its_own_equation() -> None:
+    """Q(τ²) = m - 1, and the quantiles of χ² for its interval; nothing where they agree."""
+    rng = np.random.default_rng(1)
+    value, variance = 3.0 * rng.normal(size=6), rng.uniform(0.1, 0.5, 6)
+
+    def q(tau: float) -> float:
+        w = 1.0 / (variance + tau**2)
+        return float(np.sum(w * (value - np.sum(w * value) / np.sum(w)) ** 2))
+
+    sd, low, high = between(value, variance)
+    assert q(sd) == pytest.approx(5.0, rel=1e-6)
+    assert q(low) == pytest.approx(stats.chi2.ppf(0.975, 5), rel=1e-6)
+    assert q(high) == pytest.approx(stats.chi2.ppf(0.025, 5), rel=1e-6)
+    assert between(np.full(6, 2.0), variance) == (0.0, 0.0, 0.0)
+    made = basis()
+    found = scatter(made)
+    assert found is not None
+    assert found.sd[1] == pytest.approx(between(made.value[:, 1], made.covariance[:, 1, 1])[0])
+    assert scatter(basis(m=2)) is None
+
+
+def test_fewer_than_half_may_be_the_odd_ones() -> None:
+    def of(*away: float) -> tuple[int, ...]:
+        m = len(away)
+        value = np.array(away)[:, None] * np.ones(2)
+        return odd_ones(Basis(("a", "b"), ("", ""), value, np.tile(np.eye(2), (m, 1, 1)),
+                              np.full(m, 1e6), ""), 0.05)  # fmt: skip
+
+    assert of(0.0, 0.1, -0.1) == ()
+    assert of(0.0, 9.0, 0.1) == (1,)
+    assert of(0.0, 9.0) == ()
+    assert of(0.0, 9.0, 0.1, -9.0) == ()  # two of four
+    assert of(0.0, 9.0, 0.1, -9.0, 0.2) == (1, 3)
+    assert of(0.0, 4.0, 8.0, 12.0, 16.0) == ()
+
+
+def test_a_slope_is_weighted_least_squares_with_what_scatters_beside() -> None:
+    days = np.array([0.0, 10.0, 40.0, 100.0])
+    variance = np.array([0.01, 0.04, 0.02, 0.01])
+    exact = slope_of(days, 0.5 + 0.03 * days, variance)
+    x = np.column_stack([np.ones(4), days]) / np.sqrt(variance)[:, None]
+    sd = np.sqrt(np.linalg.inv(x.T @ x)[1, 1])
+    assert exact.value == pytest.approx(0.03)
+    assert exact.half == pytest.approx(stats.t.ppf(0.975, 2) * sd)
+    two = slope_of(days[:2], np.array([0.0, 1.0]), variance[:2], among=5)
+    assert two.value == pytest.approx(0.1)
+    assert two.half == pytest.approx(stats.norm.ppf(1.0 - 0.025 / 5) * np.sqrt(0.05) / 10.0)
+    rough = 0.03 * days + np.array([1.0, -2.0, 2.0, -1.0])
+    found = slope_of(days, rough, variance)
+
+    def left(extra: float) -> tuple[float, float, float]:
+        w = 1.0 / (variance + extra)
+        fit, cov = np.polyfit(days, rough, 1, w=np.sqrt(w), cov="unscaled")
+        return fit[0], np.sqrt(cov[0, 0]), float(np.sum(w * (rough - np.polyval(fit, days)) ** 2))
+
+    best = optimize.brentq(lambda extra: left(extra)[2] - 2.0, 1e-9, 100.0)
+    assert found.value == pytest.approx(left(best)[0], rel=1e-3)
+    assert found.half == pytest.approx(stats.t.ppf(0.975, 2) * left(best)[1], rel=1e-3)
+
+
+def test_a_limit_is_due_where_the_surest_drift_reaches_it() -> None:
+    days = np.array([0.0, 50.0, 100.0])
+    value = np.outer(days, [0.02, -0.04, 0.0])
+    attitude, variance = np.eye(3), np.array([[1e-6, 1e-6, 4.0]] * 3)
+    found = due(days, value, variance, attitude, 3.0)
+    assert found.attitude.tolist() == [0.0, 1.0, 0.0]
+    assert found.expected == pytest.approx(75.0)
+    steepest = slope_of(days, value[:, 2], variance[:, 2], 30)
+    assert found.earliest == pytest.approx(3.0 / steepest.half)
+    none = due(days, 0.0 * value, variance, attitude, 3.0)
+    assert none.expected == np.inf
+    assert none.attitude.tolist() == [0.0, 0.0, 1.0]
+    several = due(days, value, variance, attitude, 3.0, sensors=4)
+    assert several.earliest < found.earliest
+
+
+def test_the_worst_of_all_pairs_and_attitudes() -> None:
+    attitude = np.eye(3)
+    size = np.array([[0.0, 1.0, 0.0], [0.5, 0.0, -1.0], [0.0, 0.0, 1.5]])
+    turn = np.zeros((3, 3, 2))
+    turn[1, 2], turn[2, 2] = [0.3, 0.0], [-0.1, 0.3]
+    covariance = np.tile(np.diag([0.04, 0.09]), (3, 3, 1, 1))
+    found = Seen(attitude, size, np.full((3, 3), 0.3), turn, covariance)
+    one = worst_size(found)
+    assert (one.pair, one.value, one.unit) == ((1, 2), 2.5, "mg")
+    assert one.sd == pytest.approx(0.3 * np.sqrt(2.0))
+    assert one.attitude.tolist() == [0.0, 0.0, 1.0]
+    other = worst_turn(found)
+    assert other.pair == (1, 2)
+    assert other.value == pytest.approx(0.5)
+    assert other.sd == pytest.approx(np.sqrt(2.0 * (0.64 * 0.04 + 0.36 * 0.09)))
+    assert largest_sd(found) == pytest.approx((0.3, 0.3))
+    assert pairs_of(3) == [(0, 1), (0, 2), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("p", "value", "stated", "verdict", "code"),
+    [
+        (0.049, 1.1, True, "differ", 1),
+        (0.051, 1.1, True, "undecided", 5),
+        (0.051, 1.1, False, "agree", 0),
+        (0.049, 0.9, True, "agree", 0),
+    ],
+)
+def test_beyond_a_limit_and_beyond_chance_at_5_of_100(
+    p: float, value: float, stated: bool, verdict: str, code: int
+) -> None:
+    worst = Worst((0, 1), value, 0.1, "mg", np.array([0.0, 0.0, 1.0]))
+    made = basis()
+    found = replace(agreement(made), p=p)
+    names = ("a", "b", "c", "d")
+    one = Comparison(names, made, found, None, (Meaning(worst, 1.0),), {}, None, stated, ())
+    assert one.verdict == verdict
+    assert one.exit_code == code
+    assert one.differ == (p <= 0.05)
+
+
+def test_an_arrays_places_and_gyros_that_differ_most() -> None:
+    """Three boards of four IMUs; the first IMU is where places are counted from."""
+    rng = np.random.default_rng(6)
+    places, rates = rng.normal(size=(3, 3, 3)), rng.normal(size=(3, 4, 3))
+    boards = [
+        SimpleNamespace(
+            triads=[SimpleNamespace(name=f"imu{k}", gyro_bias=DEG * r[k]) for k in range(4)]
+        )
+        for r in rates
+    ]
+    root = 0.1 * rng.normal(size=(3, 9, 9))
+    covariance = root @ root.swapaxes(1, 2)
+    made = Basis(("p",) * 9, ("mm",) * 9, places.reshape(3, 9), covariance, np.full(3, 9.0), "")
+    (place, rate), (said,) = array_meanings(boards, made, Limits(position=0.5, rate=0.7))  # type: ignore[arg-type]
+    away = places[:, None] - places[None]
+    far = np.linalg.norm(away, axis=3)
+    i, j, k = (int(v) for v in np.unravel_index(np.argmax(far), far.shape))
+    assert set(place.worst.pair) == {i, j}
+    assert place.worst.value == pytest.approx(far.max())
+    assert place.sensor == f"imu{k + 1}"
+    assert place.limit == 0.5
+    along = away[i, j, k] / far.max()
+    own = covariance[[i, j], 3 * k : 3 * k + 3, 3 * k : 3 * k + 3].sum(axis=0)
+    assert place.worst.sd == pytest.approx(np.sqrt(along @ own @ along))
+    apart = np.abs(rates[:, None] - rates[None])
+    i, j, k, axis = (int(v) for v in np.unravel_index(np.argmax(apart), apart.shape))
+    assert set(rate.worst.pair) == {i, j}
+    assert rate.worst.value == pytest.approx(apart.max())
+    assert rate.sensor == f"imu{k}"
+    assert f"{apart.max():.2g} deg/s at most (imu{k}, {'xyz'[axis]})" in said
+    # Without limits: twice the largest stated sd of a coordinate.
+    (place,), _ = array_meanings(boards, made, Limits())  # type: ignore[arg-type]
+    assert place.limit == pytest.approx(2.0 * np.sqrt(np.einsum("kii->ki", covariance).max()))

@@ -1,0 +1,476 @@
+"""What a worn sensor's report says, each number by hand: what was recorded, how far errors go over
+the sphere, what runs count, whether parts differ, and the paper's own figures."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from imucalib.calibrators.actigraph import advice, coverage, errors, exchange, published
+from imucalib.calibrators.actigraph.calibrate import unseen
+from imucalib.calibrators.actigraph.calibration_points import (
+    PointCollector,
+    published_still,
+    two_sets,
+)
+from imucalib.calibrators.actigraph.closest_point import closest_point
+from imucalib.calibrators.actigraph.observations import (
+    covariates_of,
+    hours,
+    observations_of,
+    quantisation,
+)
+from imucalib.calibrators.actigraph.series import _tested
+from imucalib.calibrators.actigraph.simulation import (
+    WeekPlan,
+    code_steps,
+    postures,
+    scan_of,
+    simulated_blocks,
+    simulated_week,
+    temperature_at,
+)
+from imucalib.calibrators.actigraph.weak import from_data, is_weak, open_words, robust_fit
+from imucalib.calibrators.actigraph.wear import Minutes, Wear, _joined, activity_of
+from imucalib.core.model import Model
+from imucalib.core.parameter import Parameter
+from imucalib.core.sphere import cell_of
+from imucalib.effects import named
+from imucalib.estimators.gradient_descent import METHODS
+from imucalib.loop.held_out import Held
+from imucalib.rests.runs import PostureRuns, Scan
+from imucalib.units import MG, STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+G = STANDARD_GRAVITY
+NINE = ("bias", "scale", "non_orthogonality")
+
+
+def runs_of(n: int = 6, **changed: object) -> PostureRuns:
+    u = np.concatenate([np.eye(3), -np.eye(3)])[np.arange(n) % 6]
+    made: dict[str, object] = {
+        "mean": G * u, "windows": np.arange(1, n + 1), "time": 3600.0 * np.arange(n),
+        "temperature": np.full(n, np.nan), "window_noise": 3.0 * MG, "still": 21, "total": 100,
+        "noise": np.full(3, 2.0 * MG), "resolution": np.zeros(3),
+    }  # fmt: skip
+    return PostureRuns(**{**made, **changed})  # type: ignore[arg-type]
+
+
+def scanned(seconds: float, **changed: object) -> Scan:
+    made = scan_of(np.zeros(0), None, rate=25.0, seconds=seconds)
+    return Scan(**{**vars(made), **changed})  # type: ignore[arg-type]
+
+
+def test_a_time_is_days_hours_and_minutes() -> None:
+    assert hours(0.0) == "0 d 00:00"
+    assert hours(29.0) == "0 d 00:00"
+    assert hours(31.0) == "0 d 00:01"
+    assert hours(2 * 86400.0 + 3 * 3600.0 + 7 * 60.0) == "2 d 03:07"
+    assert hours(86400.0 - 60.0) == "0 d 23:59"
+
+
+def test_a_runs_noise_is_that_of_its_windows_beside_a_milli_g() -> None:
+    data = observations_of(runs_of(), scanned(6 * 3600.0), G, blocks=3)
+    np.testing.assert_allclose(data.sigma[:, 0, 0] / MG, np.sqrt(1.0 + 9.0 / np.arange(1.0, 7.0)))
+    # Three stretches of equal time between the first run and the last.
+    assert data.group.tolist() == [0, 0, 1, 1, 2, 2]
+    assert data.label[1] == "run at 0 d 01:00"
+
+
+def test_a_step_is_an_error_only_where_noise_does_not_average_it_out() -> None:
+    """Step / √12 of an axis whose noise is below half a step."""
+    coarse = runs_of(noise=np.array([1.9, 2.1, 2.1]) * MG, resolution=np.full(3, 4.0 * MG))
+    assert quantisation(coarse) == pytest.approx(4.0 * MG / np.sqrt(36.0))
+    assert quantisation(runs_of(noise=np.full(3, 2.0 * MG), resolution=np.full(3, 4.0 * MG))) == 0.0
+    data = observations_of(coarse, scanned(6 * 3600.0), G)
+    assert data.sigma[0, 0, 0] / MG == pytest.approx(np.sqrt(1.0 + 16.0 / 36.0 + 9.0))
+
+
+def test_what_effects_may_depend_on_is_there_where_it_varies() -> None:
+    n = 6
+    found = covariates_of(runs_of(), scanned(10 * 3600.0))
+    np.testing.assert_allclose(found["order"], np.arange(n) / 10.0)
+    np.testing.assert_allclose(found["previous_x"], G * np.array([1.0, 1.0, 0.0, 0.0, -1.0, 0.0]))
+    assert "time_of_day" not in found
+    assert "temperature" not in found
+    long = covariates_of(runs_of(), scanned(1.6 * 86400.0, start_ns=6 * 3600 * 10**9))
+    np.testing.assert_allclose(long["time_of_day"], 2.0 * np.pi * (6.0 + np.arange(n)) / 24.0)
+    assert "time_of_day" not in covariates_of(runs_of(), scanned(1.4 * 86400.0))
+    grid = np.arange(0.0, 36000.0, 60.0)
+    for swing, there in ((0.99, False), (1.0, True)):
+        warm = scan_of(grid, 20.0 + grid, rate=25.0, seconds=36000.0)
+        runs = runs_of(temperature=20.0 + swing * np.arange(n) / (n - 1.0))
+        assert ("temperature" in covariates_of(runs, warm)) == there
+
+
+def fitted_nine(seed: int = 1) -> tuple[object, PostureRuns, Scan]:
+    week = simulated_week(WeekPlan(days=0.4, temperature=False), seed)
+    data = observations_of(week.runs, week.scanned, G)
+    model = Model(tuple(named(name) for name in NINE))
+    return robust_fit(model, data, week.runs)[0], week.runs, week.scanned
+
+
+def test_coverage_is_what_was_recorded() -> None:
+    found, runs, scan = fitted_nine()
+    result = SimpleNamespace(runs=runs, final=found, light=3)
+    block = coverage.coverage_of(result, scan, gravity=G, window=10.0)  # type: ignore[arg-type]
+    said = block.as_dict()
+    assert said["hours"] == pytest.approx(9.6)
+    assert said["still_hours"] == pytest.approx(runs.still / 360.0)
+    assert (said["windows"], said["still_windows"], said["posture_runs"]) == (
+        runs.total, runs.still, runs.n)  # fmt: skip
+    assert said["runs_that_count_less"] == 3
+    np.testing.assert_allclose(said["noise_of_a_sample_mg"], 4.0)
+    assert said["axis_range_g"]["y"] == pytest.approx(
+        [runs.mean[:, 1].min() / G, runs.mean[:, 1].max() / G]
+    )
+    assert "temperature_degC" not in said
+    # |a| is known by the parameters: draws of them move the corrected norm as much.
+    rng = np.random.default_rng(0)
+    theta = rng.multivariate_normal(found.theta, found.covariance, 4000)  # type: ignore[attr-defined]
+    u = np.array([0.6, 0.0, 0.8])
+    reading = found.model.predict(found.theta, G * u[None, None], _one()).reading[0, 0]  # type: ignore[attr-defined]
+    size = [np.linalg.norm(_undone(t, reading)) for t in theta]
+    assert errors.norm_sd(found, u[None])[0] == pytest.approx(np.std(size), rel=0.06)  # type: ignore[arg-type]
+    assert block.worst_sd >= block.mean_sd > 0.0
+
+
+def _one() -> object:
+    from imucalib.core.context import Context
+
+    return Context(1)
+
+
+def _undone(theta: Array, reading: Array) -> Array:
+    gain = np.eye(3) + np.diag(theta[3:6])
+    gain[[1, 2, 2], [0, 0, 1]] = theta[6:]
+    return np.linalg.solve(gain, reading - MG * theta[:3])
+
+
+def test_errors_over_the_sphere_are_those_of_the_nearest_part() -> None:
+    """Six ends and eight corners; a part without a posture has no error, but a deviation."""
+    found, runs, _ = fitted_nine()
+    held = errors.raw_errors(found)  # type: ignore[arg-type]
+    np.testing.assert_allclose(held.error[:, 0, 0], np.linalg.norm(runs.mean, axis=1) - G)
+    cells = errors.sphere_cells(found, found, held)  # type: ignore[arg-type]
+    names = ["+x", "-x", "+y", "-y", "+z", "-z"]
+    assert [c.name for c in cells[:6]] == names
+    assert (cells[6].name, cells[13].name) == ("+x+y+z", "-x-y-z")
+    assert sum(c.runs for c in cells) == runs.n
+    corrected = np.array([_undone(found.theta, v) for v in runs.mean])  # type: ignore[attr-defined]
+    u = corrected / np.linalg.norm(corrected, axis=1)[:, None]
+    signs = [np.array([a, b, c]) / 3**0.5 for a in (1, -1) for b in (1, -1) for c in (1, -1)]
+    centres = np.array([s * np.eye(3)[k] for k in range(3) for s in (1, -1)] + signs)
+    near = np.argmax(u @ centres.T, axis=1)
+    for k, cell in enumerate(cells):
+        own = np.abs(np.linalg.norm(runs.mean[near == k], axis=1) - G) / MG
+        final = np.abs(np.linalg.norm(corrected[near == k], axis=1) - G) / MG
+        assert cell.runs == own.size
+        if own.size:
+            assert cell.raw == cell.held_out == pytest.approx(own.mean())
+            assert cell.base == cell.final == pytest.approx(final.mean())
+        else:
+            assert np.isnan(cell.raw)
+        assert cell.sd > 0.0
+    summary = errors.error_summary(found, found, held, held)  # type: ignore[arg-type]
+    assert (
+        summary.raw
+        == summary.held_out.final
+        == pytest.approx(np.mean(np.abs(np.linalg.norm(runs.mean, axis=1) - G)) / MG)
+    )
+    sigma = found.noise.factor * found.observations.sigma[:, 0, 0]  # type: ignore[attr-defined]
+    # Mean of |normal|.
+    assert summary.floor == pytest.approx(sigma.mean() / MG * np.sqrt(2.0 / np.pi))
+
+
+def told(held: float, worst: float, light: int = 0, weak: bool = False, raw: float = 50.0) -> str:
+    error = np.full((4, 1, 1), held * MG)
+    result = SimpleNamespace(
+        weak=weak, final_held=Held(error, error, error), light=light,
+        error=SimpleNamespace(held_out=SimpleNamespace(raw=raw)), runs=SimpleNamespace(n=100),
+    )  # fmt: skip
+    seen = SimpleNamespace(unseen=("x up",), worst_sd=worst)
+    return " | ".join(advice.reasons(result, seen))  # type: ignore[arg-type]
+
+
+def test_a_calibration_is_good_below_ten_milli_g_and_known_to_one() -> None:
+    assert told(9.9, 0.99) == ""
+    assert "held-out error of 10.1 mg is above the field's 10 mg" in told(10.1, 0.5)
+    assert "known to 1.1 mg only; no posture with x up" in told(5.0, 1.1)
+    assert "worse than no calibration (4.90 mg)" in told(5.0, 0.5, raw=4.9)
+    assert not told(5.0, 0.5, raw=5.1)
+    assert not told(5.0, 0.5, light=2)
+    assert "3 of 100 posture runs are unlike" in told(5.0, 0.5, light=3)
+
+
+def test_an_end_is_unseen_below_three_tenths_of_gravity() -> None:
+    u = np.concatenate([np.eye(3), -np.eye(3)])
+    assert unseen(runs_of()) == ("directions between those that were recorded",)
+    u[3] = [-0.29, 0.957, 0.0]
+    assert unseen(runs_of(mean=G * u)) == ("x down",)
+    u[3] = [-0.31, 0.951, 0.0]
+    assert unseen(runs_of(mean=G * u)) != ("x down",)
+
+
+def weakly(sd: float, prior: object = "some") -> SimpleNamespace:
+    parts = tuple(Parameter(f"p{k}", "mg", 10.0, 99.0) for k in range(9))
+    covariance = np.diag(np.full(9, 1.0))
+    covariance[4, 4] = sd**2
+    names = {"bias": slice(0, 3), "scale": slice(3, 6), "non_orthogonality": slice(6, 9)}
+    return SimpleNamespace(
+        prior=prior, null_directions=(), parameters=parts, covariance=covariance,
+        sd=np.sqrt(np.diag(covariance)), model=SimpleNamespace(slices=lambda context: names),
+        observations=SimpleNamespace(context=None),
+    )  # fmt: skip
+
+
+def test_weak_is_known_worse_than_a_third_of_the_typical_size() -> None:
+    assert not is_weak(weakly(3.3))  # type: ignore[arg-type]
+    assert is_weak(weakly(3.4))  # type: ignore[arg-type]
+    wide = weakly(1.0, prior=None)
+    wide.null_directions = ("p1",)
+    assert is_weak(wide)  # type: ignore[arg-type]
+    share = from_data(weakly(6.0))  # type: ignore[arg-type]
+    assert share[4] == pytest.approx(1.0 - 0.36)
+    assert share[0] == pytest.approx(0.99)
+    assert from_data(weakly(20.0))[4] == 0.0  # type: ignore[arg-type]
+    assert open_words(weakly(6.0)) == "p4 (64 %)"  # type: ignore[arg-type]
+    assert open_words(weakly(1.0)) == "some combinations of parameters"  # type: ignore[arg-type]
+
+
+def test_parts_differ_by_more_than_their_covariances() -> None:
+    """Chi-square about the weighted mean, and the worst of each parameter after Bonferroni."""
+    rng = np.random.default_rng(0)
+    roots = rng.normal(size=(3, 2, 2))
+    fits = [SimpleNamespace(theta=rng.normal(size=2) * 3.0, covariance=r @ r.T + np.eye(2),
+                            parameters=(SimpleNamespace(name="a"), SimpleNamespace(name="b")))
+            for r in roots]  # fmt: skip
+    found = _tested((), fits)  # type: ignore[arg-type]
+    # The same by one regression of all on the common value, whitened.
+    white = [np.linalg.inv(np.linalg.cholesky(f.covariance)) for f in fits]
+    y = np.concatenate([w @ f.theta for w, f in zip(white, fits, strict=True)])
+    x = np.concatenate(white)
+    common, rest = np.linalg.lstsq(x, y, rcond=None)[:2]
+    np.testing.assert_allclose(found.common, common)
+    assert found.statistic == pytest.approx(rest[0])
+    assert found.dof == 4
+    assert found.p == pytest.approx(stats.chi2.sf(rest[0], 4))
+    own = np.linalg.inv(x.T @ x)
+    z = np.array([(f.theta - common) / np.sqrt(np.diag(f.covariance - own)) for f in fits])
+    chance = np.minimum(1.0, 6.0 * 2.0 * stats.norm.sf(np.abs(z).max(axis=0)))
+    assert found.moved == tuple(
+        ("ab"[k], pytest.approx(chance[k])) for k in np.argsort(chance) if chance[k] < 0.01
+    )
+    fits[0].theta = fits[0].theta + 30.0
+    again = _tested((), fits)  # type: ignore[arg-type]
+    assert again.moved
+    assert again.differ
+
+
+def test_what_two_splits_leave_is_least_squares_before_and_after() -> None:
+    rng = np.random.default_rng(0)
+    columns, off = exchange._linear(G * (1.0 + 0.01 * rng.normal(size=(60, 1))) * rng.normal(
+        size=(60, 3)))  # fmt: skip
+    assert columns.shape == (60, 9)
+    for row in (20, 33):
+        due = 0.0
+        for part in (slice(None, row), slice(row, None)):
+            due += np.linalg.lstsq(columns[part], off[part], rcond=None)[1][0]
+        found = exchange._left(columns, off, np.array([row]))
+        assert found[0] == pytest.approx(due, rel=1e-4)
+
+
+def test_the_size_is_linear_in_nine_parameters() -> None:
+    """|v| of a sensor with small errors, by its own equation."""
+    rng = np.random.default_rng(3)
+    u = rng.normal(size=(40, 3))
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    small = 1e-6
+    plain = exchange._linear(G * u)[0]
+    for k in range(3):
+        moved = np.linalg.norm(G * u + small * np.eye(3)[k], axis=1) - G
+        np.testing.assert_allclose(moved / small, plain[:, k], atol=1e-5)
+    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+    for k, (i, j) in enumerate(pairs):
+        gain = np.eye(3)
+        gain[j, i] += small
+        moved = np.linalg.norm(G * u @ gain.T, axis=1) - G
+        np.testing.assert_allclose(moved / small, plain[:, 3 + k], atol=1e-4)
+
+
+def test_off_the_body_and_on_it() -> None:
+    assert _joined([(0, 10), (5, 20), (20, 30), (31, 40)]) == [(0, 30), (31, 40)]
+    wear = Wear(3.0, 2.0, np.array([[10.0, 20.0]]))
+    assert wear.worn_at(np.array([9.9, 10.0, 19.9, 20.0])).tolist() == [True, False, False, True]
+
+
+def test_activity_by_the_hour_counts_samples_and_leaves_out_what_was_not_worn() -> None:
+    minute = np.arange(1440.0)
+    value = np.where(minute % 2 == 0, 1.0, 4.0) * MG
+    count = np.where(minute % 2 == 0, 30.0, 60.0)
+    off = np.array([[3600.0, 7200.0]])
+    made = activity_of(Minutes(minute, count, 2.0 * value, value), Wear(24.0, 23.0, off),
+                       2.0 * 3600.0, (np.zeros(0), np.zeros(0)), np.zeros(0))  # fmt: skip
+    np.testing.assert_allclose(made.profile[5], [6.0, 3.0])
+    assert np.isnan(made.profile[3]).all()  # the recording's second hour is three o'clock
+    assert made.enmo["all"] == pytest.approx((6.0, 3.0))
+    assert made.night_runs == 0
+    assert np.isnan(made.night_error).all()
+
+
+def test_the_papers_rule_of_stillness_and_its_points() -> None:
+    """max - min below 0.12 g on one axis, and not a stuck one; ends of axes come first."""
+    low = np.zeros((4, 3))
+    high = np.array([[0.119, 9, 9], [0.121, 9, 9], [0.0, 9, 9], [0.01, 9, 9]]) * G
+    assert published_still(SimpleNamespace(low=low, high=high), G).tolist() == [0, 3]  # type: ignore[arg-type]
+    one = PointCollector(1, 1)
+    assert one.offer(np.array([-0.76, 0.1, 0.1]))
+    assert one.missing[0] == "y near -1 g"
+    assert not one.offer(np.array([-0.74, 0.3, 0.3]))
+    points = np.concatenate([np.eye(3), -np.eye(3), np.zeros((3, 3))])
+    first, second = two_sets(np.tile(points, (2, 1)), 1, 1)
+    assert first.ready
+    assert second.ready
+    assert len(first.points) == len(second.points) == 9
+
+
+def test_the_papers_figures_are_mean_errors_in_milli_g(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the set that was fitted and on the other."""
+    quick = {name: METHODS[name] for name in ("gradient descent", "gradient descent, 16-bit")}
+    monkeypatch.setattr(published, "METHODS", quick)
+    rng = np.random.default_rng(5)
+    u = rng.normal(size=(2, 18, 3))
+    u /= np.linalg.norm(u, axis=2, keepdims=True)
+    points = 1.02 * u + np.array([0.03, -0.02, 0.01]) + 1e-3 * rng.normal(size=u.shape)
+    sets = [SimpleNamespace(points=list(p)) for p in points]
+    methods = published.compared(*sets)  # type: ignore[arg-type]
+    assert [m.name for m in methods] == list(quick)
+    for one in methods:
+        gain = np.array([[one.p[0], 0, 0], [one.p[3], one.p[1], 0], [one.p[4], one.p[5], one.p[2]]])
+        off = [np.abs(np.linalg.norm((p + one.p[6:]) @ gain.T, axis=1) - 1.0) for p in points]
+        assert (one.fitted, one.verified) == pytest.approx((1e3 * off[0].mean(),
+                                                            1e3 * off[1].mean()))  # fmt: skip
+    chosen = methods[0]
+    found = published.published_fit(chosen.p, points[0], G)
+    error = published._error(chosen, found, points[0], points[1])
+    assert error.raw == pytest.approx(1e3 * np.mean(np.abs(np.linalg.norm(points[0], axis=1) - 1)))
+    assert error.held_out.raw == pytest.approx(
+        1e3 * np.mean(np.abs(np.linalg.norm(points[1], axis=1) - 1))
+    )
+    assert (error.final, error.held_out.final) == (chosen.fitted, chosen.verified)
+    assert error.floor == pytest.approx(found.noise.factor * np.sqrt(2.0 / np.pi))
+    assert np.isnan(published.compared(sets[0], SimpleNamespace(points=[]))[0].verified)  # type: ignore[arg-type]
+
+
+def test_a_simulated_week_is_as_long_as_asked_and_rests_as_much() -> None:
+    week = simulated_week(WeekPlan(days=2.0, rests=0.6, plant={}), 4)
+    assert week.runs.n == int(0.6 * 2.0 * 86400.0 / 120.0)
+    assert week.scanned.stop == 2.0 * 86400.0
+    time = week.runs.time
+    # Uniform over the whole recording.
+    assert stats.kstest(time / (2.0 * 86400.0), "uniform").pvalue > 1e-3
+    assert week.runs.windows.mean() == pytest.approx(13.0, abs=1.0)
+    np.testing.assert_allclose(np.linalg.norm(week.force, axis=1), G)
+    left = np.linalg.norm(
+        np.array([_undone(np.concatenate(list(week.plan.sensor.values())), v)
+                  for v in week.runs.mean]) - week.force, axis=1)  # fmt: skip
+    sd = np.sqrt(0.4**2 + 16.0 / (10.0 * 100.0) / week.runs.windows)
+    assert np.mean((left / MG / sd) ** 2) == pytest.approx(3.0, rel=0.1)
+
+
+def test_postures_are_habits() -> None:
+    """Two dozen of them hold most of the time: some of 96 cells hold far more than their share."""
+    u = postures(4000, np.random.default_rng(0))
+    np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1.0)
+    count = np.sort(np.bincount(cell_of(u), minlength=96))[::-1]
+    assert count[:10].sum() > 0.25 * 4000
+    assert np.count_nonzero(count) > 60  # and a few are from anywhere
+
+
+def test_samples_of_a_simulated_day_are_its_sensors() -> None:
+    """Rests read the planted sensor's forward model with the noise asked for; the share of time at
+    rest is that asked for."""
+    plan = WeekPlan(days=0.5, rate=2.0, rests=0.6, noise=4.0)
+    values = np.concatenate([b.channels["imu0/acceleration"].values
+                             for b in simulated_blocks(plan, 1, block=3600.0)])  # fmt: skip
+    assert len(values) == 0.5 * 86400 * 2
+    part = values.reshape(12, 30, 240, 3)
+    spread = part.std(axis=2).mean(axis=2).ravel() / MG
+    still = spread < 20.0
+    assert still.mean() == pytest.approx(0.6, abs=0.07)
+    assert np.median(spread[still]) == pytest.approx(4.0, rel=0.05)
+    assert np.median(spread[~still]) == pytest.approx(124.0, rel=0.05)
+    theta = np.concatenate([plan.sensor[name] for name in NINE])
+    rest = part.mean(axis=2).reshape(-1, 3)[still]
+    size = np.array([np.linalg.norm(_undone(theta, v)) for v in rest])
+    np.testing.assert_allclose(size, G, atol=2.0 * MG)
+
+
+def test_the_wrist_is_warm_and_cools_off_the_body() -> None:
+    time = np.arange(0.0, 7.0 * 86400.0, 60.0)
+    colder = 31.0 + 1.5 * np.sin(2.0 * np.pi * time / 86400.0 - 0.7) - temperature_at(time, 3)
+    assert colder.min() > -1e-9
+    first = int(np.argmax(colder > 0.0))
+    since = time[first : first + 60] - time[first]
+    due = 6.0 * (1.0 - np.exp(-since / 1800.0))
+    np.testing.assert_allclose(colder[first : first + 60], due, atol=6.0 * 60.0 / 1800.0)
+    assert colder[-1] < 0.5  # and it warms up again
+
+
+def test_major_codes_are_a_saw_tooth() -> None:
+    curve = code_steps(5.0, period=0.2)
+    np.testing.assert_allclose(curve(np.array([0.0, 0.05, 0.1, 0.15, 0.2])), [5, 0, -5, 0, 5],
+                               atol=1e-9)  # fmt: skip
+
+
+def test_the_fields_rule_takes_windows_below_13_mg_and_2_g() -> None:
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((40, 3))
+    mean = G * u / np.linalg.norm(u, axis=1, keepdims=True)
+    mean[0] = [1.99 * G, 0.1, 0.1]
+    mean[1] = [2.01 * G, 0.1, 0.1]
+    mean[2] = 0.0
+    variance = np.full((40, 3), (3.0 * MG) ** 2)
+    variance[3] = (12.9 * MG) ** 2
+    variance[4, 1] = (13.1 * MG) ** 2
+    scanned = SimpleNamespace(windows=SimpleNamespace(mean=mean, variance=variance))
+    found = closest_point(scanned)  # type: ignore[arg-type]
+    assert found is not None
+    assert found.points == 37  # all but numbers 1, 2 and 4
+
+
+def test_the_papers_coefficients_are_the_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Corrected = K (raw + o), K lower triangular: the same force from the effects' parameters."""
+    rng = np.random.default_rng(11)
+    u = rng.standard_normal((18, 3))
+    points = 1.02 * u / np.linalg.norm(u, axis=1, keepdims=True) + 0.01
+    p = np.array([1.01, 0.98, 1.02, 0.003, -0.004, 0.005, 0.02, -0.03, 0.01])
+    gain = np.array([[1.01, 0.0, 0.0], [0.003, 0.98, 0.0], [-0.004, 0.005, 1.02]])
+    expected = (points + p[6:]) @ gain.T
+    found = published.published_fit(p, points, 9.8)
+    read = found.model.correct(found.theta, 9.8 * points[:, None], found.observations.context)
+    np.testing.assert_allclose(read[:, 0] / 9.8, expected, atol=1e-9)
+    jacobian = found.at.jacobian
+    whole = found.noise.factor**2 * np.linalg.inv(jacobian.T @ jacobian)
+    np.testing.assert_allclose(found.covariance, whole, rtol=1e-6)
+    # Errors of both sets, in mg.
+    second = points[:5] * 1.1
+    sets = (SimpleNamespace(points=list(points)), SimpleNamespace(points=list(second)))
+    monkeypatch.setattr(published, "METHODS", {"m": lambda _: p})
+    (method,) = published.compared(*sets)  # type: ignore[arg-type]
+    for value, some in ((method.fitted, points), (method.verified, second)):
+        size = np.linalg.norm((some + p[6:]) @ gain.T, axis=1)
+        assert value == pytest.approx(1e3 * np.mean(np.abs(size - 1.0)))
+    chosen = published.PublishedMethod("m", p, 3.0, 4.0, 50.0)
+    told = published._error(chosen, found, points, second)
+    assert told.raw == pytest.approx(1e3 * np.mean(np.abs(np.linalg.norm(points, axis=1) - 1.0)))
+    assert told.base == told.final == 3.0
+    assert told.floor == pytest.approx(found.noise.factor * np.sqrt(2.0 / np.pi))
+    raw = 1e3 * np.mean(np.abs(np.linalg.norm(second, axis=1) - 1.0))
+    assert told.held_out.raw == pytest.approx(raw)
+    assert told.held_out.final == 4.0
+    assert np.isnan(published._error(chosen, found, points, second[:0]).held_out.raw)

@@ -1,0 +1,324 @@
+"""Axes and places of an array from its motion, and the scale of its gyros from its turns, in plain
+numpy: what is read, which side of a limit, and how well it is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib.calibrators.array import log as logs
+from imucalib.calibrators.array.board import undrawn_board
+from imucalib.calibrators.array.drawing.axes import (
+    SIGNED,
+    _turned_by,
+    common_gyro_axes,
+    in_words,
+    relative_axes,
+)
+from imucalib.calibrators.array.drawing.places import (
+    _placed,
+    in_its_unit,
+    places,
+    rough_places,
+)
+from imucalib.calibrators.array.drawing.sketch import sketched
+from imucalib.calibrators.array.estimate.blocks import size_block, size_over
+from imucalib.calibrators.array.estimate.size import GyroScale, frame_sd, gravity_sd, gyro_scale
+from imucalib.calibrators.array.estimate.total import total_of
+from imucalib.calibrators.array.estimate.turns import Turns, _carried, _fitted, _robust
+from imucalib.calibrators.array.fused import clocks
+from imucalib.calibrators.array.observations import own_noise, rest_context
+from imucalib.recording.recording import Channel
+from worlds.boards import DEG, BoardPlan, handled, turned, twisted
+
+Array = NDArray[np.float64]
+PLAN = BoardPlan(rests=10, twist_s=4.0)
+PLACES = 0.02 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0.2)])
+NAMES = ("a", "b", "c", "d")
+
+
+@cache
+def motion() -> tuple[Array, Array, Array, Array]:
+    """Times, ω, dω/dt and the force of the origin: rests and turns, then twisting."""
+    rng = np.random.default_rng(3)
+    parts = zip(handled(PLAN, rng), twisted(PLAN, rng), strict=True)
+    w, spin, force = (np.concatenate(p) for p in parts)
+    return np.arange(len(w)) / PLAN.hz, w, spin, force
+
+
+def felt() -> Array:
+    _, w, spin, force = motion()
+    out = np.cross(w[:, None], np.cross(w[:, None], PLACES)) + np.cross(spin[:, None], PLACES)
+    return force[:, None] + out
+
+
+def rests() -> tuple[Array, Array]:
+    start = np.arange(PLAN.rests) * (PLAN.rest_s + PLAN.turn_s)
+    return start, start + PLAN.rest_s - 1.0 / PLAN.hz
+
+
+def seen(acceleration: Array, gyro: Array, noise: float = 0.02) -> tuple[object, object]:
+    """The log and its rests, with every IMU's axes S of its readings: read = Sᵀ truth, biases of
+    gyros beside."""
+    t, w, _, _ = motion()
+    rng = np.random.default_rng(5)
+    read = np.einsum("kji,tkj->tki", acceleration, felt()) + noise * rng.normal(size=(len(t), 4, 3))
+    bias = np.radians([[1.0, -2.0, 0.5]] * 4)
+    rate = np.einsum("kji,tj->tki", gyro, w) + bias + 1e-3 * rng.normal(size=read.shape)
+    start, stop = rests()
+    at = [
+        slice(round(a * PLAN.hz), round(b * PLAN.hz) + 1) for a, b in zip(start, stop, strict=True)
+    ]
+    segments = SimpleNamespace(
+        mean=np.array([read[s].mean(axis=0) for s in at]),
+        rate=np.array([rate[s].mean(axis=0) for s in at]), start=start, stop=stop, n=len(start),
+    )  # fmt: skip
+    log = SimpleNamespace(t=t, acceleration=read, rate=rate, clipped=np.zeros(len(t), bool))
+    return log, segments
+
+
+def test_a_board_without_a_drawing_is_sketched_in_the_axes_of_its_first() -> None:
+    """Each IMU in any of the 24 proper signed permutations; places to a millimetre."""
+    proper = SIGNED[np.linalg.det(SIGNED) > 0.0]
+    own = np.stack([np.eye(3), *proper[[3, 11, 20]]])
+    log, segments = seen(own, own)
+    board = sketched(log, segments, undrawn_board(4), [0, 1, 2, 3])  # type: ignore[arg-type]
+    np.testing.assert_array_equal(board.rotations, own)
+    assert np.abs(board.positions - (PLACES - PLACES.mean(axis=0))).max() < 1e-3
+    np.testing.assert_array_equal(board.accelerometer_axes, np.tile(np.eye(3), (4, 1, 1)))
+    assert board.prior_sd == 0.02
+
+
+def test_a_gyro_wired_otherwise_is_sketched_by_itself() -> None:
+    proper = SIGNED[np.linalg.det(SIGNED) > 0.0]
+    gyro = np.stack([np.eye(3), np.eye(3), proper[7], np.eye(3)])
+    log, segments = seen(np.tile(np.eye(3), (4, 1, 1)), gyro)
+    board = sketched(log, segments, undrawn_board(4), [0, 1, 2, 3])  # type: ignore[arg-type]
+    np.testing.assert_array_equal(board.rotations[2] @ board.gyro_axes[2], proper[7])
+    np.testing.assert_array_equal(board.rotations[2] @ board.accelerometer_axes[2], np.eye(3))
+
+
+def test_axes_are_told_where_the_others_agree() -> None:
+    rng = np.random.default_rng(0)
+    truth = rng.normal(size=(30, 3))
+    own = SIGNED[[0, 0, 17, 0]]
+    read = np.einsum("kji,nj->nki", own, truth)
+    same = np.tile(np.eye(3), (4, 1, 1))
+    found = relative_axes(read + 0.05 * rng.normal(size=read.shape), same)
+    np.testing.assert_array_equal(found, own)
+    wild = relative_axes(read + 2.0 * rng.normal(size=read.shape), same)
+    np.testing.assert_array_equal(wild[2], np.eye(3))
+    assert in_words(SIGNED[0]) == "x,y,z"
+    assert in_words(np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]])) == "-y,z,x"
+
+
+def test_gravity_turns_by_the_gyros_in_their_right_axes() -> None:
+    t, w, _, force = motion()
+    start, stop = rests()
+    up = force[np.round((start + 1.0) * PLAN.hz).astype(int)]
+    for k in (0, 5, 29):
+        found = common_gyro_axes(t, w @ SIGNED[k], up, start, stop)
+        np.testing.assert_array_equal(found, SIGNED[k])
+    # Three turns are too few to say so.
+    few = common_gyro_axes(t, w @ SIGNED[5], up[:4], start[:4], stop[:4])
+    np.testing.assert_array_equal(few, np.eye(3))
+    axis = np.array([0.0, 0.6, 0.8])
+    steady = np.tile(0.7 * axis, (101, 1))
+    due = turned(axis, np.array([-0.7]))[0]
+    np.testing.assert_allclose(_turned_by(0.01 * np.arange(101.0), steady)[0], due, atol=1e-9)
+
+
+def test_places_are_seen_by_the_forces_differences() -> None:
+    t, w, _, _ = motion()
+    fast = np.linalg.norm(w, axis=1) > 60.0 * DEG
+    found = rough_places(t, felt() + np.array([0.1, 0.0, 0.0]), w, fast)
+    assert found is not None
+    assert np.abs(found - (PLACES - PLACES.mean(axis=0))).max() < 2e-4
+    rows = np.flatnonzero(fast)
+    few = np.zeros_like(fast)
+    few[rows[:40]] = True
+    assert rough_places(t, felt(), w, few) is None
+    noise = np.random.default_rng(0).normal(size=felt().shape)
+    assert rough_places(t, felt() + 300.0 * noise, w, fast) is None
+    swapped = places(t, felt()[:, [0, 2, 1, 3]], w, fast, PLACES)
+    assert swapped is not None
+    assert swapped.place.tolist() == [0, 2, 1, 3]
+    assert swapped.exchanged.tolist() == [1, 2]
+    assert not swapped.other_unit
+
+
+def test_places_of_another_unit_or_sign() -> None:
+    drawn = PLACES - PLACES.mean(axis=0)
+    for factor, other in ((1.9, False), (2.1, True), (1.0 / 1.9, False), (1.0 / 2.1, True),
+                          (499.0, True), (501.0, False)):  # fmt: skip
+        found = _placed(factor * drawn, drawn)
+        assert found.size == pytest.approx(factor)
+        assert found.other_unit == other
+        assert not found.exchanged.size
+    flipped = _placed(-drawn, drawn)
+    assert flipped.inverted
+    assert flipped.place.tolist() == [0, 1, 2, 3]
+    # A place is left only where another is four times nearer, in the square.
+    between = drawn.copy()
+    between[[1, 2]] = 0.5 * (drawn[[1, 2]] + drawn[[2, 1]]) + 0.1 * (drawn[[2, 1]] - drawn[[1, 2]])
+    assert not _placed(between, drawn).exchanged.size
+    between[[1, 2]] = drawn[[2, 1]] + 0.3 * (drawn[[1, 2]] - drawn[[2, 1]])
+    assert _placed(between, drawn).exchanged.tolist() == [1, 2]
+    still = np.full((5, 2, 3), [0.0, 0.0, 4.1])
+    assert in_its_unit(still)
+    assert not in_its_unit(still * 3.9 / 4.1)
+    assert in_its_unit(still * 19.9 / 4.1)
+    assert not in_its_unit(still * 20.1 / 4.1)
+
+
+def test_the_scale_of_turns_is_robust_and_known_by_the_jackknife() -> None:
+    """Weights (ν + 2) / (ν + r²/s²) of Student's t of four; what each turn changes is its doubt."""
+    rng = np.random.default_rng(1)
+    slope = rng.normal(size=(12, 3))
+    off = 0.004 * slope + 1e-3 * rng.normal(size=(12, 3))
+    wild = off.copy()
+    wild[3] += 0.5
+    assert _robust(wild, slope) == pytest.approx(_robust(off, slope), abs=1e-3)
+    scale = _robust(off, slope)
+    square = np.sum((off - scale * slope) ** 2, axis=1) / 2.0
+    size = 1.0
+    for _ in range(300):  # the same equations, solved by themselves
+        weight = 6.0 / (4.0 + 2.0 * square / size)
+        size = np.sum(weight * square) / np.sum(weight)
+    assert scale == pytest.approx(np.sum(weight[:, None] * slope * off) / np.sum(
+        weight[:, None] * slope**2), rel=1e-4)  # fmt: skip
+    up = rng.normal(size=(13, 3))
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    found = _fitted(off, slope, up)
+    each = np.array([_robust(np.delete(off, k, 0), np.delete(slope, k, 0)) for k in range(12)])
+    spread = np.sqrt(11.0 / 12.0 * np.sum((each - each.mean()) ** 2) * 11.0 / 9.0)
+    assert (found.scale, found.sd) == pytest.approx((scale, spread))
+    assert found.misfit == pytest.approx(np.sqrt(np.mean(np.sum((off - scale * slope) ** 2, 1))))
+    apart = [np.arccos(a @ b) for a, b in zip(up[1:], up[:-1], strict=True)]
+    assert found.angle == pytest.approx(np.median(apart))
+
+
+def test_a_vector_is_carried_by_the_rate() -> None:
+    t = 0.01 * np.arange(80.0)
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    rate = (3.0 * np.sin(4.0 * t))[:, None] * axis
+    angle = 0.75 * (1.0 - np.cos(4.0 * t[-1]))
+    vector = np.array([0.0, 0.6, 0.8])
+    due = turned(axis, np.array([-angle]))[0] @ vector
+    np.testing.assert_allclose(_carried(t, rate, vector), due, atol=1e-5)
+
+
+def test_gravity_is_known_by_its_source() -> None:
+    assert gravity_sd("standard gravity (give --gravity)") == 1.3e-3
+    assert gravity_sd("normal gravity at 46 deg") == 5e-5
+    assert gravity_sd("as given") == 1e-4
+    turns = Turns(0.01, 0.001, 9, 0.0, 1.0)
+    assert gyro_scale(0.002, turns).value == pytest.approx(0.01 * 4.0 / 5.0)
+
+
+def test_the_frame_is_known_by_how_the_packages_turns_scatter() -> None:
+    """Root mean square about their mean with a belief of 0.3 deg worth one number, over √K."""
+    rng = np.random.default_rng(0)
+    angles = 0.01 * rng.normal(size=(5, 3)) + 0.5
+    x, y, z = angles.T
+    zero = np.zeros(5)
+    skew = np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1),
+                     np.stack([-y, x, zero], -1)], 1)  # fmt: skip
+    made = SimpleNamespace(in_board_axes=lambda: (np.eye(3) + skew, None, None))
+    square = np.sum((angles - angles.mean(axis=0)) ** 2) + (0.3 * DEG) ** 2
+    assert frame_sd(made) == pytest.approx(np.sqrt(square / 13.0 / 5.0))  # type: ignore[arg-type]
+
+
+def test_the_size_is_the_regression_on_the_drawing() -> None:
+    root = np.random.default_rng(1).normal(size=(9, 9)) * 1e-5
+    total = total_of(1.01 * PLACES, root @ root.T, scale=0.0, scale_sd=2e-3, gravity_sd=1e-3,
+                     frame_sd=2e-3)  # fmt: skip
+    own = PLACES[1:].ravel()
+    value, sd, motion_sd = size_over(PLACES + 5.0, total)
+    row = own / np.sum(own**2)
+    assert value == pytest.approx(1.01)
+    assert sd == pytest.approx(np.sqrt(row @ total.covariance @ row))
+    assert motion_sd == pytest.approx(np.sqrt(row @ root @ root.T @ row))
+    board = replace(undrawn_board(4), imus=NAMES, positions=PLACES)
+    turns = Turns(0.01, 0.001, 9, 0.02, 1.0)
+    block = size_block(total, GyroScale(0.008, 0.0009, 0.002, turns), board)
+    assert [row["from"] + row["to"] for row in block["distances_mm"]] == ["ab", "ac", "ad"]
+    assert block["distances_mm"][0]["distance"] == pytest.approx(20.2)
+    assert block["distances_mm"][2]["sd"] == pytest.approx(1e3 * total.distance(0, 3)[1])
+    assert block["frame"]["sd_deg"] == pytest.approx([2e-3 / DEG] * 3)
+    assert block["frame"]["shape_sd_mm"] == pytest.approx(
+        1e3 * np.sqrt(np.median(np.diag(total.shape))))  # fmt: skip
+    assert block["gyro_scale"]["turns"]["misfit_deg"] == pytest.approx(0.02 / DEG)
+
+
+def test_a_rests_noise_falls_with_its_samples_but_not_to_nothing() -> None:
+    rests_of = SimpleNamespace(noise=np.array([[1.0, 2.0, 0.0], [2.0, 2.0, 4.0]]),
+                               samples=np.array([[4, 100], [25, 16]]))  # fmt: skip
+    found = own_noise(rests_of, [1, 0])  # type: ignore[arg-type]
+    np.testing.assert_allclose(found[0, 0], np.array([2.0, 2.0, 4.0]) / 10.0)
+    np.testing.assert_allclose(found[1, 1], np.array([1.0, 2.0, 0.2]) / 5.0)
+    known = rest_context(np.array([0.0, 10.0, 20.0, 40.0]), 10.0, 30.0, NAMES)
+    assert known["order"].tolist() == [0.0, 0.0, 0.5, 1.0]
+
+
+def test_clipping_is_at_the_range_or_where_an_end_repeats() -> None:
+    values = np.array([[0.0, 99.9, 0.0], [0.0, 99.7, 0.0], [-99.8, 0.0, 0.0]])
+    assert logs._at_range(values, 100.0).tolist() == [True, False, True]
+    rng = np.random.default_rng(0)
+    noisy = rng.normal(size=(200, 3))
+    top = np.sort(np.abs(noisy[:, 0]))[::-1]
+    held = noisy.copy()
+    held[:, 0] = np.clip(held[:, 0], None, 3.5 * np.median(np.abs(noisy[:, 0])))
+    held[:6, 0] = 4.0 * top[0]
+    assert np.flatnonzero(logs._held_at_its_end(held, np.inf)).tolist() == list(range(6))
+    held[4:6, 0] = 0.0
+    assert not logs._held_at_its_end(held, np.inf).any()
+    assert not logs._held_at_its_end(held, 10.0).any()
+
+
+def test_instants_are_matched_within_three_tenths_of_an_interval() -> None:
+    t = 0.01 * np.arange(20.0)
+
+    def channel(at: Array) -> Channel:
+        return Channel(at, np.zeros((len(at), 3)), "m/s2", "acceleration", "a", 100.0)
+
+    late = t + 0.002
+    late[7] += 0.0015
+    times, indices, note = logs._common_times([channel(t), channel(late)], "log")
+    np.testing.assert_allclose(times, np.delete(t, 7))
+    assert indices[1].tolist() == [k for k in range(20) if k != 7]
+    assert "median difference 2 ms), 1 without" in note
+
+
+def test_gyros_off_their_mean_are_those_in_range(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Less the mean of those that are whole; a sample moves where all that are there are."""
+    n = 6
+    off = np.arange(n * 3 * 3, dtype=float).reshape(n, 3, 3)
+    live = np.ones((n, 3, 3), bool)
+    live[1, 2, 0] = live[2] = False
+    spin = np.arange(n * 3.0).reshape(n, 3)
+    rate = np.zeros((n + 1, 3, 3))
+    rate[2] = rate[1, 2] = np.nan  # what is not there takes no part
+    live[4, 0] = False
+
+    def fused(instrument: object, stretch: SimpleNamespace, *_: object, **__: object) -> object:
+        return SimpleNamespace(rate_off=off, rate_live=live, motion=SimpleNamespace(spin=spin))
+
+    monkeypatch.setattr(clocks, "fuse", fused)
+    monkeypatch.setattr(clocks, "turning", lambda made, stretch: np.arange(n + 1) < n)
+    made = SimpleNamespace(gyro_axes=np.tile(2.0 * np.eye(3), (3, 1, 1)))
+    part = SimpleNamespace(rate=rate, take=lambda rows: None)
+    found, turn, moving = clocks._rough(made, part, (None, None))  # type: ignore[arg-type]
+    np.testing.assert_allclose(turn[:n], spin)
+    assert moving.tolist() == [True, True, False, True, False, True, False]
+    half = off / 2.0
+    np.testing.assert_allclose(found[0], half[0] - half[0].mean(axis=0))
+    np.testing.assert_allclose(found[1, :2], half[1, :2] - half[1, :2].mean(axis=0))
+    assert not found[1, 2].any()
+    assert not found[2].any()
+    assert not found[n].any()

@@ -1,0 +1,113 @@
+"""What a file's effects add beyond gains and offsets, from their printed equations."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.array.fused.beyond import Beyond, beyond_linear
+from imucalib.calibrators.array.loop.motion import board_motion
+from imucalib.units import DEG, MG, STANDARD_GRAVITY
+
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+TURN = np.array([np.eye(3), QUARTER])
+T = 6
+RNG = np.random.default_rng(8)
+RATE, SPIN = 5.0 * RNG.normal(size=(T, 3)), 100.0 * RNG.normal(size=(T, 3))
+FORCE = 12.0 * RNG.normal(size=(T, 2, 3))
+AGE = RNG.uniform(-0.5, 0.5, (T, 2))
+
+
+def block(effect: str, *values: float) -> dict[str, Any]:
+    return {"effect": effect, "parameters": [{"value": v} for v in values]}
+
+
+def beyond(*blocks: dict[str, Any]) -> Beyond:
+    triads = [SimpleNamespace(name=n, rotation=r) for n, r in zip("ab", TURN, strict=True)]
+    return beyond_linear(SimpleNamespace(triads=triads, facts={"effects": blocks}))  # type: ignore[arg-type]
+
+
+def added(made: Beyond) -> tuple[np.ndarray, np.ndarray]:
+    motion = board_motion(
+        imus=made.imus, rotations=TURN, t=np.arange(float(T)), order=np.full(T, 0.5), rate=RATE,
+        spin=SPIN, force=FORCE, jerk=FORCE, age=AGE,
+    )  # fmt: skip
+    return made.added(motion)
+
+
+def test_a_delay_is_late_by_itself_and_a_gain_undoes_its_share() -> None:
+    t = np.arange(4.0)
+    made = beyond(block("gyro_delay", 0.7))
+    assert made.span == 0.0
+    np.testing.assert_allclose(made.late(t, None), np.tile(-0.7e-3 * np.eye(3), (4, 2, 1, 1)))
+    assert not np.any(added(made))
+    # One gyro's by itself, read through its scale of 2, 0 and -1 % along its own axes.
+    both = beyond(block("gyro_delay_each@b", 0.4), block("gyro_scale@b", 2.0, 0.0, -1.0))
+    late = both.late(t, None)
+    assert late is not None
+    assert not np.any(late[:, 0])
+    scale = QUARTER @ np.diag([1.02, 1.0, 0.99]) @ QUARTER.T
+    np.testing.assert_allclose(late[0, 1], -0.4e-3 * np.linalg.inv(scale), atol=1e-9)
+    assert beyond(block("gyro_scale", *[1.0] * 6)).late(t, None) is None
+
+
+def test_ages_go_by_the_sawtooth_where_it_is_known() -> None:
+    made = beyond(block("gyro_sample_age", -0.9))
+    assert made.span == pytest.approx(0.9e-3)
+    assert made.late(np.arange(float(T)), None) is None
+    late = made.late(np.arange(float(T)), AGE)
+    np.testing.assert_allclose(late, 0.9e-3 * AGE[:, :, None, None] * np.eye(3), atol=1e-15)
+
+
+def test_what_bends_is_added_and_what_is_linear_is_not() -> None:
+    curved = beyond(block("gyro_quadratic@a", 3.0, 0.0, -2.0), block("quadratic@b", 1.5, 0.0, 4.0))
+    force, rate = added(curved)
+    own = RATE / (2000.0 * DEG)
+    expected = DEG * own**2 * [3.0, 0.0, -2.0]
+    np.testing.assert_allclose(rate[:, 0], expected, atol=1e-6)
+    assert not np.any(rate[:, 1])
+    assert not np.any(force[:, 0])
+    own = FORCE[:, 1] @ QUARTER / STANDARD_GRAVITY
+    in_board = MG * (own**2 * [1.5, 0.0, 4.0]) @ QUARTER.T
+    np.testing.assert_allclose(force[:, 1], in_board, atol=1e-6)
+    for linear in (block("gyro_scale", *[1.0] * 6), block("gyro_bias", *[2.0] * 6)):
+        assert beyond(linear).parts == ()
+
+
+def test_elements_beside_the_middle_are_levers_through_the_gain() -> None:
+    d = np.arange(1.0, 10.0) * 0.1  # mm, element i at (j)
+    made = beyond(block("sensing_elements", *d), block("accelerometer_misalignment@a", 0.0, 0.0,
+                                                       5.0, 0.0, 0.0, 0.0))  # fmt: skip
+    force, _ = added(made)
+    for k in range(2):
+        rate, spin = RATE @ TURN[k], SPIN @ TURN[k]
+        lever = 1e-3 * d.reshape(3, 3)
+        felt = np.column_stack([
+            (np.cross(rate, np.cross(rate, lever[i])) + np.cross(spin, lever[i]))[:, i]
+            for i in range(3)
+        ])  # fmt: skip
+        back = np.linalg.inv(np.eye(3) + 0.05 * np.outer([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]))
+        expected = felt @ (back.T if k == 0 else np.eye(3)) @ TURN[k].T
+        np.testing.assert_allclose(force[:, k], expected, atol=1e-6)
+
+
+def test_what_belongs_to_the_logs_own_time_is_left_out() -> None:
+    made = beyond(block("gyro_drift", *[1.0] * 6), block("nobody_knows", 1.0),
+                  block("gyro_delay@c", 1.0), block("quadratic", 1.0, 2.0))  # fmt: skip
+    assert made.left_out == ("gyro_drift", "nobody_knows", "gyro_delay@c", "quadratic")
+    assert made.parts == ()
+    refuted = beyond(block("gyro_delay", 0.7)).without(["gyro_delay"])
+    assert refuted.parts == ()
+    assert refuted.refuted == ("gyro_delay",)
+
+
+def test_a_bend_that_the_rests_found_is_beside_gains_that_stand_without_it() -> None:
+    values = [2.0, -1.0, 0.5] * 2
+    moving, resting = (beyond(block(name, *values)) for name in ("asymmetry", "at rest: asymmetry"))
+    own = np.einsum("kji,tkj->tki", TURN, FORCE) / STANDARD_GRAVITY
+    whole = np.einsum("kij,tkj->tki", TURN, MG * np.abs(own) * [2.0, -1.0, 0.5])
+    np.testing.assert_allclose(added(resting)[0], whole, atol=2e-3)
+    assert np.abs(added(moving)[0] - whole).max() > 5e-3

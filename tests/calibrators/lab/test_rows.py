@@ -1,0 +1,273 @@
+"""What the rows of a sheet become: settings, noise, sweeps and covariates, by small sheets that are
+worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.lab import checks, faults
+from imucalib.calibrators.lab.bench import (
+    RawUnit,
+    direction_observations,
+    position_observations,
+    row_numbers,
+    still_observations,
+)
+from imucalib.calibrators.lab.checks import implausible_sizes, kept_rows, refuse_sizes
+from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.calibrators.lab.faults import sheet_of
+from imucalib.calibrators.lab.position_table import PositionTable
+from imucalib.core.references import KnownVector
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.units import DEG, MG
+
+G = 9.80665
+
+
+def table(unit: dict[str, str] | None = None, **columns: Sequence[float]) -> PositionTable:
+    values = {name: np.array(v, float) for name, v in columns.items()}
+    n = len(next(iter(values.values())))
+    for axis in "xyz":
+        values.setdefault(axis, np.arange(1.0, n + 1) * (1 + "xyz".index(axis)))
+    return PositionTable(values, {k: k for k in values}, unit or {}, np.arange(1, n + 1), "s", "")
+
+
+def ids(sheet: PositionTable) -> tuple[list[int], list[int]]:
+    reference = position_observations(sheet, sheet.raw(), Conventions(), G).reference
+    assert isinstance(reference, KnownVector)
+    return list(reference.inclination_setting), list(reference.tool_face_setting)
+
+
+def test_a_dial_is_set_anew_where_its_value_or_its_power_up_changes() -> None:
+    angles = {"inclination": [0, 0, 5, 5, 0], "tool_face": [10, 20, 20, 20, 20]}
+    assert ids(table(**angles)) == ([0, 0, 1, 1, 2], [0, 1, 1, 1, 1])
+    apart = table(**angles, session=[0, 0, 0, 1, 1])
+    assert ids(apart) == ([0, 0, 1, 2, 3], [0, 1, 1, 2, 2])
+    named = table(**angles, inclination_setting=[7, 7, 9, 9, 7], session=[0, 0, 0, 1, 1])
+    assert ids(named)[0] == [0, 0, 1, 1, 0]
+
+
+def test_noise_falls_with_the_root_of_the_samples() -> None:
+    """About a row of median count."""
+    sheet = table(inclination=[0, 1, 2], tool_face=[0, 0, 0], samples=[4, 16, 64])
+    data = position_observations(sheet, sheet.raw(), Conventions(), G, sigma=3.0)
+    assert data.sigma.shape == (3, 1, 3)
+    assert data.sigma[:, 0, 1].tolist() == [6.0, 3.0, 1.5]
+    never = table(inclination=[0, 1], tool_face=[0, 0], samples=[0, 1])
+    assert (
+        still_observations(never, never.raw(), G, sigma=2.0).sigma[:, 0, 0].tolist()
+        == [pytest.approx(2.0 * 0.5**0.5)] * 2
+    )
+    alike = table(inclination=[0, 1], tool_face=[0, 0])
+    assert (still_observations(alike, alike.raw(), G).sigma == MG).all()
+
+
+def test_covariates_are_what_stood_before_and_when() -> None:
+    sheet = table(inclination=[0, 30], tool_face=[90, 90], temperature=[20, 25], time=[0, 60])
+    data = position_observations(sheet, sheet.raw(), Conventions(), G)
+    found = data.context.covariates
+    assert found["previous_y"].tolist() == [2.0, 2.0]
+    assert found["previous_z"].tolist() == [3.0, 3.0]
+    assert found["record"].tolist() == [0.0, 1.0]
+    assert found["order"].tolist() == [0.0, 1.0]
+    assert found["temperature"].tolist() == [20.0, 25.0]
+    assert found["time"].tolist() == [0.0, 60.0]
+    assert found["inclination"].tolist() == pytest.approx([0.0, 30.0 * DEG])
+    assert found["tool_face"].tolist() == pytest.approx([90.0 * DEG] * 2)
+    assert data.label == ("row 1", "row 2")
+    assert row_numbers(data).tolist() == [1, 2]
+    long = table(inclination=[0, 1, 2], tool_face=[0, 0, 0])
+    before = still_observations(long, long.raw(), G).context.covariates
+    assert before["previous_x"].tolist() == [1.0, 1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("inclination", "tool_face", "sweeps"),
+    [
+        # A meridian, then a ring: its first row holds neither dial of the row before.
+        ([0, 10, 20, 30, 50, 50, 50, 50], [0, 0, 0, 0, 60, 120, 180, 240], [0] * 4 + [1] * 4),
+        # The corner belongs to both: a new sweep starts where the old one's dial is left.
+        ([0, 10, 20, 20, 20, 20, 20, 20], [0, 0, 0, 60, 120, 180, 240, 300], [0] * 3 + [1] * 5),
+        # Neither held for four rows on average: no sweeps.
+        ([0, 10, 20, 30, 40, 50, 60, 70], [0, 40, 80, 120, 160, 200, 240, 280], [0] * 8),
+        # Nine rows carry two sweeps, seven do not.
+        ([0, 1, 2, 3, 50, 50, 50], [0, 0, 0, 0, 6, 12, 18], [0] * 7),
+    ],
+)
+def test_a_sweep_is_a_run_that_holds_one_dial(
+    inclination: list[float], tool_face: list[float], sweeps: list[int]
+) -> None:
+    sheet = table(inclination=inclination, tool_face=tool_face)
+    context = position_observations(sheet, sheet.raw(), Conventions(), G).context
+    assert context.covariates["sweep"].tolist() == sweeps
+    assert context.sweeps == max(sweeps) + 1
+
+
+def test_directions_of_any_length_are_directions() -> None:
+    sheet = table(ux=[3, 0], uy=[4, 0], uz=[0, -2])
+    data = direction_observations(sheet, sheet.raw(), G)
+    truth = data.reference.truth(np.zeros(data.reference.eta_size))[:, 0]
+    np.testing.assert_allclose(truth, G * np.array([[0.6, 0.8, 0.0], [0.0, 0.0, -1.0]]))
+    nowhere = table(ux=[3, 0], uy=[4, 0], uz=[0, 0])
+    with pytest.raises(UnreadableInput) as caught:
+        direction_observations(nowhere, nowhere.raw(), G)
+    assert caught.value.where.endswith("row 2")
+
+
+def sheet(made: PositionTable, rows: Sequence[int], **unit: str) -> faults.Sheet:
+    """As the search for slips sees some rows: readings in m/s², the table's first rows noisier."""
+    whole = still_observations(made, made.raw() * MG, G)
+    return sheet_of(made, whole, np.array(rows), Conventions(), G)
+
+
+RING = {"inclination": [0] * 5 + [40] * 3, "tool_face": [0, 60, 120, 180, 240, 240, 180, 120]}
+
+
+def test_the_search_for_slips_sees_the_kept_rows_in_mg_and_degrees() -> None:
+    made = table({"tool_face": "rad"}, inclination=RING["inclination"],
+                 tool_face=np.radians(RING["tool_face"]).tolist(),
+                 samples=[4, 4, 1, 4, 4, 16, 4, 4])  # fmt: skip
+    found = sheet(made, [0, 1, 2, 4, 5])
+    np.testing.assert_allclose(found.tool_face, [0.0, 60.0, 120.0, 240.0, 240.0])
+    assert found.inclination.tolist() == [0.0, 0.0, 0.0, 0.0, 40.0]
+    np.testing.assert_allclose(found.reading, made.raw()[[0, 1, 2, 4, 5]])
+    assert found.gravity == pytest.approx(1000.0)
+    assert found.sigma.tolist() == [1.0, 1.0, 2.0, 1.0, 0.5]
+    assert found.row.tolist() == [1, 2, 3, 5, 6]
+    assert found.place.tolist() == [0, 1, 2, 4, 5]
+
+
+def mixed(**more: Sequence[float]) -> PositionTable:
+    """24 rows in no order of work; two neighbours of one inclination."""
+    rng = np.random.default_rng(5)
+    i, t = rng.permutation(24) * 5.0 - 60.0, rng.permutation(24) * 15.0
+    i[4] = i[3]
+    return table(inclination=i, tool_face=t, **more)
+
+
+def test_neighbours_share_a_setting_only_in_an_order_of_work() -> None:
+    """By the way from row to row, or by a time that grows; else each row was set by itself, unless
+    the sheet says what was set."""
+    every = list(range(24))
+    loose = sheet(mixed(), every)
+    assert not loose.ordered
+    assert loose.inclination_setting.tolist() == every
+    timed = sheet(mixed(time=np.arange(24.0)), every)
+    assert timed.ordered
+    held = [k - (k > 3) for k in every]
+    assert timed.inclination_setting.tolist() == held
+    assert timed.tool_face_setting.tolist() == every
+    stands = np.maximum(np.arange(24.0), 1.0)  # a clock that stands still once
+    assert not sheet(mixed(time=stands), every).ordered
+    said = sheet(mixed(inclination_setting=np.arange(24.0) // 2), every)
+    assert said.inclination_setting.tolist() == [k // 2 for k in every]
+    assert said.tool_face_setting.tolist() == every
+    k = np.arange(24)
+    worked = table(inclination=40.0 * (k // 8), tool_face=45.0 * (k % 8))
+    assert sheet(worked, every).inclination_setting.tolist() == (k // 8).tolist()
+
+
+def test_rows_in_no_order_are_told_what_was_guessed() -> None:
+    rows = np.arange(24)
+    (note,) = faults._order_note(mixed(), rows)
+    assert "neighbours of equal inclination count" in note
+    assert not faults._order_note(mixed(inclination_setting=np.arange(24.0)), rows)
+    assert not faults._order_note(mixed(), np.delete(rows, 3))  # no neighbours are alike any more
+
+
+def test_a_size_is_implausible_beyond_a_third_on_either_side() -> None:
+    def bad(*factor: float, n: int = 16) -> list[int]:
+        size = np.ones(n)
+        size[1 : 1 + len(factor)] = factor
+        made = table(x=1000.0 * size, y=np.zeros(n), z=np.zeros(n))
+        return list(implausible_sizes(made, np.arange(n)))
+
+    assert bad(1.34) == bad(0.66) == []
+    assert bad(1.36) == bad(0.64) == [1]
+    assert bad(10.0, 0.1) == [1, 2]  # two of sixteen are slips of the pen
+    assert bad(10.0, 0.1, 10.0) == []  # three are something else
+    assert bad(10.0, n=5) == [1]
+
+
+@pytest.mark.parametrize(
+    ("reading", "words", "fix"),
+    [
+        ([30.0, 8000.0, 599.0], "8 times", "y may be ten times too large: --fix 2:y=800, "),
+        ([30.0, 80.0, 599.0], "0.61 times", "y may be ten times too small: --fix 2:y=800, "),
+        ([30.0, 95.0, 20.0], "0.1 times", "y may be ten times too small: --fix 2:y=950, "),
+        ([2000.0, 2000.0, 2000.0], "3.5 times", ""),
+    ],
+)
+def test_the_slip_of_ten_that_explains_a_size(reading: list[float], words: str, fix: str) -> None:
+    rows = np.array([[0.0, 0.0, 1000.0], reading] + [[0.0, 1000.0, 0.0]] * 6)
+    made = table(x=rows[:, 0].tolist(), y=rows[:, 1].tolist(), z=rows[:, 2].tolist())
+    with pytest.raises(UsageError) as caught:
+        refuse_sizes(made, np.array([1]), np.arange(8))
+    assert words in caught.value.what
+    assert caught.value.where.endswith("row 2")
+    assert caught.value.remedy == f"{fix}--exclude 2 or --auto-exclude"
+    assert "(so are 1 more)" in _told(made)
+    refuse_sizes(made, np.array([], np.intp), np.arange(8))
+
+
+def _told(made: PositionTable) -> str:
+    with pytest.raises(UsageError) as caught:
+        refuse_sizes(made, np.array([1, 2]), np.arange(8))
+    return caught.value.what
+
+
+def test_rows_are_left_out_by_their_numbers() -> None:
+    made = table(x=[1, 2, 3, 4])
+    assert kept_rows(made, ()).tolist() == [0, 1, 2, 3]
+    assert kept_rows(made, (1, 4)).tolist() == [1, 2]
+    for wrong in (0, 5):
+        with pytest.raises(UsageError, match=f"exclude {wrong}"):
+            kept_rows(made, (wrong,))
+
+
+def test_an_angle_is_within_two_turns() -> None:
+    def of(angle: float, **unit: str) -> np.ndarray:
+        made = table(unit, inclination=[0.0, 10.0], tool_face=[0.0, angle])
+        return checks._in_degrees(made).columns["tool_face"]
+
+    assert of(720.0)[1] == of(4.0 * np.pi, tool_face="rad")[1] == 720.0
+    assert of(-720.0)[1] == -720.0
+    for angle in (720.1, -720.1):
+        with pytest.raises(UsageError, match="out of range") as caught:
+            of(angle)
+        assert caught.value.where.endswith("row 2, column tool_face")
+
+
+@pytest.mark.parametrize(("size", "plausible"), [(0.51, True), (1.49, True), (0.49, False),
+                                                 (1.51, False)])  # fmt: skip
+def test_a_still_sensor_reads_about_one_g(size: float, plausible: bool) -> None:
+    from imucalib.calibrators.lab.bench import raw_unit
+
+    made = table(x=[size * 4096.0] * 3, y=[0.0] * 3, z=[0.0] * 3)
+    if plausible:
+        assert raw_unit(made, None, 4096.0) == RawUnit(
+            "counts", pytest.approx(G / 4096.0), "4096 counts a g, as given"
+        )
+    else:
+        with pytest.raises(UnreadableInput, match=f"{size:.4g} g"):
+            raw_unit(made, "counts", 4096.0)
+
+
+def held(raw: float, final: float) -> SimpleNamespace:
+    return SimpleNamespace(error=SimpleNamespace(held_out=SimpleNamespace(raw=raw, final=final)))
+
+
+def test_a_calibration_is_worth_its_name_below_nine_tenths_of_the_raw_error() -> None:
+    rng = np.random.default_rng(0)
+    whole = SimpleNamespace(reading=rng.normal(0.0, G, (20, 1, 3)))
+    assert not faults.worthless(held(10.0, 8.9), whole)
+    assert not faults.worthless(held(10.0, np.nan), whole)
+    (reason,) = faults.worthless(held(10.0, 9.1), whole)
+    assert "9.1 mg is not clearly below the raw reading's 10 mg" in reason
+    coarse = SimpleNamespace(reading=5.0 * MG * np.round(whole.reading / (5.0 * MG)))
+    (reason,) = faults.worthless(held(10.0, 1.0), coarse)
+    assert "steps of 5 mg" in reason

@@ -1,0 +1,567 @@
+"""What a search decides by, rule by rule: numbers just on either side of each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from imucalib.calibrators.array.loop import subject
+from imucalib.core.balance import Noise
+from imucalib.core.context import Context
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownVector
+from imucalib.effects import catalogue
+from imucalib.loop import candidates, choice, search, shapes
+from imucalib.loop.anytime import e_value as anytime
+from imucalib.loop.design import Fold, folds_of, parts_of
+from imucalib.loop.difference import Difference, difference, with_density
+from imucalib.loop.evidence import Candidate, Score
+from imucalib.loop.found import LoopSettings, Wander
+from imucalib.loop.noise import shared
+from imucalib.loop.separation import repeated as again
+from imucalib.loop.separation.ambiguities import columns_of
+from imucalib.loop.separation.angle import pairs_of
+from imucalib.loop.separation.choice import Pool, informative, separating
+from imucalib.loop.separation.products import Ambiguity, Products
+from imucalib.loop.separation.prospect import Added, ends
+from imucalib.loop.wander import choice as wander_choice
+from imucalib.loop.wander import noise as wander_noise
+from imucalib.loop.wander.ambiguous import _products as worn_products
+from imucalib.loop.wander.bank import parts_of as parts_in_time
+from imucalib.loop.wander.bank import walks_of
+from imucalib.loop.wander.likelihood import Level
+from imucalib.loop.wander.walk import Walk
+from worlds.bench import base_model
+
+Array = NDArray[np.float64]
+
+
+def score(name: str = "a", evidence: float = 9.0, **more: object) -> Score:
+    kind, family = str(more.pop("kind", "effect")), str(more.pop("family", ""))
+    curve = str(more.pop("curve", ""))
+    bare = Candidate(name, kind, np.zeros((0, 1)), "t", family, curve)  # type: ignore[arg-type]
+    made: dict[str, object] = {"p": 0.001, "draws": 999, "left": 1.0, "strength": 5.0, "share": 0.1}
+    return Score(candidate=bare, evidence=evidence, **{**made, **more})  # type: ignore[arg-type]
+
+
+def test_a_candidate_passes_by_its_p_or_by_an_earlier_bar() -> None:
+    rules = LoopSettings(alpha=0.035)
+    assert search.passes(score(p=0.035), rules)
+    assert not search.passes(score(p=0.036), rules)
+    held = replace(rules, bar=9.0)
+    assert search.passes(score(evidence=9.0, p=0.9), held)
+    assert not search.passes(score(evidence=8.9, p=0.0), held)
+
+
+def test_a_curve_is_clear_three_nats_beyond_chance() -> None:
+    rules = LoopSettings()
+    assert search.clear(score(evidence=9.0, bar=6.0), rules)
+    assert not search.clear(score(evidence=8.9, bar=6.0), rules)
+    assert not search.clear(score(evidence=99.0, bar=6.0, p=0.9), rules)
+    assert search.clear(score(evidence=10.0, bar=99.0), replace(rules, bar=7.0))
+
+
+def test_what_data_refuse_is_told_beyond_ten_nats_or_three_in_a_thousand() -> None:
+    assert search.beyond_chance(score(evidence=10.1, p=0.03))
+    assert not search.beyond_chance(score(evidence=10.0, p=0.004))
+    assert search.beyond_chance(score(evidence=1.0, p=0.003))
+
+
+def test_a_scan_is_worth_the_mean_of_its_values() -> None:
+    nats = [3.0, 9.0, 8.0, -1.0]
+    members = [score(str(k), v, family="scan") for k, v in enumerate(nats)]
+    assert search.scan_evidence(members) == pytest.approx(np.log(np.mean(np.exp(nats))))
+    rest = (score("plain", 5.0), score("low", -30.0, family="other"))
+    found = search._one_a_scan((*sorted(members, key=lambda s: -s.evidence), *rest))
+    assert [s.name for s in found] == ["1", "plain", "low"]
+    assert found[0].evidence == pytest.approx(np.log(np.mean(np.exp(nats))))
+    assert found[2].evidence == 0.0
+
+
+def test_structure_is_told_three_times_at_most_and_by_its_p() -> None:
+    rules = LoopSettings(alpha=0.05)
+    every = (score("effect"), *(score(str(k), kind="probe", p=0.05) for k in range(4)),
+             score("late", kind="probe", p=0.051))  # fmt: skip
+    assert [u.name for u in search.unexplained(every, rules)] == ["0", "1", "2"]
+    assert search.choose(every, rules) is every[0]
+    assert search.choose(every[1:], rules) is None
+
+
+def leads(monkeypatch: pytest.MonkeyPatch, curve: list[float], name: list[float],
+          before: float) -> bool:  # fmt: skip
+    monkeypatch.setattr(choice, "log_predictives", np.array)
+    monkeypatch.setattr(choice, "log_predictive", lambda fit: fit)
+    return choice._leads(curve, name, before)  # type: ignore[arg-type]
+
+
+def test_a_curve_leads_by_a_standard_error_and_a_fifth_of_its_gain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Leads of 2 and 4 have a sum of 6 and a standard error of 2."""
+    assert leads(monkeypatch, [5.0, 9.0], [3.0, 5.0], 13.0)
+    assert not leads(monkeypatch, [5.0, 9.0], [3.0, 5.0], 14.0 - 31.0)  # of 31 nats in all
+    assert leads(monkeypatch, [5.0, 9.0], [3.0, 5.0], 14.0 - 29.0)
+    assert leads(monkeypatch, [10.0, 0.0], [-1.0, -9.01], 9.0)
+    assert not leads(monkeypatch, [1.0, -0.9], [-1.0, 1.0], 9.0)
+    assert not leads(monkeypatch, [0.0, 1.0], [-1.0, 0.001 + 1.0 + 0.5], 0.9)
+
+
+def fit_of(theta: float = 1.0, *, nats: float, rms: float, **more: object) -> SimpleNamespace:
+    one = SimpleNamespace(name="p", unit="mg", plausible=10.0)
+    made: dict[str, object] = {
+        "converged": True, "null_directions": (), "parameters": (one,), "theta": np.array([theta]),
+        "at": SimpleNamespace(residual=np.zeros(30)), "nats": nats, "rms": rms, "own": rms,
+    }  # fmt: skip
+    return SimpleNamespace(**{**made, **more})
+
+
+@pytest.mark.parametrize(
+    ("after", "reason"),
+    [
+        ({"nats": 11.0, "rms": 0.99}, ""),
+        ({"nats": 10.99, "rms": 0.5}, "+1.0 nats"),
+        ({"nats": 99.0, "rms": 1.0}, "1 times the error"),
+        ({"nats": 99.0, "rms": 0.9, "own": 1.19}, ""),
+        ({"nats": 99.0, "rms": 0.9, "own": 1.21}, "corrected readings are 1.2 times as far off"),
+        ({"nats": 99.0, "rms": 0.9, "theta": 10.1}, "implausible size (p = 10.1 mg)"),
+        ({"nats": 99.0, "rms": 0.9, "theta": -10.1}, "implausible size"),
+        ({"nats": 99.0, "rms": 0.9, "theta": 10.0}, ""),
+        ({"nats": 99.0, "rms": 0.9, "converged": False}, "did not converge"),
+        ({"nats": 99.0, "rms": 0.9, "null_directions": ("x + y",)}, "cannot determine it: x + y"),
+    ],
+)
+def test_an_effect_must_hold_out(
+    monkeypatch: pytest.MonkeyPatch, after: dict[str, float], reason: str
+) -> None:
+    """One nat at least, a smaller error, and corrected readings that are not a fifth worse."""
+    monkeypatch.setattr(search, "log_predictive", lambda fit: fit.nats)
+    monkeypatch.setattr(search, "held_out_rms", lambda fit: fit.rms)
+    monkeypatch.setattr(search, "fitted", lambda fit: SimpleNamespace(rms=lambda: fit.own))
+    found = search.objection(fit_of(nats=10.0, rms=1.0), fit_of(**after))  # type: ignore[arg-type]
+    assert (found is None) == (not reason)
+    if found is not None:
+        assert reason in found.reason
+        assert found.by_data == ("hold out" in found.reason)
+
+
+def trial(density: float, value: float = 1.0, **more: object) -> SimpleNamespace:
+    parameter = SimpleNamespace(name="p", unit="ms", plausible=5.0)
+    term = SimpleNamespace(value=np.array([value]), theta=np.array([value]),
+                           parameters=lambda imus: (parameter,))  # fmt: skip
+    made: dict[str, object] = {"terms": (term,), "converged": True, "density": density,
+                               "setup": SimpleNamespace(imus=("a",))}  # fmt: skip
+    return SimpleNamespace(**{**made, **more})
+
+
+@pytest.mark.parametrize(
+    ("gains", "density", "value", "reason"),
+    [
+        ((4.0, -2.9), 1.1, 1.0, ""),
+        ((9.0, -3.1), 1.1, 1.0, "does not hold out: +9.0 and -3.1 nats"),
+        ((1.0, -1.9), 1.1, 1.0, ""),
+        ((1.0, -2.1), 1.1, 1.0, "does not hold out"),
+        ((9.0, 9.0), 1.0, 1.0, "not better"),
+        ((9.0, 9.0), 1.1, -5.1, "implausible size (p = -5.1 ms)"),
+    ],
+)
+def test_both_halves_of_a_motion_must_agree(
+    gains: tuple[float, float], density: float, value: float, reason: str
+) -> None:
+    """Neither loses three nats, nor both together one."""
+    found = subject._why_not(trial(1.0), trial(density, value), gains)  # type: ignore[arg-type]
+    assert (found == "") == (reason == "")
+    assert reason in found
+    nothing = trial(2.0)
+    nothing.terms[0].value = np.zeros(0)
+    assert "determine none" in subject._why_not(trial(1.0), nothing, gains)  # type: ignore[arg-type]
+
+
+def test_the_difference_is_a_ratio_estimate_with_a_wider_interval() -> None:
+    """Student's t over the parts; √(1 + K / (K - 1)) for the training data that folds share."""
+    rng = np.random.default_rng(0)
+    before, after = rng.uniform(1.0, 2.0, 30), rng.uniform(0.5, 1.5, 30)
+    part = np.repeat(np.arange(6), [3, 7, 5, 5, 4, 6])
+    for metric, power in (("rms", 2.0), ("mean", 1.0)):
+        found = difference(before, after, part, 6, metric)  # type: ignore[arg-type]
+        change = before**power - after**power
+        mean, count = change.mean(), np.bincount(part)
+        off = (np.bincount(part, change) - mean * count) / count.mean()
+        error = np.sqrt(np.sum(off**2) / 5.0 / 6.0) * stats.t.ppf(0.975, 5)
+        start, end = (np.mean(e**power) ** (1.0 / power) for e in (before, after))
+        unit = start + end if metric == "rms" else 1.0
+        assert (found.before, found.after) == pytest.approx((start, end))
+        assert found.gain == pytest.approx(mean / unit)
+        wide = np.sqrt(1.0 + 6.0 / 5.0)
+        assert (found.low, found.high, found.plain_low) == pytest.approx(
+            ((mean - wide * error) / unit, (mean + wide * error) / unit, (mean - error) / unit)
+        )
+    nats = np.array([1.0, 2.0, 4.0])
+    dense = with_density(found, nats, decides=True)
+    low = 7.0 - stats.t.ppf(0.975, 2) * np.std(nats, ddof=1) * np.sqrt(3.0)
+    assert (dense.nats, dense.nats_low) == pytest.approx((7.0, low))
+
+
+@pytest.mark.parametrize(
+    ("low", "plain", "nats", "least", "dense", "told"),
+    [
+        (0.1, 0.2, 1.0, -1.0, False, (True, True, True)),
+        (0.1, 0.2, -0.1, -1.0, False, (False, True, True)),
+        (-0.1, 0.2, 5.0, 1.0, False, (False, True, True)),
+        (-0.1, -0.2, 5.0, 1.0, True, (True, True, True)),
+        (-0.1, -0.2, -0.9, -3.0, True, (False, False, True)),
+        (-0.1, -0.2, -1.1, -3.0, True, (False, False, False)),
+        (-0.1, 0.2, -1.1, -2.1, True, (False, True, False)),
+        (-0.1, 0.2, -1.1, -2.3, True, (False, True, True)),
+    ],
+)
+def test_what_is_proved_likely_and_refuted(
+    low: float, plain: float, nats: float, least: float, dense: bool, told: tuple[bool, ...]
+) -> None:
+    one = Difference(2.0, 1.0, low, 9.0, plain, 10, nats, least, by_density=dense)
+    assert (one.proved, one.likely, one.holds) == told
+
+
+def test_walks_remember_from_three_minutes_to_a_sixth_of_the_recording() -> None:
+    time = np.linspace(100.0, 100.0 + 6.0 * 12800.0, 50)
+    white, *others = walks_of(time)
+    assert white == Walk(0.0, 1.0)
+    assert sorted({w.tau for w in others}) == [200.0, 800.0, 3200.0, 12800.0]
+    assert sorted({w.rho for w in others}) == [0.1, 0.3, 1.0, 3.0, 10.0, 30.0]
+    short = walks_of(np.linspace(0.0, 6.0 * 700.0, 50))
+    assert {w.tau for w in short[1:]} == {700.0}
+    every = np.arange(9)
+    folds = (Fold(every[:3], every[4:]), Fold(every[5:], every[:4]))
+    assert parts_in_time(folds, 9).tolist() == [0, 0, 0, 1, 2, 3, 3, 3, 3]
+
+
+def test_a_walk_may_be_larger_unless_it_is_far_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to 3.5 times the fitted one, or within forty nats of the best."""
+    walks = tuple(Walk(rho, 1e3) for rho in (0.0, 1.0, 3.4, 3.6, 30.0))
+    nats = (0.0, 50.0, 1.0, 10.1, 9.9)
+    every = [Level(k, v, 1.0, 20) for k, v in enumerate(nats)]
+    n = 12
+    fit = SimpleNamespace(
+        theta=np.zeros(1), parameters=(SimpleNamespace(typical=1.0),),
+        observations=SimpleNamespace(context={"time": np.arange(float(n))}),
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    seen = (rng.normal(size=n), rng.normal(size=(n, 1)), rng.normal(size=(n, 4)))
+    monkeypatch.setattr(wander_noise, "natural", lambda fit: seen)
+    monkeypatch.setattr(wander_noise, "walks_of", lambda time: walks)
+    monkeypatch.setattr(wander_noise, "levels", lambda bank, terms, keep: every)
+    found = wander_noise.noise_of(fit, np.zeros(n), np.zeros(n, np.intp))  # type: ignore[arg-type]
+    assert found.walk == walks[1]
+    assert found.evidence == 50.0
+    assert found.walks == walks[:4]
+
+
+def test_the_bias_wanders_where_it_carries_more_than_the_scatter() -> None:
+    assert Wander(2.0, 3.0, 1.9, 99.0).counts
+    assert not Wander(2.0, 3.0, 2.1, 99.0).counts
+    assert Wander(0.0, 3.0, 2.1, 99.0).words == "the bias does not wander"
+
+
+def taken(gains: list[float], before: float = 2.0, after: float = 1.0) -> SimpleNamespace:
+    return SimpleNamespace(gains=np.array(gains), before=before, after=after)
+
+
+def test_blocks_of_time_must_gain_beyond_their_scatter() -> None:
+    """In standard errors of the sum, more where time drives it; and the error must fall."""
+    assert wander_choice._lead(np.array([1.0, 3.0])) == pytest.approx(4.0 / 2.0)
+    assert wander_choice._lead(np.array([2.0, 2.0])) == np.inf
+    assert wander_choice._lead(np.zeros(2)) == 0.0
+    for kind, need in (("force", wander_choice._GAIN), ("time", wander_choice._GAIN_IN_TIME)):
+        # A lead of λ: gains 1 ± √2/λ... of two blocks the sum's error is |a - b|.
+        apart = 2.0 / need
+        assert wander_choice._objection(taken([1.0 - 0.49 * apart, 1.0 + 0.49 * apart]), kind) == ""  # type: ignore[arg-type]
+        assert "standard errors" in wander_choice._objection(
+            taken([1.0 - 0.51 * apart, 1.0 + 0.51 * apart]), kind)  # type: ignore[arg-type]  # fmt: skip
+    grown = wander_choice._objection(taken([5.0, 5.0], 2.0, 2.1), "force")  # type: ignore[arg-type]
+    assert "grows by 5.0 %" in grown
+    assert wander_choice._GAIN_IN_TIME > wander_choice._GAIN > 0.0
+
+
+def numbers(kind: str, u: Array, what: str = "bias", against: str = "order") -> list[tuple]:
+    return list(shapes._numbers(kind, u, what, against))
+
+
+def test_forms_are_scanned_over_the_range_of_their_driver() -> None:
+    u = np.linspace(2.0, 10.0, 33)  # a span of 8
+    assert [p for (p,) in numbers("sine", u, "bias", "tool_face")] == [
+        360.0 / k for k in range(1, 13)
+    ]
+    (first,), *_, (last,) = numbers("sine", u)
+    assert (first, last) == pytest.approx((4.0 * 8.0 / 33.0, 12.0))
+    assert len(numbers("sine", u)) == 32
+    (finest,) = numbers("sine", np.linspace(2.0, 10.0, 99))[0]
+    assert finest == pytest.approx(0.5)
+    assert numbers("power", u) == [(k, 6.0, 4.0) for k in (2.0, 3.0, 4.0, 5.0)]
+    assert numbers("power", u, "response", "xyz")[0] == (2.0, 0.0, 1.0)
+    kinks = [v for (v,) in numbers("kink", u)]
+    np.testing.assert_allclose(kinks, 2.0 + 8.0 / 17.0 * np.arange(2, 16))
+    steps = [v for (v,) in numbers("step", u)]
+    between = 2.125 + 0.25 * np.arange(32)
+    assert set(steps) <= set(between)
+    assert (steps[0], steps[-1]) == (between[2], between[29])
+    assert len(steps) == 24
+    assert [v for (v,) in numbers("saturation", u, "response", "x")] == [
+        0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]  # fmt: skip
+    assert numbers("saturation", u) == []
+    teeth = numbers("saw_tooth", u)
+    assert len(teeth) == 32 * 8
+    assert teeth[:3] == [(first, 0.0), (first, 0.125), (first, 0.25)]
+    decays = numbers("exponential", u)
+    np.testing.assert_allclose(decays[:4], [(0.4, 2.0), (-0.4, 10.0), (0.8, 2.0), (-0.8, 10.0)])
+    assert len(decays) == 10
+    assert numbers("kink", u[:7]) == []
+
+
+def test_the_best_of_a_scan_is_sought_between_its_neighbours() -> None:
+    tried = [(0.5, 7.0), (1.25, 7.0), (2.5, 7.0), (2.5, 8.0)]
+    near = shapes._between(tried, (1.25, 7.0))
+    np.testing.assert_allclose([v for v, _ in near], np.linspace(0.5, 2.5, 11)[1:-1])
+    assert {n for _, n in near} == {7.0}
+    np.testing.assert_allclose([v for v, _ in shapes._between(tried, (2.5, 8.0))],
+                               np.linspace(1.25, 2.5, 11)[1:-1])  # fmt: skip
+    np.testing.assert_allclose([v for v, _ in shapes._between(tried, (0.5, 8.0))],
+                               np.linspace(0.5, 1.25, 11)[1:-1])  # fmt: skip
+    assert shapes._between([(2.0,), (3.0,)], (2.0,)) == []
+    assert shapes._numbers_of("shape@bias:order:kink:1.5:2") == (1.5, 2.0)
+
+
+def test_an_e_value_is_the_mean_over_its_stakes(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = SimpleNamespace(at=SimpleNamespace(residual=np.zeros(5)))
+    monkeypatch.setattr(anytime, "log_e_value", lambda fit, blocks: np.array([1.0, 3.0, -2.0]))
+    blocks = [np.zeros((5, 2))] * 3
+    due = (np.exp(1.0) + np.exp(3.0) + np.exp(-2.0)) / 4.0
+    assert anytime.e_value(fit, blocks, 4) == pytest.approx(due)  # type: ignore[arg-type]
+    assert np.isnan(anytime.e_value(fit, [*blocks, np.zeros((4, 2))], 4))  # type: ignore[arg-type]
+
+
+def test_stretches_of_time_stand_for_noise_that_neighbours_share() -> None:
+    """Forty-eight of them, in the order of recording, at a mg each."""
+    n = 480
+    order = np.random.default_rng(0).permutation(n).astype(float)
+    at = SimpleNamespace(owner=np.arange(n), sigma=np.full((n, 3), 2e-3))
+    fit = SimpleNamespace(at=at)
+    columns = candidates._stretches(fit, order).columns  # type: ignore[arg-type]
+    assert columns.shape == (n, 48)
+    np.testing.assert_allclose(columns[columns != 0.0], 9.80665e-3 / 2e-3)
+    assert np.argmax(columns, axis=1).tolist() == (order // 10).astype(int).tolist()
+
+
+def test_smooth_curves_are_cosines_and_waves_of_less_and_less_size() -> None:
+    x = np.array([2.0, 4.0, 10.0])
+    k = np.arange(1, 4)
+    due = np.sqrt(2.0) * np.cos(np.pi * k * ((x - 2.0) / 8.0)[:, None]) / k
+    np.testing.assert_allclose(candidates._cosines(x, 3), due)
+    angle = np.array([0.3, 1.0])
+    waves = candidates._harmonics(angle, 4)
+    due = [[np.sin(a), np.sin(2 * a) / 2, np.cos(a), np.cos(2 * a) / 2] for a in angle]
+    np.testing.assert_allclose(waves, due)
+
+
+def test_shared_noise_is_looked_for_in_a_dozen_rows_and_few_numbers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def looked(n: int, numbers: int, order: bool = True) -> bool:
+        context = {"order": np.arange(float(n))} if order else {}
+        own = SimpleNamespace(context=context, n=n, of_sessions=(), walk=None, shared=())
+        fit = SimpleNamespace(observations=own, at=SimpleNamespace(residual=np.zeros(numbers)))
+        asked = []
+        monkeypatch.setattr(shared, "replace", lambda one, **changed: one)
+        monkeypatch.setattr(shared, "_tried", lambda bare, memories: asked.append(memories) or [])
+        try:
+            shared.with_shared_noise(fit)  # type: ignore[arg-type]
+        except ValueError:  # nothing was tried
+            return bool(asked)
+        return False
+
+    assert looked(12, 36)
+    assert not looked(11, 33)
+    assert looked(110, 330)
+    assert not looked(111, 331)
+    assert not looked(20, 60, order=False)
+
+
+def bench(groups: Array) -> SimpleNamespace:
+    n = len(groups)
+    ids = np.arange(n)
+    reference = KnownVector(np.zeros(n), np.zeros(n), 9.8, ids, ids)
+    reading = np.random.default_rng(0).normal(size=(n, 1, 3))
+    return SimpleNamespace(group=groups, n=n, reading=reading, reference=reference)
+
+
+def test_positions_are_left_out_one_by_one_up_to_thirty_and_stretches_with_a_gap() -> None:
+    assert len(folds_of(bench(np.arange(30)))) == 30  # type: ignore[arg-type]
+    ten = folds_of(bench(np.arange(31)))  # type: ignore[arg-type]
+    assert sorted(f.rows.size for f in ten) == [3] * 9 + [4]
+    assert all(
+        np.array_equal(np.sort(np.concatenate([f.rows, f.rest])), np.arange(31)) for f in ten
+    )
+    time = np.arange(300) // 100
+    first, second, third = folds_of(bench(time))  # type: ignore[arg-type]
+    assert first.rest.tolist() == list(range(103, 300))
+    assert second.rest.tolist() == [*range(97), *range(203, 300)]
+    assert third.stretch
+    assert np.unique(parts_of((first, second, third))).tolist() == [0, 100, 200]
+    assert not folds_of(bench(np.arange(29) // 10))[0].stretch  # type: ignore[arg-type]
+
+
+def rivals() -> Ambiguity:
+    """A base of two columns, two rivals of one that are alike but for a tenth, as 40 data say."""
+    rng = np.random.default_rng(0)
+    base, one, other = rng.normal(size=(40, 2)), rng.normal(size=40), rng.normal(size=40)
+    rows = np.column_stack([base, one, one + 0.1 * other])
+    data = 1.5 * rows[:, 2] + rng.normal(size=40)
+    products = Products(rows.T @ rows, rows.T @ data, float(data @ data), 40.0)
+    return Ambiguity("a", ("base",), ("x", "y", "a", "b"), ("a", "b"),
+                     {"a": np.array([2]), "b": np.array([3])}, {"a": 9.0, "b": 8.0}, products,
+                     37.0)  # fmt: skip
+
+
+def menu() -> Pool:
+    """Three motions of twenty data: one tells the rivals apart, one the base, one nothing."""
+    rng = np.random.default_rng(1)
+    grams = []
+    for apart, base in ((0.6, 1.0), (0.05, 4.0), (0.0, 1.0)):
+        one = rng.normal(size=20)
+        rows = np.column_stack([base * rng.normal(size=(20, 2)), one,
+                                one + apart * rng.normal(size=20)])  # fmt: skip
+        grams.append(rows.T @ rows)
+    return Pool(np.stack(grams), 20.0)
+
+
+def test_one_motion_is_repeated_until_nine_of_ten_outcomes_end_it() -> None:
+    one, pool = rivals(), menu()
+    made = again.repeated(one, pool, np.random.default_rng(0))
+    count = len(made.plan)
+    assert made.plan == (0,) * count
+    assert 1 < count < again.MOST
+    assert min(made.ended.values()) >= 0.9
+    against = {"a": ("b",), "b": ("a",)}
+    shares = [
+        min(ends(one, Added(k * pool.gram[0], 20.0 * k), np.random.default_rng(5), 4000,
+                 against).values())
+        for k in (count - 1, count + 1)
+    ]  # fmt: skip
+    assert shares[0] < 0.93
+    assert shares[1] > 0.88
+    # Beside it: the one that tells most of the base model, and the median one.
+    pairs = pairs_of(one)
+    assert made.informative is not None
+    assert made.random is not None
+    worth = informative(one.products.gram, one.first)(count * pool.gram)
+    assert int(np.argmax(worth)) == 1
+    assert made.informative.apart < made.least
+    assert made.random.followed == 8 * count
+    assert float(separating(one.products.gram, pairs)(count * pool.gram[:1])[0]) == pytest.approx(
+        float(made.apart.min() + 0.05 * made.apart.mean())
+    )
+    assert (made.apart > made.now).all()
+
+
+def test_new_data_have_an_offset_of_their_own_after_a_power_up() -> None:
+    one = rivals()
+    later = one.after_a_power_up(25.0)
+    assert later.columns[:4] == ("next_bias_x", "next_bias_y", "next_bias_z", "x")
+    assert later.first == one.first + 3
+    assert [at.tolist() for at in later.blocks.values()] == [[5], [6]]
+    gram = later.products.gram
+    np.testing.assert_allclose(gram[:3, :3], 25.0 * np.eye(3))
+    np.testing.assert_allclose(gram[3:, 3:], one.products.gram)
+    assert not gram[:3, 3:].any()
+    np.testing.assert_allclose(later.products.along, [0.0] * 3 + one.products.along.tolist())
+
+
+def test_columns_of_what_could_be_recorded_are_white_by_their_settings() -> None:
+    """Each position's three numbers by themselves: V = 1 + Σ sd² n nᵀ, in units of the noise; an
+    effect's own derivative at typical size."""
+    rng = np.random.default_rng(0)
+    n, sigma = 5, 3e-3
+    i, t, ids = rng.uniform(-1.0, 1.0, n), rng.uniform(0.0, 6.0, n), np.arange(n)
+    reference = KnownVector(i, t, 9.8, ids, ids)
+    model = base_model(("bias", "scale"))
+    theta = np.array([5.0, -3.0, 2.0, 0.01, -0.02, 0.005])
+    truth = reference.truth(np.zeros(2 * n))
+    reading = model.predict(theta, truth, Context(n)).reading
+    data = Observations(reading, np.full((n, 1, 3), sigma), reference, Context(n), ids, ("",) * n)
+    names, sds = KnownVector.COMPONENTS, (2e-3, 4e-3)
+    quadratic = catalogue()["quadratic"]
+    found = columns_of(model, theta, [quadratic], data, Noise(1.0, names, sds))
+
+    def by(values: Array, own: Array, angles: tuple[Array, Array]) -> Array:
+        """The reading of bias, scale and squares at angles, by their equations."""
+        u = np.stack([np.cos(angles[0]) * np.sin(angles[1]), np.cos(angles[0]) * np.cos(angles[1]),
+                      np.sin(angles[0])], axis=-1)  # fmt: skip
+        mg = 9.80665e-3
+        return 9.8 * u * (1.0 + values[3:6]) + mg * values[:3] + mg * own * (9.8 * u / 9.80665) ** 2
+
+    step = 1e-6
+    for k in range(n):
+        at = (i[k : k + 1], t[k : k + 1])
+        slopes = [(by(theta + step * e, np.zeros(3), at) - by(theta - step * e, np.zeros(3), at))[0]
+                  for e in np.eye(6)]  # fmt: skip
+        slopes += [(by(theta, step * e, at) - by(theta, -step * e, at))[0] for e in np.eye(3)]
+        typical = [50.0] * 3 + [0.03] * 3 + [3.0] * 3
+        rows = np.array(slopes).T / (2.0 * step) * typical / sigma
+        v = np.eye(3)
+        for sd, moved in zip(sds, ((step, 0.0), (0.0, step)), strict=True):
+            up, down = (by(theta, np.zeros(3), (at[0] + s * moved[0], at[1] + s * moved[1]))[0]
+                        for s in (1.0, -1.0))  # fmt: skip
+            away = sd * (up - down) / (2.0 * step) / sigma
+            v += np.outer(away, away)
+        np.testing.assert_allclose(found[k].T @ found[k], rows.T @ np.linalg.solve(v, rows),
+                                   rtol=1e-5)  # fmt: skip
+
+
+def test_a_worn_recordings_products_count_for_all_of_its_rows() -> None:
+    """Of the rows that were searched, white under the fitted walk."""
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=(2, 40, 6))
+    bank = SimpleNamespace(white=white, data=5)
+    found = SimpleNamespace(bank=bank, level=SimpleNamespace(walk=1, variance=2.5))
+    problem = SimpleNamespace(fit=SimpleNamespace(observations=SimpleNamespace(n=120)))
+    made = worn_products(problem, found, [0, 3])  # type: ignore[arg-type]
+    rows = white[1][:, [0, 3]]
+    np.testing.assert_allclose(made.gram, 3.0 / 2.5 * rows.T @ rows)
+    np.testing.assert_allclose(made.along, 3.0 / 2.5 * rows.T @ white[1][:, 5])
+    assert made.power == pytest.approx(1.2 * np.sum(white[1][:, 5] ** 2))
+    assert made.numbers == 120.0
+
+
+def path(density: float, **more: object) -> subject.MotionSubject:
+    state = SimpleNamespace(density=density)
+    made: dict[str, object] = {"residuals": None, "moving": None, "rng": None, "ages": None}
+    made.update(rules=LoopSettings(margin=3.0), left_out=frozenset())
+    return subject.MotionSubject(state=state, **{**made, **more})  # type: ignore[arg-type]
+
+
+def test_effects_owe_what_a_leading_curve_has_explained() -> None:
+    """Its evidence less the margin, until their refits have gained as much; three may try."""
+    effect, curve = score("effect", 20.0), score("curve", 30.0, kind="probe")
+    start = path(100.0)
+    start.__dict__["searched"] = SimpleNamespace(scores=(curve, effect))
+    grown = start._owing(path(112.0), effect, ())
+    assert grown.debt == pytest.approx(27.0 - 12.0)
+    assert (grown.safe, grown.taken) == (start, 1)
+    assert grown.matched == (("curve", start),)
+    grown.__dict__["searched"] = start.searched
+    paid = grown._owing(replace(grown, state=SimpleNamespace(density=127.0)), effect, ())
+    assert (paid.debt, paid.safe, paid.taken) == (0.0, None, 0)
+    owing = grown._owing(replace(grown, state=SimpleNamespace(density=126.9)), effect, ())
+    assert owing.debt == pytest.approx(0.1)
+    assert owing.taken == 2
+    # A lead of the margin is none, and an effect that leads owes nothing.
+    near = path(100.0)
+    near.__dict__["searched"] = SimpleNamespace(scores=(score("curve", 23.0, kind="probe"), effect))
+    assert near._owing(path(101.0), effect, ()).safe is None
+    leading = path(100.0)
+    leading.__dict__["searched"] = SimpleNamespace(scores=(effect, curve))
+    assert leading._owing(path(101.0), effect, ()).matched == ()
+    assert start._owing(path(101.0), effect, ("curve",)).matched == ()

@@ -1,0 +1,124 @@
+"""Evidence beside a walk: ratios of likelihoods of whole covariance matrices."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from imucalib.loop.wander import forms, scores
+from imucalib.loop.wander.forms import outdone
+from imucalib.loop.wander.likelihood import Terms
+from imucalib.loop.wander.scores import Entry, Scored, beside, scored
+
+N, BASE = 40, 3
+KEEP = np.array([True, False, True])
+PART = np.repeat([0, 1, 2], [16, 6, 18])
+TERMS = Terms(np.arange(BASE), np.full(BASE, 0.25), BASE)
+
+
+def bank(seed: int, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """Three columns of a base, seven of candidates, the data; one walk, which is white."""
+    rng = np.random.default_rng(seed)
+    columns = rng.standard_normal((N, 11))
+    columns[:, 10] += 0.8 * columns[:, 3] - 0.5 * columns[:, 5] + 0.6 * columns[:, 0]
+    monkeypatch.setattr(scores, "whitened", lambda _, walks, x: (np.stack([x] * len(walks)), None))
+    kept = columns[KEEP[PART]]
+    sums = np.array([columns[k == PART].T @ columns[k == PART] for k in range(3)])
+
+    def by_part(_: int, at: np.ndarray) -> np.ndarray:
+        return sums[:, at][:, :, at]
+
+    return SimpleNamespace(
+        columns=columns, data=10, white=columns[None], course=SimpleNamespace(part=PART),
+        walks=("white",), count=np.bincount(PART), log_det=np.zeros((1, 3)), by_part=by_part,
+        train=lambda *_: kept.T @ kept, plus=lambda more: more,
+    )  # fmt: skip
+
+
+def nats(made: SimpleNamespace, block: np.ndarray, size: float) -> float:
+    rows = KEEP[PART]
+    y, freedom = made.columns[rows, 10], rows.sum() - BASE
+    nothing = np.eye(rows.sum()) + made.columns[rows, :BASE] @ made.columns[rows, :BASE].T / 0.25
+    whole = nothing + size**2 * block[rows] @ block[rows].T
+    dets = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(nothing)[1]
+    power = np.log((y @ np.linalg.solve(whole, y)) / (y @ np.linalg.solve(nothing, y)))
+    return float(-0.5 * dets - 0.5 * freedom * power)
+
+
+def test_columns_beside_a_bank_gain_their_likelihood_ratio(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = bank(1, monkeypatch)
+    blocks, sizes = [made.columns[:, 3:5], made.columns[:, 5:6]], (0.3, 2.0)
+    found = beside(made, TERMS, KEEP, 0, blocks, sizes)  # type: ignore[arg-type]
+    expected = [[nats(made, block, size) for size in sizes] for block in blocks]
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_candidates_are_scored_at_their_best_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = bank(2, monkeypatch)
+    entries = [
+        Entry("pair", "", "effect", np.array([3, 4])), Entry("one", "", "time", np.array([5])),
+        Entry("none", "", "effect", np.array([6, 7])),
+    ]  # fmt: skip
+    found, chance = scored(made, TERMS, KEEP, entries, (0,))  # type: ignore[arg-type]
+    assert chance.shape == (2, 0)
+    sizes = (0.1, 0.3, 1.0, 3.0, 10.0)
+    rows = KEEP[PART]
+    base, y = made.columns[rows, :BASE], made.columns[rows, 10]
+    away = np.eye(rows.sum()) - base @ np.linalg.solve(base.T @ base + 0.25 * np.eye(3), base.T)
+    for s in found:
+        block = made.columns[:, s.entry.columns]
+        each = [nats(made, block, size) for size in sizes]
+        assert s.evidence == pytest.approx(max(*each, 0.0), abs=1e-9)
+        assert s.size == sizes[int(np.argmax(each))]
+        own = block[rows]
+        kept = float(np.trace(own.T @ away @ own))
+        assert s.left == pytest.approx(kept / np.sum(own**2))
+        assert s.strength == pytest.approx(np.sqrt(kept))
+        fitted = own.T @ away @ y
+        explained = fitted @ np.linalg.solve(own.T @ away @ own, fitted)
+        assert s.share == pytest.approx(explained / (y @ away @ y))
+    assert [s.evidence for s in found] == sorted((s.evidence for s in found), reverse=True)
+
+
+@pytest.mark.parametrize(("terms", "widest"), [(6, 10.0), (7, 3.0)])
+def test_a_curve_of_seven_terms_is_held_to_three_typical_sizes(
+    monkeypatch: pytest.MonkeyPatch, terms: int, widest: float
+) -> None:
+    made = bank(3, monkeypatch)
+    at = np.arange(3, 3 + terms)
+    made.columns[:, 10] = 50.0 * made.columns[:, at].sum(axis=1) + made.columns[:, 10]
+    kept = made.columns[KEEP[PART]]
+    made.train = lambda *_: kept.T @ kept
+    sums = np.array([made.columns[k == PART].T @ made.columns[k == PART] for k in range(3)])
+    made.by_part = lambda _, at: sums[:, at][:, :, at]
+    (found,), _ = scored(made, TERMS, KEEP, [Entry("c", "", "curve", at)], (0,))  # type: ignore[arg-type]
+    assert found.size == widest
+
+
+@pytest.mark.parametrize(("lead", "taken"), [(3.1, True), (2.9, False)])
+def test_a_form_outdoes_a_name_by_three_nats_of_the_mean_over_its_values(
+    monkeypatch: pytest.MonkeyPatch, lead: float, taken: bool
+) -> None:
+    made = bank(4, monkeypatch)
+    # The mean over a scan of three values, and of one.
+    scan = np.array([9.0, 8.0, 2.0])
+    mean = float(np.log(np.mean(np.exp(scan))))
+    named = mean - lead
+    gains = np.array([[named - 1.0, named], [mean - 0.1, 0.0], [8.0, 7.0], [3.0, 9.0], [2.0, 1.0]])
+    monkeypatch.setattr(forms, "beside", lambda *_: gains)
+    monkeypatch.setattr(forms, "SIZES", (0.3, 3.0))
+    monkeypatch.setattr(forms, "joined", lambda _, found, name, columns: (name, found))
+    names = ["shape@x:r:sine:1", "shape@x:r:power:1", "shape@x:r:power:2", "shape@x:r:power:3"]
+    tried = [(name, made.columns[:, :1]) for name in names]
+    own = Scored(Entry("cubic", "", "effect", np.array([3])), 20.0, 0, 1.0, 0.9, 3.0, 0.1)
+    found = outdone(made, TERMS, KEEP, own, tried)  # type: ignore[arg-type]
+    assert (found is not None) == taken
+    if found is not None:
+        name, better = found
+        assert name == "shape@x:r:power:2"
+        assert better.evidence == pytest.approx(20.0 + lead)
+        assert better.size == 3.0
+        assert better.entry.family == "shape"
+    assert outdone(made, TERMS, KEEP, own, []) is None  # type: ignore[arg-type]

@@ -1,0 +1,110 @@
+"""What a search beside a walk says of an effect, by the numbers behind it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from imucalib.loop.found import Wander
+from imucalib.loop.wander.likelihood import Terms
+from imucalib.loop.wander.words import aliases, chance_of, scores_of, unexplained
+from imucalib.units import MG
+
+
+def scored(name: str, evidence: float, columns: tuple[int, ...], **more: object) -> SimpleNamespace:
+    entry = {"name": name, "family": "", "kind": "effect", "timed": False}
+    made = {
+        "evidence": evidence,
+        "walk": 0,
+        "size": 0.7,
+        "left": 0.9,
+        "strength": 3.0,
+        "share": 0.1,
+    }
+    entry |= {k: v for k, v in more.items() if k in entry}
+    made |= {k: v for k, v in more.items() if k in made}
+    return SimpleNamespace(entry=SimpleNamespace(columns=np.array(columns), **entry), **made)
+
+
+def test_p_counts_the_draws_that_do_as_well_in_one_of_two_halves() -> None:
+    chance = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], [9.0] * 7])
+    assert chance_of(scored("a", 6.5, (0,)), chance) == pytest.approx(2.0 * 2.0 / 8.0)  # type: ignore[arg-type]
+    assert chance_of(scored("a", 6.0, (0,)), chance) == pytest.approx(2.0 * 3.0 / 8.0)  # type: ignore[arg-type]
+    assert chance_of(scored("a", 8.0, (0,), timed=True), chance) == 1.0  # type: ignore[arg-type]
+    assert chance_of(scored("a", 9.5, (0,), timed=True), chance) == pytest.approx(0.25)  # type: ignore[arg-type]
+
+
+def test_of_a_scan_only_the_best_is_a_score_and_curves_all_are() -> None:
+    columns = np.array([[3.0, 1.0, 0.0], [4.0, 1.0, 2.0]])
+    problem = SimpleNamespace(
+        bank=SimpleNamespace(columns=columns), noise=SimpleNamespace(scatter=2.0)
+    )
+    found = [
+        scored("lag@1h", 8.0, (0,), family="lag"), scored("lag@2h", 7.0, (1,), family="lag"),
+        scored("curve@x", 6.0, (1, 2), family="curve", kind="curve", timed=True),
+        scored("curve@y", 5.0, (2,), family="curve", kind="curve"),
+        scored("plain", 4.0, (2,)), scored("other", 3.0, (1,)),
+    ]  # fmt: skip
+    chance = np.array([[7.5, 1.0, 1.0], [6.5, 1.0, 1.0]])
+    scores = scores_of(problem, found, chance, np.array([2.5, 3.5]))  # type: ignore[arg-type]
+    assert [s.candidate.name for s in scores] == ["lag@1h", "curve@x", "curve@y", "plain", "other"]
+    assert scores[0].size == pytest.approx(5.0 / np.sqrt(2.0) * 2.0 * MG)
+    assert scores[1].size == pytest.approx(np.sqrt(6.0 / 2.0) * 2.0 * MG)
+    assert [s.p for s in scores] == pytest.approx([0.5, 1.0, 1.0, 1.0, 1.0])
+    assert [s.bar for s in scores] == [2.5, 3.5, 2.5, 2.5, 2.5]
+    assert {s.draws for s in scores} == {3}
+
+
+def apart_by_hand(white: np.ndarray, own: int, rival: int, size: float) -> float:
+    """Ridge of the data on the effect beside the base; what the rival and the base leave of it."""
+    base, y = white[:, :2], white[:, 6]
+    residual = np.eye(len(white)) - base @ np.linalg.pinv(base)
+    x = residual @ white[:, [own]]
+    stacked = np.vstack([x, np.eye(1) / size])
+    theta = np.linalg.lstsq(stacked, np.append(residual @ y, 0.0), rcond=None)[0]
+    effect = x @ theta
+    both = np.column_stack([base, white[:, rival]])
+    return float(np.linalg.norm(effect - both @ np.linalg.lstsq(both, effect, rcond=None)[0]))
+
+
+def test_rivals_are_near_in_evidence_or_in_angle() -> None:
+    rng = np.random.default_rng(4)
+    white = rng.standard_normal((30, 7))
+    # Columns 3, 4, 5 are the effect of column 2 and more and more of another; 6 are the data.
+    white[:, 6] = 3.0 * white[:, 2] + 0.3 * white[:, 6]
+    for k, share in ((3, 0.05), (4, 0.1), (5, 3.0)):
+        white[:, k] = white[:, 2] + share * white[:, k]
+    far = [apart_by_hand(white, 2, k, 0.7) for k in (3, 4, 5)]
+    limit = 2.0 / float(np.mean(far[:2]))  # the first below two, the second above
+    assert far[0] < far[1] < far[2]
+    white[:, 6] *= limit
+    far = [apart_by_hand(white, 2, k, 0.7) for k in (3, 4, 5)]
+    assert far[0] < 2.0 < far[1]
+    bank = SimpleNamespace(white=white[None], data=6)
+    own = scored("own", 20.0, (2,), family="fam")
+    rivals = [
+        scored("own", 20.0, (2,)), scored("sibling@1", 19.0, (3,), family="fam"),
+        scored("even", 17.0, (5,)), scored("less", 16.9, (5,)), scored("close", 10.0, (3,)),
+        scored("closer", 9.9, (3,)), scored("wide", 16.0, (4,)), scored("scan@1", 12.0, (3,)),
+        scored("scan@2", 11.0, (3,)), scored("curve@x", 20.0, (3,), kind="curve"),
+    ]  # fmt: skip
+    taken = SimpleNamespace(found=own, rivals=rivals)
+    terms = Terms(np.array([0, 1]), np.zeros(2), 2)
+    found = aliases(bank, terms, taken)  # type: ignore[arg-type]
+    assert found == ("even", "close", "scan@1")
+
+
+@pytest.mark.parametrize(
+    ("size", "evidence", "told"), [(2.0, 5.1, True), (2.0, 4.9, False), (0.9, 9.0, False)]
+)
+def test_a_walk_is_told_beyond_five_nats_and_the_scatter_of_a_run(
+    size: float, evidence: float, told: bool
+) -> None:
+    found = unexplained(Wander(size, 3.0, 1.0, evidence))
+    assert bool(found) == told
+    for one in found:
+        assert one.p == pytest.approx(np.exp(-evidence))
+        assert one.share == pytest.approx(0.8)
+        assert one.evidence == evidence
