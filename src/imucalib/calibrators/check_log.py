@@ -32,8 +32,6 @@ from imucalib.rests.segments import Segments, StillSettings
 from imucalib.units import STANDARD_GRAVITY
 
 _ANGLES, _DIRECTION = {"inclination", "tool_face"}, {"ux", "uy", "uz"}
-#: A file of positions has at most this many rows; a longer one is taken for a recording.
-_MOST_POSITIONS = 2000
 
 
 @dataclass(frozen=True)
@@ -59,8 +57,7 @@ def positions_in(files: LabFiles) -> PositionTable | None:
             )  # fmt: skip
         except ImucalError:
             continue
-        known = set(table.columns) >= _ANGLES or direction
-        if table.n <= _MOST_POSITIONS and (known or "time" not in table):
+        if table.of_positions or set(table.columns) >= _ANGLES or direction:
             return table
     return None
 

@@ -75,6 +75,10 @@ def understand(names: Sequence[str]) -> list[Column]:
 
 def _bare_axis(column: Column) -> Column:
     words = [w for w in _words(column.name) if w != "axis"]
+    if words[1:] == ["g"] and column.quantity in ("", "angular_rate"):
+        column = replace(column, quantity="", unit="g")  # where nothing else is an acceleration
+    if len(words) == 2 and column.unit in ("g", _UNIT_WORDS.get(words[1])):
+        words = words[:1]
     unit = canonical(column.unit)
     known = unit in ACCELERATION_UNITS or unit in ("", "counts")
     quantity = "acceleration" if known else "angular_rate" if unit in RATE_UNITS else ""
@@ -107,6 +111,7 @@ def _column(index: int, text: str) -> Column:
         words = [w for w in words if w not in _ACC | _GYRO]
         return Column(index, name, "temperature", triad=_triad(words), unit=unit)
     if _TIME & set(words) or (unit in TIME_UNITS and not _OTHER & set(words)):
+        unit = unit or ("s" if words[-1:] == ["s"] else _UNIT_WORDS.get("".join(words), ""))
         return Column(index, name, "time", unit=_TIME_UNIT_TEXT.get(unit.lower(), unit))
     return Column(index, name, unit=unit)
 

@@ -113,7 +113,11 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
                 stop = max(stop, float(channel.t[-1])) if channel.t.size else stop
     if first is None or tails is None:
         where = first.path if first else ""
-        raise UsageError("the recording has no acceleration channel", where=where)
+        raise UsageError(
+            "the recording has no acceleration channel",
+            where=where,
+            remedy="`imucal inspect FILE` lists what it has; name the columns with --acc X,Y,Z",
+        )
     windows = builders["acceleration"].windows()
     if windows is None:
         raise Undetermined(

@@ -87,7 +87,11 @@ def find_segments(blocks: Iterable[Recording], settings: StillSettings | None = 
         passed.add(block)
     sensors, notes = passed.sensors()
     if not sensors:
-        raise UsageError("the recording has no acceleration channel", where=passed.path)
+        raise UsageError(
+            "the recording has no acceleration channel",
+            where=passed.path,
+            remedy="`imucal inspect FILE` lists what it has; name the columns with --acc X,Y,Z",
+        )
     every = [seen(sensor, passed.samples, chosen) for sensor in sensors]
     notes += [note for one in every for note in one.kinds.notes]
     candidates, more = candidates_of(every, passed.samples, chosen)

@@ -311,3 +311,20 @@ def test_numbers_come_back_bit_by_bit(rows: list[list[float]]) -> None:
         table = read_position_table(_write(Path(folder), text))
     roles = ("inclination", "tool_face", "x", "y", "z")
     assert np.array_equal(np.stack([table.columns[r] for r in roles], axis=-1), np.array(rows))
+
+
+@pytest.mark.parametrize(
+    ("heading", "rows", "positions"),
+    [
+        ("x,y,z", "0,0,1\n0,1,0\n1,0,0\n", True),
+        ("time_s,x_g,y_g,z_g", "0,0,0,1\n30,0,1,0\n55,1,0,0\n", True),
+        ("time,x,y,z", "0,0,0,1\n0.02,0,0.001,1\n0.04,0.001,0,1\n0.06,0,0,1\n", False),
+        ("time,x,y,z", "0,0,0,1\n20,0,0.001,1\n40,0.001,0,1\n60,0,0,1\n", False),  # ms, perhaps
+        ("time_s,x,y,z", "0,0,0,1\n20,0,0.001,1\n40,0.001,0,1\n60,0,0,1\n", True),  # one rest again
+    ],
+)
+def test_still_positions_are_not_the_samples_of_a_recording(
+    heading: str, rows: str, positions: bool, tmp_path: Path
+) -> None:
+    table = read_position_table(_write(tmp_path, f"{heading}\n{rows}"), need_angles=False)
+    assert table.of_positions == positions

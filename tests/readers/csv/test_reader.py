@@ -590,3 +590,34 @@ def test_our_own_table_is_held_against_its_sum(tmp_path: Path) -> None:
     for fine in (data, data.replace(b"\n", b"\r\n"), gzip.compress(data), old):
         path.write_bytes(fine)
         assert readers.read(path, strict=True).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("names", "factor"),
+    [("x_g,y_g,z_g", 1.0), ("x_mg,y_mg,z_mg", 1000.0), ("X_ms2,Y_ms2,Z_ms2", G)],
+)
+@pytest.mark.parametrize("stamp", ["time_s", "t_s", "seconds", "Time_s"])
+def test_a_bare_axis_may_have_its_unit_in_its_name(
+    names: str, factor: float, stamp: str, tmp_path: Path
+) -> None:
+    values = at_rest(400) * factor
+    rows = [f"{k * 0.02:.2f}," + ",".join(f"{v:.5f}" for v in row) for k, row in enumerate(values)]
+    read = readers.read(put(tmp_path, f"{stamp},{names}\n" + "\n".join(rows) + "\n"))
+    channel = read.channels["imu0/acceleration"]
+    assert np.allclose(channel.values, values / factor * G, atol=1e-4)
+    assert channel.t[-1] - channel.t[0] == pytest.approx(399 * 0.02)
+    assert not [note for note in read.notes if "unit" in note]  # both are stated
+
+
+def test_x_g_is_a_gyro_beside_an_acceleration(tmp_path: Path) -> None:
+    values = np.column_stack([at_rest(400), 0.01 * at_rest(400, 1)])
+    rows = [f"{k * 0.02:.2f}," + ",".join(f"{v:.5f}" for v in row) for k, row in enumerate(values)]
+    path = put(tmp_path, "time_s,x_a,y_a,z_a,x_g,y_g,z_g\n" + "\n".join(rows) + "\n")
+    assert set(readers.read(path).channels) == {"imu0/acceleration", "imu0/angular_rate"}
+
+
+def test_stamps_in_stated_seconds_are_not_taken_for_milliseconds(tmp_path: Path) -> None:
+    rows = [f"{20.0 * k:.1f},0.1,0.2,{0.97 + 1e-4 * (k % 3)}" for k in range(60)]
+    path = put(tmp_path, "time_s,ax_g,ay_g,az_g\n" + "\n".join(rows) + "\n")
+    channel = readers.read(path).channels["imu0/acceleration"]
+    assert channel.t[-1] - channel.t[0] == pytest.approx(59 * 20.0)

@@ -19,9 +19,6 @@ from imucalib.recording.recording import Recording
 from imucalib.rests.refused import refusals
 from imucalib.rests.segments import Segments, StillSettings, still_segments
 
-#: A file of positions has at most this many rows; a longer one is taken for a recording.
-_MOST_POSITIONS = 2000
-
 
 @dataclass(frozen=True)
 class LabFiles:
@@ -119,7 +116,7 @@ def _is_table(files: LabFiles) -> bool:
         )
     except ImucalError:
         return False
-    return table.n <= _MOST_POSITIONS and "time" not in table
+    return table.of_positions
 
 
 def still_rests(

@@ -31,6 +31,11 @@ _FACES = tuple(f"{sign}{letter}" for sign in "+-" for letter in "xyz")
 #: Rows that sessions have on average, at least.
 _OF_A_SESSION = 3
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+#: A file of positions has at most this many rows; a longer one is taken for a recording.
+_MOST = 2000
+#: From one position to the next readings change by more than this share of gravity (samples at rest
+#: do not), or stated seconds pass.
+_TURNED, _PASSED = 0.05, 1.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,18 @@ class PositionTable:
         order = np.argsort(self.columns["time"], kind="stable") if "time" in self else slice(None)
         columns = {role: values[order] for role, values in self.columns.items()}
         return replace(self, columns=columns, row=self.row[order])
+
+    @property
+    def of_positions(self) -> bool:
+        """Whether the rows are positions held still, not the samples of a recording in time."""
+        if "time" not in self or self.n < 2:
+            return self.n <= _MOST
+        inside = self.by_time
+        if self.unit.get("time") == "s" and np.median(np.diff(inside.columns["time"])) >= _PASSED:
+            return self.n <= _MOST
+        turned = np.linalg.norm(np.diff(inside.raw(), axis=0), axis=1)
+        usual = float(np.median(np.linalg.norm(inside.raw(), axis=1)))
+        return self.n <= _MOST and float(np.median(turned)) > _TURNED * usual
 
     def raw(self) -> Array:
         """(n, 3) raw readings."""
