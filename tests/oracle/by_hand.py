@@ -97,7 +97,20 @@ def _per_sweep(p: Array, k: Known) -> Array:
 
 
 #: name -> the printed equation, and what it gives for parameters in g, deg/s, deg, s, m.
+def _product_across(p: Array, k: Known) -> Array:
+    x, y, z = k["x"].T
+    return k["x"] + np.stack([p[0] * y * z, p[1] * z * x, p[2] * x * y], axis=-1)
+
+
+def _squares_across(p: Array, k: Known) -> Array:
+    x, y, z = k["x"].T ** 2
+    return k["x"] + np.stack([p[0] * (y - z), p[1] * (z - x), p[2] * (x - y)], axis=-1)
+
+
 BY_HAND: dict[str, tuple[str, Callable[[Array, Known], Array]]] = {
+    "product_across": ("y_i = x_i + C_i x_j x_k,  i, j, k in cyclic order", _product_across),
+    "squares_across": (
+        "y_i = x_i + D_i (x_j² - x_k²),  i, j, k in cyclic order", _squares_across),
     "common_accelerometer_scale": (
         "y = (1 + s) a, the same for all", lambda p, k: (1 + p[0]) * k["a"]),
     "common_accelerometer_bias": ("y = a + b, the same for all", lambda p, k: k["a"] + p),
