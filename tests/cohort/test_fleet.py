@@ -20,7 +20,7 @@ from imucalib.cli import cli
 from imucalib.cohort.fleet.device import Device, device_of
 from imucalib.cohort.fleet.left_out import foretold
 from imucalib.cohort.fleet.outcome import Fleet
-from imucalib.cohort.fleet.pooled import evidence, outstanding, predictive, sizes
+from imucalib.cohort.fleet.pooled import evidence, outstanding, pooled, predictive, sizes
 from imucalib.cohort.fleet.run import run_fleet
 from imucalib.cohort.fleet.search import Rules
 from imucalib.cohort.fleet.spread import outliers, spread_of
@@ -212,6 +212,24 @@ def test_what_stands_out_is_chance_as_often_as_said() -> None:
     share = np.mean(outstanding(gram, along) > -np.log(0.05))
     assert 0.045 < share < 0.11
     assert np.all(np.isfinite(evidence(gram, along)))
+
+
+def test_a_noise_estimated_from_the_same_data_is_that_of_the_null_too() -> None:
+    """Fleets of five that lack nothing, 15 numbers each beside the base model, which the columns
+    span: what would be explained is in the noise. P(p <= 0.1) of 400 is 0.1 within 3.5 sd; drawn
+    with a noise apart it was half of that."""
+    rng = np.random.default_rng(11)
+    columns = {f"e{k}": np.arange(3 * k, 3 * k + 3) for k in range(6)}
+    told = []
+    for _ in range(400):
+        devices = []
+        for k in range(5):
+            x, y = rng.standard_normal((15, 18)), rng.standard_normal(15)
+            y = y / np.sqrt(y @ y / 15.0)
+            devices.append(Device(str(k), 1.0, columns, x.T @ x, x.T @ y, 15.0))
+        told.append(pooled(devices, rng, 99))
+    share = np.mean([min(one.p for one in found) <= 0.1 for found in told])
+    assert 0.0475 < share < 0.1525
 
 
 def test_sizes_of_devices_that_are_alike_and_that_are_not() -> None:

@@ -208,6 +208,7 @@ def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_pa
     assert "temperature_bias, in every device" in done.stdout, done.exception
     stored = read(out / "w3" / "calibration.yaml")
     assert {p.effect for p in stored.parameters} == {*NINE, "temperature_bias"}
+    assert stored.facts["fleet"]["effects"] == ["temperature_bias"]
     assert read_population(out / "fleet.yaml").effects == ("temperature_bias",)
     content = json.loads((out / "report.json").read_text())
     assert content["devices"][3]["recordings"][0]["input"] == "w3.csv"

@@ -68,9 +68,9 @@ def _long_ones(without: Outcome, done: Outcome, bench: Bench) -> None:
 
 
 def _other_chance(without: Outcome, done: Outcome, bench: Bench) -> None:
-    """What is simulated moves, by what 8000 simulated recordings leave open."""
+    """What is simulated moves, by what 8000 simulated recordings leave open; the card rounds it."""
     moved = {place.rpartition("/")[2] for place in differences(without.content, done.content)}
-    assert moved == {"p", "could_see"}
+    assert moved - {"value"} == {"p", "could_see"}
     p, other = without.content["p"], done.content["p"]
     assert abs(p - other) < 5.0 * np.sqrt(2.0 * p * (1.0 - p) / 8000.0) + 1e-3
 

@@ -23,7 +23,8 @@ _MODERATED, _ALL_ALIKE = 3, 1e4
 class Device:
     """A device as the pooled search sees it.
 
-    noise : size of its noise, in a unit that all devices share; dof : its degrees of freedom
+    noise : size of its noise, in a unit that all devices share; dof : its degrees of freedom, and
+        borrowed : how many the fleet adds
     columns : effect -> (k,) where its parameters stand in `gram`
     gram : (m, m) products of all candidates' columns in units of the noise, at typical sizes, with
         the base model's parameters taken out; along : (m,) their products with the residual
@@ -35,6 +36,7 @@ class Device:
     gram: Array
     along: Array
     dof: float
+    borrowed: float = 0.0
 
 
 def device_of(name: str, fit: Fit, effects: Mapping[str, Effect]) -> Device:
@@ -80,7 +82,7 @@ def moderated(devices: Sequence[Device]) -> tuple[Device, ...]:
         fleet, size = _ALL_ALIKE, float(np.sum(dof * square) / np.sum(dof))
     better = (fleet * size + dof * square) / (fleet + dof)
     return tuple(
-        replace(d, gram=d.gram * share, along=d.along * share, dof=float(d.dof + fleet))
+        replace(d, gram=d.gram * share, along=d.along * share, borrowed=float(fleet))
         for d, share in zip(devices, square / better, strict=True)
     )
 

@@ -47,7 +47,7 @@ def run_fleet(
         raise UsageError(
             f"a fleet needs two devices or more, and {len(runs)} could be calibrated" + (
                 f" ({why})" if why else ""),
-            remedy="give a table for each device",
+            remedy="give a table for each device, or calibrations (of recordings: `imucal batch`)",
         )  # fmt: skip
     say(f"{len(runs)} devices calibrated alone; searching for what they share")
     own = [device_of(name, run.result.final, effects) for name, run in runs]

@@ -30,7 +30,7 @@ def sums_of(problem: Problem, level: Level, base: Fit) -> Sums:
     Columns are weighted by the fitted walk, a = W'y and G = W'X; but what a scatters by is that of
     every walk that the data allow, going on through all parts: K. What a says of the sizes is then
     G K⁻¹ G and G K⁻¹ a (a temperature and a slow walk look alike: with K = G one clean fleet in
-    eight had an effect of temperature).
+    eight had an effect of temperature, with K one in sixteen).
     """
     bank, terms = problem.bank, problem.terms
     own = [e for e in problem.entries if not (e.timed or e.family)]

@@ -134,11 +134,14 @@ def own_effects(one: Calibrated) -> tuple[str, ...]:
 
 
 def with_effects(own: Calibration, made: Combined) -> Calibration:
-    """The calibration with the fleet's effects in the place of what it had beside its base."""
+    """The calibration with the fleet's effects in the place of what it had beside its base; its
+    errors stay those of the recording alone, and it says so."""
     stage = {p.effect: p.stage for p in own.parameters}
     stage |= {name: named(name).stage for name in made.effects}
     stored = tuple(
         StoredParameter(v.name, v.effect, stage[v.effect], v.value, v.sd, v.unit)
         for v in made.values
     )
-    return replace(own, parameters=stored, covariance=made.covariance, sha256="")
+    said = {"effects": list(made.effects), "errors": "of the recording calibrated alone"}
+    facts = {**own.facts, "fleet": said}
+    return replace(own, parameters=stored, covariance=made.covariance, facts=facts, sha256="")
