@@ -1,13 +1,15 @@
 """Rigs of two IMUs and more: errors over stated deviations, and what is refused.
 
 python benchmarks/array/rigs.py [SEEDS [RIG]]; noise with t₃ tails, 0.04 m/s² and 0.2 deg/s, without
-the search. What the motion alone says: distances, and the shape but for a turn of the board.
+the search. What the motion alone says: distances, and the shape but for a turn of the board. Where
+a rig's name ends in "gyros 0.5 %", its gyros have gains of that size, their common scale apart.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,13 +30,14 @@ PLACES = {
     "three": [(0, 0, 0), (20, 0, 0), (0, 20, 0)],
     "flat four": [(0, 0, 0), (20, 0, 0), (0, 20, 0), (20, 20, 0)],
 }
+GYROS = ", gyros 0.5 %"
 
 
 def rig(name: str) -> Board:
     """A board of that name; all packages in one attitude but for the eight corners."""
     if name.startswith("eight"):
         return CORNERS
-    places = 1e-3 * np.array(PLACES[name], float)
+    places = 1e-3 * np.array(PLACES[name.removesuffix(GYROS)], float)
     k = len(places)
     names = tuple(f"imu{i}" for i in range(k))
     return Board(name, names, places, np.tile(np.eye(3), (k, 1, 1)))
@@ -43,8 +46,11 @@ def rig(name: str) -> Board:
 def one(name: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     """z of the distances and of the shape (whitened, turned), and the median sd in mm."""
     board, rng = rig(name), np.random.default_rng(seed)
-    plan = BoardPlan(twist_s=15.0, mounting=0.2, gain=0.0, tails=3.0)
+    apart = 0.005 if name.endswith(GYROS) else 0.0
+    plan = BoardPlan(twist_s=15.0, mounting=0.2, gain=0.0, tails=3.0, gyro_gain=apart)
     parts = made_board(board.positions, board.rotations, board.imus, plan, rng)
+    common = np.einsum("kij,kij->", parts.gyro_gain, parts.gain) / (3.0 * board.count)
+    parts = replace(parts, gyro_gain=parts.gyro_gain / common)
     asked = undrawn_board(board.count) if name.endswith("no drawing") else board
     recording = board_log(parts, plan, rng).recording
     run = calibrate_array(recording, ArrayRequest(asked, loop=False), lambda _: None)

@@ -16,7 +16,7 @@ from imucalib.arrays import Array, Index
 from imucalib.estimators.array.reduced import Gram
 from imucalib.estimators.array.samples import Readings, Sampled
 
-_ROWS, _COLUMNS = 600, 512  # samples, and columns of the sum, that are worked on at a time
+_ROWS, _COLUMNS = 600, 1024  # samples, and columns, that are worked on at a time
 
 
 @dataclass(frozen=True)
@@ -60,40 +60,40 @@ def _part(
 ) -> Gram:
     """order, force : of `_by_triad`"""
     k, total = sampled.force.shape[1], len(order)
-    along, residual, power = np.zeros(total), np.zeros((len(rows), 9)), 0.0
+    along, residual = np.zeros(total), np.zeros((len(rows), 9))
     # What the motion takes. Gyros see ω only, and the root is upper triangular: of the nine rows a
     # sample they have three.
     six, three = np.zeros((len(rows), 6, force)), np.zeros((len(rows), 3, total))
-    own = []
+    kinds = []
     for gyro, at in ((False, slice(0, force)), (True, slice(force, total))):
         taken = _Taken(None if gyro else six, three[:, :, at], residual)
-        part = _of_one_kind(sampled, blocks, rows, taken, gyro=gyro)
-        own.append(part.matrix)
-        along[at] = part.along
-        power += part.power
-    whole = np.concatenate([np.diag(one) for one in own])
+        kinds.append(_of_one_kind(sampled, blocks, rows, taken, gyro=gyro))
+        along[at] = kinds[-1].along
     flat = six.reshape(-1, force)
-    own[0] -= flat.T @ flat
     along[:force] -= flat.T @ residual[:, :6].ravel()
     # In the order of the blocks from here on: one matrix of all columns, and no copy.
     back = np.argsort(order)
-    flat = three[:, :, back].reshape(-1, total)
-    matrix = flat.T @ flat
+    across = three[:, :, back].reshape(-1, total)
+    matrix, whole = across.T @ across, np.zeros(total)
     np.negative(matrix, out=matrix)
-    for columns in (order[:force], order[force:]):
-        one = own.pop(0)
-        for a in range(0, len(columns), _COLUMNS):  # of many columns a copy would be large
-            matrix[np.ix_(columns[a : a + _COLUMNS], columns)] += one[a : a + _COLUMNS]
-    along = along[back] - flat.T @ residual[:, 6:].ravel()
-    power -= float(np.sum(residual * residual))
-    return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole[back])
+    for a in range(0, force, _COLUMNS):
+        some = slice(a, a + _COLUMNS)
+        matrix[np.ix_(order[:force][some], order[:force])] -= flat[:, some].T @ flat
+    for kind, own in zip(kinds, (order[:force], order[force:]), strict=True):
+        for columns, product in kind.products:
+            matrix[np.ix_(own[columns], own[columns])] += product
+            whole[own[columns]] += np.diag(product)
+    along = along[back] - across.T @ residual[:, 6:].ravel()
+    power = sum(kind.power for kind in kinds) - float(np.sum(residual * residual))
+    return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole)
 
 
 @dataclass(frozen=True)
 class _Kind:
-    """Products of the m columns of one kind of sensor: matrix (m, m), along (m,), power"""
+    """Of the m columns of one kind of sensor: products (c, c) of a triad's c columns, with which of
+    the m these are; along (m,), power"""
 
-    matrix: Array
+    products: list[tuple[Index, Array]]
     along: Array
     power: float
 
@@ -119,15 +119,14 @@ def _of_one_kind(
     width = sum(b.shape[3] for b in own)
     x = np.empty((len(rows), 3, width + sum(b.shape[3] for b in shared)))
     size = k * width + x.shape[2] - width
-    matrix, along, common = np.zeros((size, size)), np.zeros(size), slice(k * width, size)
+    products, along, common = [], np.zeros(size), slice(k * width, size)
     for triad in range(k):
         mine = slice(triad * width, (triad + 1) * width)
         _side_by_side([*own, *shared], triad, rows, weight[:, triad], x)
         one = x.reshape(3 * len(rows), x.shape[2])
-        product, seen = one.T @ one, one.T @ off[:, triad].ravel()
-        matrix[mine, mine] = product[:width, :width]
-        matrix[mine, common] = product[:width, width:]
-        matrix[common, common] += product[width:, width:]
+        columns = np.concatenate([np.arange(size)[mine], np.arange(size)[common]])
+        products.append((columns, one.T @ one))
+        seen = one.T @ off[:, triad].ravel()
         along[mine], along[common] = seen[:width], along[common] + seen[width:]
         arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
         arms = arms * weight[:, triad, None, None]
@@ -137,8 +136,7 @@ def _of_one_kind(
                 out[:, :, mine] = lost[:, :, :width]
                 out[:, :, common] += lost[:, :, width:]
         taken.residual[...] += np.einsum("tij,ti->tj", arms, off[:, triad])
-    matrix[common, : common.start] = matrix[: common.start, common].T
-    return _Kind(matrix, along, float(np.sum(off * off)))
+    return _Kind(products, along, float(np.sum(off * off)))
 
 
 def _by_triad(blocks: Sequence[Columns], triads: int) -> tuple[Index, int]:

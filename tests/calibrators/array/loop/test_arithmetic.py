@@ -12,16 +12,17 @@ from scipy import stats
 
 from imucalib.calibrators.array.loop import noise_tests as tests_of
 from imucalib.calibrators.array.loop.ages import Ages, _learning, beats
-from imucalib.calibrators.array.loop.search import TAU, Search, _apart, _most_likely, discounted
+from imucalib.calibrators.array.loop.search import discounted
 from imucalib.calibrators.array.loop.setup import stretches, with_neighbours
 from imucalib.calibrators.array.loop.timing import SampleAge, fit_sample_age
+from imucalib.calibrators.array.loop.worth import TAU, Beside, _most_likely
 from imucalib.calibrators.array.simulation import (
     LogPlan,
     MotionPlan,
     simulated_log,
     simulated_samples,
 )
-from imucalib.estimators.array.noise import SensorNoise
+from imucalib.estimators.array.noise import SensorNoise, Squares
 from imucalib.estimators.array.reduced import Alone
 from imucalib.loop.evidence import Candidate, Score
 from worlds.twisted_board import BOARD
@@ -47,24 +48,21 @@ def by_evidence(x: Array, y: Array) -> Array:
 def test_the_likeliest_size_shrinks_an_estimate() -> None:
     for seed in range(4):
         x, y, _ = normal(seed)
-        np.testing.assert_allclose(_most_likely(x.T @ x, x.T @ y), by_evidence(x, y), rtol=1e-6)
+        found = _most_likely(Alone(x.T @ x, x.T @ y))
+        np.testing.assert_allclose(found, by_evidence(x, y), rtol=1e-6)
 
 
-def searched(one: tuple[Array, Array], two: tuple[Array, Array]) -> Search:
-    halves = tuple({"a": Alone(x.T @ x, x.T @ y)} for x, y in (one, two))
+def beside(one: tuple[Array, Array], two: tuple[Array, Array]) -> Beside:
+    first, second = (Alone(x.T @ x, x.T @ y) for x, y in (one, two))
     x, y = (np.concatenate(v) for v in zip(one, two, strict=True))
-    carry = np.arange(18.0).reshape(6, 3) / 10.0
-    return Search(
-        scores=(), missing={}, entries={}, index={"a": np.array([0, 2])}, whole={
-            "a": Alone((x.T @ x)[:2, :2], (x.T @ y)[:2])}, total={}, halves=halves,  # type: ignore[arg-type]
-        carry=carry, null=np.zeros(0), impact={},
-    )  # fmt: skip
+    carry = np.arange(12.0).reshape(4, 3) / 10.0
+    return Beside(Alone(x.T @ x, x.T @ y), (first, second), x.T @ x, carry)
 
 
 def test_each_half_gains_by_what_the_other_has_estimated() -> None:
     """Half the fall of the sum of squares."""
     (x1, y1, _), (x2, y2, _) = normal(1), normal(2)
-    gains = searched((x1, y1), (x2, y2)).held_out("a")
+    gains = beside((x1, y1), (x2, y2)).held_out
     for gain, x, y, value in ((gains[0], x2, y2, by_evidence(x1, y1)),
                               (gains[1], x1, y1, by_evidence(x2, y2))):  # fmt: skip
         assert gain == pytest.approx(0.5 * (y @ y - np.sum((y - x @ value) ** 2)), rel=1e-6)
@@ -72,17 +70,16 @@ def test_each_half_gains_by_what_the_other_has_estimated() -> None:
 
 def test_a_candidate_moves_the_positions_by_what_they_carry_of_it() -> None:
     (x1, y1, _), (x2, y2, _) = normal(1), normal(2)
-    found = searched((x1, y1), (x2, y2))
-    value = _most_likely(found.whole["a"].matrix, found.whole["a"].along)
-    moved = found.carry[:4][:, [0, 2]] @ value
-    assert found.moves("a", 4) == pytest.approx(np.sqrt(np.mean(moved**2)))
-    assert found.moves("noise", 4) == 0.0
+    found = beside((x1, y1), (x2, y2))
+    moved = found.carry @ _most_likely(found.whole)
+    assert found.moves == pytest.approx(np.sqrt(np.mean(moved**2)))
 
 
 def test_a_curve_keeps_the_directions_that_the_base_leaves() -> None:
     """At least a fifth of their square."""
     total = np.diag([4.0, 4.0, 4.0, 0.0])
-    kept = _apart(np.diag([4.0, 0.81, 0.79, 0.0]), total)
+    one = Alone(np.diag([4.0, 0.81, 0.79, 0.0]), np.zeros(4))
+    kept = Beside(one, (one, one), total, np.zeros((3, 4))).apart
     np.testing.assert_allclose(kept @ kept.T, np.diag([1.0, 1.0, 0.0, 0.0]), atol=1e-9)
 
 
@@ -136,7 +133,7 @@ def test_noise_of_another_shape_is_told_by_its_likelihood() -> None:
     speed = rng.uniform(1.0, 10.0, 400)
     values = 0.1 * rng.standard_normal((400, 3, 3)) / np.sqrt(rng.chisquare(5, (400, 3, 1)) / 5)
     values = values * np.sqrt(1.0 + (0.3 * speed) ** 2)[:, None, None]
-    square = np.sum(values**2, axis=2)
+    square = Squares(np.sum(values**2, axis=2), np.full(3, 3.0))
     plain = SensorNoise(0.1, 0.0, np.inf, np.ones(3))
     found = {t.driver: t for t in tests_of._shapes("gyroscope", square, speed, plain)}
     white = stats.norm.logpdf(values, scale=np.sqrt(np.mean(values**2))).sum()

@@ -75,11 +75,14 @@ def close_array_loop(
     def searched(chosen: Setup) -> tuple[MotionSubject, MotionSubject]:
         first = started(chosen)
         few = replace(rules, draws=min(rules.draws, HALF_DRAWS))
-        return first, close(replace(first, rules=few), few).subject if asked.search else first
+        if not asked.search:
+            return first, first
+        return first.aside(), close(replace(first, rules=few), few).subject.aside()
 
     first = started(setup)
     end = close(first, rules)
-    path = end.subject
+    first, path = first.aside(), end.subject.aside()
+    end = replace(end, subject=path)
     gained = cross_fitted(halved or setup, moving, searched)
     refused: tuple[tuple[str, str], ...] = ()
     structure = path.corrected

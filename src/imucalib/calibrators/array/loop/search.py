@@ -88,6 +88,8 @@ def search(
     index = {e.name: starts[e.block] + e.part for e in found.entries}
     rows = state.setup.inner[looked_at(state.setup)]
     total = state.base.free(gram(state.sampled, [*state.base.blocks, *found.blocks], rows))
+    entries, missing = found.entries, found.missing
+    del found
     prior = state.base.rests
     own_size = np.diag(total.matrix)[b:].copy()
     whole = reduced(total, prior, state.base.pull * (prior > 0.0))
@@ -95,13 +97,12 @@ def search(
     left = {n: float(diagonal[1][at].sum() / max(diagonal[0][at].sum(), 1e-300))
             for n, at in index.items()}  # fmt: skip
     size = {n: float(np.sqrt(max(diagonal[1][at].sum(), 0.0))) for n, at in index.items()}
-    live = [e for e in found.entries if left[e.name] >= ABSORBED and size[e.name] >= OPEN]
+    live = [e for e in entries if left[e.name] >= ABSORBED and size[e.name] >= OPEN]
     own = [index[e.name] for e in live]
     freedom = total.numbers - b
     moved = np.sqrt(np.mean(whole.carry[: state.positions] ** 2, axis=0))
     contest = _contest(whole, diagonal[0], own, freedom, rng, draws)
-    entries, missing = found.entries, found.missing
-    del total, whole, found  # of many IMUs they are large
+    del total, whole  # of many IMUs they are large, as the columns are
     evidence = contest()
     noises = noise_tests(state, rng, draws)
     null = np.maximum(evidence.best, noises.null)

@@ -150,7 +150,7 @@ class MotionSubject:
         if self.safe is None:
             if leader.candidate.kind == "effect":
                 return grown
-            before = self._aside()
+            before = self.aside()
             grown = replace(grown, matched=(*self.matched, (leader.name, before)))
             if leader.evidence <= chosen.evidence + self.rules.margin:
                 return grown
@@ -160,11 +160,12 @@ class MotionSubject:
             return replace(grown, safe=None, debt=0.0, taken=0)
         return replace(grown, debt=debt, taken=grown.taken + 1)
 
-    def _aside(self) -> MotionSubject:
-        """This path to come back to, with its search, without its columns: of many IMUs they are
-        large."""
+    def aside(self) -> MotionSubject:
+        """This path to come back to, with its search, without the columns and products of its fit:
+        of many IMUs they are large."""
         aside = replace(self, state=replace(self.state))
-        aside.__dict__["searched"] = self.searched
+        if "searched" in self.__dict__:
+            aside.__dict__["searched"] = self.searched
         return aside
 
     def smoothed(self, found: Searched) -> MotionSubject | None:
