@@ -22,7 +22,7 @@ _RATIO = (1e-3, 1e5)
 _VANISHED = 1e-2
 #: The same of noise that neighbours share, which can stand in for a reading's own: beyond it
 #: nothing would be left of that, in whose units all else is.
-_INSTEAD = 30.0
+INSTEAD = 30.0
 #: What the prior of the noise factor weighs, in observations.
 _PRIOR_DOF = 4.0
 
@@ -136,7 +136,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
     low, high = np.log(_RATIO[0] / reach), np.log(_RATIO[1] / reach)
     left = restricted(at.jacobian, at.settings)
     if left.wide >= at.free:
-        high[left.wide] = np.log(_INSTEAD / reach[left.wide])
+        high[left.wide] = np.log(INSTEAD / reach[left.wide])
     data, dof = left.frame.T @ at.residual, at.residual.size - at.jacobian.shape[1]
 
     def objective(logs: Array) -> tuple[float, Array]:

@@ -13,13 +13,14 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
+from imucalib.estimators.variance import INSTEAD
 from imucalib.loop.held_out import Held, errors, fitted, held_out
 from imucalib.units import MG
 
 #: Pairs of rows in one attitude from which on they say what the noise is; 1 / the MAD of a normal.
 _REPEATS, _MAD = 6, 1.4826
 #: Share of what neighbours share below which a noise is where its estimate ended.
-_VANISHED = 1e-3
+_VANISHED = 1.05 / INSTEAD
 
 
 @dataclass(frozen=True)
