@@ -174,6 +174,17 @@ def test_steady_windows_are_alike_in_variance_and_in_mean(
     assert not steady_windows(apart, np.zeros(3), np.zeros(4, bool)).any()
 
 
+def test_a_window_beside_one_at_rest_is_steady_wherever_the_recording_began() -> None:
+    """Alike its neighbour at rest, which is no other kind of window for it."""
+    w = windows(level(4), 1.0)
+    w.mean[0] += 99.0
+    w.mean[3] -= 99.0
+    for first in (True, False):
+        still = np.array([first, False, True, False])
+        assert steady_windows(w, np.zeros(3), still).tolist() == [False, True, False, False]
+    assert not steady_windows(w, np.zeros(3), np.array([False, True, True, False])).any()
+
+
 @pytest.mark.parametrize(
     ("height", "share", "spiky"),
     [(0.11, 1.0, True), (0.09, 1.0, False), (0.11, 1.55, True), (0.11, 1.65, False)],
