@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -535,8 +535,15 @@ def test_a_worn_recordings_products_count_for_all_of_its_rows() -> None:
     assert made.numbers == 120.0
 
 
+@dataclass(frozen=True)
+class At:
+    """Where a path is: its held-out density, nats."""
+
+    density: float
+
+
 def path(density: float, **more: object) -> subject.MotionSubject:
-    state = SimpleNamespace(density=density)
+    state = At(density)
     made: dict[str, object] = {"residuals": None, "moving": None, "rng": None, "ages": None}
     made.update(rules=LoopSettings(margin=3.0), left_out=frozenset())
     return subject.MotionSubject(state=state, **{**made, **more})  # type: ignore[arg-type]
@@ -552,9 +559,9 @@ def test_effects_owe_what_a_leading_curve_has_explained() -> None:
     assert (grown.safe, grown.taken) == (start, 1)
     assert grown.matched == (("curve", start),)
     grown.__dict__["searched"] = start.searched
-    paid = grown._owing(replace(grown, state=SimpleNamespace(density=127.0)), effect, ())
+    paid = grown._owing(replace(grown, state=At(127.0)), effect, ())
     assert (paid.debt, paid.safe, paid.taken) == (0.0, None, 0)
-    owing = grown._owing(replace(grown, state=SimpleNamespace(density=126.9)), effect, ())
+    owing = grown._owing(replace(grown, state=At(126.9)), effect, ())
     assert owing.debt == pytest.approx(0.1)
     assert owing.taken == 2
     # A lead of the margin is none, and an effect that leads owes nothing.

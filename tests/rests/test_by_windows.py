@@ -27,7 +27,7 @@ from imucalib.rests.refused import Candidate
 from imucalib.rests.runs import Scan, grouped
 from imucalib.rests.samples import Samples
 from imucalib.rests.stillness import Sensor, StillSettings, allowed
-from imucalib.rests.tails import overlapping
+from imucalib.rests.tails import Tail, overlapping, with_tails
 from imucalib.rests.thermal_history import ThermalHistory, history_of, temperature_at
 from imucalib.rests.windows import Windows, breaks, in_order
 
@@ -172,6 +172,41 @@ def test_steady_windows_are_alike_in_variance_and_in_mean(
     assert found.tolist() == [steady, steady, False, False]
     apart = replace(w, run=np.array([0, 1, 1, 1]))
     assert not steady_windows(apart, np.zeros(3), np.zeros(4, bool)).any()
+
+
+def test_the_last_samples_of_a_run_are_a_window_of_it() -> None:
+    """Windows at 0 to 2 s, at 10 to 12 s; a run from 5 s that is shorter than a window has none."""
+    w = windows(level(8), start=np.array([0.0, 0.5, 1.0, 1.5, 10.0, 10.5, 11.0, 11.5]),
+                run=np.repeat([3, 5], 4))  # fmt: skip
+    rng = np.random.default_rng(0)
+    made = [
+        Tail(begin, at + 0.01 * np.arange(50), rng.normal(size=(50, 3)))
+        for begin, at in ((0.0, 1.7), (5.0, 5.1), (10.0, 11.6), (-3.0, -2.0))
+    ]
+    found = with_tails(w, made)
+    assert found.start.tolist() == [
+        -2.0, 0.0, 0.5, 1.0, 1.5, 1.7, 5.1, 10.0, 10.5, 11.0, 11.5, 11.6,
+    ]  # fmt: skip
+    assert found.run.tolist() == [-4, 3, 3, 3, 3, 3, -2, 5, 5, 5, 5, 5]
+    assert np.flatnonzero(found.first < 0).tolist() == [0, 5, 6, 11]
+    for place, tail in zip((5, 6, 11, 0), made, strict=True):
+        assert found.stop[place] == tail.t[-1]
+        np.testing.assert_allclose(found.mean[place], tail.values.mean(axis=0))
+        np.testing.assert_allclose(found.variance[place], tail.values.var(axis=0, ddof=1))
+        np.testing.assert_allclose(found.low[place], tail.values.min(axis=0))
+        np.testing.assert_allclose(found.high[place], tail.values.max(axis=0))
+    assert with_tails(w, ()) is w
+
+
+def test_a_window_beside_one_at_rest_is_steady_wherever_the_recording_began() -> None:
+    """Alike its neighbour at rest, which is no other kind of window for it."""
+    w = windows(level(4), 1.0)
+    w.mean[0] += 99.0
+    w.mean[3] -= 99.0
+    for first in (True, False):
+        still = np.array([first, False, True, False])
+        assert steady_windows(w, np.zeros(3), still).tolist() == [False, True, False, False]
+    assert not steady_windows(w, np.zeros(3), np.array([False, True, True, False])).any()
 
 
 @pytest.mark.parametrize(

@@ -51,15 +51,24 @@ def test_a_settings_scatter_holds_its_own_doubt() -> None:
     assert "tilt" not in found
 
 
-def test_rests_of_an_array_and_sessions_have_their_freedom() -> None:
+def test_rests_of_an_array_have_their_freedom() -> None:
     triads = (1, 2, 3, 4)
     rests = {"count": 14, "residual_m_per_s2": 0.003}
-    made = SimpleNamespace(facts={"rests": rests, "noise": {"shared_mg": 0.3, "shared_sd_mg": 0.1}},
-                           triads=triads)  # fmt: skip
+    noise = {"shared_mg": 0.3, "shared_sd_mg": 0.1, "shared_memory_positions": 5.0}
+    made = SimpleNamespace(facts={"rests": rests, "noise": noise}, triads=triads)
     found = check_noise(made)  # type: ignore[arg-type]
-    assert found.reading == Scatter(0.003, 3.0 * 4 * 14 - 2 * 14 - 12 * 4)
-    assert found.session["bias"].sd == 0.3
-    assert found.session["bias"].dof == pytest.approx(4.5)
+    # A reading's own noise and what its neighbours share, by Satterthwaite.
+    own, shared = Scatter(0.003, 3.0 * 4 * 14 - 2 * 14 - 12 * 4), Scatter(0.3 * MG, 4.5)
+    whole = np.hypot(own.sd, shared.sd)
+    assert found.reading.sd == pytest.approx(whole)
+    due = whole**4 / (own.sd**4 / own.dof + shared.sd**4 / shared.dof)
+    assert found.reading.dof == pytest.approx(due)
+    assert found.shared is not None
+    assert (found.shared.share, found.shared.memory) == pytest.approx(
+        ((shared.sd / whole) ** 2, 5.0)
+    )
+    alone = check_noise(SimpleNamespace(facts={"rests": rests}, triads=triads))  # type: ignore[arg-type]
+    assert alone.reading == own
     few = SimpleNamespace(facts={"rests": {**rests, "count": 2}}, triads=triads)
     assert check_noise(few).reading.dof == 1.0  # type: ignore[arg-type]
 

@@ -13,7 +13,6 @@ from scipy import optimize, stats
 from imucalib.calibration.checking.limits import Limits
 from imucalib.calibration.comparison.agreement import (
     agreement,
-    between,
     noise_dof,
     odd_ones,
     scatter,
@@ -27,6 +26,7 @@ from imucalib.calibration.comparison.attitudes import (
     worst_turn,
 )
 from imucalib.calibration.comparison.basis import Basis
+from imucalib.calibration.comparison.beyond import Beyond, beyond
 from imucalib.calibration.comparison.compare import Comparison
 from imucalib.calibration.comparison.drift import due, slope_of
 from imucalib.calibration.comparison.meaning import Meaning, array_meanings
@@ -88,15 +88,15 @@ def test_the_scatter_solves_its_own_equation() -> None:
         w = 1.0 / (variance + tau**2)
         return float(np.sum(w * (value - np.sum(w * value) / np.sum(w)) ** 2))
 
-    sd, low, high = between(value, variance)
-    assert q(sd) == pytest.approx(5.0, rel=1e-6)
-    assert q(low) == pytest.approx(stats.chi2.ppf(0.975, 5), rel=1e-6)
-    assert q(high) == pytest.approx(stats.chi2.ppf(0.025, 5), rel=1e-6)
-    assert between(np.full(6, 2.0), variance) == (0.0, 0.0, 0.0)
+    solved = beyond(value, variance)
+    assert q(solved.sd) == pytest.approx(5.0, rel=1e-6)
+    assert q(solved.low) == pytest.approx(stats.chi2.ppf(0.975, 5), rel=1e-6)
+    assert q(solved.high) == pytest.approx(stats.chi2.ppf(0.025, 5), rel=1e-6)
+    assert beyond(np.full(6, 2.0), variance) == Beyond(0.0, 0.0, 0.0)
     made = basis()
     found = scatter(made)
     assert found is not None
-    assert found.sd[1] == pytest.approx(between(made.value[:, 1], made.covariance[:, 1, 1])[0])
+    assert found.sd[1] == pytest.approx(beyond(made.value[:, 1], made.covariance[:, 1, 1]).sd)
     assert scatter(basis(m=2)) is None
 
 

@@ -216,13 +216,15 @@ def test_an_end_is_unseen_below_three_tenths_of_gravity() -> None:
     assert unseen(runs_of(mean=G * u)) != ("x down",)
 
 
-def weakly(sd: float, prior: object = "some") -> SimpleNamespace:
+def weakly(
+    sd: float, prior: object = SimpleNamespace(covariance=100.0 * np.eye(9))
+) -> SimpleNamespace:
     parts = tuple(Parameter(f"p{k}", "mg", 10.0, 99.0) for k in range(9))
     covariance = np.diag(np.full(9, 1.0))
     covariance[4, 4] = sd**2
     names = {"bias": slice(0, 3), "scale": slice(3, 6), "non_orthogonality": slice(6, 9)}
     return SimpleNamespace(
-        prior=prior, null_directions=(), parameters=parts, covariance=covariance,
+        prior=prior, null_directions=(), parameters=parts, covariance=covariance, theta=np.zeros(9),
         sd=np.sqrt(np.diag(covariance)), model=SimpleNamespace(slices=lambda context: names),
         observations=SimpleNamespace(context=None),
     )  # fmt: skip

@@ -12,9 +12,10 @@ from imucalib.calibrators.lab import advice
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
 from imucalib.calibrators.lab.dial import bends
-from imucalib.calibrators.lab.errors import noise_floor, setting_noise, shared_noise
+from imucalib.calibrators.lab.errors import noise_floor, reading_noise, setting_noise
 from imucalib.calibrators.lab.sessions import between as sessions
 from imucalib.calibrators.lab.sessions.between import Between
+from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations, SharedNoise
 from imucalib.core.references import KnownNorm, KnownVector
@@ -106,9 +107,16 @@ def told(floor_deg: float, sensor_mg: float = 1.0, factor: float = 1.0) -> list[
     of = SimpleNamespace(reference=reference, walk=None)
     fit = SimpleNamespace(noise=noise, at=at, observations=of)
     assert setting_noise(fit)["tool-face setting"] == pytest.approx(floor_deg * DEG)
-    assert shared_noise(fit) == (0.0, 0.0)
+    fit.noise_sd = np.array([0.1, 0.2, 0.3])
+    alone = reading_noise(fit)
+    own = factor * sensor_mg * MG
+    assert (alone.own, alone.own_sd) == pytest.approx((own, 0.1 * own))
+    assert (alone.shared, alone.memory, alone.whole) == (0.0, 0.0, alone.own)
     of.walk = SharedNoise("walk", np.eye(2), 7.0)
-    assert shared_noise(fit) == (floor_deg * DEG, 7.0)
+    beside = reading_noise(fit)
+    assert (beside.shared, beside.memory) == (floor_deg * DEG, 7.0)
+    assert beside.shared_sd == pytest.approx(0.3 * floor_deg * DEG)
+    of.walk = None
     return advice._settings(fit)
 
 
@@ -127,7 +135,7 @@ def test_the_hand_scatters_where_the_sensor_does_not() -> None:
 
 def test_a_device_far_from_its_fleet_is_told_from_one_in_a_hundred_on() -> None:
     def of(strange: float) -> tuple[str, ...]:
-        return advice.not_of_its_kind(SimpleNamespace(strange=strange))  # type: ignore[arg-type]
+        return not_of_its_kind(strange, "instead")
 
     assert not of(0.0101)
     assert not of(float("nan"))
