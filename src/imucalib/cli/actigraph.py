@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.calibrating import (
+    FLEET,
     calibrating,
     calibrating_of,
     finish,
@@ -31,8 +32,7 @@ if TYPE_CHECKING:
 @click.option("--arithmetic", type=click.Choice(["float", "int32", "int16"]), default="float",
               show_default=True, help="Of the gradient descent, with --as-published.")  # fmt: skip
 @click.option("--fleet", type=click.Path(path_type=Path, dir_okay=False),
-              help="fleet.yaml of imucal fleet: what devices of its kind say where this one's "
-              "postures leave something open.")  # fmt: skip
+              help=FLEET)  # fmt: skip
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
 def command(recording: Path, **options: Any) -> int:

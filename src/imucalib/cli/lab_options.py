@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from imucalib.cli.calibrating import Shared, limit_option, shared_of
+from imucalib.cli.calibrating import FLEET, Shared, limit_option, shared_of
 from imucalib.cli.output import numbers
 from imucalib.cli.recording_options import one_scale, still_of
 
@@ -90,8 +90,7 @@ _OPTIONS = (
     click.option(
         "--fleet",
         type=click.Path(path_type=Path),
-        help="fleet.yaml of imucal fleet: what devices of its kind say of this one, beside which "
-        "few positions do. No search is made beside it.",
+        help=FLEET,
     ),
     click.option(
         "--as-published", is_flag=True, help="The paper's own method, as it was published."

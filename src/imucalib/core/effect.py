@@ -9,7 +9,7 @@ parameters. Both act on the truth, never on the reading: the inverse is derived 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -60,6 +60,8 @@ class Effect(Protocol):
     def identify(self) -> str: ...
     @property
     def needs(self) -> tuple[str, ...]: ...
+    @property
+    def part_of(self) -> str: ...
     def parameters(self, context: Context) -> tuple[Parameter, ...]: ...
     def missing(self, context: Context) -> str:
         """Why the context cannot carry the effect; empty when it can."""
@@ -76,6 +78,7 @@ class Described:
 
     needs : covariates of the context, which must be there and vary, or parts of the motion
     identify : how to record data that determines it and separates it from its aliases
+    part_of : the effect that holds all that the size of gravity alone shows of it, or nothing
     """
 
     name: str
@@ -84,6 +87,7 @@ class Described:
     source: str
     identify: str
     needs: tuple[str, ...] = ()
+    part_of: str = field(default="", kw_only=True)
 
     def missing(self, context: Context) -> str:
         for name in self.needs:

@@ -71,6 +71,7 @@ EFFECTS = (
         "y_i = x_i + D_i (x_j² - x_k²),  i, j, k in cyclic order",
         "second order as IEEE Std 1293's terms; no size in data sheets, taken as theirs",
         _IDENTIFY,
+        part_of="cross_axis",
         each=_three("squares_across"),
         basis=_squares,
         basis_dx=_squares_dx,

@@ -60,6 +60,8 @@ def effect_candidates(
         if effect.name in fit.model.names:
             continue
         reason = effect.missing(fit.observations.context)
+        if effect.part_of and not fit.observations.reference.directed:
+            reason = f"by the size of gravity alone it is a part of {effect.part_of}"
         if reason or not effect.parameters(fit.observations.context):
             missing[effect.name] = reason or "it has no parameter on these data"
             continue

@@ -48,15 +48,11 @@ def catalogue_document(effects: Sequence[Effect]) -> Document:
         return Document(effects[0].name, Text(effects[0].sentence), (_one(effects[0]),))
     rows = tuple((e.name, _acts_on(e), _needed(e)) for e in effects)
     table = Table("", ("effect", "acts on", "needs"), rows, "lll")
-    note = Text(
-        "`imucal effects NAME` shows the equation, the typical size, the source and how to record "
-        "data for it."
-    )
     verdict = Text(
-        f"{len(effects)} effects. Fixture effects belong to the bench and are never applied; "
-        "those that need the motion (rate, spin, jerk) are for `imucal array`."
+        f"{len(effects)} effects; `imucal effects NAME` tells one. Those of a fixture belong to "
+        "the bench and are never applied; those of the motion are for `imucal array`."
     )
-    return Document("Effects", verdict, (Section("Catalogue", (table, note)),))
+    return Document("Effects", verdict, (Section("Catalogue", (table,)),))
 
 
 def _needed(effect: Effect) -> str:
