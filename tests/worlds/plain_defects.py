@@ -118,6 +118,9 @@ SENSOR: dict[str, tuple[int, Force]] = {
     "cubic": (3, lambda x, c, p: p * x**3),
     "asymmetry": (3, lambda x, c, p: p * np.abs(x)),
     "cross_axis": (6, cross_axis),
+    "product_across": (3, lambda x, c, p: p * np.roll(x, -1, axis=1) * np.roll(x, 1, axis=1)),
+    "squares_across": (3, lambda x, c, p: p * (
+        np.roll(x, -1, axis=1) ** 2 - np.roll(x, 1, axis=1) ** 2)),
     # What no catalogue holds.
     "local_sine": (1, lambda x, c, p: p[0] * np.sin(2 * np.pi * x / 0.4 + c.phase)),
     "thermal_lag": (1, lambda x, c, p: p[0] * c.v * (c.late - 25)[:, None]),

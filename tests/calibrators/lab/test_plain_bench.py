@@ -40,7 +40,7 @@ def test_the_world_knows_nothing_of_the_code(module: object) -> None:
 def test_every_effect_that_a_sheet_can_show_is_planted() -> None:
     known = {e.name for e in catalogue().values() if e.stage in ("fixture", "sensor")}
     assert set(PLANTED) - {"bias_step"} <= known | {"bias_step"}
-    assert len(PLANTED) == 20
+    assert len(PLANTED) == 22
 
 
 @pytest.mark.parametrize("name", [*PLANTED, *FORMS])
@@ -66,6 +66,18 @@ def test_a_planted_effect_is_fitted_to_nothing(name: str, tmp_path: Path) -> Non
         assert fit.theta[at[told]] == pytest.approx(bench.size[name], rel=2e-3, abs=2e-3)
     elif ":" not in name:
         assert np.abs(fit.theta[at[told]]) == pytest.approx(np.abs(bench.size[name]), rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["product_across", "squares_across"])
+def test_what_the_forces_across_an_axis_add_is_named(name: str, tmp_path: Path) -> None:
+    """Products across passed for a zero of the tool-face at every sweep, for certain."""
+    bench = plain_bench.Bench(plain_bench.Plan(3, ((name, 20.0),), n=48))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    (step,) = run.result.loop.steps
+    assert step.effect == name
+    assert not step.aliases
+    assert run.result.loop.verdict == "explained"
 
 
 @pytest.mark.parametrize("form", ["tool_face:tool_face:sine:72:1.1", "response:xyz:sine:0.37:0.5"])
