@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucalib.cli.calibrating import (
-    FLEET,
     calibrating,
     calibrating_of,
     finish,
@@ -16,7 +15,7 @@ from imucalib.cli.calibrating import (
     shared_of,
 )
 from imucalib.cli.paged_help import PagedCommand
-from imucalib.cli.recording_options import mapping_of
+from imucalib.cli.recording_options import fleet_option, mapping_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.actigraph.request import ActigraphRequest
@@ -31,8 +30,7 @@ if TYPE_CHECKING:
               help="The paper's own method, as it was published.")  # fmt: skip
 @click.option("--arithmetic", type=click.Choice(["float", "int32", "int16"]), default="float",
               show_default=True, help="Of the gradient descent, with --as-published.")  # fmt: skip
-@click.option("--fleet", type=click.Path(path_type=Path, dir_okay=False),
-              help=FLEET)  # fmt: skip
+@fleet_option
 @limit_option("--max-worst-error", "largest held-out error, mg.")
 @calibrating
 def command(recording: Path, **options: Any) -> int:

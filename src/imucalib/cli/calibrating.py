@@ -37,12 +37,6 @@ if TYPE_CHECKING:
     from imucalib.report.document import Document
     from imucalib.report.files import Report
 
-#: The same words wherever a fleet serves as a prior.
-FLEET = (
-    "fleet.yaml of imucal fleet: what devices of its kind say where this one's data leave "
-    "something open."
-)
-
 #: Where the root command leaves the arguments that it was called with.
 ARGUMENTS = "imucal.arguments"
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from imucalib.cli.calibrating import FLEET, Shared, limit_option, shared_of
+from imucalib.cli.calibrating import Shared, limit_option, shared_of
 from imucalib.cli.output import numbers
-from imucalib.cli.recording_options import one_scale, still_of
+from imucalib.cli.recording_options import fleet_option, one_scale, still_of
 
 if TYPE_CHECKING:
     from imucalib.calibrators.lab.calibrate import LabSettings
@@ -87,11 +87,7 @@ _OPTIONS = (
         show_default=True,
         help="What is minimised; settings: angles are uncertain as set.",
     ),
-    click.option(
-        "--fleet",
-        type=click.Path(path_type=Path),
-        help=FLEET,
-    ),
+    fleet_option,
     click.option(
         "--as-published", is_flag=True, help="The paper's own method, as it was published."
     ),

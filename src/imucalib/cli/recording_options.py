@@ -62,6 +62,15 @@ _FIELDS = {
 }  # fmt: skip
 
 
+#: A fleet as a prior.
+fleet_option = click.option(
+    "--fleet",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="fleet.yaml of imucal fleet: what devices of its kind say where this one's data leave "
+    "something open.",
+)
+
+
 def recording_options(command: Command) -> Command:
     """Add the options; `mapping_of` turns their values into a FieldMapping."""
     for option in reversed(_OPTIONS):
