@@ -45,8 +45,8 @@ def _verdict(fleet: Fleet) -> str:
         return text
     if gain.by_density:
         return (
-            f"{text} The others foretell {gain.parts} devices by {gain.nats:+.3g} nats in sum "
-            f"(95 %: at least {gain.nats_low:.2g}); error of a posture {gain.before:.3g} to "
+            f"{text} The others foretell {gain.parts} devices by {gain.nats:+.1f} nats in sum "
+            f"(95 %: at least {gain.nats_low:+.1f}); error of a posture {gain.before:.3g} to "
             f"{gain.after:.3g} mg."
         )
     return (
