@@ -33,7 +33,7 @@ def estimate_in_population(
     else:
         logs = np.log(np.maximum([fixed.factor, *fixed.sd], 1e-300))
     own = _derivatives(at, logs)
-    inverse, covariance, weighted = _conditional(at, prior, own)
+    inverse, covariance, weighted = _conditional(at, prior, 0.5 * np.sum(own, axis=0))
     gain = covariance @ weighted
     value, _, information = _posterior(at, prior, away, logs)
     spread = np.zeros_like(information) if fixed is not None else np.linalg.inv(information)
@@ -74,9 +74,9 @@ def _derivatives(at: Balanced, logs: Array) -> list[Array]:
     return derivative + [2.0 * v * m @ m.T for v, m in zip(values[1:], at.settings, strict=True)]
 
 
-def _conditional(at: Balanced, prior: Prior, own: list[Array]) -> tuple[Array, Array, Array]:
-    """V⁻¹, the covariance (Q⁻¹ + J'V⁻¹J)⁻¹ of θ, and J'V⁻¹."""
-    inverse: Array = np.asarray(np.linalg.inv(0.5 * np.sum(own, axis=0)), np.float64)
+def _conditional(at: Balanced, prior: Prior, whole: Array) -> tuple[Array, Array, Array]:
+    """V⁻¹, the covariance (Q⁻¹ + J'V⁻¹J)⁻¹ of θ, and J'V⁻¹, of V (N, N)."""
+    inverse: Array = np.asarray(np.linalg.inv(whole), np.float64)
     weighted = at.jacobian.T @ inverse
     information = prior.root.T @ prior.root + weighted @ at.jacobian
     return inverse, np.asarray(np.linalg.inv(information), np.float64), weighted
@@ -89,12 +89,13 @@ def _posterior(at: Balanced, prior: Prior, away: Array, logs: Array) -> tuple[fl
     """
     assert prior.noise is not None
     own = _derivatives(at, logs)
-    inverse, covariance, weighted = _conditional(at, prior, own)
+    whole = 0.5 * np.sum(own, axis=0)
+    inverse, covariance, weighted = _conditional(at, prior, whole)
     shift = covariance @ (weighted @ away)
     rest, pulled = away - at.jacobian @ shift, prior.root @ shift
     u = inverse @ rest
     left = (logs - prior.noise[:, 0]) / prior.noise[:, 1]
-    log_det = np.linalg.slogdet(0.5 * np.sum(own, axis=0))[1] - np.linalg.slogdet(covariance)[1]
+    log_det = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(covariance)[1]
     value = 0.5 * float(log_det + rest @ u + pulled @ pulled + left @ left)
     beside = inverse - weighted.T @ covariance @ weighted
     products = [beside @ d for d in own]

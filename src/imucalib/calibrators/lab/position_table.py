@@ -78,14 +78,14 @@ class PositionTable:
     @property
     def of_positions(self) -> bool:
         """Whether the rows are positions held still, not the samples of a recording in time."""
-        if "time" not in self or self.n < 2:
+        if self.n > _MOST or "time" not in self or self.n < 2:
             return self.n <= _MOST
         inside = self.by_time
         if self.unit.get("time") == "s" and np.median(np.diff(inside.columns["time"])) >= _PASSED:
-            return self.n <= _MOST
+            return True
         turned = np.linalg.norm(np.diff(inside.raw(), axis=0), axis=1)
         usual = float(np.median(np.linalg.norm(inside.raw(), axis=1)))
-        return self.n <= _MOST and float(np.median(turned)) > _TURNED * usual
+        return float(np.median(turned)) > _TURNED * usual
 
     def raw(self) -> Array:
         """(n, 3) raw readings."""
