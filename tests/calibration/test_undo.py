@@ -152,6 +152,21 @@ def test_samples_beyond_the_calibrated_range_are_counted_and_kept() -> None:
     assert not any("outside" in n or "1.1 g" in n for n in inside.notes)
 
 
+def test_a_lag_of_rows_takes_the_sensor_to_be_as_warm_as_its_thermometer() -> None:
+    names = ("bias", "thermal_lag@4rows")
+    made = calibration(names, {"temperature_lag_4rows": (20.0, 30.0)})
+    warm = np.linspace(18.0, 33.0, 50)
+    found = apply_to_recording(made, recorded(50, warm))
+    bias, slope = np.array([p.value for p in made.parameters]).reshape(2, 3) * MG
+    expected = recorded(50).channels["acc"].values - bias - slope * (warm[:, None] - 25.0)
+    assert np.allclose(found.channels["acc"].values, expected, atol=1e-9)
+    assert [n for n in found.notes if "as warm as its thermometer" in n]
+    bare = apply_to_recording(made, recorded(50))
+    middle = recorded(50).channels["acc"].values - bias
+    assert np.allclose(bare.channels["acc"].values, middle, atol=1e-9)
+    assert [n for n in bare.notes if "thermal_lag@4rows is left out" in n]
+
+
 def test_every_steady_effect_of_the_catalogue_is_undone() -> None:
     for name, effect in catalogue().items():
         if effect.stage != "sensor" or effect.needs or effect.channel != "acceleration":

@@ -53,7 +53,7 @@ def world(seed: int = 3) -> tuple[np.ndarray, Context]:
         "temperature": rng.uniform(10, 40, N), "order": rng.uniform(0, 1, N),
         "time": np.arange(N) * 60.0, "record": np.arange(float(N)),
         "tool_face": rng.uniform(0, 2 * np.pi, N), "inclination": rng.uniform(-1.5, 1.5, N),
-        "temperature_lag_2h": rng.uniform(10, 40, N),
+        **{f"temperature_lag_{value}": rng.uniform(10, 40, N) for value in ("2h", "4rows")},
     }  # fmt: skip
     return rng.uniform(-1.0, 1.0, (N, 3)), Context(N, covariates)
 
@@ -163,8 +163,10 @@ def test_a_curve_of_the_tool_face_closes() -> None:
 def test_a_lag_follows_the_late_temperature() -> None:
     force, context = world()
     theta = np.array([0.5, -1.0, 2.0])
-    expected = 1e-3 * theta * (context["temperature_lag_2h"] - 25.0)[:, None]
-    np.testing.assert_allclose(added("thermal_lag@2h", theta, force, context), expected, atol=1e-12)
+    for value in ("2h", "4rows"):
+        expected = 1e-3 * theta * (context[f"temperature_lag_{value}"] - 25.0)[:, None]
+        got = added(f"thermal_lag@{value}", theta, force, context)
+        np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
 def test_a_step_comes_at_its_time() -> None:

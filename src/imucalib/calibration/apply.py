@@ -134,7 +134,7 @@ def correct_file(
 
     def corrected_blocks() -> Iterator[Recording]:
         found = blocks(source, mapping, strict=strict)
-        around = ready is not None and "temperature" in ready.needs
+        around = ready is not None and ready.warm
         for block, warm in (
             _with_thermometer(found, triad) if around else ((b, None) for b in found)
         ):

@@ -20,7 +20,7 @@ from imucalib.core.context import Context
 from imucalib.core.effect import Effect
 from imucalib.core.model import Model
 from imucalib.core.truth import Truth
-from imucalib.effects.thermal_lag import PREFIX, hours_of
+from imucalib.effects.thermal_lag import PREFIX, counts_rows, hours_of
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.thermal_history import ThermalHistory, temperature_at
@@ -30,6 +30,10 @@ Spans = Mapping[str, tuple[float, float]]
 #: Covariates with a range: what a message calls them, and their unit.
 _RANGED = {"temperature": ("temperature", " °C"), "order": ("time as a share of the session", "")}
 _MARGIN = 0.1  # share of a range by which a sample may leave it
+_AS_WARM = (
+    "the sensor is taken to be as warm as its thermometer: in what the calibration's rows tell of "
+    "its lag there is no time",
+)
 _GRAVITY = 1.1 * STANDARD_GRAVITY  # m/s² on one axis: calibrations by gravity see no more
 
 
@@ -47,6 +51,7 @@ class Correction:
         self._undo = [Undo(model, theta) for model, theta in self._models]
         models = [model for model, _ in self._models]
         self.needs = {n for model in models for effect in model.effects for n in effect.needs}
+        self._settled = {n for n in self.needs if n.startswith(PREFIX) and counts_rows(n)}
         self._bent = any(undo.bent for undo in self._undo)
         self._samples = self._far = self._unsettled = 0
         self._left: dict[str, tuple[int, float, float]] = {}
@@ -55,8 +60,13 @@ class Correction:
     @property
     def lags(self) -> dict[str, float]:
         """The lagged temperatures that are needed, with their hours."""
-        names = [n for n in self.needs if n.startswith(PREFIX)]
+        names = [n for n in self.needs - self._settled if n.startswith(PREFIX)]
         return {name: hours_of(name.removeprefix(PREFIX)) for name in names}
+
+    @property
+    def warm(self) -> bool:
+        """Whether a thermometer tells something of what is needed."""
+        return "temperature" in self.needs or bool(self._settled)
 
     def __call__(
         self,
@@ -120,6 +130,8 @@ class Correction:
         known = _clock(self.calibration, recording, channel)
         if thermometer is not None:
             known["temperature"] = temperature_at(thermometer, channel.t)
+            known |= dict.fromkeys(self._settled, known["temperature"])
+            self._held |= dict.fromkeys(_AS_WARM if self._settled else ())
         if history is not None:
             known |= {name: history.lagged(h, channel.t) for name, h in self.lags.items()}
         for name in _RANGED:

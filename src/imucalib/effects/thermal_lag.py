@@ -5,15 +5,29 @@ from imucalib.core.effect import Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.effects.covariate import bias_with
 
-#: Hours by which the sensor may trail the thermometer.
+#: Hours by which a worn sensor may trail its thermometer.
 LAGS = ("0.5h", "1h", "1.5h", "2h", "3h")
 
+#: The same in rows of a table, whose positions take about as long each.
+ROWS = (2, 4, 8)
+
 PREFIX = "temperature_lag_"
+_ROWS = "rows"
 
 
 def covariate(value: str) -> str:
     """Name of the covariate that carries the temperature with this lag."""
     return f"{PREFIX}{value}"
+
+
+def in_rows(rows: int) -> str:
+    """How a lag of so many rows is written."""
+    return f"{rows}{_ROWS}"
+
+
+def counts_rows(value: str) -> bool:
+    """Whether a lag is of rows of a table, so that no recording tells the covariate."""
+    return value.endswith(_ROWS)
 
 
 def hours_of(value: str) -> float:
@@ -22,17 +36,18 @@ def hours_of(value: str) -> float:
 
 
 def thermal_lag(value: str) -> Effect:
-    """The lag given as "1.5h"; ValueError otherwise."""
-    hours = hours_of(value)
+    """The lag given as "1.5h" or "2rows"; ValueError otherwise."""
+    rows = counts_rows(value)
+    size = float(value.removesuffix(_ROWS)) if rows else hours_of(value)
     name = covariate(value)
 
     basis = bias_with(lambda context: context[name] - 25.0)
 
     return Response(
         f"thermal_lag@{value}",
-        f"The bias follows the temperature of the last {hours:g} hours.",
+        f"The bias follows the temperature of the last {size:g} {_ROWS if rows else 'hours'}.",
         "y_i = x_i + c_i (T_lag - 25 °C),  T_lag' = (T - T_lag) / τ",
-        "0.5-3 h in a case on the wrist, practice",
+        "0.5-3 h in a case on the wrist, minutes in a chamber, practice",
         "Record the temperature through several changes that last longer than the lag.",
         (name,),
         each=tuple(Parameter(f"lag_{value}_{a}", "mg/degC", 0.5, 15.0) for a in "xyz"),
@@ -41,7 +56,8 @@ def thermal_lag(value: str) -> Effect:
 
 
 def _values(context: Context) -> tuple[str, ...]:
-    return tuple(v for v in LAGS if covariate(v) in context)
+    names = (name for name in context.covariates if name.startswith(PREFIX))
+    return tuple(name.removeprefix(PREFIX) for name in names)
 
 
 FAMILIES = (Family("thermal_lag", "The bias follows the temperature late.", thermal_lag, _values),)

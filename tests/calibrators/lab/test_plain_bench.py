@@ -125,3 +125,15 @@ def test_an_effect_too_large_to_be_believed_is_not_nothing(tmp_path: Path) -> No
     assert run.result.loop.verdict == "unexplained"
     assert any("like scale_drift" in u.name for u in run.result.loop.unexplained)
     assert run.outcome.exit_code == 5
+
+
+def test_a_sensor_behind_its_thermometer_is_named(tmp_path: Path) -> None:
+    """Where the sheet has no time it was a bias of the temperature, for certain."""
+    bench = plain_bench.Bench(plain_bench.Plan(3, (("thermal_lag", 12.0),)))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    (step,) = run.result.loop.steps
+    assert step.effect == "thermal_lag@4rows"
+    assert run.result.loop.verdict == "explained"
+    # What is left: the noise of 0.5 mg on three axes, and the doubt of the fit.
+    assert run.result.error.final < 0.8 * run.result.error.base

@@ -271,3 +271,29 @@ def test_a_calibration_is_worth_its_name_below_nine_tenths_of_the_raw_error() ->
     coarse = SimpleNamespace(reading=5.0 * MG * np.round(whole.reading / (5.0 * MG)))
     (reason,) = faults.worthless(held(10.0, 1.0), coarse)
     assert "steps of 5 mg" in reason
+
+
+def late(warm: Sequence[float], share: float) -> list[float]:
+    found = [warm[0]]
+    for value in warm[1:]:
+        found.append(found[-1] + share * (value - found[-1]))
+    return found
+
+
+def test_a_sensor_may_trail_its_thermometer_by_rows_or_by_the_clock() -> None:
+    warm = [20.0, 30.0, 30.0, 10.0, 10.0, 10.0, 25.0, 25.0]
+    sheet = table(temperature=warm)
+    found = still_observations(sheet, sheet.raw(), G).context
+    share = 1.0 - np.exp(-0.5)
+    np.testing.assert_allclose(found["temperature_lag_2rows"], late(warm, share))
+    assert "temperature_lag_4rows" not in found  # four lags do not pass in eight rows
+    timed = table({"time": "s"}, temperature=warm, time=36.0 * np.arange(8))
+    found = still_observations(timed, timed.raw(), G).context
+    np.testing.assert_allclose(found["temperature_lag_0.02h"], late(warm, share))
+    # Every power-up begins as warm as its thermometer.
+    twice = table(temperature=2 * warm, session=[0] * 8 + [1] * 8)
+    found = still_observations(twice, twice.raw(), G).context
+    np.testing.assert_allclose(found["temperature_lag_2rows"], 2 * late(warm, share))
+    for without in (table(samples=[1] * 8), table(temperature=[20.0] * 8)):
+        known = still_observations(without, without.raw(), G).context.covariates
+        assert not [name for name in known if "lag" in name]
