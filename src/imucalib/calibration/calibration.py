@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.calibration.matrices import Matrices, matrices
 from imucalib.calibration.triads import Triad
 from imucalib.calibration.uncertainty import correcting
@@ -78,9 +78,15 @@ class Calibration:
         by_effect = {n: [p.value for p in self.parameters if p.effect == n] for n in names}
         return model, np.array([v for e in model.effects for v in by_effect[e.name]])
 
+    def places(self, model: Model) -> Index:
+        """(p,) of the θ of `model`, in its order, among the file's parameters."""
+        every = [p.effect for p in self.parameters]
+        at = [k for e in model.effects for k, name in enumerate(every) if name == e.name]
+        return np.array(at, np.intp)
+
     def covariance_of(self, model: Model) -> Array:
         """(p, p) of the θ of `model`, in its order, whatever the order of the file's parameters."""
-        at = [k for e in model.effects for k, p in enumerate(self.parameters) if p.effect == e.name]
+        at = self.places(model)
         return np.asarray(self.covariance[np.ix_(at, at)])
 
     def apply(self, reading: Array, context: Context | None = None) -> Array:

@@ -20,18 +20,18 @@ from imucalib.calibrators.lab.bench import raw_unit
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.checks import observations_of
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.files import LabFiles, still_rests
-from imucalib.calibrators.lab.position_table import PositionTable, read_position_table
+from imucalib.calibrators.lab.files import ANGLES, LabFiles, positions_in, still_rests
+from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
-from imucalib.errors import ImucalError, UsageError
+from imucalib.errors import UsageError
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments, StillSettings
 from imucalib.units import STANDARD_GRAVITY
 
-_ANGLES, _DIRECTION = {"inclination", "tool_face"}, {"ux", "uy", "uz"}
+_DIRECTION = {"ux", "uy", "uz"}
 
 
 @dataclass(frozen=True)
@@ -42,24 +42,6 @@ class CheckLog:
     observations: Observations
     notes: tuple[str, ...]
     start_ns: int | None = None
-
-
-def positions_in(files: LabFiles) -> PositionTable | None:
-    """The table of positions that a file is, or None where it is a recording in time."""
-    of_both = {"acc_unit", "lsb_per_g", "skip", "decimal", "delimiter"}
-    if not files.mapping.to_dict().keys() <= of_both:
-        return None
-    for direction in (True, False):
-        try:
-            table = read_position_table(
-                files.table, files.columns, need_angles=False, need_direction=direction,
-                mapping=files.mapping,
-            )  # fmt: skip
-        except ImucalError:
-            continue
-        if table.of_positions or set(table.columns) >= _ANGLES or direction:
-            return table
-    return None
 
 
 @dataclass(frozen=True)
@@ -133,12 +115,12 @@ def check_table(calibration: Calibration, table: PositionTable, asked: Asked) ->
     mounted = any(p.effect == "mounting" for p in calibration.parameters)
     columns, notes = set(table.columns), [raw.sentence]
     reference, conventions = "norm", Conventions()
-    if mounted and columns >= _ANGLES:
+    if mounted and columns >= ANGLES:
         reference = "vector"
         conventions = Conventions(**(calibration.facts.get("conventions") or {}))
     elif mounted and columns >= _DIRECTION:
         reference = "direction"
-    elif columns & (_ANGLES | _DIRECTION):
+    elif columns & (ANGLES | _DIRECTION):
         notes.append("its directions are not used: the calibration ties no frame to them")
     settings = LabSettings(sigma=1.0, conventions=conventions)
     request = LabRequest(reference=reference, gravity=asked.gravity, settings=settings)

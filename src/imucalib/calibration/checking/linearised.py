@@ -41,8 +41,7 @@ def acting(calibration: Calibration, *, fixture: bool) -> Acting:
     Raises UnreadableInput where the file names effects that are not known.
     """
     skipped = () if fixture else NEVER_APPLIED
-    own = [k for k, p in enumerate(calibration.parameters) if p.stage not in skipped]
-    names = dict.fromkeys(calibration.parameters[k].effect for k in own)
+    names = dict.fromkeys(p.effect for p in calibration.parameters if p.stage not in skipped)
     unknown = [name for name in names if known(name) is None]
     if unknown:
         raise UnreadableInput(
@@ -50,9 +49,9 @@ def acting(calibration: Calibration, *, fixture: bool) -> Acting:
             remedy="load the file that defines them with --effects, or update imucal",
         )
     model = Model(tuple(e for name in names if (e := known(name)) is not None))
-    order = [k for e in model.effects for k in own if calibration.parameters[k].effect == e.name]
-    theta = np.array([calibration.parameters[k].value for k in order])
-    return Acting(model, theta, np.array(order, np.intp))
+    at = calibration.places(model)
+    theta = np.array([calibration.parameters[k].value for k in at])
+    return Acting(model, theta, at)
 
 
 def misfits_of(

@@ -19,6 +19,8 @@ from imucalib.recording.recording import Recording
 from imucalib.rests.refused import refusals
 from imucalib.rests.segments import Segments, StillSettings, still_segments
 
+ANGLES = {"inclination", "tool_face"}
+
 
 @dataclass(frozen=True)
 class LabFiles:
@@ -46,7 +48,7 @@ def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], N
         recording, segments = still_rests(files.recording, files.mapping, request.still, say)
         table = _in_order(positions, segments, recording)
         return _run(table, recording, request)
-    if request.reference == "norm" and not _is_table(files):
+    if request.reference == "norm" and positions_in(files) is None:
         recording, segments = still_rests(files.table, files.mapping, request.still, say)
         return _run(_rests(segments, recording), recording, request)
     return run_lab(_ordered(files, request, say), request)
@@ -59,7 +61,7 @@ def _sessions(files: LabFiles, request: LabRequest, say: Callable[[str], None]) 
             "--recording goes with one table",
             remedy="give each power-up a table with its readings, and no --recording",
         )
-    of_rests = request.reference == "norm" and not _is_table(files)
+    of_rests = request.reference == "norm" and positions_in(files) is None
     tables, notes = list[PositionTable](), list[str]()
     for one in files.each:
         if not of_rests:
@@ -105,18 +107,22 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
     return table
 
 
-def _is_table(files: LabFiles) -> bool:
-    """Whether the input is a table of still positions rather than a recording in time."""
+def positions_in(files: LabFiles) -> PositionTable | None:
+    """The table of positions that a file is, or None where it is a recording in time."""
     of_both = {"acc_unit", "lsb_per_g", "skip", "decimal", "delimiter"}
     if not files.mapping.to_dict().keys() <= of_both:
-        return False
-    try:
-        table = read_position_table(
-            files.table, files.columns, need_angles=False, mapping=files.mapping
-        )
-    except ImucalError:
-        return False
-    return table.of_positions
+        return None
+    for direction in (True, False):
+        try:
+            table = read_position_table(
+                files.table, files.columns, need_angles=False, need_direction=direction,
+                mapping=files.mapping,
+            )  # fmt: skip
+        except ImucalError:
+            continue
+        if table.of_positions or set(table.columns) >= ANGLES or direction:
+            return table
+    return None
 
 
 def still_rests(
