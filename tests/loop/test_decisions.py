@@ -374,7 +374,7 @@ def test_shared_noise_is_looked_for_in_a_dozen_rows_and_few_numbers(
         own = SimpleNamespace(context=context, n=n, of_sessions=(), walk=None, shared=())
         fit = SimpleNamespace(observations=own, at=SimpleNamespace(residual=np.zeros(numbers)))
         asked = []
-        monkeypatch.setattr(shared, "replace", lambda one, **changed: one)
+        monkeypatch.setattr(shared, "with_noisy_axes", lambda fit: fit)
         monkeypatch.setattr(shared, "_tried", lambda bare, memories: asked.append(memories) or [])
         try:
             shared.with_shared_noise(fit)  # type: ignore[arg-type]

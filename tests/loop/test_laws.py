@@ -117,7 +117,7 @@ def test_what_the_data_lack_gains_nothing_on_data_that_took_no_part() -> None:
 def test_an_error_in_the_sample_passed_off_as_held_out_is_seen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def in_sample(loop: FitLoop, *rest: object) -> Fit:
+    def in_sample(loop: FitLoop, *rest: object, **more: object) -> Fit:
         return loop.final
 
     monkeypatch.setattr(cross_fit, "_searched", in_sample)

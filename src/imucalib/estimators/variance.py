@@ -20,8 +20,9 @@ from imucalib.core.restricted import Restricted, restricted
 #: the readings' noise. Below `_VANISHED` the component counts as zero.
 _RATIO = (1e-3, 1e5)
 _VANISHED = 1e-2
-#: The same of noise that neighbours share, which can stand in for a reading's own: beyond it
-#: nothing would be left of that, in whose units all else is.
+#: The same of noise that has a number for every reading, as what neighbours share and the excess of
+#: an axis: it can stand in for a reading's own, and nothing would be left of that, in whose units
+#: all else is.
 INSTEAD = 30.0
 #: What the prior of the noise factor weighs, in observations.
 _PRIOR_DOF = 4.0
@@ -135,8 +136,9 @@ def _search(at: Balanced, start: Noise) -> Noise:
     reach = np.array([max(float(np.abs(m).max()), 1e-300) for m in at.settings])
     low, high = np.log(_RATIO[0] / reach), np.log(_RATIO[1] / reach)
     left = restricted(at.jacobian, at.settings)
-    if left.wide >= at.free:
-        high[left.wide] = np.log(INSTEAD / reach[left.wide])
+    for c, matrix in enumerate(at.settings):
+        if c >= at.free and 3 * matrix.shape[1] >= at.residual.size:
+            high[c] = np.log(INSTEAD / reach[c])
     data, dof = left.frame.T @ at.residual, at.residual.size - at.jacobian.shape[1]
 
     def objective(logs: Array) -> tuple[float, Array]:

@@ -20,7 +20,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence_gram import gram_evidence
-from imucalib.loop.noise.grid import TAU, EvidenceGrid
+from imucalib.loop.noise.grid import EXCESS, HELD, TAU, EvidenceGrid
 from imucalib.loop.noise.strength import strengths
 from imucalib.loop.thresholds import ABSORBED
 
@@ -127,7 +127,11 @@ def _score_few(
             [candidates[k].columns / noise.factor for k in live],
             without=fit.observations.walk.without if fit.observations.walk else None,
             coarse=draws == 0,
-            held=(at.free, at.free + len(fit.observations.of_sessions)),
+            held={
+                at.free + k: EXCESS if noise.alone else HELD
+                for k, noise in enumerate(fit.observations.shared)
+                if not noise.wanders
+            },
         )
         found = grid.evidence(at.residual[:, None] / noise.factor)
         for part in (*_PARTS, draws):

@@ -104,7 +104,7 @@ def told(floor_deg: float, sensor_mg: float = 1.0, factor: float = 1.0) -> list[
     noise = SimpleNamespace(factor=factor, sd=(9.0, floor_deg * DEG),
                             component=("inclination setting", "tool-face setting"))  # fmt: skip
     at = SimpleNamespace(sigma=np.full((2, 3), sensor_mg * MG), free=2)
-    of = SimpleNamespace(reference=reference, walk=None)
+    of = SimpleNamespace(reference=reference, walk=None, shared=())
     fit = SimpleNamespace(noise=noise, at=at, observations=of)
     assert setting_noise(fit)["tool-face setting"] == pytest.approx(floor_deg * DEG)
     fit.noise_sd = np.array([0.1, 0.2, 0.3])

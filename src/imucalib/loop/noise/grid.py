@@ -7,7 +7,7 @@ data sets can follow in parts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -25,7 +25,9 @@ SHRINK = (0.0, 0.15, 0.4, 0.72, 0.92, 1.15, 1.6)
 #: The same beside noise that neighbours share, and inside folds.
 _COARSE = (0.0, 0.4, 0.92, 1.6)
 #: The same of what sessions share: effects within a session do not explain it.
-_HELD = (0.92,)
+HELD = (0.92,)
+#: The same of the excess of an axis.
+EXCESS = (0.0, 0.5, 0.92)
 #: Numbers that are held, and that are worked on, at a time.
 _NUMBERS, _CACHED = 2_000_000, 100_000
 #: A squared size below this share of what the block has before the settings take theirs of it, and
@@ -85,7 +87,7 @@ class EvidenceGrid:
     without : the same ratios where the last component, noise that neighbours share, is left out: it
         may have taken over what a candidate explains, and the other components with it
     coarse : fewer hypotheses of the noise, for a part of data whose whole has been searched
-    held : first and end of the components that sessions share
+    held : factors of the components, by number, that have few of their own
     """
 
     def __init__(
@@ -96,7 +98,7 @@ class EvidenceGrid:
         blocks: Sequence[Array],
         without: tuple[float, ...] | None = None,
         coarse: bool = False,
-        held: tuple[int, int] = (0, 0),
+        held: Mapping[int, tuple[float, ...]] | None = None,
     ) -> None:
         left = restricted(jacobian, settings)
         self._frame, self._freedom = left.frame, left.frame.shape[1]
@@ -154,9 +156,11 @@ def _parted(
 
 
 def _around(
-    ratio: tuple[float, ...], shrink: tuple[float, ...], held: tuple[int, int]
+    ratio: tuple[float, ...],
+    shrink: tuple[float, ...],
+    held: Mapping[int, tuple[float, ...]] | None,
 ) -> list[tuple[float, ...]]:
-    each = (_HELD if held[0] <= k < held[1] else shrink for k in range(len(ratio)))
+    each = ((held or {}).get(k, shrink) for k in range(len(ratio)))
     sizes = zip(ratio, each, strict=True)
     return list(product(*(tuple(dict.fromkeys(s * r for s in some)) for r, some in sizes)))
 

@@ -17,6 +17,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import NoiseEstimate, estimate_noise
+from imucalib.loop.noise.axes import with_noisy_axes
 from imucalib.loop.thresholds import SHARED_NATS, SHARED_NUMBERS
 
 NAME = "shared noise"
@@ -39,10 +40,10 @@ def with_shared_noise(fit: Fit) -> Fit:
     Up to `SHARED_NUMBERS` numbers in one order; the noise is otherwise left as it is.
     """
     own = fit.observations
-    bare = replace(own, shared=own.of_sessions)
     if "order" not in own.context or own.n < _FEWEST or fit.at.residual.size > SHARED_NUMBERS:
         return fit
-    alone = fit if own.walk is None else _refitted(fit, bare)
+    alone = with_noisy_axes(fit)
+    bare = alone.observations
     longest = max(bare.n * _LONGEST, _MEMORY[0])
     tried = _tried(bare, tuple(m for m in _MEMORY if m <= longest))
     found = [(_estimated(alone, data), data) for data in tried]
@@ -58,8 +59,9 @@ def lead_over_a_walk(fit: Fit, nats: float) -> float:
     a whole recording the two can look alike."""
     if "order" not in fit.observations.context or fit.at.residual.size > SHARED_NUMBERS:
         return nats
-    bare = replace(fit.observations, shared=fit.observations.of_sessions)
     walk = fit.observations.walk
+    shared = fit.observations.shared
+    bare = replace(fit.observations, shared=shared[:-1] if walk else shared)
     alone = replace(fit, noise=_without(fit.noise)) if walk else fit
     memories = tuple(bare.n * share for share in _SLOW)
     slow = max(_estimated(alone, data).log_likelihood for data in _tried(bare, memories))

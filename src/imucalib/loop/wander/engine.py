@@ -167,8 +167,7 @@ def _told(
     found: _Pass, folds: tuple[Fold, ...], part: NDArray[np.intp], asked: Asked,
     rng: np.random.Generator,
 ) -> Closed:  # fmt: skip
-    problem = found.problem
-    bars = found.bars
+    problem, bars = found.problem, found.bars
     rules = Rules(
         lambda bank, terms, turn: bars[min(turn, len(bars) - 1)],
         asked.rules.most_effects,

@@ -1,0 +1,92 @@
+"""Axes that are noisier than the others: a part of the noise, not wrong records or heavy tails.
+
+The excess of an axis is a variance component of its own, one number a reading. It is estimated
+first, and again after every effect, as noise that neighbours share is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.balance import Noise, balance
+from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations, SharedNoise
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.estimators.variance import NoiseEstimate, estimate_noise
+from imucalib.loop.thresholds import AXIS_NATS, SHARED_NUMBERS
+
+_FEWEST = 12  # observations from which the scatter of an axis is worth a number
+_MOST = 2  # axes: the quietest is the noise that all have
+_NAMES = ("noise of x", "noise of y", "noise of z")
+_LIKELY = 1.5  # standard deviations of the score from which an estimate is worth its cost
+_SHARE = 0.6  # of the noise of all axes that is left to the others, to start from
+
+
+def with_noisy_axes(fit: Fit) -> Fit:
+    """The same model, refitted with the excess of every axis that is noisier, if one is.
+
+    Up to `SHARED_NUMBERS` numbers of a single triad in known directions: of a size alone no axis is
+    seen. What neighbours share is taken out of the model.
+    """
+    own, sessions = fit.observations, fit.observations.of_sessions
+    bare = replace(own, shared=sessions)
+    found = fit if len(own.shared) == len(sessions) else _refitted(fit, bare)
+    size = fit.at.residual.size
+    if size != 3 * own.n or own.n < _FEWEST or size > SHARED_NUMBERS:
+        return found
+    for _ in range(_MOST):
+        noisier = _noisier(found)
+        if noisier is None:
+            break
+        found = _refitted(found, *noisier)
+    return found
+
+
+def _noisier(fit: Fit) -> tuple[Observations, Noise] | None:
+    """With the axis whose excess says most, and the noise there; None where none says enough."""
+    best: tuple[float, Observations, NoiseEstimate] | None = None
+    names = {noise.name for noise in fit.observations.shared}
+    for axis in map(int, np.flatnonzero(_beyond(fit) > _LIKELY)):
+        if _NAMES[axis] in names:
+            continue
+        data = replace(fit.observations, shared=(*fit.observations.shared, _excess(fit, axis)))
+        at = balance(fit.model, fit.theta, fit.eta, data)
+        size = fit.noise.factor * float(np.median(at.sigma))
+        sd = (*(_SHARE * sd for sd in fit.noise.sd), size)
+        start = Noise(_SHARE * fit.noise.factor, at.component, sd)
+        found = estimate_noise(at, start, fixed=False)
+        if best is None or found.log_likelihood > best[0]:
+            best = found.log_likelihood, data, found
+    if best is None or best[0] - fit.log_likelihood <= AXIS_NATS:
+        return None
+    return best[1], best[2].noise
+
+
+def _beyond(fit: Fit) -> Array:
+    """(3,) how far the power of each axis lies above what the noise of all explains, in standard
+    deviations: the score of its excess at none (Rao 1948)."""
+    white, q = fit.white_basis()
+    inverse = white(np.eye(fit.at.residual.size))
+    outside = inverse - q @ (q.T @ inverse)
+    projector = (inverse.T @ outside).reshape(-1, 3, fit.observations.n, 3)
+    power = np.square(outside.T @ white(fit.at.residual) / fit.noise.factor).reshape(-1, 3)
+    expected = np.einsum("nini->i", projector)
+    spread = np.sqrt(2.0 * np.einsum("nimi,nimi->i", projector, projector))
+    return np.asarray((power.sum(axis=0) - expected) / spread)
+
+
+def _excess(fit: Fit, axis: int) -> SharedNoise:
+    n = fit.observations.n
+    basis = np.zeros((n, 3, 1))
+    # In proportion to what is declared of each reading.
+    basis[:, axis, 0] = fit.observations.sigma[:, 0, axis] / np.median(fit.observations.sigma)
+    return SharedNoise(_NAMES[axis], np.eye(n), math.nan, basis=basis)
+
+
+def _refitted(fit: Fit, data: Observations, begin: Noise | None = None) -> Fit:
+    found = fit_model(fit.model, data, start=fit.theta, begin=begin)
+    return found if found.converged else fit
