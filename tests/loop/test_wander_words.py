@@ -9,7 +9,13 @@ import pytest
 
 from imucalib.loop.found import Wander
 from imucalib.loop.wander.likelihood import Terms
-from imucalib.loop.wander.words import aliases, chance_of, scores_of, unexplained
+from imucalib.loop.wander.words import (
+    aliases,
+    chance_of,
+    looked_like,
+    scores_of,
+    unexplained,
+)
 from imucalib.units import MG
 
 
@@ -108,3 +114,23 @@ def test_a_walk_is_told_beyond_five_nats_and_the_scatter_of_a_run(
         assert one.p == pytest.approx(np.exp(-evidence))
         assert one.share == pytest.approx(0.8)
         assert one.evidence == evidence
+
+
+@pytest.mark.parametrize(("evidence", "told"), [(10.1, ["bias_step"]), (9.9, [])])
+def test_what_was_refused_is_told_where_no_bar_lets_so_much_through(
+    evidence: float, told: list[str]
+) -> None:
+    """The strongest alone, with the reason, what drives it, and its chance."""
+    weak, strong = (scored(name, nats, (0,)) for name, nats in (("cubic", 9.0), ("at", evidence)))
+    refused = [
+        SimpleNamespace(name="cubic", found=weak, reason="small"),
+        SimpleNamespace(name="bias_step", found=strong, reason="it does not hold out"),
+    ]
+    chance = np.array([[1.0, 2.0, 12.0], [0.0, 0.0, 0.0]])
+    found = looked_like(refused, chance, {"at": "time", "cubic": ""}.__getitem__)  # type: ignore[arg-type]
+    assert [u.name for u in found] == [
+        f"what looks like {name} and was not taken: it does not hold out" for name in told
+    ]
+    for one in found:
+        assert (one.driver, one.kind, one.evidence) == ("time", "probe", evidence)
+        assert one.p == pytest.approx(2.0 * 2.0 / 4.0)

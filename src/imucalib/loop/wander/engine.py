@@ -26,7 +26,7 @@ from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
 from imucalib.loop.wander.sums import sums_of
-from imucalib.loop.wander.words import scores_of, steps_of, unexplained
+from imucalib.loop.wander.words import looked_like, scores_of, steps_of, unexplained
 
 #: Rows that a search uses at most: more change no decision.
 _ROWS = 3000
@@ -148,7 +148,15 @@ def _left(
 ) -> tuple[Unexplained, ...]:  # fmt: skip
     """Structure that the search could not name: of axes, of time."""
     wander = _wander(last)
-    open_end = unexplained(wander) if _open(found, last) else ()
+    problem = found.problem
+    open_end = (
+        *looked_like(
+            found.search.refused,
+            found.chances[-1],
+            lambda name: " and ".join(problem.effect(name).needs),
+        ),
+        *(unexplained(wander) if _open(found, last) else ()),
+    )
     if not asked.probes:
         return open_end
     probed = left_over(
@@ -199,7 +207,7 @@ def _told(
         steps=steps,
         ambiguous=ambiguities(problem, found.search, steps),
         sums=sums_of(problem, found.level, problem.fit),
-        rejected=found.search.refused,
+        rejected=tuple((r.name, r.reason) for r in found.search.refused),
         unexplained=_left(found, final, last, folds, asked, rng),
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
         first_scores=scores_of(problem, first, found.chances[0], bars[0]),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
+from imucalib.loop.thresholds import STRONG
 from imucalib.loop.wander.bank import Bank
-from imucalib.loop.wander.choice import Search, Taken
+from imucalib.loop.wander.choice import Refused, Search, Taken
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.problem import Problem
 from imucalib.loop.wander.scores import Scored
@@ -72,7 +73,11 @@ def steps_of(problem: Problem, found: Search, chances: Sequence[Array]) -> tuple
                 taken.found.evidence,
                 (checked,),
                 # A response that needs a curve beside its name has another form than the name's.
-                (*aliases(found.bank, terms, taken), *(curves if _bends(taken) else ())),
+                (
+                    *aliases(found.bank, terms, taken),
+                    *([taken.form] if taken.form else ()),
+                    *(curves if _bends(taken) else ()),
+                ),
                 gains=tuple(float(g) for g in taken.gains),
             )
         )
@@ -121,6 +126,21 @@ def _apart(white: Array, y: int, terms: Terms, own: Scored, rival: Scored) -> fl
     effect = rest @ np.linalg.solve(precise, rest.T @ data)
     both = np.linalg.qr(np.column_stack([base, white[:, rival.entry.columns]]))[0]
     return float(np.linalg.norm(effect - both @ (both.T @ effect)))
+
+
+def looked_like(
+    refused: Sequence[Refused], chance: Array, driver: Callable[[str], str]
+) -> tuple[Unexplained, ...]:
+    """The strongest of what was not taken: too strong to be one of the accidents that a bar allows,
+    it is structure without a name."""
+    strong = [r for r in refused if r.found.evidence > STRONG]
+    if not strong:
+        return ()
+    most = max(strong, key=lambda r: r.found.evidence)
+    found = most.found
+    name = f"what looks like {most.name} and was not taken: {most.reason}"
+    by, p = driver(found.entry.name), chance_of(found, chance)
+    return (Unexplained(name, by, "probe", p, found.evidence, found.share),)
 
 
 def unexplained(wander: Wander) -> tuple[Unexplained, ...]:
