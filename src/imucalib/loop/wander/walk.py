@@ -17,7 +17,6 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 
-
 #: Of the filter's state that walks share: what a core keeps near it (half a megabyte).
 _NUMBERS = 1 << 16
 
