@@ -74,7 +74,7 @@ def nearest_row(calibration: Calibration, *, slope: bool = True) -> Row:
         root = np.sqrt(weight)
         return root * (1.0 - norm), root[:, None] * np.concatenate(slopes, axis=1)
 
-    # Not scipy's, whose import takes as long as a tenth of a day's calibration.
+    # Not scipy's, whose imports take as long as a tenth of a day's calibration without a search.
     found = minimise(linearised, np.add, start).state
     off = 1e3 * np.abs(np.linalg.norm(corrected(found), axis=1) - 1.0)
     vector, angle, turn = _beside(corrected(found), force)
@@ -103,14 +103,20 @@ def _recorded(calibration: Calibration, raw: Array) -> Array:
 def _beside(corrected: Array, force: Array) -> tuple[float, float, float]:
     """Mean error of the vector (mg) and largest of its direction (deg) after the turn that brings
     the forces nearest, and that turn's angle (deg)."""
-    from scipy.spatial.transform import Rotation
-
-    turned = Rotation.align_vectors(corrected, force)[0]
-    due = turned.apply(force)
+    turned = _turn(corrected, force)
+    due = force @ turned.T
     beside = np.linalg.norm(np.cross(corrected, due), axis=1)
     angle = np.arctan2(beside, np.einsum("ni,ni->n", corrected, due))
     vector = 1e3 * np.linalg.norm(corrected - due, axis=1).mean()
-    return float(vector), float(angle.max() / DEG), float(turned.magnitude() / DEG)
+    axis = turned[[2, 0, 1], [1, 2, 0]] - turned[[1, 2, 0], [2, 0, 1]]
+    turn = np.arctan2(np.linalg.norm(axis), np.trace(turned) - 1.0)
+    return float(vector), float(angle.max() / DEG), float(turn / DEG)
+
+
+def _turn(to: Array, origin: Array) -> Array:
+    """(3, 3) the rotation that brings vectors (n, 3) nearest to others (Kabsch 1976)."""
+    u, _, v = np.linalg.svd(to.T @ origin)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)
 
 
 def demand_one(calibration: Calibration, what: str) -> None:

@@ -17,9 +17,6 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 
-#: Of the filter's state that walks share: what a core keeps near it (half a megabyte).
-_NUMBERS = 1 << 16
-
 
 @dataclass(frozen=True)
 class Walk:
@@ -65,28 +62,21 @@ class _Filter:
 def whitened(course: Course, walks: Sequence[Walk], columns: Array) -> tuple[Array, Array]:
     """L⁻¹ columns, (walks, n, m) for columns (n, m), and log|V| of every part, (walks, parts)."""
     steps = _filter(course, tuple(walks))
+    start, longest, length = _order(course)
     (n, m), q = columns.shape, course.seen.shape[1]
     out = np.empty((len(walks), n, m))
-    some = max(1, _NUMBERS // (course.parts * q * m))
-    for at in range(0, len(walks), some):
-        _run(course, steps.keep[at : at + some], steps.gain[at : at + some], columns, out[at:])
-    out /= steps.root[..., None]
-    return out, steps.log_det
-
-
-def _run(course: Course, keep: Array, gain: Array, columns: Array, out: Array) -> None:
-    """Of the first walks of `out` (walks, n, m), what each row adds to those before."""
-    start, longest, length = _order(course)
-    state = np.zeros((len(keep), course.parts, course.seen.shape[1], columns.shape[1]))
+    state = np.zeros((len(walks), course.parts, q, m))
     for step in range(int(length.max())):
         alive = longest[: int((length > step).sum())]
         rows = start[alive] + step
         state = state[:, : alive.size]
         if step:
-            state *= keep[:, rows, None, None]
+            state *= steps.keep[:, rows, None, None]
         new = columns[rows] - (course.seen[rows][:, None] @ state)[:, :, 0]
-        state += gain[:, rows, :, None] * new[:, :, None]
-        out[: len(keep), rows] = new
+        state += steps.gain[:, rows, :, None] * new[:, :, None]
+        out[:, rows] = new
+    out /= steps.root[..., None]
+    return out, steps.log_det
 
 
 def _order(course: Course) -> tuple[Index, Index, Index]:
