@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.loop.found import Wander
+from imucalib.loop.wander import engine
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.words import (
     aliases,
@@ -134,3 +135,21 @@ def test_what_was_refused_is_told_where_no_bar_lets_so_much_through(
     for one in found:
         assert (one.driver, one.kind, one.evidence) == ("time", "probe", evidence)
         assert one.p == pytest.approx(2.0 * 2.0 / 4.0)
+
+
+def test_what_a_step_calls_its_alias_is_no_structure_of_its_own() -> None:
+    """A drift that may be a step; of what else was refused, the scan by its family's name."""
+    steps = (SimpleNamespace(aliases=("bias_step@3600s", "warm_up")),)
+    names = {"bias_step@7200s": "bias_step@7200s", "thermal_lag": "thermal_lag@1h"}
+    refused = [
+        SimpleNamespace(name=name, reason="so", found=scored(member, 20.0 - k, (0,)))
+        for k, (name, member) in enumerate(names.items())
+    ]
+    problem = SimpleNamespace(effect=lambda _: SimpleNamespace(needs=("time", "temperature")))
+    search = SimpleNamespace(refused=refused)
+    found = SimpleNamespace(problem=problem, search=search, chances=[np.zeros((2, 9))])
+    (left,) = engine._refused(found, steps)  # type: ignore[arg-type]
+    assert left.name == "what looks like thermal_lag and was not taken: so"
+    assert left.driver == "time and temperature"
+    (first,) = engine._refused(found, ())  # type: ignore[arg-type]
+    assert first.name.startswith("what looks like bias_step@7200s")

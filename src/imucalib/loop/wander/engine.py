@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from imucalib.arrays import Array
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.loop.design import Fold, folds_of
-from imucalib.loop.found import FitLoop, LoopSettings, Unexplained, Wander
+from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained, Wander
 from imucalib.loop.held_out import Held
 from imucalib.loop.wander.ambiguous import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
@@ -148,15 +148,7 @@ def _left(
 ) -> tuple[Unexplained, ...]:  # fmt: skip
     """Structure that the search could not name: of axes, of time."""
     wander = _wander(last)
-    problem = found.problem
-    open_end = (
-        *looked_like(
-            found.search.refused,
-            found.chances[-1],
-            lambda name: " and ".join(problem.effect(name).needs),
-        ),
-        *(unexplained(wander) if _open(found, last) else ()),
-    )
+    open_end = unexplained(wander) if _open(found, last) else ()
     if not asked.probes:
         return open_end
     probed = left_over(
@@ -164,6 +156,14 @@ def _left(
         draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
     )  # fmt: skip
     return (*probed, *open_end)
+
+
+def _refused(found: _Pass, steps: Sequence[Step]) -> tuple[Unexplained, ...]:
+    """Strong structure that was not taken; what a step calls its alias is told there."""
+    problem = found.problem
+    told = {name.partition("@")[0] for step in steps for name in step.aliases}
+    new = [r for r in found.search.refused if r.name.partition("@")[0] not in told]
+    return looked_like(new, found.chances[-1], lambda n: " and ".join(problem.effect(n).needs))
 
 
 def _wander(noise: Noise) -> Wander:
@@ -208,7 +208,7 @@ def _told(
         ambiguous=ambiguities(problem, found.search, steps),
         sums=sums_of(problem, found.level, problem.fit),
         rejected=tuple((r.name, r.reason) for r in found.search.refused),
-        unexplained=_left(found, final, last, folds, asked, rng),
+        unexplained=(*_refused(found, steps), *_left(found, final, last, folds, asked, rng)),
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
         first_scores=scores_of(problem, first, found.chances[0], bars[0]),
         missing=problem.missing,

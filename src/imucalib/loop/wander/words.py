@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.effects.shape import in_words, is_form
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
 from imucalib.loop.thresholds import STRONG
@@ -138,7 +139,8 @@ def looked_like(
         return ()
     most = max(strong, key=lambda r: r.found.evidence)
     found = most.found
-    name = f"what looks like {most.name} and was not taken: {most.reason}"
+    like = in_words(most.name) if is_form(most.name) else most.name
+    name = f"what looks like {like} and was not taken: {most.reason}"
     by, p = driver(found.entry.name), chance_of(found, chance)
     return (Unexplained(name, by, "probe", p, found.evidence, found.share),)
 
