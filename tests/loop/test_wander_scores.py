@@ -114,16 +114,20 @@ def beside_forms(
     return own, rival_form(made, TERMS, KEEP, own, tried)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("lead", "taken"), [(3.1, True), (2.9, False)])
-def test_a_form_outdoes_a_name_by_three_nats_of_the_mean_over_its_values(
-    monkeypatch: pytest.MonkeyPatch, lead: float, taken: bool
+@pytest.mark.parametrize(
+    ("kind", "lead", "taken"),
+    [("shape", 3.1, True), ("shape", 2.9, False), ("temperature", 10.1, True),
+     ("temperature", 9.9, False)],
+)  # fmt: skip
+def test_a_form_outdoes_a_response_by_three_nats_of_the_mean_over_its_values(
+    monkeypatch: pytest.MonkeyPatch, kind: str, lead: float, taken: bool
 ) -> None:
     # The mean over a scan of three values, and of one.
     scan = np.array([9.0, 8.0, 2.0])
     mean = float(np.log(np.mean(np.exp(scan))))
     named = mean - lead
     gains = np.array([[named - 1.0, named], [mean - 0.1, 0.0], [8.0, 7.0], [3.0, 9.0], [2.0, 1.0]])
-    own, found = beside_forms(monkeypatch, gains)
+    own, found = beside_forms(monkeypatch, gains, kind)
     assert found is not None
     assert found.bank == "shape@x:r:power:2"  # type: ignore[comparison-overlap]
     assert found.score.evidence == pytest.approx(20.0 + lead)
