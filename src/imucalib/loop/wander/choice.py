@@ -108,7 +108,7 @@ def search(
     first: tuple[Scored, ...] = ()
     while True:
         level = best_level(bank, terms, keep)
-        open_entries = [e for e in entries if not any(_same(e, t.found.entry) for t in taken)]
+        open_entries = [e for e in entries if not any(same(e, t.found.entry) for t in taken)]
         walks = usable_walks(bank, level, same_tau=rules.same_tau)
         scores, _ = scored(bank, terms, keep, open_entries, walks)
         first = first or scores
@@ -141,7 +141,7 @@ def search(
         terms = terms.plus(best.found.entry.columns, best.size)
 
 
-def _same(one: Entry, other: Entry) -> bool:
+def same(one: Entry, other: Entry) -> bool:
     """Whether only one of them may be taken: one value of a scan, but curves of several axes."""
     if one.kind == other.kind == "curve":
         return bool(np.isin(one.columns, other.columns).any())
@@ -202,7 +202,7 @@ def _first_of(passing: Sequence[Scored], kind: str) -> list[Scored]:
     """The best of a kind; of a scan only its best value."""
     found = list[Scored]()
     for score in passing:
-        if score.entry.kind == kind and not any(_same(score.entry, f.entry) for f in found):
+        if score.entry.kind == kind and not any(same(score.entry, f.entry) for f in found):
             found.append(score)
     return found[:_OF_A_KIND]
 

@@ -26,7 +26,13 @@ from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
 from imucalib.loop.wander.sums import sums_of
-from imucalib.loop.wander.words import looked_like, scores_of, steps_of, unexplained
+from imucalib.loop.wander.words import (
+    beside_others,
+    looked_like,
+    scores_of,
+    steps_of,
+    unexplained,
+)
 
 #: Rows that a search uses at most: more change no decision.
 _ROWS = 3000
@@ -199,6 +205,7 @@ def _told(
         final = problem.fit
         last = noise_of(final, asked.known, part, base_precision(final))
     steps = steps_of(problem, found.search, found.chances)
+    steps = beside_others(problem, found.search, steps)
     loop = FitLoop(
         base=problem.fit,
         final=final,

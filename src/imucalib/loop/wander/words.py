@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,10 +13,10 @@ from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
 from imucalib.loop.thresholds import STRONG
 from imucalib.loop.wander.bank import Bank
-from imucalib.loop.wander.choice import Refused, Search, Taken
+from imucalib.loop.wander.choice import Refused, Search, Taken, same
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.problem import Problem
-from imucalib.loop.wander.scores import Scored
+from imucalib.loop.wander.scores import Scored, scored, usable_walks
 from imucalib.units import MG
 
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
@@ -84,6 +85,27 @@ def steps_of(problem: Problem, found: Search, chances: Sequence[Array]) -> tuple
         )
         terms = terms.plus(taken.found.entry.columns, taken.size)
     return tuple(steps)
+
+
+def beside_others(problem: Problem, found: Search, steps: Sequence[Step]) -> tuple[Step, ...]:
+    """The steps with what would do as well in the place of each, beside all others that were taken:
+    a lag that was found first is a step of the bias once the temperature is known."""
+    if len(found.taken) < 2:
+        return tuple(steps)
+    bank, out = found.bank, list[Step]()
+    keep = np.ones(bank.course.parts, dtype=bool)
+    walks = usable_walks(bank, found.level, same_tau=False)
+    rest = [e for e in problem.entries if not any(same(e, t.found.entry) for t in found.taken)]
+    for taken, step in zip(found.taken, steps, strict=False):
+        terms = problem.terms
+        for other in found.taken:
+            if other is not taken:
+                terms = terms.plus(other.found.entry.columns, other.size)
+        scores, _ = scored(bank, terms, keep, [taken.found.entry, *rest], walks)
+        own = next(s for s in scores if s.entry is taken.found.entry)
+        names = aliases(bank, terms, replace(taken, found=own, rivals=scores))
+        out.append(replace(step, aliases=tuple(_best_of_each_scan([*step.aliases, *names]))))
+    return tuple(out)
 
 
 def _bends(taken: Taken) -> bool:
