@@ -211,7 +211,7 @@ def test_noise_takes_no_effects_place_and_no_effect_the_noises() -> None:
             walk = best_level(bank, terms, keep)
             _, chance = scored(bank, terms, keep, entries, range(len(bank.walks)), null)
             nats = np.quantile(chance, 0.95, axis=1)
-            rules = Rules(lambda *_, nats=nats: nats, 3, lambda entry: (), lambda: ())
+            rules = Rules(lambda *_, nats=nats: nats, 3, lambda entry: (), lambda _: ())
             found = search(bank, terms, entries, splits_of(folds, at.part), keep, rules)
             assert walk.walk > 0
             if planted:

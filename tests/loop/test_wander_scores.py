@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.loop.wander import forms, scores
-from imucalib.loop.wander.forms import outdone
+from imucalib.loop.wander.forms import Rival, leads, rival_form
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.scores import Entry, Scored, beside, scored
 
@@ -97,28 +97,63 @@ def test_a_curve_of_seven_terms_is_held_to_three_typical_sizes(
     assert found.size == widest
 
 
-@pytest.mark.parametrize(("lead", "taken"), [(3.1, True), (2.9, False)])
-def test_a_form_outdoes_a_name_by_three_nats_of_the_mean_over_its_values(
-    monkeypatch: pytest.MonkeyPatch, lead: float, taken: bool
-) -> None:
+COLUMN = np.array([3])
+FOUR = ("x:r:sine:1", "x:r:power:1", "x:r:power:2", "x:r:power:3")
+
+
+def beside_forms(
+    monkeypatch: pytest.MonkeyPatch, gains: np.ndarray, kind: str = "shape", count: int = 4
+) -> tuple[Scored, Rival | None]:
+    """A name of 20 nats beside forms; gains : (1 + forms, 2) nats of the name and of each form."""
     made = bank(4, monkeypatch)
+    monkeypatch.setattr(forms, "beside", lambda *_: gains)
+    monkeypatch.setattr(forms, "SIZES", (0.3, 3.0))
+    monkeypatch.setattr(forms, "joined", lambda _, found, name, columns: (name, found))
+    tried = [(f"shape@{name}", made.columns[:, :1]) for name in FOUR[:count]]
+    own = Scored(Entry("cubic", "", kind, COLUMN), 20.0, 0, 1.0, 0.9, 3.0, 0.1)
+    return own, rival_form(made, TERMS, KEEP, own, tried)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("kind", "lead", "taken"),
+    [("shape", 3.1, True), ("shape", 2.9, False), ("temperature", 10.1, True),
+     ("temperature", 9.9, False)],
+)  # fmt: skip
+def test_a_form_outdoes_a_response_by_three_nats_of_the_mean_over_its_values(
+    monkeypatch: pytest.MonkeyPatch, kind: str, lead: float, taken: bool
+) -> None:
     # The mean over a scan of three values, and of one.
     scan = np.array([9.0, 8.0, 2.0])
     mean = float(np.log(np.mean(np.exp(scan))))
     named = mean - lead
     gains = np.array([[named - 1.0, named], [mean - 0.1, 0.0], [8.0, 7.0], [3.0, 9.0], [2.0, 1.0]])
-    monkeypatch.setattr(forms, "beside", lambda *_: gains)
-    monkeypatch.setattr(forms, "SIZES", (0.3, 3.0))
-    monkeypatch.setattr(forms, "joined", lambda _, found, name, columns: (name, found))
-    names = ["shape@x:r:sine:1", "shape@x:r:power:1", "shape@x:r:power:2", "shape@x:r:power:3"]
-    tried = [(name, made.columns[:, :1]) for name in names]
-    own = Scored(Entry("cubic", "", "effect", np.array([3])), 20.0, 0, 1.0, 0.9, 3.0, 0.1)
-    found = outdone(made, TERMS, KEEP, own, tried)  # type: ignore[arg-type]
-    assert (found is not None) == taken
-    if found is not None:
-        name, better = found
-        assert name == "shape@x:r:power:2"
-        assert better.evidence == pytest.approx(20.0 + lead)
-        assert better.size == 3.0
-        assert better.entry.family == "shape"
-    assert outdone(made, TERMS, KEEP, own, []) is None  # type: ignore[arg-type]
+    own, found = beside_forms(monkeypatch, gains, kind)
+    assert found is not None
+    assert found.bank == "shape@x:r:power:2"  # type: ignore[comparison-overlap]
+    assert found.score.evidence == pytest.approx(20.0 + lead)
+    assert found.score.size == 3.0
+    assert found.score.entry.family == "shape"
+    assert leads(found.score, own) == taken
+    assert beside_forms(monkeypatch, gains, count=0)[1] is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "lead", "rival"),
+    [("shape", 1.6, True), ("shape", 1.8, False), ("temperature", -0.1, True),
+     ("temperature", 0.1, False)],
+)  # fmt: skip
+def test_a_certain_response_leads_all_forms_together_by_a_nat(
+    monkeypatch: pytest.MonkeyPatch, kind: str, lead: float, rival: bool
+) -> None:
+    """Two kinds alike are 0.7 nats more than one; a form of the same covariate has to lead."""
+    gains = np.array([[lead, lead], [0.0, 0.0], [0.0, 0.0]])
+    own, found = beside_forms(monkeypatch, gains, kind, count=2)
+    assert (found is not None) == rival
+    assert found is None or not leads(found.score, own)
+
+
+def test_a_form_that_is_the_name_itself_is_no_rival(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = bank(4, monkeypatch)
+    own = Scored(Entry("cubic", "", "shape", COLUMN), 20.0, 0, 1.0, 0.9, 3.0, 0.1)
+    itself = [("shape@x:r:power:3", -2.0 * made.columns[:, COLUMN])]
+    assert rival_form(made, TERMS, KEEP, own, itself) is None  # type: ignore[arg-type]

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from imucalib.loop.found import Wander
+from imucalib.loop.found import Step, Wander
+from imucalib.loop.wander import engine, words
+from imucalib.loop.wander.choice import Taken
 from imucalib.loop.wander.likelihood import Terms
-from imucalib.loop.wander.words import aliases, chance_of, scores_of, unexplained
+from imucalib.loop.wander.words import (
+    aliases,
+    chance_of,
+    looked_like,
+    scores_of,
+    unexplained,
+)
 from imucalib.units import MG
 
 
@@ -108,3 +117,74 @@ def test_a_walk_is_told_beyond_five_nats_and_the_scatter_of_a_run(
         assert one.p == pytest.approx(np.exp(-evidence))
         assert one.share == pytest.approx(0.8)
         assert one.evidence == evidence
+
+
+@pytest.mark.parametrize(("evidence", "told"), [(10.1, ["bias_step"]), (9.9, [])])
+def test_what_was_refused_is_told_where_no_bar_lets_so_much_through(
+    evidence: float, told: list[str]
+) -> None:
+    """The strongest alone, with the reason, what drives it, and its chance."""
+    weak, strong = (scored(name, nats, (0,)) for name, nats in (("cubic", 9.0), ("at", evidence)))
+    refused = [
+        SimpleNamespace(name="cubic", found=weak, reason="small"),
+        SimpleNamespace(name="bias_step", found=strong, reason="it does not hold out"),
+    ]
+    chance = np.array([[1.0, 2.0, 12.0], [0.0, 0.0, 0.0]])
+    found = looked_like(refused, chance, {"at": "time", "cubic": ""}.__getitem__)  # type: ignore[arg-type]
+    assert [u.name for u in found] == [
+        f"what looks like {name} and was not taken: it does not hold out" for name in told
+    ]
+    for one in found:
+        assert (one.driver, one.kind, one.evidence) == ("time", "probe", evidence)
+        assert one.p == pytest.approx(2.0 * 2.0 / 4.0)
+
+
+def test_what_a_step_calls_its_alias_is_no_structure_of_its_own() -> None:
+    """A drift that may be a step; of what else was refused, the scan by its family's name."""
+    steps = (SimpleNamespace(aliases=("bias_step@3600s", "warm_up")),)
+    names = {"bias_step@7200s": "bias_step@7200s", "thermal_lag": "thermal_lag@1h"}
+    refused = [
+        SimpleNamespace(name=name, reason="so", found=scored(member, 20.0 - k, (0,)))
+        for k, (name, member) in enumerate(names.items())
+    ]
+    problem = SimpleNamespace(effect=lambda _: SimpleNamespace(needs=("time", "temperature")))
+    search = SimpleNamespace(refused=refused)
+    found = SimpleNamespace(problem=problem, search=search, chances=[np.zeros((2, 9))])
+    (left,) = engine._refused(found, steps)  # type: ignore[arg-type]
+    assert left.name == "what looks like thermal_lag and was not taken: so"
+    assert left.driver == "time and temperature"
+    (first,) = engine._refused(found, ())  # type: ignore[arg-type]
+    assert first.name.startswith("what looks like bias_step@7200s")
+
+
+def test_a_first_step_has_its_rivals_beside_what_came_after_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each of two is scored with the other in the model, and what does as well then is its alias;
+    a scan of which a value was taken is no rival, and one step alone is as it was."""
+    lag, warm = scored("lag@3h", 40.0, (3,), family="lag"), scored("warm", 10.0, (4,))
+    other, near = scored("lag@2h", 0.0, (5,), family="lag"), scored("step", 0.0, (6,))
+    seen = list[tuple[list[int], list[str]]]()
+
+    def score(_: object, terms: Terms, __: object, entries: list[Any], *___: object) -> Any:
+        seen.append((terms.columns.tolist(), [e.name for e in entries]))
+        return [SimpleNamespace(entry=e) for e in entries], None
+
+    monkeypatch.setattr(words, "scored", score)
+    monkeypatch.setattr(words, "usable_walks", lambda *_, **__: ())
+    monkeypatch.setattr(
+        words, "aliases", lambda _, __, taken: ("step",) if taken.found.entry is lag.entry else ()
+    )
+    problem = SimpleNamespace(
+        entries=[x.entry for x in (lag, other, warm, near)],
+        terms=Terms(np.arange(3), np.ones(3), 3),
+    )
+    bank = SimpleNamespace(course=SimpleNamespace(parts=2))
+    taken = tuple(Taken(x, 1.0, np.zeros(2), 2.0, 1.0, ()) for x in (lag, warm))
+    steps = tuple(Step(x.entry.name, 0.01, 99, x.evidence, (), ("cubic",)) for x in (lag, warm))
+    search = SimpleNamespace(taken=taken, bank=bank, level=None)
+    found = words.beside_others(problem, search, steps)  # type: ignore[arg-type]
+    assert [s.aliases for s in found] == [("cubic", "step"), ("cubic",)]
+    assert seen == [([0, 1, 2, 4], ["lag@3h", "step"]), ([0, 1, 2, 3], ["warm", "step"])]
+    search.taken = taken[:1]
+    assert words.beside_others(problem, search, steps[:1]) == steps[:1]  # type: ignore[arg-type]

@@ -122,6 +122,16 @@ def is_form(name: str) -> bool:
     return name.startswith("shape@")
 
 
+def in_words(name: str) -> str:
+    """An effect's name for a reader: of a form its kind and what it bends, without its numbers."""
+    if not is_form(name):
+        return name.replace("_", " ")
+    what, against, kind = name.partition("@")[2].split(":")[:3]
+    article = "an" if kind[0] in "aeiou" else "a"
+    driver = "" if what == "response" else f" against {against.replace('_', ' ')}"
+    return f"{article} {kind.replace('_', ' ')} of the {KINDS[what]}{driver}"
+
+
 FAMILIES = (
     Family(
         "shape",

@@ -8,6 +8,7 @@ from typing import Any
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.effects import known
+from imucalib.effects.shape import in_words
 from imucalib.report.document import Card, Text, Tone, Worth
 from imucalib.report.gain import density_words
 from imucalib.significant_digits import plus_minus, two_digits
@@ -122,7 +123,7 @@ def _doubt(step: FoundStep, found: Findings) -> str:
     """What else it may be, and whether data that took no part prove it."""
     doubts = []
     if step.aliases:
-        doubts.append(f"or {' or '.join(step.aliases)}".replace("_", " "))
+        doubts.append(f"or {' or '.join(map(in_words, step.aliases))}")
     if found.verdict == "suspected":
         doubts.append("not proved by held-out data, yet corrected")
     return f" ({'; '.join(doubts)})" if doubts else ""

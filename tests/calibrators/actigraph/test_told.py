@@ -207,6 +207,33 @@ def test_a_calibration_is_good_below_ten_milli_g_and_known_to_one() -> None:
     assert "3 of 100 posture runs are unlike" in told(5.0, 0.5, light=3)
 
 
+@pytest.mark.parametrize(
+    ("driver", "kind", "warm", "said"),
+    [("order", "noise", False, "export the temperature"), ("time", "probe", False, "export the"),
+     ("time_of_day", "probe", True, "--every 6h"), ("order", "noise", True, ""),
+     ("", "probe", True, "")],
+)  # fmt: skip
+def test_what_moves_with_time_has_a_next_step(
+    driver: str, kind: str, warm: bool, said: str
+) -> None:
+    left = SimpleNamespace(driver=driver, kind=kind)
+    loop = SimpleNamespace(unexplained=(left,), steps=())
+    found = advice._open_ends(loop, warm=warm)  # type: ignore[arg-type]
+    assert len(found) == bool(said)
+    assert said in "".join(found)
+
+
+def test_a_rival_form_is_told_in_words() -> None:
+    forms = ("shape@response:xyz:soft_saturation:0.6", "shape@bias:temperature:exponential:3:20")
+    step = SimpleNamespace(effect="cubic", aliases=("cross_axis", *forms))
+    loop = SimpleNamespace(unexplained=(), steps=(step,))
+    (found,) = advice._open_ends(loop, warm=True)  # type: ignore[arg-type]
+    assert (
+        "cubic cannot be told from cross axis, a soft saturation of the response, "
+        "an exponential of the bias against temperature: " in found
+    )
+
+
 def test_an_end_is_unseen_below_three_tenths_of_gravity() -> None:
     u = np.concatenate([np.eye(3), -np.eye(3)])
     assert unseen(runs_of()) == ("directions between those that were recorded",)

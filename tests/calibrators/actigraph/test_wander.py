@@ -72,6 +72,46 @@ def test_a_dead_band_is_no_cubic(worn: ModuleType, noise: str, seed: int) -> Non
     assert case.error(result.final) < 0.7 * case.error(result.base)
 
 
+def of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch, effect: Any, aim: float) -> Any:
+    """A recording with an effect (direction, °C from 25, share of time, sizes) -> mg."""
+    monkeypatch.setitem(worn.EFFECTS, "planted", effect)
+    return worn.Case("white", "planted", aim, 3)
+
+
+@pytest.mark.parametrize("aim", [8.0, 30.0])
+def test_a_saturation_is_no_certain_cubic(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, aim: float
+) -> None:
+    def limit(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * np.sign(x) * np.maximum(np.abs(x) - 0.7, 0.0)
+
+    case = of(worn, monkeypatch, limit, aim)
+    result = case.solved(WANTED)
+    first = result.loop.steps[0]
+    assert any("saturation" in name or "power" in name for name in (first.effect, *first.aliases))
+    assert not first.certain
+    assert case.error(result.final) < 0.7 * case.error(result.base)
+
+
+@pytest.mark.parametrize("middle", [0.0, 5.0])
+def test_a_square_of_the_temperature_is_no_straight_line(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, middle: float
+) -> None:
+    """The recording is at 30 °C on average, which the sizes are 5 °C from."""
+    case = of(worn, monkeypatch, lambda x, t, u, c: c * (t[:, None] - middle) ** 2, 30.0)
+    result = case.solved(WANTED)
+    assert result.loop.steps[0].effect.startswith("shape@bias:temperature:")
+    assert case.error(result.final) < 0.3 * case.error(result.base)
+
+
+def test_a_passing_offset_is_not_nothing(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two of twelve blocks hold it, which proves no cause; the data are not clean for that."""
+    case = of(worn, monkeypatch, lambda x, t, u, c: c * (abs(u[:, None] - 0.1) < 0.07), 30.0)
+    loop = case.solved(WANTED).loop
+    assert loop.verdict != "nothing missing"
+    assert not any(s.certain for s in loop.steps)
+
+
 NOISES = ("white", "walk 10 min", "walk 2 h", "walk 12 h", "t3")
 
 

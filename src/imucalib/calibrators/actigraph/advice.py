@@ -12,10 +12,14 @@ from imucalib.calibrators.actigraph.calibrate import ActigraphResult
 from imucalib.calibrators.actigraph.coverage import Coverage
 from imucalib.calibrators.actigraph.errors import mean_error
 from imucalib.calibrators.actigraph.weak import open_words
+from imucalib.effects.shape import in_words
+from imucalib.loop.found import FitLoop
 from imucalib.units import MG
 
 #: The field calls a calibration good below this error (mg); a tenth of it is well known.
 _GOOD, _WELL_KNOWN = 10.0, 1.0
+#: Drivers that are the time of the recording.
+_IN_TIME = ("order", "time", "time_of_day")
 
 
 def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
@@ -74,20 +78,33 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
     elif coverage.worst_sd > _WELL_KNOWN:
         found.append("More postures at rest, in new directions, make the parameters better known.")
     loop = result.loop
-    in_time = loop and any(u.driver == "order" for u in loop.unexplained)
-    if in_time and "temperature" not in result.final.observations.context:
+    if loop is not None:
+        found += _open_ends(loop, warm="temperature" in result.final.observations.context)
+        found += advice_of(hidden(loop.scores, loop.final.model.names))
+    return tuple(found)
+
+
+def _open_ends(loop: FitLoop, *, warm: bool) -> list[str]:
+    """What to do about what the search left open; warm : whether a temperature was recorded."""
+    found = []
+    in_time = [u for u in loop.unexplained if u.driver in _IN_TIME]
+    if in_time and not warm:
         found.append(
             "The error moves with time and no temperature was recorded: export the temperature "
             "channel too, or calibrate in parts with --every 1d."
         )
-    if loop and loop.steps and loop.steps[0].aliases:
+    elif any(u.kind == "probe" for u in in_time):
         found.append(
-            f"{loop.steps[0].effect} cannot be told from {', '.join(loop.steps[0].aliases)}: "
-            "both correct this recording alike; a longer one separates them."
+            "The error moves with time, in too few stretches to prove a cause: --every 6h shows "
+            "which parts differ, a longer recording whether it comes back."
         )
-    if loop:
-        found += advice_of(hidden(loop.scores, loop.final.model.names))
-    return tuple(found)
+    if loop.steps and loop.steps[0].aliases:
+        first = loop.steps[0]
+        found.append(
+            f"{first.effect} cannot be told from {', '.join(map(in_words, first.aliases))}: "
+            "both correct this recording alike; a longer one, with more postures, separates them."
+        )
+    return found
 
 
 def limits_of(result: ActigraphResult, asked: Mapping[str, float]) -> tuple[Limit, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.effect import Effect
 from imucalib.loop.wander.bank import Bank, Mask, Split
-from imucalib.loop.wander.forms import outdone
+from imucalib.loop.wander.forms import leads, rival_form
 from imucalib.loop.wander.held_blocks import Judged, inside, judged
 from imucalib.loop.wander.likelihood import Level, Terms, best_level
 from imucalib.loop.wander.scores import Entry, Scored, finest, scored, usable_walks
@@ -27,7 +27,7 @@ _LEAST = 2.5
 _OF_A_KIND = 2
 Bar = Callable[[Bank, Terms, int], Array]
 Finer = Callable[[Entry], Sequence[tuple[str, Array]]]
-Forms = Callable[[], Sequence[tuple[str, Array]]]
+Forms = Callable[[Entry], Sequence[tuple[str, Array]]]
 _TIME = ("order", "time", "time_of_day")
 
 
@@ -46,7 +46,7 @@ def kind_of(effect: Effect) -> str:
 class Taken:
     """One accepted effect: its score, its prior size, the gain in nats of every block, and the
     mean held-out errors without and with it in the search's own design (units of the columns);
-    rivals : all scores of that search"""
+    rivals : all scores of that search; form : a form that would do as well as the name, or empty"""
 
     found: Scored
     size: float
@@ -54,12 +54,22 @@ class Taken:
     before: float
     after: float
     rivals: tuple[Scored, ...]
+    form: str = ""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """What was above the bar and not taken: its name, or its scan's, the score, and the reason."""
+
+    name: str
+    found: Scored
+    reason: str
 
 
 @dataclass(frozen=True)
 class Search:
     """bank : with the finer values of scans; terms, level : the model and its noise at the end;
-    first, last : scores; refused : names above the bar that did not hold out, with the reason."""
+    first, last : scores; refused : what was above the bar and did not hold out."""
 
     bank: Bank
     terms: Terms
@@ -67,7 +77,7 @@ class Search:
     taken: tuple[Taken, ...]
     first: tuple[Scored, ...]
     last: tuple[Scored, ...]
-    refused: tuple[tuple[str, str], ...]
+    refused: tuple[Refused, ...]
 
 
 @dataclass(frozen=True)
@@ -75,7 +85,7 @@ class Rules:
     """bar : (bank, terms, round) -> nats that a candidate must reach, (2,) by `timed`
     most : effects; same_tau : as in `usable_walks`
     finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing
-    forms : () -> names and columns of the forms that a response of the axes may have"""
+    forms : (entry) -> names and columns of the forms that the driver of a name may have"""
 
     bar: Bar
     most: int
@@ -98,11 +108,11 @@ def search(
     first: tuple[Scored, ...] = ()
     while True:
         level = best_level(bank, terms, keep)
-        open_entries = [e for e in entries if not any(_same(e, t.found.entry) for t in taken)]
+        open_entries = [e for e in entries if not any(same(e, t.found.entry) for t in taken)]
         walks = usable_walks(bank, level, same_tau=rules.same_tau)
         scores, _ = scored(bank, terms, keep, open_entries, walks)
         first = first or scores
-        refused = list[tuple[str, str]]()
+        refused = list[Refused]()
         best = None
         if len(taken) < rules.most and any(s.evidence > _LEAST for s in scores):
             bar = rules.bar(bank, terms, len(taken))
@@ -131,7 +141,7 @@ def search(
         terms = terms.plus(best.found.entry.columns, best.size)
 
 
-def _same(one: Entry, other: Entry) -> bool:
+def same(one: Entry, other: Entry) -> bool:
     """Whether only one of them may be taken: one value of a scan, but curves of several axes."""
     if one.kind == other.kind == "curve":
         return bool(np.isin(one.columns, other.columns).any())
@@ -147,7 +157,7 @@ def _choice(
     keep: Mask,
     rules: Rules,
     bar: Array,
-    refused: list[tuple[str, str]],
+    refused: list[Refused],
 ) -> tuple[Bank, Taken | None]:
     passing = [s for s in scores if s.evidence >= bar[int(s.entry.timed)]]
     kinds = dict.fromkeys(s.entry.kind for s in passing)
@@ -161,27 +171,38 @@ def _choice(
             bank, candidate = finest(bank, terms, keep, candidate, near)  # noqa: PLW2901
         trial = replace(_judged_with(bank, terms, candidate, now, design), rivals=tuple(scores))
         if reason := _objection(trial, candidate.entry.kind):
-            refused.append((candidate.entry.family or candidate.entry.name, reason))
+            name = candidate.entry.family or candidate.entry.name
+            refused.append(Refused(name, candidate, reason))
         else:
             held.append(trial)
     if not held:
         return bank, None
     best = _best_of(held)
-    if best.found.entry.kind != "shape":
+    return _or_form(bank, terms, keep, best, rules, now=now, design=design)
+
+
+def _or_form(
+    bank: Bank, terms: Terms, keep: Mask, best: Taken, rules: Rules, *, now: Judged,
+    design: Sequence[Split],
+) -> tuple[Bank, Taken]:  # fmt: skip
+    """The form that leads the name and holds out in its place; else the name, with what would do
+    as well."""
+    named = best.found
+    rival = rival_form(bank, terms, keep, named, rules.forms(named.entry))
+    if rival is None:
         return bank, best
-    bank, form = outdone(bank, terms, keep, best.found, rules.forms()) or (bank, None)
-    if form is None:
-        return bank, best
-    trial = replace(_judged_with(bank, terms, form, now, design), rivals=best.rivals)
-    taken = not _objection(trial, "shape") and trial.gains.sum() > best.gains.sum()
-    return bank, trial if taken else best
+    if leads(rival.score, named):
+        trial = _judged_with(rival.bank, terms, rival.score, now, design)
+        if not _objection(trial, named.entry.kind) and trial.gains.sum() > best.gains.sum():
+            return rival.bank, replace(trial, rivals=best.rivals)
+    return bank, replace(best, form=rival.score.entry.name)
 
 
 def _first_of(passing: Sequence[Scored], kind: str) -> list[Scored]:
     """The best of a kind; of a scan only its best value."""
     found = list[Scored]()
     for score in passing:
-        if score.entry.kind == kind and not any(_same(score.entry, f.entry) for f in found):
+        if score.entry.kind == kind and not any(same(score.entry, f.entry) for f in found):
             found.append(score)
     return found[:_OF_A_KIND]
 

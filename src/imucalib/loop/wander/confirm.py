@@ -10,7 +10,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.loop.difference import Difference
 from imucalib.loop.found import Step
-from imucalib.loop.wander.choice import Search, Taken
+from imucalib.loop.wander.choice import Refused, Search, Taken
 from imucalib.loop.wander.likelihood import Terms, best_level
 from imucalib.loop.wander.report import Predicted
 
@@ -34,20 +34,20 @@ def confirmed(
     steps : of the search, with their aliases; bars : of its rounds, (2,) each
     gained : on the blocks
     """
-    kept, names = list[Taken](), list[tuple[str, str]]()
+    kept, doubted = list[Taken](), list[Refused]()
     for taken, step, bar in zip(search.taken, steps, bars, strict=False):
         if why := _doubt(taken, step, float(bar[0]), each, gained):
-            names.append((step.effect, why))
+            doubted.append(Refused(step.effect, taken.found, why))
         else:
             kept.append(taken)
-    if not names:
+    if not doubted:
         return search
     terms = base
     for taken in kept:
         terms = terms.plus(taken.found.entry.columns, taken.size)
     keep = np.ones(search.bank.course.parts, dtype=bool)
     level = best_level(search.bank, terms, keep)
-    refused = (*search.refused, *names)
+    refused = (*search.refused, *doubted)
     return replace(search, terms=terms, level=level, taken=tuple(kept), refused=refused)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from imucalib.arrays import Array
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.loop.design import Fold, folds_of
-from imucalib.loop.found import FitLoop, LoopSettings, Unexplained, Wander
+from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained, Wander
 from imucalib.loop.held_out import Held
 from imucalib.loop.wander.ambiguous import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
@@ -26,7 +26,13 @@ from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
 from imucalib.loop.wander.sums import sums_of
-from imucalib.loop.wander.words import scores_of, steps_of, unexplained
+from imucalib.loop.wander.words import (
+    beside_others,
+    looked_like,
+    scores_of,
+    steps_of,
+    unexplained,
+)
 
 #: Rows that a search uses at most: more change no decision.
 _ROWS = 3000
@@ -158,6 +164,14 @@ def _left(
     return (*probed, *open_end)
 
 
+def _refused(found: _Pass, steps: Sequence[Step]) -> tuple[Unexplained, ...]:
+    """Strong structure that was not taken; what a step calls its alias is told there."""
+    problem = found.problem
+    told = {name.partition("@")[0] for step in steps for name in step.aliases}
+    new = [r for r in found.search.refused if r.name.partition("@")[0] not in told]
+    return looked_like(new, found.chances[-1], lambda n: " and ".join(problem.effect(n).needs))
+
+
 def _wander(noise: Noise) -> Wander:
     sd = noise.scatter * float(np.sqrt(noise.walk.rho))
     return Wander(noise.wander, noise.walk.tau / 3600.0, noise.scatter, noise.evidence, sd)
@@ -190,6 +204,7 @@ def _told(
         final = problem.fit
         last = noise_of(final, asked.known, part, base_precision(final))
     steps = steps_of(problem, found.search, found.chances)
+    steps = beside_others(problem, found.search, steps)
     loop = FitLoop(
         base=problem.fit,
         final=final,
@@ -198,8 +213,8 @@ def _told(
         steps=steps,
         ambiguous=ambiguities(problem, found.search, steps),
         sums=sums_of(problem, found.level, problem.fit),
-        rejected=found.search.refused,
-        unexplained=_left(found, final, last, folds, asked, rng),
+        rejected=tuple((r.name, r.reason) for r in found.search.refused),
+        unexplained=(*_refused(found, steps), *_left(found, final, last, folds, asked, rng)),
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
         first_scores=scores_of(problem, first, found.chances[0], bars[0]),
         missing=problem.missing,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from imucalib.loop.evidence import Candidate
 from imucalib.loop.search import thinned
 from imucalib.loop.wander.bank import Bank, Split, bank_of, splits_of
 from imucalib.loop.wander.choice import Taken, kind_of
-from imucalib.loop.wander.forms import form_columns
+from imucalib.loop.wander.forms import driver_of, form_columns
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.noise import Noise, natural
 from imucalib.loop.wander.scores import Entry
@@ -35,7 +34,7 @@ _WIDE = 10.0
 class Problem:
     """bank : columns in units of the scatter at typical size: base, candidates, data; terms : the
     base model; effects : by name, all that entries name; missing : why others cannot be tested
-    small : the fit at the rows of the bank; families : scans by name"""
+    small : the fit at the rows of the bank; families : scans by name; made : forms by driver"""
 
     fit: Fit
     noise: Noise
@@ -47,6 +46,7 @@ class Problem:
     missing: Mapping[str, str]
     small: Fit
     families: Mapping[str, Family]
+    made: dict[str, list[tuple[str, Array]]] = field(default_factory=dict, repr=False)
 
     def finer(self, entry: Entry) -> list[tuple[str, Array]]:
         """Values of a scan near one of its values, with their columns."""
@@ -59,14 +59,14 @@ class Problem:
         unit = self.small.at.sigma[:, :1] / MG / self.noise.scatter
         return [(c.name, c.columns * unit) for c in found]
 
-    @cached_property
-    def _forms(self) -> list[tuple[str, Array]]:
-        unit = self.small.at.sigma[:, :1] / MG / self.noise.scatter
-        return [(name, columns * unit) for name, columns in form_columns(self.small)]
-
-    def forms(self) -> list[tuple[str, Array]]:
-        """Forms that a response of the axes may have, with their columns."""
-        return self._forms
+    def forms(self, entry: Entry) -> list[tuple[str, Array]]:
+        """Forms that the driver of a name may have, with their columns."""
+        driver = driver_of(entry)
+        if driver and driver not in self.made:
+            unit = self.small.at.sigma[:, :1] / MG / self.noise.scatter
+            found = form_columns(self.small, driver)
+            self.made[driver] = [(name, columns * unit) for name, columns in found]
+        return self.made.get(driver, [])
 
     def effect(self, name: str) -> Effect:
         found = self.effects.get(name) or known(name)

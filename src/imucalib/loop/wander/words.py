@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.effects.shape import in_words, is_form
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
+from imucalib.loop.thresholds import STRONG
 from imucalib.loop.wander.bank import Bank
-from imucalib.loop.wander.choice import Search, Taken
+from imucalib.loop.wander.choice import Refused, Search, Taken, same
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.problem import Problem
-from imucalib.loop.wander.scores import Scored
+from imucalib.loop.wander.scores import Scored, scored, usable_walks
 from imucalib.units import MG
 
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
@@ -72,12 +75,37 @@ def steps_of(problem: Problem, found: Search, chances: Sequence[Array]) -> tuple
                 taken.found.evidence,
                 (checked,),
                 # A response that needs a curve beside its name has another form than the name's.
-                (*aliases(found.bank, terms, taken), *(curves if _bends(taken) else ())),
+                (
+                    *aliases(found.bank, terms, taken),
+                    *([taken.form] if taken.form else ()),
+                    *(curves if _bends(taken) else ()),
+                ),
                 gains=tuple(float(g) for g in taken.gains),
             )
         )
         terms = terms.plus(taken.found.entry.columns, taken.size)
     return tuple(steps)
+
+
+def beside_others(problem: Problem, found: Search, steps: Sequence[Step]) -> tuple[Step, ...]:
+    """The steps with what would do as well in the place of each, beside all others that were taken:
+    a lag that was found first is a step of the bias once the temperature is known."""
+    if len(found.taken) < 2:
+        return tuple(steps)
+    bank, out = found.bank, list[Step]()
+    keep = np.ones(bank.course.parts, dtype=bool)
+    walks = usable_walks(bank, found.level, same_tau=False)
+    rest = [e for e in problem.entries if not any(same(e, t.found.entry) for t in found.taken)]
+    for taken, step in zip(found.taken, steps, strict=False):
+        terms = problem.terms
+        for other in found.taken:
+            if other is not taken:
+                terms = terms.plus(other.found.entry.columns, other.size)
+        scores, _ = scored(bank, terms, keep, [taken.found.entry, *rest], walks)
+        own = next(s for s in scores if s.entry is taken.found.entry)
+        names = aliases(bank, terms, replace(taken, found=own, rivals=scores))
+        out.append(replace(step, aliases=tuple(_best_of_each_scan([*step.aliases, *names]))))
+    return tuple(out)
 
 
 def _bends(taken: Taken) -> bool:
@@ -121,6 +149,22 @@ def _apart(white: Array, y: int, terms: Terms, own: Scored, rival: Scored) -> fl
     effect = rest @ np.linalg.solve(precise, rest.T @ data)
     both = np.linalg.qr(np.column_stack([base, white[:, rival.entry.columns]]))[0]
     return float(np.linalg.norm(effect - both @ (both.T @ effect)))
+
+
+def looked_like(
+    refused: Sequence[Refused], chance: Array, driver: Callable[[str], str]
+) -> tuple[Unexplained, ...]:
+    """The strongest of what was not taken: too strong to be one of the accidents that a bar allows,
+    it is structure without a name."""
+    strong = [r for r in refused if r.found.evidence > STRONG]
+    if not strong:
+        return ()
+    most = max(strong, key=lambda r: r.found.evidence)
+    found = most.found
+    like = in_words(most.name) if is_form(most.name) else most.name
+    name = f"what looks like {like} and was not taken: {most.reason}"
+    by, p = driver(found.entry.name), chance_of(found, chance)
+    return (Unexplained(name, by, "probe", p, found.evidence, found.share),)
 
 
 def unexplained(wander: Wander) -> tuple[Unexplained, ...]:
