@@ -92,6 +92,9 @@ def close_array_loop(
         path = first
     final, ages = _on_all(path, moving, most)
     dispersion = shared_by_neighbours(final, gyro=False)
+    last = end.last
+    assert isinstance(last, Search)
+    end = replace(end, last=replace(last, scores=last.drawn))
     left = tuple(
         without_a_name(s)
         for s in end.last.scores
