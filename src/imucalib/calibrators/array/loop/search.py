@@ -116,7 +116,8 @@ class Search(Searched):
         entry, found = self.entries[name], self.beside(name)
         assert entry.effect is not None
         if entry.kind == "effect":
-            return determined(name, entry.effect, entry.only, found.whole.matrix)
+            matrix = found.whole.matrix
+            return determined(name, entry.effect, entry.only, matrix, self.state.found)
         kept = found.apart
         live = typical_of(entry.effect, len(kept))[:, None] * kept
         n = kept.shape[1]
