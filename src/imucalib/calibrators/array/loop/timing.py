@@ -90,8 +90,7 @@ def _sharpened(
     gains = span * waves * series - 0.5 * span**2 * power * waves**2
     centres = np.arange(at[0], at[-1] + _BLOCK, 0.5 * _BLOCK)
     totals = np.array([gains[:, np.abs(at - c) < 0.5 * _BLOCK].sum(axis=1) for c in centres])
-    beside = np.pad(totals, ((1, 1), (0, 0)), mode="edge")  # the first is no neighbour of the last
-    smooth = totals + 0.5 * (beside[:-2] + beside[2:])
+    smooth = totals + 0.5 * (np.roll(totals, 1, axis=0) + np.roll(totals, -1, axis=0))
     chosen = shifts[np.argmax(smooth, axis=1)]
     return sign * _sawtooth(turns + np.interp(t, centres, chosen))
 
