@@ -63,9 +63,12 @@ class BoardMotion:
             for x in (bend[:, None], sway)
         )
         whole, half = (
-            [_earlier(self.truth, share * lag[..., None], bent, swayed) for lag in late]
+            [
+                _earlier(self.truth, share * lag[..., None], bent, swayed) if lag.any()
+                else self.truth for lag in late
+            ]
             for share in (1.0, 0.5)
-        )
+        )  # fmt: skip
         midway = replace(self, of_gyros=half[0], truth=half[1])
         return replace(self, of_gyros=whole[0], truth=whole[1], midway=midway)
 
