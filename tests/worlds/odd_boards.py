@@ -115,8 +115,19 @@ def late_few(m: Moved, r: Array, k: int) -> Planted:
     """imu0, imu1 and imu2 hang on a bus that is 2 ms late, both sensors."""
     if k > 2:
         return plain(m, r, k)
-    felt, step = m.felt(r), m.t[1] - m.t[0]
-    return Planted(felt - 2e-3 * np.gradient(felt, step, axis=0), m.rate - 2e-3 * m.spin)
+    return Planted(shifted(m.t, m.felt(r), 2e-3), shifted(m.t, m.rate, 2e-3))
+
+
+def shifted(t: Array, values: Array, late: float) -> Array:
+    """(n, 3) the values as they were `late` seconds before: Taylor's series by differences, whose
+    fourth term is 1e-6 of a swing at 4 Hz and 2 ms."""
+    total, slope, step = values.copy(), values, t[1] - t[0]
+    for k in (1.0, 2.0, 3.0):
+        # Of the fifth order: plain differences lose a hundredth of a slope at 4 Hz and 100 Hz.
+        near, far = (np.roll(slope, -n, axis=0) - np.roll(slope, n, axis=0) for n in (1, 2))
+        slope = (8.0 * near - far) / (12.0 * step) * (-late / k)
+        total = total + slope
+    return np.asarray(total)
 
 
 def humming(m: Moved, r: Array, k: int) -> Planted:

@@ -9,34 +9,23 @@ more columns than observations it is the observations that are drawn.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
+from imucalib.estimators.contest import (
+    Contest,
+    GramEvidence,
+    Null,
+    best_of_null,
+    directions,
+    turned,
+)
 
-#: (draws) -> projections (M, draws) of data that lack nothing, and their powers (draws,).
-Null = Callable[[int], tuple[Array, Array]]
-#: Squared size of a block's direction over its largest from which it is more than rounding.
-_OPEN = 1e-8
-#: Observations, simulated data sets, and blocks of one width, that are worked on at a time.
-_ROWS, _DRAWS, _BLOCKS = 512, 256, 32
-
-
-@dataclass(frozen=True)
-class GramEvidence:
-    """Per candidate (k,): evidence in nats, share of the columns left, λ at typical size, share of
-    the power explained; best : (draws,) the best candidate's evidence on data that lack nothing."""
-
-    evidence: Array
-    left: Array
-    strength: Array
-    share: Array
-    best: Array
+_ROWS = 512  # observations that are worked on at a time
 
 
 def gram_evidence(
@@ -97,7 +86,7 @@ def _wide_evidence(
         white -= basis @ (basis.T @ white)
         return columns.T @ white, np.einsum("ij,ij->j", white, white)
 
-    own = [_turned(columns[:, at].T @ columns[:, at]) for at in indices]
+    own = [turned(columns[:, at].T @ columns[:, at]) for at in indices]
     return _judged(
         size=np.concatenate([size for size, _ in own]), turns=[turn for _, turn in own],
         along=columns.T @ rest, power=float(rest @ rest), whole=whole, blocks=indices,
@@ -140,49 +129,8 @@ def _judged(
     blocks: Sequence[Index], freedom: int, tau: Array, null: Null, draws: int,
 ) -> GramEvidence:  # fmt: skip
     """size, turns : of all blocks, as `directions` tells them; null : data that lack nothing."""
-    starts = np.cumsum([0] + [len(b) for b in blocks])
-    seen = np.concatenate([turn.T @ along[b] for b, turn in zip(blocks, turns, strict=True)]) ** 2
-    found = best_evidence(seen[:, None], np.array([power]), size, starts[:-1], freedom, tau)[:, 0]
-    best = np.zeros(draws)
-    for a in range(0, draws, _DRAWS):
-        data, powers = null(min(_DRAWS, draws - a))
-        square = np.square(
-            np.concatenate([turn.T @ data[b] for b, turn in zip(blocks, turns, strict=True)])
-        )
-        best[a : a + _DRAWS] = best_evidence(
-            square, powers, size, starts[:-1], freedom, tau
-        ).max(axis=0)  # fmt: skip
-    kept = np.add.reduceat(size, starts[:-1])
-    left = kept / np.maximum(whole, 1e-300)
-    rank = np.add.reduceat((size > 0.0).astype(float), starts[:-1])
-    gone = np.add.reduceat(seen, starts[:-1]) / max(power, 1e-300)
-    share = 1.0 - (1.0 - gone) * freedom / np.maximum(freedom - rank, 1.0)
-    return GramEvidence(found, left, np.sqrt(kept), np.maximum(share, 0.0), best)
-
-
-def directions(gram: Array, blocks: Sequence[Index]) -> tuple[Array, list[Array]]:
-    """Squared sizes (M,) of each block's singular directions, and the matrices (m, m) that turn
-    its columns into those directions at unit length."""
-    sizes, turns = [np.zeros(0)] * len(blocks), [np.zeros((0, 0))] * len(blocks)
-    width = np.array([len(block) for block in blocks])
-    for m in np.unique(width):  # blocks of one width at once: a scan has hundreds
-        same = np.flatnonzero(width == m)
-        rows = np.stack([blocks[int(k)] for k in same])
-        values, vectors = eigen(gram[rows[:, :, None], rows[:, None, :]])
-        use = values > _OPEN * np.maximum(values[:, -1:], 1e-300)
-        kept = np.where(use, values, 0.0)
-        unit = np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
-        for k, size, turn in zip(same, kept, vectors * unit[:, None], strict=True):
-            sizes[k], turns[k] = size, turn
-    return np.concatenate(sizes), turns
-
-
-def _turned(gram: Array) -> tuple[Array, Array]:
-    """The same (m,) and (m, m) of one block, from its own Gram matrix."""
-    values, vectors = eigen(gram)
-    use = values > _OPEN * max(float(values[-1]), 1e-300)
-    turn = vectors * np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
-    return np.where(use, values, 0.0), turn
+    contest = Contest(blocks, size, turns, freedom, tau)
+    return contest.told(along, power, whole, best_of_null(contest, null, draws))
 
 
 def _null(
@@ -219,23 +167,3 @@ def _root(correlation: Array) -> Array:
     np.fill_diagonal(correlation, own)
     values, vectors = eigen(correlation)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def best_evidence(
-    explained: Array, power: Array, size: Array, starts: NDArray[np.intp], freedom: int, tau: Array
-) -> Array:
-    """(k, draws) evidence, the maximum over τ."""
-    ends = np.append(starts[1:], len(size))
-    width = ends - starts
-    found = np.empty((len(starts), explained.shape[1]))
-    for m in np.unique(width):  # blocks of one width at once, and few enough to stay near
-        same = np.flatnonzero(width == m)
-        for a in range(0, len(same), _BLOCKS):
-            some = same[a : a + _BLOCKS]
-            rows = starts[some, None] + np.arange(m)
-            gain = tau[:, None] ** 2 * size[rows][:, None]
-            drop = np.matmul(gain / (1.0 + gain), explained[rows])
-            rest = np.maximum(power - drop, 1e-300)
-            penalty = np.log1p(gain).sum(axis=2)[:, :, None]
-            found[some] = np.min(freedom * np.log(rest) + penalty, axis=1)
-    return np.asarray(-0.5 * (found - freedom * np.log(power)))

@@ -48,44 +48,72 @@ def starts_of(blocks: Sequence[Columns]) -> Index:
 def gram(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
     """Products of all columns over some of the samples, a few at a time, so that what is made of
     them stays near the processor."""
-    order, force = _by_triad(blocks, sampled.force.shape[1])
-    found = _part(sampled, blocks, rows[:_ROWS], order, force)
+    found = _part(sampled, blocks, rows[:_ROWS])
     for a in range(_ROWS, len(rows), _ROWS):
-        found = found.added(_part(sampled, blocks, rows[a : a + _ROWS], order, force))
+        found = found.added(_part(sampled, blocks, rows[a : a + _ROWS]))
     return found
 
 
-def _part(
-    sampled: Sampled, blocks: Sequence[Columns], rows: Index, order: Index, force: int
-) -> Gram:
-    """order, force : of `_by_triad`"""
-    k, total = sampled.force.shape[1], len(order)
-    along, residual = np.zeros(total), np.zeros((len(rows), 9))
-    # What the motion takes. Gyros see ω only, and the root is upper triangular: of the nine rows a
-    # sample they have three.
-    six, three = np.zeros((len(rows), 6, force)), np.zeros((len(rows), 3, total))
-    kinds = []
-    for gyro, at in ((False, slice(0, force)), (True, slice(force, total))):
-        taken = _Taken(None if gyro else six, three[:, :, at], residual)
-        kinds.append(_of_one_kind(sampled, blocks, rows, taken, gyro=gyro))
-        along[at] = kinds[-1].along
-    flat = six.reshape(-1, force)
-    along[:force] -= flat.T @ residual[:, :6].ravel()
+def _part(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
+    apart = taken_apart(sampled, blocks, rows)
+    total, force = len(apart.place), apart.six.shape[1]
     # In the order of the blocks from here on: one matrix of all columns, and no copy.
-    back = np.argsort(order)
-    across = three[:, :, back].reshape(-1, total)
+    across = apart.three[:, np.argsort(apart.place)]
     matrix, whole = across.T @ across, np.zeros(total)
     np.negative(matrix, out=matrix)
     for a in range(0, force, _COLUMNS):
         some = slice(a, a + _COLUMNS)
-        matrix[np.ix_(order[:force][some], order[:force])] -= flat[:, some].T @ flat
-    for kind, own in zip(kinds, (order[:force], order[force:]), strict=True):
-        for columns, product in kind.products:
-            matrix[np.ix_(own[columns], own[columns])] += product
-            whole[own[columns]] += np.diag(product)
-    along = along[back] - across.T @ residual[:, 6:].ravel()
-    power = sum(kind.power for kind in kinds) - float(np.sum(residual * residual))
-    return Gram(matrix, along, power, (6 * k - 9) * len(rows), whole)
+        matrix[np.ix_(apart.place[:force][some], apart.place[:force])] -= (
+            apart.six[:, some].T @ apart.six
+        )
+    for columns, product in apart.products:
+        matrix[np.ix_(columns, columns)] += product
+        whole[columns] += np.diag(product)
+    return Gram(matrix, apart.along, apart.power, apart.numbers, whole)
+
+
+@dataclass(frozen=True)
+class Apart:
+    """The products of M columns before they are put together, over n samples.
+
+    place : (M,) of columns in the order of `_by_triad`, their place in that of the blocks
+    six, three : (6 n, force) and (3 n, M) what the motion takes of them along s and dω/dt, and
+        along ω, in the order of `_by_triad`: gyros see ω only, and the root is upper triangular
+    products : (c, c) of a triad's c columns before, and their places (c,); along : (M,) in the
+    order of the blocks, power, numbers : as in `Gram`
+    """
+
+    place: Index
+    six: Array
+    three: Array
+    products: list[tuple[Index, Array]]
+    along: Array
+    power: float
+    numbers: int
+
+
+def taken_apart(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Apart:
+    """All that the products of the columns are made of."""
+    k = sampled.force.shape[1]
+    place, force = _by_triad(blocks, k)
+    total, n = len(place), len(rows)
+    along, residual = np.zeros(total), np.zeros((n, 9))
+    six, three = np.zeros((n, 6, force)), np.zeros((n, 3, total))
+    products, power = [], 0.0
+    for gyro, at in ((False, slice(0, force)), (True, slice(force, total))):
+        taken = _Taken(None if gyro else six, three[:, :, at], residual)
+        kind = _of_one_kind(sampled, blocks, rows, taken, gyro=gyro)
+        along[at], power = kind.along, power + kind.power
+        products += [(place[at][columns], product) for columns, product in kind.products]
+    flat, across = six.reshape(6 * n, force), three.reshape(3 * n, total)
+    along[:force] -= flat.T @ residual[:, :6].ravel()
+    along -= across.T @ residual[:, 6:].ravel()
+    power -= float(np.sum(residual * residual))
+    back = along[np.argsort(place)]
+    return Apart(
+        place=place, six=flat, three=across, products=products, along=back, power=power,
+        numbers=(6 * k - 9) * n,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -122,7 +150,7 @@ def _of_one_kind(
     products, along, common = [], np.zeros(size), slice(k * width, size)
     for triad in range(k):
         mine = slice(triad * width, (triad + 1) * width)
-        _side_by_side([*own, *shared], triad, rows, weight[:, triad], x)
+        side_by_side([*own, *shared], triad, rows, weight[:, triad], x)
         one = x.reshape(3 * len(rows), x.shape[2])
         columns = np.concatenate([np.arange(size)[mine], np.arange(size)[common]])
         products.append((columns, one.T @ one))
@@ -201,7 +229,7 @@ def _heavy(sampled: Sampled, rows: Index, *, gyro: bool) -> Array:
     return np.asarray((off[rows] * weight[rows][..., None]).swapaxes(0, 1))
 
 
-def _side_by_side(bases: list[Array], triad: int, rows: Index, weight: Array, out: Array) -> None:
+def side_by_side(bases: list[Array], triad: int, rows: Index, weight: Array, out: Array) -> None:
     """Fill (rows, 3, all columns of a triad), whitened by weights (rows,)."""
     at = 0
     for basis in bases:

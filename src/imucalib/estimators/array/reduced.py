@@ -57,7 +57,7 @@ def reduced(found: Gram, prior: Array, pull: Array) -> Reduced:
     times how far they stand from their means
     """
     b = len(prior)
-    half = _inverse_root(found.matrix[:b, :b] + np.diag(prior))
+    half = inverse_root(found.matrix[:b, :b] + np.diag(prior))
     across = half.T @ found.matrix[:b, b:]
     right = half.T @ (found.along[:b] - pull)
     matrix = found.matrix[b:, b:]
@@ -88,12 +88,12 @@ def alone(found: Gram, prior: Array) -> Alone:
     prior : (b,) inverse variances of the base's parameters, which are the first
     """
     b = len(prior)
-    half = _inverse_root(found.matrix[:b, :b] + np.diag(prior))
+    half = inverse_root(found.matrix[:b, :b] + np.diag(prior))
     across, right = half.T @ found.matrix[:b, b:], half.T @ found.along[:b]
     return Alone(found.matrix[b:, b:] - across.T @ across, found.along[b:] - across.T @ right)
 
 
-def _inverse_root(inner: Array) -> Array:
+def inverse_root(inner: Array) -> Array:
     """(b, q) with root rootᵀ the inverse of a matrix, its open directions left out."""
     size = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
     return np.asarray(size[:, None] * _half(inner * size[:, None] * size))

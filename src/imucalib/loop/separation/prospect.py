@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
-from imucalib.loop.evidence_gram import best_evidence, directions
+from imucalib.estimators.contest import best_evidence, directions
 from imucalib.loop.noise.grid import TAU
 from imucalib.loop.separation.products import Ambiguity
 from imucalib.loop.thresholds import APART, MARGIN

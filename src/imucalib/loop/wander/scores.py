@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.loop.evidence_gram import best_evidence, directions
+from imucalib.estimators.contest import best_evidence, directions
 from imucalib.loop.wander.bank import Bank, Mask
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import ROOM

@@ -12,7 +12,7 @@ from scipy import stats
 
 from imucalib.calibrators.array.loop import noise_tests as tests_of
 from imucalib.calibrators.array.loop.ages import Ages, _learning, beats
-from imucalib.calibrators.array.loop.search import discounted
+from imucalib.calibrators.array.loop.search import Search
 from imucalib.calibrators.array.loop.setup import stretches, with_neighbours
 from imucalib.calibrators.array.loop.timing import SampleAge, fit_sample_age
 from imucalib.calibrators.array.loop.worth import TAU, Beside, _most_likely
@@ -86,8 +86,17 @@ def test_a_curve_keeps_the_directions_that_the_base_leaves() -> None:
 def test_noise_that_neighbours_share_leaves_fewer_samples() -> None:
     bare = Candidate("a", "effect", np.zeros((0, 1)))
     score = Score(bare, 12.0, 0.001, 9, 1.0, 5.0, 0.1)
-    late = discounted(score, 3.0, np.array([1.0, 3.9, 4.0, 4.1, 9.0]))
+    contest = SimpleNamespace(beyond_chance=lambda draws: 11.0)
+    found = SimpleNamespace(null=np.array([1.0, 3.9, 4.0, 4.1, 9.0]), draws=5, contest=contest)
+    late = Search.by_chance(found, score, 3.0)
     assert (late.evidence, late.p) == (4.0, 4.0 / 6.0)
+
+
+def test_nothing_is_simulated_for_what_chance_cannot_reach() -> None:
+    bare = Candidate("a", "effect", np.zeros((0, 1)))
+    contest = SimpleNamespace(beyond_chance=lambda draws: 11.0)
+    found = SimpleNamespace(draws=99, contest=contest)  # without data that lack nothing
+    assert Search.by_chance(found, Score(bare, 12.0, 1.0, 99, 1.0, 5.0, 0.1)).p == 0.01
 
 
 def state(values: Array, interval: float = 0.01, weight: float = 4.0) -> SimpleNamespace:

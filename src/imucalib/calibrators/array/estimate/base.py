@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
+from imucalib.estimators.array.bordered import Bordered, bordered
 from imucalib.estimators.array.gram import Columns, gram
 from imucalib.estimators.array.reduced import Gram, Reduced, reduced
 from imucalib.estimators.array.samples import Readings
@@ -51,9 +53,7 @@ class Base:
     def free(self, found: Gram) -> Gram:
         """The Gram matrix with the raw columns of the base replaced by its coordinates, in its
         place: of many IMUs a copy would be large."""
-        from scipy.linalg import block_diag
-
-        turn = block_diag(*self.lives)
+        turn = self._turn
         n, raw = turn.shape[1], self.raw
         own, beside = turn.T @ found.matrix[:raw, :raw] @ turn, turn.T @ found.matrix[:raw, raw:]
         matrix = found.matrix[raw - n :, raw - n :]
@@ -61,6 +61,21 @@ class Base:
         along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
         whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
         return Gram(matrix, along, found.power, found.numbers, whole)
+
+    def beside(self, blocks: Sequence[Columns], rows: Index) -> Bordered:
+        """Products of candidates over some of the samples, beside its free coordinates."""
+        found, turn = bordered(self.sampled, self.blocks, blocks, rows), self._turn
+        matrix = turn.T @ found.base.matrix @ turn
+        base = replace(
+            found.base, matrix=matrix, along=turn.T @ found.base.along, whole=np.diag(matrix)
+        )
+        return replace(found, base=base, across=turn.T @ found.across)
+
+    @property
+    def _turn(self) -> Array:
+        from scipy.linalg import block_diag
+
+        return np.asarray(block_diag(*self.lives))
 
     def along(self, raw: Array) -> Array:
         """Products (..., raw) with the raw columns as those with the free coordinates."""

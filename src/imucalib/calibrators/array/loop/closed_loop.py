@@ -92,22 +92,30 @@ def close_array_loop(
         path = first
     final, ages = _on_all(path, moving, most)
     dispersion = shared_by_neighbours(final, gyro=False)
-    left = tuple(
-        without_a_name(s)
-        for s in end.last.scores
-        if asked.search and s.candidate.kind != "effect" and s.p <= rules.alpha
-    )
+    end, left = _left(end, rules.alpha)
     return _ended(
         end, path,
         base=first.state,
         final=with_stated_covariance(final, dispersion),
-        unexplained=(*structure, *left[:3]),
+        unexplained=(*structure, *(left[:3] if asked.search else ())),
         refused=refused,
         ages=ages,
         gained=gained,
         dispersion=dispersion,
         asked=asked,
     )  # fmt: skip
+
+
+def _left(
+    end: End[MotionSubject], alpha: float
+) -> tuple[End[MotionSubject], tuple[Unexplained, ...]]:
+    """The end with every p of its last search, and what still stands out there without a name."""
+    last = end.last
+    assert isinstance(last, Search)
+    scores = last.drawn
+    left = (s for s in scores if s.candidate.kind != "effect" and s.p <= alpha)
+    told = tuple(without_a_name(s) for s in left)
+    return replace(end, last=replace(last, scores=scores)), told
 
 
 def _ended(

@@ -43,7 +43,8 @@ def with_declared(state: ArrayState, names: Sequence[str], moving: Moving) -> Ar
 def declared_term(state: ArrayState, name: str) -> Term:
     """An effect as a new term of a fitted state: what these data can determine of it, at zero."""
     effect, only = named_effect(name, state.setup.imus)
-    return determined(name, effect, only, beside_the_fit(state, effect, only))
+    matrix = beside_the_fit(state, effect, only)
+    return determined(name, effect, only, matrix, state.found)
 
 
 def beside_the_fit(state: ArrayState, effect: Response, only: int | None = None) -> Array:

@@ -8,15 +8,20 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
+from imucalib.core.effect import Channel
 from imucalib.core.truth import Motion, Truth
 
 
 @dataclass(frozen=True)
 class BoardMotion:
-    """The truth at T instants as K triads see it, and what is known beside it."""
+    """The truth at T instants as K triads see it, and what is known beside it; of_gyros : the
+    same for gyros, where they or the accelerometers are late; midway : at half that time, where
+    what they lag behind by is what they lose in the whole of it"""
 
     truth: Truth
     context: Context
+    of_gyros: Truth | None = None
+    midway: BoardMotion | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -41,11 +46,50 @@ class BoardMotion:
         """With the (T, K) sawtooth ages of the gyros' readings, or without any."""
         rest = {k: v for k, v in self.context.covariates.items() if k != "sample_age"}
         known = rest if age is None else {**rest, "sample_age": age}
-        return replace(self, context=replace(self.context, covariates=known))
+        context = replace(self.context, covariates=known)
+        midway = None if self.midway is None else replace(self.midway, context=context)
+        return replace(self, context=context, midway=midway)
+
+    def late(self, late: tuple[Array, Array], bend: Array, sway: Array) -> BoardMotion:
+        """As late sensors sense it: all that acts on a reading acts on what was then.
+
+        late : (T, K) s of gyros and of accelerometers; bend : (T, 3) d²ω/dt², rad/s³; sway :
+        (T, K, 3) second derivative of the forces, m/s⁴; both in board axes
+        """
+        attitude, shape = self.context.attitude, self.truth.shape
+        assert attitude is not None
+        bent, swayed = (
+            np.matmul(np.broadcast_to(x, shape)[:, :, None], attitude)[:, :, 0]
+            for x in (bend[:, None], sway)
+        )
+        whole, half = (
+            [
+                _earlier(self.truth, share * lag[..., None], bent, swayed) if lag.any()
+                else self.truth for lag in late
+            ]
+            for share in (1.0, 0.5)
+        )  # fmt: skip
+        midway = replace(self, of_gyros=half[0], truth=half[1])
+        return replace(self, of_gyros=whole[0], truth=whole[1], midway=midway)
+
+    def truth_of(self, channel: Channel) -> Truth:
+        """What the sensors of a kind are exposed to when they read."""
+        if channel == "angular_rate" and self.of_gyros is not None:
+            return self.of_gyros
+        return self.truth
 
     @property
     def age(self) -> Array | None:
         return self.context.covariates.get("sample_age")
+
+
+def _earlier(truth: Truth, by: Array, bend: Array, sway: Array) -> Truth:
+    """The truth `by` (T, K, 1) s before, to the second order; bend, sway : (T, K, 3) as in
+    `BoardMotion.late`, in each package's axes."""
+    turning = truth.turning
+    spin, jerk = turning.spin - by * bend, turning.jerk - by * sway
+    rate = turning.rate - 0.5 * by * (turning.spin + spin)
+    return Truth(truth.force - 0.5 * by * (turning.jerk + jerk), Motion(rate, spin, jerk))
 
 
 def board_motion(

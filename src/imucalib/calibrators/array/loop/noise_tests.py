@@ -21,15 +21,7 @@ class NoiseTest:
     strength: float
 
 
-@dataclass(frozen=True)
-class NoiseTests:
-    """tests, and the best evidence (draws,) of as many on noise that is as modelled."""
-
-    tests: tuple[NoiseTest, ...]
-    null: Array
-
-
-def noise_tests(state: ArrayState, rng: np.random.Generator, draws: int) -> NoiseTests:
+def noise_tests(state: ArrayState) -> tuple[NoiseTest, ...]:
     """All tests of both kinds of sensor at a fitted state."""
     a, g, speed = state.squares()
     tests = []
@@ -43,8 +35,13 @@ def noise_tests(state: ArrayState, rng: np.random.Generator, draws: int) -> Nois
         tests.append(
             _test(f"{sensor} noise correlated in time", "time", 0.5 * n * max(rho, 0.0) ** 2)
         )
-    half = np.maximum(rng.standard_normal((len(tests), draws)), 0.0)
-    return NoiseTests(tuple(tests), 0.5 * (half**2).max(axis=0))
+    return tuple(tests)
+
+
+def best_of_noise(tests: int, rng: np.random.Generator, draws: int) -> Array:
+    """(draws,) the best evidence of as many tests on noise that is as modelled."""
+    half = np.maximum(rng.standard_normal((tests, draws)), 0.0)
+    return np.asarray(0.5 * (half**2).max(axis=0))
 
 
 def _test(name: str, driver: str, evidence: float) -> NoiseTest:

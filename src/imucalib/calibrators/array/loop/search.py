@@ -1,30 +1,31 @@
 """One search of the array's loop: everything that could be missing, scored in one contest.
 
-The engine is the shared one (`evidence_gram`), fed with Gram matrices from which the motion of
-every sample, the positions and the terms are taken out. Noise of another kind stands in the same
+The engine is the shared one (`estimators/contest`), fed with products from which the motion of
+every sample, the positions and the terms are taken out. Data that lack nothing are simulated only
+where a candidate could be one of their accidents. Noise of another kind stands in the same
 contest: its likelihood ratio against white noise of one size, under which its root is half a
 standard normal.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.candidates import Entry, candidates
-from imucalib.calibrators.array.loop.noise_tests import NoiseTest, noise_tests
+from imucalib.calibrators.array.loop.noise_tests import NoiseTest, best_of_noise, noise_tests
 from imucalib.calibrators.array.loop.setup import looked_at
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN, Term, determined, typical_of
 from imucalib.calibrators.array.loop.worth import TAU, Beside, beside
-from imucalib.estimators.array.gram import gram, starts_of
-from imucalib.estimators.array.reduced import Reduced, reduced
+from imucalib.estimators.array.bordered import Each, Taking, each_beside, noise_products
+from imucalib.estimators.array.gram import starts_of
+from imucalib.estimators.contest import Contest, best_of_null, directions_of
 from imucalib.loop.evidence import Candidate, Score
-from imucalib.loop.evidence_gram import GramEvidence, block_evidence
 from imucalib.loop.subject import Searched
 
 ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest must leave
@@ -32,15 +33,58 @@ ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest
 
 @dataclass(frozen=True)
 class Search(Searched):
-    """state : where it was; entries by name; null : the best evidences of simulated data
+    """scores : p of those that no simulated data reach, 1 for all others: `drawn` has theirs
+    state : where it was; entries by name; contest : of those that can be seen; base : what was
+    taken out; rejected, seed, draws : of the simulated data
     impact : m rms that a candidate's typical size moves the positions
     asked : candidates by themselves, as far as they were asked for"""
 
     state: ArrayState
     entries: dict[str, Entry]
-    null: Array
+    contest: Contest
+    base: Taking
+    rejected: frozenset[str]
+    seed: int
+    draws: int
     impact: dict[str, float]
     asked: dict[str, Beside] = field(default_factory=dict)
+
+    @cached_property
+    def null(self) -> Array:
+        """(draws,) the best evidence on data that lack nothing, and whose noise is as modelled."""
+        rng = np.random.default_rng(self.seed)
+        state = replace(self.state)  # without its columns: a search outlives them
+        blocks = candidates(state, self.rejected).blocks
+        rows = state.setup.inner[looked_at(state.setup)]
+
+        def noise(count: int) -> tuple[Array, Array]:
+            every = [*state.base.blocks, *blocks]
+            along, power = noise_products(state.sampled, every, rows, rng, count)
+            own = state.base.along(along[: state.base.raw].T).T
+            return self.base.out_of_noise(own, along[state.base.raw :], power, rng)
+
+        tests = sum(s.candidate.kind == "noise" for s in self.scores)
+        best = best_of_null(self.contest, noise, self.draws)
+        return np.maximum(best, best_of_noise(tests, rng, self.draws))
+
+    @cached_property
+    def drawn(self) -> tuple[Score, ...]:
+        """The scores, each with its p by simulated data."""
+        return tuple(s if s.absorbed else self.by_chance(s) for s in self.scores)
+
+    def passing(self, alpha: float) -> Iterator[Score]:
+        """Those that stand out, best first; data are simulated where the question is open."""
+        for score in self.scores:
+            known = score if score.p <= alpha else self.by_chance(score)
+            if score.absorbed or known.p > alpha:
+                return
+            yield known
+
+    def by_chance(self, score: Score, factor: float = 1.0) -> Score:
+        """A score as if there were `factor` times fewer samples: noise that neighbours share."""
+        value, bar = score.evidence / factor, self.contest.beyond_chance(self.draws)
+        reached = 0 if value >= bar else int((self.null >= value).sum())
+        return replace(score, evidence=value, p=(1 + reached) / (self.draws + 1))
 
     def beside(self, name: str) -> Beside:
         """Made where it is asked for: of all candidates of many IMUs they would be large."""
@@ -72,7 +116,8 @@ class Search(Searched):
         entry, found = self.entries[name], self.beside(name)
         assert entry.effect is not None
         if entry.kind == "effect":
-            return determined(name, entry.effect, entry.only, found.whole.matrix)
+            matrix = found.whole.matrix
+            return determined(name, entry.effect, entry.only, matrix, self.state.found)
         kept = found.apart
         live = typical_of(entry.effect, len(kept))[:, None] * kept
         n = kept.shape[1]
@@ -87,110 +132,86 @@ def search(
     starts, b = starts_of(found.blocks), len(state.base.prior)
     index = {e.name: starts[e.block] + e.part for e in found.entries}
     rows = state.setup.inner[looked_at(state.setup)]
-    total = state.base.free(gram(state.sampled, [*state.base.blocks, *found.blocks], rows))
+    products = state.base.beside(found.blocks, rows)
     entries, missing = found.entries, found.missing
     del found
     prior = state.base.rests
-    own_size = np.diag(total.matrix)[b:].copy()
-    whole = reduced(total, prior, state.base.pull * (prior > 0.0))
-    diagonal = own_size, np.diag(whole.matrix).copy()
-    left = {n: float(diagonal[1][at].sum() / max(diagonal[0][at].sum(), 1e-300))
-            for n, at in index.items()}  # fmt: skip
-    size = {n: float(np.sqrt(max(diagonal[1][at].sum(), 0.0))) for n, at in index.items()}
+    each = each_beside(products, prior, state.base.pull * (prior > 0.0))
+    freedom = products.base.numbers - b
+    before, after = (np.concatenate([np.diag(own) for own in x.own]) for x in (products, each))
+    del products
+    left = {n: float(after[at].sum() / max(before[at].sum(), 1e-300)) for n, at in index.items()}
+    size = {n: float(np.sqrt(max(after[at].sum(), 0.0))) for n, at in index.items()}
     live = [e for e in entries if left[e.name] >= ABSORBED and size[e.name] >= OPEN]
-    own = [index[e.name] for e in live]
-    freedom = total.numbers - b
-    moved = np.sqrt(np.mean(whole.carry[: state.positions] ** 2, axis=0))
-    contest = _contest(whole, diagonal[0], own, freedom, rng, draws)
-    del total, whole  # of many IMUs they are large, as the columns are
-    evidence = contest()
-    noises = noise_tests(state, rng, draws)
-    null = np.maximum(evidence.best, noises.null)
-    value = dict(zip((e.name for e in live), evidence.evidence, strict=True))
-    share = dict(zip((e.name for e in live), evidence.share, strict=True))
-    scores = [
-        _score(e, value.get(e.name), left[e.name], size[e.name], share.get(e.name, 0.0), null)
-        for e in entries
-    ]
-    scores += [_noise_score(test, null) for test in noises.tests]
-    impact = {e.name: float(np.linalg.norm(moved[index[e.name]])) for e in entries}
+    moved = np.sqrt(np.mean(each.base.carry(state.positions) ** 2, axis=0))
+    # Absorbed columns are rounding errors: they must not enter the contest.
+    sound, scale = after > 1e-9 * before, each.power / max(freedom, 1)
+    contest = _contest(each, live, starts, sound, scale, freedom)
+    evidence = contest.told(
+        each.along / scale, each.power / scale,
+        np.array([before[index[e.name]].sum() / scale for e in live]), np.zeros(0),
+    )  # fmt: skip
+    told = {
+        e.name: (float(evidence.evidence[k]), float(evidence.share[k])) for k, e in enumerate(live)
+    }
+    scores = [_score(e, told.get(e.name), left[e.name], size[e.name]) for e in entries]
+    scores += [_noise_score(test) for test in noise_tests(state)]
     return Search(
-        scores=tuple(sorted(scores, key=lambda s: -s.evidence)),
+        scores=_first_told(scores, contest, draws),
         missing=missing,
         state=replace(state),  # without its columns: a search outlives them
         entries={e.name: e for e in entries},
-        null=null,
-        impact=impact,
+        contest=contest,
+        base=each.base,
+        rejected=rejected,
+        seed=int(rng.integers(2**63)),
+        draws=draws,
+        impact={e.name: float(np.linalg.norm(moved[index[e.name]])) for e in entries},
     )
+
+
+def _first_told(scores: list[Score], contest: Contest, draws: int) -> tuple[Score, ...]:
+    """Best first, with the p of what no simulated data reach, and 1 for all else."""
+    bar, least = contest.beyond_chance(draws), 1.0 / (draws + 1)
+    told = [replace(s, p=least if s.evidence >= bar else 1.0, draws=draws) for s in scores]
+    return tuple(sorted(told, key=lambda s: -s.evidence))
 
 
 def _contest(
-    whole: Reduced, size: Array, own: list[Index], freedom: int, rng: np.random.Generator,
-    draws: int,
-) -> Callable[[], GramEvidence]:  # fmt: skip
-    """Evidence of blocks of columns, to be called when `whole` is no longer held; size : squared,
-    of every column before anything was taken."""
-    scale = whole.power / max(freedom, 1)
-    # Absorbed columns are rounding errors: they must not enter the simulation.
-    sound = np.diag(whole.matrix) > 1e-9 * size
-    kept = [at[sound[at]] for at in own]
-    used = np.unique(np.concatenate(kept))
-    matrix = whole.matrix[np.ix_(used, used)]
-    matrix /= scale
-    return partial(
-        block_evidence,
-        gram=matrix,
-        along=whole.along[used] / scale,
-        power=whole.power / scale,
-        freedom=freedom,
-        whole=np.array([size[at].sum() / scale for at in own]),
-        blocks=[np.searchsorted(used, at) for at in kept],
-        tau=TAU,
-        rng=rng,
-        draws=draws,
-    )
+    each: Each, live: list[Entry], starts: Index, sound: Flags, scale: float, freedom: int
+) -> Contest:
+    """Of entries whose columns are not absorbed; scale : the noise's variance in units of what is
+    stated."""
+    blocks, grams = [], []
+    for entry in live:
+        part = entry.part[sound[starts[entry.block] + entry.part]]
+        blocks.append(starts[entry.block] + part)
+        grams.append(each.own[entry.block][np.ix_(part, part)] / scale)
+    size, turns = directions_of(grams)
+    return Contest(blocks, size, turns, freedom, TAU)
 
 
-def _score(
-    entry: Entry, evidence: float | None, left: float, strength: float, share: float, null: Array
-) -> Score:
+def _score(entry: Entry, told: tuple[float, float] | None, left: float, strength: float) -> Score:
+    """told : evidence and share of the power, None for what cannot be seen"""
     bare = Candidate(entry.name, entry.kind, np.zeros((0, len(entry.part))), entry.driver)
-    if evidence is None:
-        return Score(
-            candidate=bare, evidence=0.0, p=1.0, draws=len(null), left=0.0, strength=strength,
-            share=0.0,
-        )  # fmt: skip
-    p = float((1 + (null >= evidence).sum()) / (len(null) + 1))
+    evidence, share = told or (0.0, 0.0)
     return Score(
         candidate=bare,
-        evidence=float(evidence),
-        p=p,
-        draws=len(null),
-        left=left,
+        evidence=evidence,
+        p=1.0,
+        draws=0,
+        left=0.0 if told is None else left,
         strength=strength,
-        share=float(share),
+        share=share,
     )
 
 
-def _noise_score(test: NoiseTest, null: Array) -> Score:
+def _noise_score(test: NoiseTest) -> Score:
     bare = Candidate(test.name, "noise", np.zeros((0, 1)), test.driver)
-    p = float((1 + (null >= test.evidence).sum()) / (len(null) + 1))
     return Score(
-        candidate=bare,
-        evidence=test.evidence,
-        p=p,
-        draws=len(null),
-        left=1.0,
-        strength=test.strength,
+        candidate=bare, evidence=test.evidence, p=1.0, draws=0, left=1.0, strength=test.strength,
         share=0.0,
-    )
-
-
-def discounted(score: Score, factor: float, null: Array) -> Score:
-    """A score as if there were `factor` times fewer samples: noise that neighbours share."""
-    value = score.evidence / factor
-    p = float((1 + (null >= value).sum()) / (len(null) + 1))
-    return replace(score, evidence=value, p=p)
+    )  # fmt: skip
 
 
 def absorbed(searches: tuple[Search, ...]) -> dict[str, float]:

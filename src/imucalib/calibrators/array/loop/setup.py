@@ -144,16 +144,28 @@ def stretches(near: Index, samples: int) -> Index:
     return near[np.unique(starts[:, None] + np.arange(size))]
 
 
-def motion_at(setup: Setup, sampled: Sampled, age: Array | None) -> BoardMotion:
+def motion_at(
+    setup: Setup, sampled: Sampled, age: Array | None, late: tuple[Array, Array] | None = None
+) -> BoardMotion:
     """The fitted motion as effects take it; its jerk by the fitted forces of the neighbours, zero
-    where a sample has none."""
-    jerk = np.zeros_like(sampled.force)
+    where a sample has none.
+
+    late : (T, K) s by which gyros and accelerometers are late, as far as that is known
+    """
+    jerk, bend = np.zeros_like(sampled.force), np.zeros_like(sampled.spin)
+    sway = np.zeros_like(jerk)
     middle = setup.inner[(setup.inner > 0) & (setup.inner < len(setup.t) - 1)]
     step = setup.t[middle + 1] - setup.t[middle - 1]
     beside = step < _NEAR * setup.interval
     middle, step = middle[beside], step[beside, None, None]
-    jerk[middle] = (sampled.force[middle + 1] - sampled.force[middle - 1]) / step
-    return board_motion(
+    before, after = sampled.force[middle - 1], sampled.force[middle + 1]
+    jerk[middle] = (after - before) / step
+    found = board_motion(
         imus=setup.imus, rotations=setup.board.rotations, t=setup.t, order=setup.order,
         rate=sampled.rate, spin=sampled.spin, force=sampled.force, jerk=jerk, age=age,
     )  # fmt: skip
+    if late is None:
+        return found
+    bend[middle] = (sampled.spin[middle + 1] - sampled.spin[middle - 1]) / step[..., 0]
+    sway[middle] = (after - 2.0 * sampled.force[middle] + before) / (0.5 * step) ** 2
+    return found.late(late, bend, sway)

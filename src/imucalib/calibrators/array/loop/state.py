@@ -15,7 +15,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
-from imucalib.calibrators.array.loop.terms import Term
+from imucalib.calibrators.array.loop.terms import Term, lateness
 from imucalib.estimators.array.gram import beside_motion, gradient, gram
 from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, log_density, scaled
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
@@ -227,7 +227,8 @@ def moved_motion(
         )
         sampled = fit_samples(readings, weights, state.r, sampled)
         off = sampled.off
-    return replace(state, sampled=sampled, motion=motion_at(state.setup, sampled, state.motion.age))
+    motion = motion_at(state.setup, sampled, state.motion.age, lateness(state.found, state.motion))
+    return replace(state, sampled=sampled, motion=motion)
 
 
 def followed(state: ArrayState, rounds: int) -> ArrayState:
@@ -245,6 +246,8 @@ def corrected(state: ArrayState, base: Base | None = None) -> Readings:
     rate = state.setup.readings.rate.copy()
     for k, term in enumerate(state.terms):
         columns = own[k] if own is not None else term.columns(state.motion)
+        if term.delays and state.motion.midway is not None:
+            columns = term.columns(state.motion.midway)
         target = rate if columns.gyro else acceleration
         target -= term.reading(columns)
     return Readings(acceleration, rate)

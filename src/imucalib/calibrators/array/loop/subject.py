@@ -18,7 +18,7 @@ from imucalib.calibrators.array.loop.ages import Ages, ages_again, kept_ages
 from imucalib.calibrators.array.loop.curves import CURVE
 from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residuals
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
-from imucalib.calibrators.array.loop.search import Search, discounted, search
+from imucalib.calibrators.array.loop.search import Search, search
 from imucalib.calibrators.array.loop.state import ArrayState, settled
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.loop.worth import size_in_words, worth
@@ -72,8 +72,8 @@ class MotionSubject:
             return None
         left_out = self.left_out.union(rejected)
         passing = (
-            s for s in found.scores
-            if s.candidate.kind == "effect" and s.p <= self.rules.alpha and s.name not in left_out
+            s for s in self.searched.passing(self.rules.alpha)
+            if s.candidate.kind == "effect" and s.name not in left_out
         )  # fmt: skip
         return next(passing, None)
 
@@ -88,7 +88,7 @@ class MotionSubject:
         if again is not None:
             state = kept_ages(self.state, again, voting=True)
             return replace(self, state=state, ages=again, clocks=False)
-        back = self.safe or _matched_in_vain(self, found, self.rules.alpha)
+        back = self.safe or _matched_in_vain(self, self.rules.alpha)
         if back is None:
             return None
         put_back = replace(back, ages=self.ages, clocks=False, over=True)
@@ -99,15 +99,18 @@ class MotionSubject:
     def tried(
         self, found: Searched, chosen: Score, rejected: Collection[str]
     ) -> MotionSubject | Refused:
+        gains = self.searched.held_out(chosen.name)
+        reason = _not_held_out(gains)
+        if reason:  # before the refit: it is what a search costs most
+            return Refused(chosen.name, reason)
         term = self.searched.term(chosen.name)
         trial = _refitted(self.state, term)
         if trial is None:
             return Refused(chosen.name, _DIVERGED)
-        gains = self.searched.held_out(chosen.name)
-        reason = _why_not(self.state, trial, gains)
+        reason = _why_not(self.state, trial)
         if not reason:
             factor = shared_by_neighbours(trial, gyro=term.effect.channel == "angular_rate")
-            late = discounted(chosen, factor, self.searched.null)
+            late = self.searched.by_chance(chosen, factor)
             if late.p > self.rules.alpha:
                 reason = f"noise that neighbours share explains it as well (p {late.p:.2g})"
         if reason:
@@ -172,14 +175,16 @@ class MotionSubject:
         if sum(step.curve for step in self.steps) >= CURVES:
             return None
         seen = self.searched
-        probes = (s for s in seen.scores if s.p <= self.rules.alpha and seen.correctable(s.name))
+        probes = (s for s in seen.passing(self.rules.alpha) if seen.correctable(s.name))
         chosen = next(probes, None)
         if chosen is None:
             return None
         gains, term = seen.held_out(chosen.name), seen.term(chosen.name)
         term = replace(term, name=CURVE + term.name)
+        if min(gains) <= 0.0:
+            return None
         trial = _refitted(self.state, term)
-        if trial is None or min(gains) <= 0.0 or _why_not(self.state, trial, gains):
+        if trial is None or _why_not(self.state, trial):
             return None
         corrected = (*self.corrected, without_a_name(chosen))
         return replace(self._with(trial, chosen, gains), corrected=corrected)
@@ -200,9 +205,11 @@ class MotionSubject:
         return path
 
 
-def _matched_in_vain(path: MotionSubject, found: Searched, alpha: float) -> MotionSubject | None:
+def _matched_in_vain(path: MotionSubject, alpha: float) -> MotionSubject | None:
     """Where the path stood before effects took the place of a curve that still stands out."""
-    passing = {s.name for s in found.scores if s.p <= alpha}
+    if not path.matched:
+        return None
+    passing = {s.name for s in path.searched.passing(alpha)}
     return next((before for curve, before in path.matched if curve in passing), None)
 
 
@@ -218,7 +225,13 @@ def _refitted(state: ArrayState, term: Term) -> ArrayState | None:
         return None
 
 
-def _why_not(before: ArrayState, after: ArrayState, gains: tuple[float, float]) -> str:
+def _not_held_out(gains: tuple[float, float]) -> str:
+    if min(gains) < ONE_HALF or sum(gains) < BOTH_HALVES:
+        return f"it does not hold out: {gains[0]:+.1f} and {gains[1]:+.1f} nats on the other half"
+    return ""
+
+
+def _why_not(before: ArrayState, after: ArrayState) -> str:
     if len(after.terms[-1].value) == 0:
         return "these data determine none of its parameters"
     if not after.converged:
@@ -233,6 +246,4 @@ def _why_not(before: ArrayState, after: ArrayState, gains: tuple[float, float]) 
         return f"implausible size ({', '.join(implausible)})"
     if after.density <= before.density:
         return "the joint fit is not better with it"
-    if min(gains) < ONE_HALF or sum(gains) < BOTH_HALVES:
-        return f"it does not hold out: {gains[0]:+.1f} and {gains[1]:+.1f} nats on the other half"
     return ""

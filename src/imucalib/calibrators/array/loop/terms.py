@@ -14,7 +14,7 @@ from imucalib.core.context import Context
 from imucalib.core.effect import Channel, Response
 from imucalib.core.eigen import eigen
 from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.truth import Motion, Truth
 from imucalib.estimators.array.gram import Columns
 
 SMALLEST, LARGEST = 1e-3, 10.0  # believable sizes of an effect, in its typical ones
@@ -62,6 +62,26 @@ class Term:
         """(T, K, 3) what it adds to the readings of its sensors."""
         return columns.at(self.theta)
 
+    @property
+    def delays(self) -> bool:
+        """Whether it says when sensors read."""
+        return _dates(self.effect)
+
+    def late(self, motion: BoardMotion) -> Array:
+        """(T, K) s by which it delays the readings of its sensors: its answer to a change by one a
+        second; zero of what is no delay."""
+        late = np.zeros(motion.shape)
+        if not self.delays:
+            return late
+        along = np.zeros(motion.truth.shape)
+        along[..., 0] = 1.0
+        steady = replace(motion.truth, motion=Motion(along, along, along))
+        basis = self.effect.basis(steady, motion.context)[:, :, 0]
+        each = self.theta.reshape(-1, basis.shape[2])  # of all, of each or of one IMU
+        some = slice(None) if self.only is None else slice(self.only, self.only + 1)
+        late[:, some] = -np.sum(basis[:, some] * each, axis=2)
+        return late
+
     def moved(self, step: Array, covariance: Array) -> Term:
         """After a step of its coordinates; the size of a found effect is learned along."""
         value = self.value + step
@@ -72,11 +92,34 @@ class Term:
         return replace(self, value=value, sd=sd)
 
 
-def determined(name: str, effect: Response, only: int | None, matrix: Array) -> Term:
+def lateness(terms: Sequence[Term], motion: BoardMotion) -> tuple[Array, Array] | None:
+    """(T, K) s by which gyros and accelerometers are late; None where no term says so."""
+    late = {"angular_rate": np.zeros(motion.shape), "acceleration": np.zeros(motion.shape)}
+    for term in terms:
+        if term.delays:
+            late[term.effect.channel] += term.late(motion)
+    gyro, force = late["angular_rate"], late["acceleration"]
+    return (gyro, force) if gyro.any() or force.any() else None
+
+
+def _dates(effect: Response) -> bool:
+    return all(p.unit == "ms" for p in effect.each)
+
+
+def determined(
+    name: str, effect: Response, only: int | None, matrix: Array, beside: Sequence[Term] = ()
+) -> Term:
     """A new term at zero, with the directions that the data can determine.
 
-    matrix : (p, p) Gram of its columns in typical sizes, with all else that is fitted taken out
+    matrix : (p, p) Gram of its columns in typical sizes, with all else that is fitted taken out;
+    beside : the terms that are
     """
+    if _dates(effect) and only is None and any(
+        _dates(t.effect) and t.only is None and t.effect.channel != effect.channel for t in beside
+    ):  # fmt: skip
+        # Delays of both kinds of sensor: what all share is the time itself, which none can show.
+        apart = np.eye(len(matrix)) - 1.0 / len(matrix)
+        matrix = apart @ matrix @ apart
     values, vectors = eigen(matrix)
     use = values > max(OPEN**2, 1e-9 * float(values[-1]))
     live = typical_of(effect, len(matrix))[:, None] * vectors[:, use]
@@ -92,7 +135,7 @@ def typical_of(effect: Response, count: int) -> Array:
 
 def columns_of(effect: Response, motion: BoardMotion, only: int | None = None) -> Columns:
     """Columns of an effect in board axes, per unit of its parameters."""
-    basis = motion.turned(effect.basis(motion.truth, motion.context))
+    basis = motion.turned(effect.basis(motion.truth_of(effect.channel), motion.context))
     gyro = effect.channel == "angular_rate"
     if only is None:
         return Columns(basis, gyro, effect.shared)
