@@ -183,12 +183,9 @@ def _told(
 ) -> Closed:  # fmt: skip
     problem, bars = found.problem, found.bars
     rules = Rules(
-        lambda bank, terms, turn: bars[min(turn, len(bars) - 1)],
-        asked.rules.most_effects,
-        problem.finer,
-        problem.forms,
-        same_tau=True,
-    )
+        lambda bank, terms, turn: bars[min(turn, len(bars) - 1)], asked.rules.most_effects,
+        problem.finer, problem.forms, same_tau=True,
+    )  # fmt: skip
     each = predicted(problem, folds, rules)
     gained = held_difference(each, folds)
     first = found.search.first
@@ -203,8 +200,7 @@ def _told(
     else:
         final = problem.fit
         last = noise_of(final, asked.known, part, base_precision(final))
-    steps = steps_of(problem, found.search, found.chances)
-    steps = beside_others(problem, found.search, steps)
+    steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
     loop = FitLoop(
         base=problem.fit,
         final=final,

@@ -36,17 +36,7 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
              "found_by_the_others": list(m.told)}
             for m in fleet.members
         ],
-        "between_devices": [
-            {"parameter": s.name, "unit": s.unit, "mean": s.mean, "mean_sd": s.mean_sd,
-             "scatter": s.scatter, "scatter_95": [s.interval.low, s.interval.high],
-             "between_recordings": s.sessions and vars(s.sessions)}
-            for s in fleet.spreads
-        ],
-        "outliers": [
-            {"device": o.device, "parameter": o.parameter, "value": o.value, "sd": o.sd,
-             "unit": o.unit, "others": o.mean, "scatter": o.scatter, "p": o.p}
-            for o in fleet.outliers
-        ],
+        **_members(fleet),
         "tried": [
             {"effect": one.effect, "evidence_nats": one.evidence, "p": one.p,
              "devices": one.devices}
@@ -60,6 +50,23 @@ def fleet_dict(fleet: Fleet) -> dict[str, Any]:
         "provenance": _provenance(fleet),
     }  # fmt: skip
     return dict(plain(content))
+
+
+def _members(fleet: Fleet) -> dict[str, Any]:
+    """What scatters between devices, and which of them stand apart."""
+    return {
+        "between_devices": [
+            {"parameter": s.name, "unit": s.unit, "mean": s.mean, "mean_sd": s.mean_sd,
+             "scatter": s.scatter, "scatter_95": [s.interval.low, s.interval.high],
+             "between_recordings": s.sessions and vars(s.sessions)}
+            for s in fleet.spreads
+        ],
+        "outliers": [
+            {"device": o.device, "parameter": o.parameter, "value": o.value, "sd": o.sd,
+             "unit": o.unit, "others": o.mean, "scatter": o.scatter, "p": o.p}
+            for o in fleet.outliers
+        ],
+    }  # fmt: skip
 
 
 def _provenance(fleet: Fleet) -> dict[str, Any]:
