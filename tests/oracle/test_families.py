@@ -177,6 +177,23 @@ def test_a_step_comes_at_its_time() -> None:
     np.testing.assert_allclose(added("bias_step@1200s", theta, force, context), expected)
 
 
+def test_a_tool_that_slipped_stands_turned_from_then_on() -> None:
+    """About x, then y, then z, right-handed; its dials alone show it."""
+    force, context = world()
+    theta = np.array([3.0, -5.0, 8.0])
+    turned = force
+    for axis, deg in zip(np.eye(3), theta, strict=True):
+        angle = np.deg2rad(deg)
+        along = (turned @ axis)[:, None] * axis
+        turned = along + np.cos(angle) * (turned - along) + np.sin(angle) * np.cross(axis, turned)
+    expected = np.where(np.arange(N)[:, None] >= 11, turned - force, 0.0)
+    np.testing.assert_allclose(added("slip@record12", theta, force, context), expected, atol=1e-12)
+    values = families()["slip"].values
+    assert values(Context(14, {"record": np.arange(14.0)})) == ()
+    dials = {"record": np.arange(14.0), "tool_face": np.zeros(14), "time": np.arange(14.0)}
+    assert values(Context(14, dials)) == ("record7", "record8", "record9")
+
+
 def test_a_step_in_time_is_tried_between_twelve_readings_and_twelve() -> None:
     """Forty readings a minute apart: from behind the 12th to before the 29th."""
     tried = families()["bias_step"].values(Context(40, {"time": 60.0 * np.arange(40)}))

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.run import LabRun
+from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.cli import cli as main
-from worlds import sheets
+from worlds import plain_bench, sheets
 
 
 def calibrated(path: Path, request: LabRequest | None = None) -> tuple[LabRun, list[str]]:
@@ -85,3 +87,15 @@ def test_who_has_no_dials_is_told_a_direction() -> None:
     asked = [line for line in run.outcome.advice if "One more position" in line]
     assert asked
     assert not any("tool-face" in line for line in asked)
+
+
+def test_advice_names_the_row_of_a_slip_whatever_was_left_out(tmp_path: Path) -> None:
+    """It begins with row 19 of the sheet, the 18th of those that are kept."""
+    bench = plain_bench.Bench(plain_bench.Plan(0, (("slip", 30.0),)))
+    path = bench.write(tmp_path / "sheet.csv")
+    settings = LabSettings(only=("slip",))
+    request = LabRequest(unit="mg", exclude=(3,), settings=settings)
+    run = run_lab(read_position_table(path), request)
+    (told,) = [text for text in run.outcome.advice if "clamp" in text]
+    assert told.startswith("From row 19 on the tool stands turned in its clamp.")
+    assert "Return to the first position at the end" in told
