@@ -23,6 +23,7 @@ from imucalib.core.references import KnownVector, angles_of, unit_vector
 from imucalib.effects import known
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
+from imucalib.loop.found import Unexplained
 from imucalib.loop.noise.doubts import beyond_declared
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
@@ -70,20 +71,25 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
         elif effect is not None and effect.stage == "fixture":
             sentence = _by_row(effect.sentence, fit)
             found.append(f"{sentence} Check the bench ({effect.identify.rstrip('.')}).")
-    for item in loop.unexplained if loop else ():
-        if item.driver:
-            found.append(
-                f"Structure without a name, driven by {item.driver}: {item.name}. Record with "
-                f"{item.driver} varied on its own."
-            )
-        else:
-            found.append(f"Structure without a name: {item.name}; no quantity drives it.")
+    found += [_of_structure(item) for item in (loop.unexplained if loop else ())]
     if isinstance(fit.observations.reference, KnownVector):
         found += _settings(fit)
     found += _positions(result)
     if loop:
         found += advice_of(hidden(loop.scores, loop.final.model.names))
     return tuple(found)
+
+
+def _of_structure(item: Unexplained) -> str:
+    words = (
+        f"Structure without a name{', driven by ' * bool(item.driver)}{item.driver}: {item.name}"
+    )
+    alike = [effect for name in item.alike if (effect := known(name)) is not None]
+    if alike:
+        return f"{words}. To tell them apart: {' '.join(effect.identify for effect in alike)}"
+    if item.driver:
+        return f"{words}. Record with {item.driver} varied on its own."
+    return f"{words}; no quantity drives it."
 
 
 def _by_row(sentence: str, fit: Fit) -> str:
