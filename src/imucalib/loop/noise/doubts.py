@@ -41,7 +41,7 @@ def noise_doubts(
         likely = tuple(s.name for s in own if s.evidence > 0.5 * own[0].evidence)[:2]
         if likely:
             name += f" ({' or '.join(likely)} would do as well)"
-        found.append(Unexplained(name, "order", "noise", p, nats, 0.0, likely))
+        found.append(Unexplained(name, "order", "noise", p, nats, 0.0, alike=likely))
     if rules.declared and (p := beyond_declared(fit)) < rules.noise_alpha:
         name = f"scatter {fit.noise.factor:.2g} times the declared noise"
         found.append(Unexplained(name, "", "noise", p, 0.0, 1.0 - fit.noise.factor**-2.0))
