@@ -4,6 +4,7 @@ second time with numpy alone."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -214,3 +215,11 @@ def test_the_neighbours_of_a_step_are_tried_after_it() -> None:
         for other in first[max(0, k - 1) : k + 2]:
             between = np.arange(min(first[k], other), max(first[k], other) + 1.0, 60.0)
             assert near.issuperset(between)
+
+
+def test_every_scan_shows_one_of_its_members_on_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
+    for family in families().values():
+        member = family.member(family.example)
+        assert member.name == f"{family.name}@{family.example}"
+        assert f"| `{member.name}`: `{member.equation}` | {family.sentence} |" in page

@@ -108,6 +108,6 @@ def _nearby(context: Context, value: str) -> tuple[str, ...]:
 
 
 FAMILIES = (
-    Family("bias_step", "The bias jumps at one time.", bias_step, _values, _nearby),
-    Family("slip", "The tool stands turned from one record on.", slip, _on_dials),
+    Family("bias_step", "The bias jumps at one time.", "86400s", bias_step, _values, _nearby),
+    Family("slip", "The tool stands turned from one record on.", "record17", slip, _on_dials),
 )
