@@ -10,14 +10,14 @@ import tempfile
 from pathlib import Path
 
 from generators import commands, functions, schemas, troubles
-from imucalib.effects import catalogue
+from imucalib.effects import catalogue, families
 from imucalib.report.catalogue import catalogue_markdown
 
 HERE = Path(__file__).parent
 
 
 PAGES = {
-    "effects.md": lambda: catalogue_markdown(list(catalogue().values())),
+    "effects.md": lambda: catalogue_markdown(list(catalogue().values()), list(families().values())),
     "reference/commands.md": commands.page,
     "reference/functions.md": functions.page,
     "reference/schemas.md": schemas.page,

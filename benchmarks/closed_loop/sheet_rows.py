@@ -13,7 +13,7 @@ ALIASES = {
     "bias:order:exponential": ("warm_up",),
 }
 #: Names from the catalogue that are true of what was planted.
-TRUE_OF = {"late_reading": {"hysteresis"}, "thermal_lag": {"thermal_lag"}}
+TRUE_OF = {"late_reading": {"hysteresis"}, "thermal_lag": {"thermal_lag"}, "slip": {"slip"}}
 #: What a calibration on the run's own rows can correct.
 CORRECTABLE = ("third_harmonic", "local_sine", "random_walk", "shock", "slip", "pick_up",
                "soft_saturation")  # fmt: skip

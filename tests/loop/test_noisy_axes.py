@@ -18,6 +18,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.effects import named
 from imucalib.estimators.least_squares import fit
+from imucalib.loop.candidates import record_candidates
 from imucalib.loop.noise.axes import with_noisy_axes
 from imucalib.units import MG
 from worlds.plain_bench import Bench, Plan
@@ -84,6 +85,12 @@ def test_a_part_of_the_observations_keeps_its_own_noise(tmp_path: Path) -> None:
     assert part.alone
     assert not found.observations.of_sessions
     assert found.observations.walk is None
+
+
+def test_more_noise_is_no_setting_of_a_record(tmp_path: Path) -> None:
+    found = with_noisy_axes(fitted(noisier(tmp_path / "s.csv", 4, (1.0, 1.0, 5.0))))
+    told = {c.name.partition(":")[2] for c in record_candidates(found)}
+    assert told == {"x", "y", "z", "inclination setting", "tool-face setting"}
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

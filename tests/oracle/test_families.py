@@ -4,6 +4,7 @@ second time with numpy alone."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -177,6 +178,23 @@ def test_a_step_comes_at_its_time() -> None:
     np.testing.assert_allclose(added("bias_step@1200s", theta, force, context), expected)
 
 
+def test_a_tool_that_slipped_stands_turned_from_then_on() -> None:
+    """About x, then y, then z, right-handed; its dials alone show it."""
+    force, context = world()
+    theta = np.array([3.0, -5.0, 8.0])
+    turned = force
+    for axis, deg in zip(np.eye(3), theta, strict=True):
+        angle = np.deg2rad(deg)
+        along = (turned @ axis)[:, None] * axis
+        turned = along + np.cos(angle) * (turned - along) + np.sin(angle) * np.cross(axis, turned)
+    expected = np.where(np.arange(N)[:, None] >= 11, turned - force, 0.0)
+    np.testing.assert_allclose(added("slip@record12", theta, force, context), expected, atol=1e-12)
+    values = families()["slip"].values
+    assert values(Context(14, {"record": np.arange(14.0)})) == ()
+    dials = {"record": np.arange(14.0), "tool_face": np.zeros(14), "time": np.arange(14.0)}
+    assert values(Context(14, dials)) == ("record7", "record8", "record9")
+
+
 def test_a_step_in_time_is_tried_between_twelve_readings_and_twelve() -> None:
     """Forty readings a minute apart: from behind the 12th to before the 29th."""
     tried = families()["bias_step"].values(Context(40, {"time": 60.0 * np.arange(40)}))
@@ -197,3 +215,11 @@ def test_the_neighbours_of_a_step_are_tried_after_it() -> None:
         for other in first[max(0, k - 1) : k + 2]:
             between = np.arange(min(first[k], other), max(first[k], other) + 1.0, 60.0)
             assert near.issuperset(between)
+
+
+def test_every_scan_shows_one_of_its_members_on_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
+    for family in families().values():
+        member = family.member(family.example)
+        assert member.name == f"{family.name}@{family.example}"
+        assert f"| `{member.name}`: `{member.equation}` | {family.sentence} |" in page

@@ -31,7 +31,7 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
       imucal effects inclination_zero
       imucal effects gyro_delay
     """
-    from imucalib.effects import catalogue, load_file
+    from imucalib.effects import catalogue, families, load_file
     from imucalib.report.catalogue import catalogue_document, effect_dict
     from imucalib.report.render.text import render_text
 
@@ -43,9 +43,8 @@ def command(name: str | None, effects_file: Path | None, as_json: bool) -> int:
     if as_json:
         emit_json([effect_dict(effect) for effect in chosen])
     else:
-        click.echo(
-            render_text(catalogue_document(chosen), width(), color=False, full=True), nl=False
-        )
+        document = catalogue_document(chosen, list(families().values()))
+        click.echo(render_text(document, width(), color=False, full=True), nl=False)
     return 0
 
 
@@ -53,11 +52,15 @@ def _scanned(name: str, names: list[str]) -> Effect:
     """One value of a scan, such as bias_step@86400s; raises UsageError with the nearest names."""
     import difflib
 
-    from imucalib.effects import known
+    from imucalib.effects import families, known
     from imucalib.errors import UsageError
 
     found = known(name)
     if found is None:
+        scans = families()
+        if name in scans:
+            example = f"{name}@{scans[name].example}"
+            raise UsageError(f"'{name}' needs its value", remedy=f"for example: {example}")
         near = ", ".join(difflib.get_close_matches(name, names, 3))
         remedy = f"did you mean: {near}" if near else "`imucal effects` lists them all"
         raise UsageError(f"no effect is called '{name}'", remedy=remedy)

@@ -165,6 +165,7 @@ def _side_by_side(basis: Array) -> Array:
 class Family:
     """Effects that differ in one value that the search has to find: a time, a lag, an axis.
 
+    example : a value, to show one
     member : value as text -> the effect "name@value", the same for the same text anywhere
     values : context -> texts to try; nearby : (context, text) -> finer ones around the best, or
         nothing where the values are all there are
@@ -172,6 +173,7 @@ class Family:
 
     name: str
     sentence: str
+    example: str
     member: Callable[[str], Effect]
     values: Callable[[Context], tuple[str, ...]]
     nearby: Callable[[Context, str], tuple[str, ...]] = lambda context, text: ()

@@ -96,6 +96,7 @@ FAMILIES = (
     Family(
         "converter",
         "The converter's response is a free curve of its input.",
+        "y",
         converter,
         lambda context: ("x", "y", "z", "xyz") if context.n >= _FEWEST else (),
     ),

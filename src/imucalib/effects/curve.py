@@ -64,6 +64,7 @@ FAMILIES = (
     Family(
         "curve",
         "A smooth correction of structure that no effect explains.",
+        "bias:temperature:20:30:4",
         curve,
         lambda context: (),
     ),

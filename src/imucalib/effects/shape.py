@@ -136,6 +136,7 @@ FAMILIES = (
     Family(
         "shape",
         "A form with a formula, tried where a curve without a name was found.",
+        "response:xyz:sine:0.5",
         shape,
         lambda context: (),
     ),

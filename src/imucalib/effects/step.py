@@ -1,10 +1,12 @@
-"""A bias that jumps at an unknown time: a knock, a changed battery, a restart."""
+"""What changes at an unknown moment: a bias that jumps (a knock, a new battery, a restart), a tool
+that slips in its clamp.
+"""
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response
+from imucalib.core.effect import Effect, Family, Response, Rotation, Turn
 from imucalib.core.parameter import Parameter
 from imucalib.effects.covariate import bias_with
 
@@ -56,10 +58,41 @@ def _values(context: Context) -> tuple[str, ...]:
     return tuple(_text(t) for t in every[picked])
 
 
+def slip(value: str) -> Effect:
+    """The slip from a record of a table on, "record17" (counted from 1); ValueError otherwise."""
+    first = int(value.removeprefix("record"))
+    return Rotation(
+        f"slip@{value}",
+        f"From record {first} on the tool stands turned in its clamp.",
+        "x' = Rz(s_z) Ry(s_y) Rx(s_x) x from that record on",
+        "0.1-1 deg where a clamp is touched or a bench is knocked, practice",
+        "Return to the first position at the end.",
+        ("record", "tool_face"),
+        named=tuple(Parameter(f"slip_{value}_{a}", "deg", 0.3, 20.0) for a in "xyz"),
+        turns=(_slipped(0, first - 1), _slipped(1, first - 1), _slipped(2, first - 1)),
+    )
+
+
+def _slipped(axis: int, first: int) -> Turn:
+    def turn(context: Context) -> tuple[Array, Array]:
+        weight = np.zeros((context.n, 3))
+        weight[:, axis] = context["record"] >= first
+        return np.broadcast_to(np.eye(3)[axis], (context.n, 3)), weight
+
+    return turn
+
+
+def _on_dials(context: Context) -> tuple[str, ...]:
+    """Gravity alone does not see how a tool stands."""
+    return _records(context) if "tool_face" in context and "record" in context else ()
+
+
 def _of_records(context: Context) -> tuple[str, ...]:
     """Records of a table that follow each other but have no clock."""
-    if "time" in context or "record" not in context:
-        return ()
+    return () if "time" in context or "record" not in context else _records(context)
+
+
+def _records(context: Context) -> tuple[str, ...]:
     first = context["record"][_FEWEST_RECORDS : 1 - _FEWEST_RECORDS]
     picked = np.unique(np.linspace(0, first.size - 1, min(2 * _SCANNED, first.size)).astype(int))
     return tuple(f"record{int(r) + 1}" for r in first[picked])
@@ -74,4 +107,7 @@ def _nearby(context: Context, value: str) -> tuple[str, ...]:
     return tuple(_text(t) for t in every[max(0, at - reach) : at + reach + 1])
 
 
-FAMILIES = (Family("bias_step", "The bias jumps at one time.", bias_step, _values, _nearby),)
+FAMILIES = (
+    Family("bias_step", "The bias jumps at one time.", "86400s", bias_step, _values, _nearby),
+    Family("slip", "The tool stands turned from one record on.", "record17", slip, _on_dials),
+)

@@ -60,4 +60,6 @@ def _values(context: Context) -> tuple[str, ...]:
     return tuple(name.removeprefix(PREFIX) for name in names)
 
 
-FAMILIES = (Family("thermal_lag", "The bias follows the temperature late.", thermal_lag, _values),)
+FAMILIES = (
+    Family("thermal_lag", "The bias follows the temperature late.", "2h", thermal_lag, _values),
+)

@@ -32,6 +32,8 @@ from imucalib.estimators.variance import NoiseEstimate, estimate_noise, estimate
 #: Rounds in which η settles at one θ, and the change (rad) from which the next one, its square,
 #: would be rounding.
 _SETTLING, _SETTLED = 6, 1e-5
+#: Rounds in a row in which θ creeps without end: twelve terms of a curve took 40 s for nothing.
+_PATIENCE = 3
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def fit(
     names = balance(model, state.theta, state.eta, observations).component
     current = noise or begin or Noise(1.0, names, tuple(0.01 for _ in names))
     estimate: NoiseEstimate | None = None
-    converged, steps = False, 0
+    converged, steps, failed = False, 0, 0
     for turn in range(rounds):
         solution = _solve(model, observations, state, current, prior, fresh=turn == 0)
         state, at, steps = solution.state, solution.state.at, steps + solution.iterations
@@ -88,19 +90,15 @@ def fit(
         # Without settings and prior the noise is one factor, which moves nothing.
         settled = _same(estimate.noise, current) or not (names or prior is not None)
         current = estimate.noise
-        if settled:
-            converged = solution.converged
+        failed = 0 if solution.converged else failed + 1
+        if settled or failed >= _PATIENCE:
+            converged = settled and solution.converged
             break
     assert estimate is not None
     found = _finish(
-        model=model,
-        observations=observations,
-        state=state,
-        at=at,
-        estimate=estimate,
-        converged=converged,
-        steps=steps,
-    )
+        model=model, observations=observations, state=state, at=at, estimate=estimate,
+        converged=converged, steps=steps,
+    )  # fmt: skip
     return replace(found, prior=prior)
 
 

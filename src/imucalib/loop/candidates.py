@@ -188,7 +188,7 @@ def record_candidates(fit: Fit) -> tuple[Candidate, ...]:
     else:
         found += _shared_direction(fit)
     own_settings: dict[tuple[int, str], list[Array]] = {}
-    for name, matrix in zip(at.component, at.settings, strict=True):
+    for name, matrix in zip(at.component[: at.free], at.settings, strict=False):
         for setting in range(matrix.shape[1]):
             column = matrix[:, setting : setting + 1] * _RECORD_DEG * DEG
             rows = np.unique(at.owner[np.abs(column[:, 0]) > 1e-9 * np.abs(column).max()])

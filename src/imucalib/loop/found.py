@@ -93,7 +93,8 @@ class Step:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Structure that no catalogue effect carries. share : of the weighted residual power."""
+    """Structure that no catalogue effect carries. share : of the weighted residual power; alike :
+    effects that would explain it as well, where noise stands for it"""
 
     name: str
     driver: str
@@ -101,6 +102,7 @@ class Unexplained:
     p: float
     evidence: float
     share: float
+    alike: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

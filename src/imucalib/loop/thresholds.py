@@ -48,9 +48,10 @@ KEEP = 1.0
 #: easily rather than too late, since its size is estimated and what is not there costs nothing.
 SHARED_NATS = 1.5
 #: The same for an axis that is noisier than the others: odds of e^10 are no accident. Of 20 sheets
-#: whose z had 2 or 2.5 times the noise 5 and 6 had a false word without it, 4 and 2 with it (at 3
-#: nats 1 and 1); on the one measured bench, whose y has 9.4 nats, positions that were left out are
-#: predicted worse with it (norm 1.33 instead of 1.21 mg), so that a little is not enough.
+#: whose z had 2 or 2.5 times the noise 5 and 13 had a false word without it, 4 and 2 with it (at 3
+#: nats one of those with twice); on the one measured bench, whose y has 9.4 nats, positions that
+#: were left out are predicted worse with it (norm 1.33 instead of 1.21 mg), so that a little is not
+#: enough.
 AXIS_NATS = 10.0
 #: Numbers up to which both are looked for, 110 rows of a bench: they cost their cube, and took half
 #: the time of an array whose rests have 500.

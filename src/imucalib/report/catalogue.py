@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Response
+from imucalib.core.effect import Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.report.document import Document, Facts, Section, Table, Text
 
@@ -42,8 +42,9 @@ def effect_dict(effect: Effect) -> dict[str, Any]:
     }
 
 
-def catalogue_document(effects: Sequence[Effect]) -> Document:
-    """A table of many effects, or everything about one."""
+def catalogue_document(effects: Sequence[Effect], scans: Sequence[Family] = ()) -> Document:
+    """A table of many effects, with those of which the search finds a value too; or everything
+    about one."""
     if len(effects) == 1:
         return Document(effects[0].name, Text(effects[0].sentence), (_one(effects[0]),))
     rows = tuple((e.name, _acts_on(e), _needed(e)) for e in effects)
@@ -52,7 +53,12 @@ def catalogue_document(effects: Sequence[Effect]) -> Document:
         f"{len(effects)} effects; `imucal effects NAME` tells one. Those of a fixture belong to "
         "the bench and are never applied; those of the motion are for `imucal array`."
     )
-    return Document("Effects", verdict, (Section("Catalogue", (table,)),))
+    sections = [Section("Catalogue", (table,))]
+    if scans:
+        each = tuple((f"{f.name}@{f.example}", f.sentence) for f in scans)
+        scanned = Table("", ("for example", "what it is"), each, "ll")
+        sections.append(Section("With a value that the search finds", (scanned,)))
+    return Document("Effects", verdict, tuple(sections))
 
 
 def _needed(effect: Effect) -> str:
@@ -85,7 +91,7 @@ def _one(effect: Effect) -> Section:
     )
 
 
-def catalogue_markdown(effects: Sequence[Effect]) -> str:
+def catalogue_markdown(effects: Sequence[Effect], scans: Sequence[Family] = ()) -> str:
     """docs/effects.md: generated, so that it cannot go stale."""
     lines = [
         "# The catalogue of effects",
@@ -114,4 +120,13 @@ def catalogue_markdown(effects: Sequence[Effect]) -> str:
             f"- To identify it: {effect.identify}",
             "",
         ]
+    if scans:
+        lines += ["## With a value that the search finds", "", "| for example | what it is |"]
+        lines += ["|---|---|"]
+        lines += [f"| {_shown(family)} | {family.sentence} |" for family in scans]
+        lines += [""]
     return "\n".join(lines)
+
+
+def _shown(family: Family) -> str:
+    return f"`{family.name}@{family.example}`: `{family.member(family.example).equation}`"

@@ -15,7 +15,7 @@ from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest, as_published
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.effects import named
-from imucalib.loop.noise import shared
+from imucalib.loop.noise import axes
 from imucalib.loop.records import extended, least_strange, record_scores, row_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG, MG
@@ -97,7 +97,7 @@ def test_a_record_is_wrong_only_beside_every_rival(monkeypatch: pytest.MonkeyPat
     """With all axes alike, what neighbours share stands in for all noise of rows 1-20, to the last
     digit of a reading; beside the dial's scale, which would do as well as its zero, row 1 stands
     out."""
-    monkeypatch.setattr(shared, "with_noisy_axes", lambda fit: fit)
+    monkeypatch.setattr(axes, "AXIS_NATS", np.inf)
     loop = paper(LabRequest(fixes=REPAIR, train=TRAIN)).result.loop
     assert loop is not None
     assert not loop.records

@@ -137,3 +137,20 @@ def test_a_sensor_behind_its_thermometer_is_named(tmp_path: Path) -> None:
     assert run.result.loop.verdict == "explained"
     # What is left: the noise of 0.5 mg on three axes, and the doubt of the fit.
     assert run.result.error.final < 0.8 * run.result.error.base
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_tool_that_slips_in_its_clamp_is_named(seed: int, tmp_path: Path) -> None:
+    """Settings of one row each took all of it for scatter: nothing was missing at 5 mg."""
+    bench = plain_bench.Bench(plain_bench.Plan(seed, (("slip", 15.0),)))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    (step,) = run.result.loop.steps
+    assert step.effect == "slip@record19"  # of 36, from the second half on
+    assert not step.aliases
+    assert run.result.loop.verdict == "explained"
+    fit = run.result.final
+    turned = fit.theta[fit.model.slices(fit.observations.context)["slip@record19"]]
+    # The dial reads more than the tool is turned, about the tool's own axis.
+    assert abs(turned[2]) == pytest.approx(abs(bench.size["slip"][0]), rel=0.3)
+    assert np.abs(turned[:2]).max() < 0.3 * abs(turned[2])

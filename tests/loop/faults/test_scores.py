@@ -268,6 +268,28 @@ def test_a_converter_ends_where_three_readings_repeat_and_more_was_due() -> None
     assert of(np.median(truth[:10, 1]), known=True, rows=10) == []  # too few others
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_all_axes_end_at_one_range(known: bool) -> None:
+    """Level and upside down each axis is at its end once: no reading repeats on its own axis."""
+    rng = np.random.default_rng(2)
+    truth = np.vstack([
+        [[0, 1000, 3], [1000, 0, 1], [0, -1000, 7], [-1000, 0, 2]],
+        1000.0 * sheets.direction(rng.uniform(30, 60, 24), rng.uniform(0, 360, 24)),
+    ])  # fmt: skip
+    high = np.minimum(truth, 960.0)
+    cut = np.maximum(high, -960.02)  # a count more on the other side
+    found = cut_off(cut, truth if known else None)
+    assert {(c.axis, c.value) for c in found} == {
+        (0, 960.0),
+        (1, 960.0),
+        (0, -960.02),
+        (1, -960.02),
+    }
+    assert not cut_off(truth + rng.normal(0.0, 1.0, truth.shape), truth if known else None)
+    apart = np.minimum(np.maximum(truth, [-960.0, -950.0, -1e9]), [970.0, 940.0, 1e9])
+    assert not cut_off(apart, truth if known else None)
+
+
 def test_wide_steps_are_of_three_mg_and_of_all_values() -> None:
     rng = np.random.default_rng(0)
     plain = rng.uniform(-1000.0, 1000.0, (300, 3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -19,9 +20,10 @@ from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
 from imucalib.core.references import KnownVector, angles_of, unit_vector
-from imucalib.effects import catalogue
+from imucalib.effects import known
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
+from imucalib.loop.found import Unexplained
 from imucalib.loop.noise.doubts import beyond_declared
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
@@ -62,26 +64,41 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
             "takes the record as it stands."
         )
     for step in loop.steps if loop else ():
-        effect = catalogue().get(step.effect)
+        effect = known(step.effect)
         names = " or ".join((step.effect, *step.aliases))
         if step.aliases and effect is not None:
             found.append(f"These positions cannot tell {names} apart. {effect.identify}")
         elif effect is not None and effect.stage == "fixture":
-            found.append(f"{effect.sentence} Check the bench ({effect.identify.rstrip('.')}).")
-    for item in loop.unexplained if loop else ():
-        if item.driver:
-            found.append(
-                f"Structure without a name, driven by {item.driver}: {item.name}. Record with "
-                f"{item.driver} varied on its own."
-            )
-        else:
-            found.append(f"Structure without a name: {item.name}; no quantity drives it.")
+            sentence = _by_row(effect.sentence, fit)
+            found.append(f"{sentence} Check the bench ({effect.identify.rstrip('.')}).")
+    found += [_of_structure(item) for item in (loop.unexplained if loop else ())]
     if isinstance(fit.observations.reference, KnownVector):
         found += _settings(fit)
     found += _positions(result)
     if loop:
         found += advice_of(hidden(loop.scores, loop.final.model.names))
     return tuple(found)
+
+
+def _of_structure(item: Unexplained) -> str:
+    words = (
+        f"Structure without a name{', driven by ' * bool(item.driver)}{item.driver}: {item.name}"
+    )
+    alike = [effect for name in item.alike if (effect := known(name)) is not None]
+    if alike:
+        return f"{words}. To tell them apart: {' '.join(effect.identify for effect in alike)}"
+    if item.driver:
+        return f"{words}. Record with {item.driver} varied on its own."
+    return f"{words}; no quantity drives it."
+
+
+def _by_row(sentence: str, fit: Fit) -> str:
+    """A sentence that counts records, with the name that the table has for the one it tells."""
+    told = re.search(r"record (\d+)", sentence)
+    if told is None or "record" not in fit.observations.context:
+        return sentence
+    at = np.flatnonzero(fit.observations.context["record"] == int(told[1]) - 1)
+    return sentence.replace(told[0], fit.observations.label[int(at[0])]) if at.size else sentence
 
 
 def _settings(fit: Fit) -> list[str]:

@@ -134,12 +134,19 @@ def look_for_faults(
 def _converter_questions(
     ends: tuple[CutOff, ...], table: PositionTable, rows: Index
 ) -> tuple[str, ...]:
-    found = []
+    ranges: dict[str, list[CutOff]] = {}
     for end in ends:
-        numbers = ",".join(str(int(table.row[rows[k]])) for k in end.rows)
+        ranges.setdefault(f"{abs(end.value):.1f}", []).append(end)
+    found = []
+    for size, alike in ranges.items():
+        cut = np.unique(np.concatenate([end.rows for end in alike]))
+        numbers = ",".join(str(int(table.row[rows[k]])) for k in cut)
+        axes = ", ".join(dict.fromkeys("xyz"[end.axis] for end in alike))
+        signs = {np.sign(end.value) for end in alike}
+        sign = "±" if len(signs) == 2 else "-" if -1.0 in signs else ""
         found.append(
-            f"{'xyz'[end.axis]} ends at {end.value:.1f} mg in rows {numbers}: the converter is "
-            f"saturated there; decide with --exclude {numbers}"
+            f"{axes} ends at {sign}{size} mg in rows {numbers}: the converter is saturated there; "
+            f"decide with --exclude {numbers}"
         )
     return tuple(found)
 

@@ -10,6 +10,8 @@ from imucalib.arrays import Array, Index
 
 #: Rows that must show the same extreme value, and by how much (mg) their other readings differ.
 _REPEATS, _ELSEWHERE = 3, 30.0
+#: Share of a range by which its two ends may differ: a count of 16 bits.
+_COUNT = 5e-5
 #: How far (mg) they must fall short of what they should be.
 _BEYOND = 20.0
 #: Steps (mg) that bury an ordinary noise, and the share of values that must lie on them.
@@ -26,35 +28,42 @@ class CutOff:
 
 
 def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
-    """Extreme values (n, 3) mg that repeat exactly in rows whose other two readings differ.
+    """Extreme values (n, 3) mg that repeat exactly in rows whose other two readings differ; both
+    ends of all axes have one range where their sizes are the same.
 
     truth : (n, 3) mg, known positions, whose linear map must lie beyond the value; without, |a| of
     those rows must fall short of the others'. Rounded readings on a ring repeat too.
     """
-    found = []
-    for axis in range(3):
-        column = reading[:, axis]
-        for end, side in ((float(column.min()), -1.0), (float(column.max()), 1.0)):
-            rows = np.flatnonzero(column == end)
-            others = np.delete(reading[rows], axis, axis=1)
-            if len(rows) < _REPEATS or np.ptp(others, axis=0).max() <= _ELSEWHERE:
-                continue
-            rest = np.setdiff1d(np.arange(len(column)), rows)
-            size = np.linalg.norm(reading, axis=1)
-            short = float(np.median(size[rest]) - np.median(size[rows])) if rest.size else 0.0
-            beyond = short if truth is None else _beyond(column, truth, rows, rest) * side
-            if beyond > _BEYOND:
-                found.append(CutOff(axis, end, rows))
+    ends = [_end(reading, axis, side) for axis in range(3) for side in (-1.0, 1.0)]
+    found: list[CutOff] = []
+    for end in ends:
+        alike = [e for e in ends if abs(abs(e.value) - abs(end.value)) <= _COUNT * abs(end.value)]
+        rows = np.unique(np.concatenate([e.rows for e in alike]))
+        others = np.delete(reading[end.rows], end.axis, axis=1)
+        apart = len(alike) > 1 or np.ptp(others, axis=0).max() > _ELSEWHERE
+        if len(rows) < _REPEATS or not apart:
+            continue
+        rest = np.setdiff1d(np.arange(len(reading)), rows)
+        size = np.linalg.norm(reading, axis=1)
+        short = float(np.median(size[rest]) - np.median(size[rows])) if rest.size else 0.0
+        if (short if truth is None else _beyond(reading, truth, alike, rest)) > _BEYOND:
+            found.append(end)
     return tuple(found)
 
 
-def _beyond(column: Array, truth: Array, rows: Index, rest: Index) -> float:
-    """How far (mg) the linear map of the other rows lies beyond the value, in the median."""
+def _end(reading: Array, axis: int, side: float) -> CutOff:
+    column = side * reading[:, axis]
+    return CutOff(axis, side * float(column.max()), np.flatnonzero(column == column.max()))
+
+
+def _beyond(reading: Array, truth: Array, ends: list[CutOff], rest: Index) -> float:
+    """How far (mg) the linear map of the other rows lies beyond the ends, in the median."""
     design = np.column_stack([truth, np.ones(len(truth))])
     if rest.size < 2 * design.shape[1]:
         return 0.0
-    found = np.linalg.lstsq(design[rest], column[rest], rcond=1e-6)[0]
-    return float(np.median(design[rows] @ found - column[rows]))
+    found = np.linalg.lstsq(design[rest], reading[rest], rcond=1e-6)[0]
+    beyond = [np.sign(e.value) * (design[e.rows] @ found[:, e.axis] - e.value) for e in ends]
+    return float(np.median(np.concatenate(beyond)))
 
 
 def step_of(reading: Array) -> float:

@@ -38,10 +38,10 @@ def noise_doubts(
         memory = fit.observations.walk.memory
         name = f"noise that neighbours share, {size:.2g} mg, forgotten in {memory:.2g} positions"
         own = [s for s in scores if s.candidate.kind == "effect" and s.evidence > 0.0]
-        likely = [s.name for s in own if s.evidence > 0.5 * own[0].evidence]
+        likely = tuple(s.name for s in own if s.evidence > 0.5 * own[0].evidence)[:2]
         if likely:
-            name += f" ({' or '.join(likely[:2])} would do as well)"
-        found.append(Unexplained(name, "order", "noise", p, nats, 0.0))
+            name += f" ({' or '.join(likely)} would do as well)"
+        found.append(Unexplained(name, "order", "noise", p, nats, 0.0, alike=likely))
     if rules.declared and (p := beyond_declared(fit)) < rules.noise_alpha:
         name = f"scatter {fit.noise.factor:.2g} times the declared noise"
         found.append(Unexplained(name, "", "noise", p, 0.0, 1.0 - fit.noise.factor**-2.0))
