@@ -2,8 +2,9 @@
 
 In a block ```sh every line that starts with `imucal` runs, in a block ```text the line after "$ ",
 whose output follows it. What stands behind "#": `exit N` where the exit code is neither 0 nor 5,
-`slow` where it takes more than ten seconds. A pipe into `head -n N` cuts the output. A block
-```python NAME or ```text NAME is a file that the commands after it find.
+`slow` where it takes more than ten seconds or needs one that does: the slow ones of a page run
+without the others. A pipe into `head -n N` cuts the output. A block ```python NAME or ```text NAME
+is a file that the commands after it find.
 """
 
 from __future__ import annotations

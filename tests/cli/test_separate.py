@@ -70,7 +70,10 @@ def test_a_plan_that_is_filled_in_ends_the_ambiguity(warm: Path) -> None:
         rows = list(csv.DictReader(lines))
     set_to = [np.array([float(r[name]) for r in rows]) for name in
               ("inclination", "tool_face", "temperature")]  # fmt: skip
-    assert set(rows[0]) == {"inclination", "tool_face", "temperature", *HEADING.split(",")[3:]}
+    # A lag that could pass for the two is kept from it: what was before each rest is set too.
+    assert set(rows[0]) == {"inclination", "tool_face", "temperature", "temperature_before",
+                            *HEADING.split(",")[3:]}  # fmt: skip
+    assert any(row["temperature_before"] != row["temperature"] for row in rows)
     more = WarmBench(np.random.default_rng(5)).lines(*set_to)
     whole = (warm / "bench.csv").read_text() + "\n".join(more) + "\n"
     (warm / "grown.csv").write_text(whole)
