@@ -42,7 +42,7 @@ def gyro_scale(tolerance: float, turns: Turns | None) -> GyroScale:
 
 def scale_by_turns(
     log: ArrayLog, segments: Segments, rests: RestFit, moving: Moving, order: list[int],
-    gyro_gain: Array | None, factor: Array | None = None,
+    *, gyro_gain: Array | None = None, factor: Array | None = None,
 ) -> GyroScale:  # fmt: skip
     """The common scale of the gyros, each corrected by its own gain beside the others.
 

@@ -33,8 +33,8 @@ EFFECTS = (
         "Turn slowly and fast about each axis; leave some of the range unused.",
         ("rate",),
         tuple(
-            Parameter(f"gyro_saturation_{power}{axis}", "deg/s", 40.0, 2000.0)
-            for power in ("k", "l")
+            Parameter(f"gyro_saturation_{power}_{axis}", "deg/s", 40.0, 2000.0)
+            for power in ("third", "fifth")
             for axis in "xyz"
         ),
         _odd,
