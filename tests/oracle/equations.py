@@ -97,9 +97,9 @@ def _stem(name: str) -> str:
 def _plain(equation: str) -> str:
     """Without what is said beside the formula, powers and bars as operators."""
     text = re.split(r",\s+(?:j ≠|order from|φ =)", equation)[0]
-    text = (
-        text.replace("²", "**2").replace("³", "**3").replace("x_i(previous position)", "previous_i")
-    )
+    for power, digit in zip("²³⁵", "235", strict=True):
+        text = text.replace(power, f"**{digit}")
+    text = text.replace("x_i(previous position)", "previous_i")
     text = re.sub(r"\|([^|]*)\|", r"abs(\1)", text)
     text = re.sub(r" ?°C| deg/s|(?<=\d) deg|_dial", "", text)
     return text.replace("[sweep > first]", "later")

@@ -138,10 +138,23 @@ def humming(m: Moved, r: Array, k: int) -> Planted:
     return Planted(m.felt(r) + m.moving[:, None] * hum, m.rate)
 
 
+def saturating(limit: float, imus: frozenset[int]) -> Plant:
+    """Gyros that saturate softly: a tanh of so many deg/s."""
+
+    def plant(m: Moved, r: Array, k: int) -> Planted:
+        if k not in imus:
+            return plain(m, r, k)
+        return Planted(m.felt(r), limit * DEG * np.tanh(m.rate / (limit * DEG)))
+
+    return plant
+
+
 PLANTS: dict[str, Plant] = {
     "clean": plain, "flexing": flexing, "by rate": by_rate, "drifting": drifting,
     "gyro drifting": gyro_drifting, "loose": loose, "sensitive": sensitive,
     "shifted pair": shifted_pair, "late few": late_few, "humming": humming,
+    "gyro saturating": saturating(1500.0, frozenset({0})),
+    "gyros saturating": saturating(2500.0, frozenset(range(8))),
 }  # fmt: skip
 
 

@@ -98,7 +98,10 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     if loop is None and state is not None:
         linear = of_alike_gyros(state, moving.gyros.gain)
     gain = None if linear is None else linear.gyro_gain
-    gyros = scale_by_turns(laid.log, segments, rests, moving, laid.order, gain)
+    factor = None if state is None else state.noise[1].factor
+    gyros = scale_by_turns(
+        laid.log, segments, rests, moving, laid.order, gyro_gain=gain, factor=factor
+    )
     total = total_of(
         found.mean, motion, scale=gyros.value, scale_sd=gyros.sd,
         gravity_sd=gravity_sd(request.gravity_source), frame_sd=frame_sd(rests),

@@ -94,7 +94,7 @@ EFFECTS = (
         "MPU-6050 data sheet 6.1: non-linearity 0.2 % of full scale",
         "Turn slowly and fast about each axis.",
         ("rate",),
-        three("gyro_cubic", "deg/s", 4.0, 200.0),
+        three("gyro_cubic", "deg/s", 4.0, 600.0),
         _cubic,
         channel="angular_rate",
     ),

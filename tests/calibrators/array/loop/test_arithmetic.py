@@ -12,8 +12,10 @@ from scipy import stats
 
 from imucalib.calibrators.array.loop import noise_tests as tests_of
 from imucalib.calibrators.array.loop.ages import Ages, _learning, beats
+from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.search import Search
 from imucalib.calibrators.array.loop.setup import stretches, with_neighbours
+from imucalib.calibrators.array.loop.terms import determined
 from imucalib.calibrators.array.loop.timing import SampleAge, fit_sample_age
 from imucalib.calibrators.array.loop.worth import TAU, Beside, _most_likely
 from imucalib.calibrators.array.simulation import (
@@ -273,3 +275,11 @@ def test_a_simulated_log_rests_and_twists_as_planned() -> None:
     late = 1.1 * (plain[900:3600] - bias)
     found = rate.values[900:3600] - rate.values[:800].mean(axis=0)
     np.testing.assert_allclose(found[2:], late[:-2], atol=0.05)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_term_of_which_the_data_determine_nothing_moves_in_silence() -> None:
+    effect = array_catalogue()["gyro_delay_each"]
+    term = determined("gyro_delay_each", effect, None, np.zeros((8, 8)))
+    moved = term.moved(np.zeros(0), np.zeros((0, 0)))
+    assert moved.value.shape == moved.sd.shape == (0,)

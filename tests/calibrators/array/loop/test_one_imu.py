@@ -10,7 +10,7 @@ import pytest
 from imucalib.calibrators.array.advice import advice
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
-from worlds.array_stories import closed, moving_of, named
+from worlds.array_stories import closed, moving_of, named, positions_z
 from worlds.boards import made_board
 from worlds.odd_boards import PLAN, PLANTS, odd_log
 
@@ -50,6 +50,24 @@ def test_it_is_told_as_that_imus(plant: str, name: str, true: tuple[float, ...])
         got = np.abs(turn) @ term.theta if plant == "gyro drifting" else turn @ term.theta
     # The order of the motion runs from the first turn to the end, 97 % of the log.
     assert np.abs(got - true).max() < 5.0 * sd.max() + 0.03 * np.abs(true).max()
+
+
+@pytest.mark.parametrize(
+    ("plant", "name"),
+    [("gyro saturating", "gyro_saturation@imu0"), ("gyros saturating", "gyro_saturation")],
+)
+def test_gyros_that_saturate_softly_are_told_and_move_no_position(plant: str, name: str) -> None:
+    rng = np.random.default_rng(1)
+    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
+    made = odd_log(parts, PLANTS[plant], PLAN, rng)
+    found = closed(made.recording, 400)
+    assert name in named(found) <= {"gyro_misalignment", "gyro_scale", name}
+    assert np.sqrt(np.mean(positions_z(found, made.positions) ** 2)) < 2.0
+    # Of a tanh's series two powers hold the most.
+    third, fifth = next(t for t in found.final.found if t.name == name).theta[[0, 3]]
+    limit = 1500.0 if plant == "gyro saturating" else 2500.0
+    assert 0.7 < third / (-(2000.0**3) / (3.0 * limit**2)) < 1.1
+    assert 0.3 < fifth / (2.0 * 2000.0**5 / (15.0 * limit**4)) < 1.1
 
 
 def test_every_effect_of_its_own_is_tried_on_each_imu() -> None:

@@ -42,21 +42,33 @@ def gyro_scale(tolerance: float, turns: Turns | None) -> GyroScale:
 
 def scale_by_turns(
     log: ArrayLog, segments: Segments, rests: RestFit, moving: Moving, order: list[int],
-    gyro_gain: Array | None,
+    *, gyro_gain: Array | None = None, factor: Array | None = None,
 ) -> GyroScale:  # fmt: skip
     """The common scale of the gyros, each corrected by its own gain beside the others.
 
     order : the board's IMUs in the segments' triads; gyro_gain : (K, 3, 3) of the joint fit, or
-    None for the plain comparison of the gyros
+    None for the plain comparison of the gyros; factor : (K,) of each gyro's noise in motion
     """
     gain = moving.gyros.gain if gyro_gain is None else gyro_gain
-    rate = np.einsum("kij,nkj->ni", np.linalg.inv(gain), log.rate) / len(gain)
+    rate = common_rate(log.rate, gain, np.ones(len(gain)) if factor is None else factor)
     middle = 0.5 * (segments.start + segments.stop)
     still = np.einsum("kij,nkj->nki", rests.rotations, segments.mean[:, order])
     up = rests.corrected(still, middle).mean(axis=1)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     turns = common_scale(log.t, rate, ~log.clipped, up, segments.start, segments.stop)
     return gyro_scale(0.5 * moving.gyros.scale_sd, turns)
+
+
+def common_rate(rate: Array, gain: Array, factor: Array) -> Array:
+    """(n, 3) rad/s that corrected gyros (n, K, 3) say together, weighed as in the motion: the rate
+    that the positions stand on. Where a bent response had passed for a gain, the plain mean of
+    eight held an eighth of that, and the size a quarter; the motion's rate did not.
+
+    gain : (K, 3, 3), reading = gain · rate; factor : (K,) of each gyro's noise
+    """
+    weight = factor**-2 / np.sum(factor**-2)
+    back = weight[:, None, None] * np.linalg.inv(gain)
+    return np.asarray(np.einsum("kij,nkj->ni", back, rate))
 
 
 def gravity_sd(source: str) -> float:

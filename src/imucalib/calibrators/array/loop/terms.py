@@ -86,7 +86,7 @@ class Term:
         """After a step of its coordinates; the size of a found effect is learned along."""
         value = self.value + step
         sd = self.sd
-        if self.found:
+        if self.found and value.size:
             size = np.sqrt(np.mean(value**2 + np.diag(covariance)))
             sd = np.full_like(self.sd, np.clip(size, SMALLEST, LARGEST))
         return replace(self, value=value, sd=sd)
