@@ -66,6 +66,12 @@ def test_two_axes_may_be_noisier(tmp_path: Path) -> None:
     assert axes_of(found) == {"noise of y", "noise of z"}
 
 
+def test_it_is_looked_for_in_fifty_rows(tmp_path: Path) -> None:
+    for n, due in ((50, {"noise of z"}), (51, set())):
+        found = with_noisy_axes(fitted(noisier(tmp_path / "s.csv", 3, (1.0, 1.0, 8.0), n=n)))
+        assert axes_of(found) == due
+
+
 def test_alike_axes_stay_alike(tmp_path: Path) -> None:
     """One of fifty is expected; five of thirty come by chance in 3e-4 of all runs, and at a rate of
     one in four in 0.9."""

@@ -11,6 +11,13 @@ from imucalib.core.parameter import Parameter
 from imucalib.report.document import Document, Facts, Section, Table, Text
 
 
+#: Needs as a list of a line each has them.
+_SHORT = {
+    **{f"previous_{axis}": "previous reading" for axis in "xyz"},
+    **{f"{dial}_approach": "approach" for dial in ("inclination", "tool_face")},
+}
+
+
 def _parameters(effect: Effect) -> tuple[Parameter, ...]:
     """Those of one sensor."""
     return effect.parameters(Context(2, sweeps=2))
@@ -49,20 +56,18 @@ def catalogue_document(effects: Sequence[Effect], scans: Sequence[Family] = ()) 
         return Document(effects[0].name, Text(effects[0].sentence), (_one(effects[0]),))
     rows = tuple((e.name, _acts_on(e), _needed(e)) for e in effects)
     table = Table("", ("effect", "acts on", "needs"), rows, "lll")
+    named = ", ".join(f"{family.name}@" for family in scans)
     verdict = Text(
         f"{len(effects)} effects; `imucal effects NAME` tells one. Those of a fixture belong to "
         "the bench and are never applied; those of the motion are for `imucal array`."
+        + (f" With a value that the search finds: {named}." if named else "")
     )
-    sections = [Section("Catalogue", (table,))]
-    if scans:
-        each = tuple((f"{f.name}@{f.example}", f.sentence) for f in scans)
-        scanned = Table("", ("for example", "what it is"), each, "ll")
-        sections.append(Section("With a value that the search finds", (scanned,)))
-    return Document("Effects", verdict, tuple(sections))
+    return Document("Effects", verdict, (Section("Catalogue", (table,)),))
 
 
 def _needed(effect: Effect) -> str:
-    return ", ".join(effect.needs).replace("_", " ") or "-"
+    short = (_SHORT.get(name, name).replace("_", " ") for name in effect.needs)
+    return ", ".join(dict.fromkeys(short)) or "-"
 
 
 def _sizes(effect: Effect) -> str:

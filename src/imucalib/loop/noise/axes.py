@@ -17,7 +17,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import NoiseEstimate, estimate_noise
-from imucalib.loop.thresholds import AXIS_NATS, SHARED_NUMBERS
+from imucalib.loop.thresholds import AXIS_NATS, AXIS_NUMBERS
 
 _FEWEST = 12  # observations from which the scatter of an axis is worth a number
 _MOST = 2  # axes: the quietest is the noise that all have
@@ -29,14 +29,14 @@ _SHARE = 0.6  # of the noise of all axes that is left to the others, to start fr
 def with_noisy_axes(fit: Fit) -> Fit:
     """The same model, refitted with the excess of every axis that is noisier, if one is.
 
-    Up to `SHARED_NUMBERS` numbers of a single triad in known directions: of a size alone no axis is
+    Up to `AXIS_NUMBERS` numbers of a single triad in known directions: of a size alone no axis is
     seen. What neighbours share is taken out of the model.
     """
     own, sessions = fit.observations, fit.observations.of_sessions
     bare = replace(own, shared=sessions)
     found = fit if len(own.shared) == len(sessions) else _refitted(fit, bare)
     size = fit.at.residual.size
-    if size != 3 * own.n or own.n < _FEWEST or size > SHARED_NUMBERS:
+    if size != 3 * own.n or own.n < _FEWEST or size > AXIS_NUMBERS:
         return found
     for _ in range(_MOST):
         noisier = _noisier(found)

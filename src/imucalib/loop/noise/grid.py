@@ -27,7 +27,7 @@ _COARSE = (0.0, 0.4, 0.92, 1.6)
 #: The same of what sessions share: effects within a session do not explain it.
 HELD = (0.92,)
 #: The same of the excess of an axis.
-EXCESS = (0.0, 0.5, 0.92)
+EXCESS = (0.0, 0.92)
 #: Numbers that are held, and that are worked on, at a time.
 _NUMBERS, _CACHED = 2_000_000, 100_000
 #: A squared size below this share of what the block has before the settings take theirs of it, and
@@ -105,7 +105,8 @@ class EvidenceGrid:
         self._columns = left.frame.T @ np.column_stack(blocks)
         widths = [b.shape[1] for b in blocks]
         self._size, starts = len(widths), np.cumsum([0, *widths])[:-1]
-        shrink = _COARSE if coarse else SHRINK
+        # A number a reading is many columns: beside it every hypothesis costs ten times as much.
+        shrink = _COARSE if coarse or (held and EXCESS in held.values()) else SHRINK
         points = _around(ratio, shrink if without is None else _COARSE, held)
         if without is not None:
             points += [(*point, 0.0) for point in _around(without, shrink, held)]
