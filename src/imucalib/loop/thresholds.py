@@ -53,9 +53,9 @@ SHARED_NATS = 1.5
 #: were left out are predicted worse with it (norm 1.33 instead of 1.21 mg), so that a little is not
 #: enough.
 AXIS_NATS = 10.0
-#: Numbers up to which noise that neighbours share is looked for, 110 rows of a bench: it costs their
-#: cube, and took half the time of an array whose rests have 500. The same for an axis, 50 rows: in
-#: sheets of 60 whose every row has settings of its own it took 100 s.
+#: Numbers up to which noise that neighbours share is looked for, 110 rows of a bench: it costs
+#: their cube, and took half the time of an array whose rests have 500. The same for an axis, 50
+#: rows: in sheets of 60 whose every row has settings of its own it took 100 s.
 SHARED_NUMBERS, AXIS_NUMBERS = 330, 150
 #: Standard errors, and share of its own gain, by which a curve must lead a name on data that were
 #: left out to be taken in its place.

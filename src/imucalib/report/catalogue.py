@@ -10,7 +10,6 @@ from imucalib.core.effect import Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.report.document import Document, Facts, Section, Table, Text
 
-
 #: Needs as a list of a line each has them.
 _SHORT = {
     **{f"previous_{axis}": "previous reading" for axis in "xyz"},
