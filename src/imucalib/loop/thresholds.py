@@ -54,9 +54,9 @@ SHARED_NATS = 1.5
 #: enough.
 AXIS_NATS = 10.0
 #: Numbers up to which noise that neighbours share is looked for, 110 rows of a bench: it costs
-#: their cube, and took half the time of an array whose rests have 500. The same for an axis, 50
-#: rows: in sheets of 60 whose every row has settings of its own it took 100 s.
-SHARED_NUMBERS, AXIS_NUMBERS = 330, 150
+#: their cube, and took half the time of an array whose rests have 500. The same for an axis, 40
+#: rows: in sheets of 60 whose every row has settings of its own it took 100 s, of 48 still 20.
+SHARED_NUMBERS, AXIS_NUMBERS = 330, 120
 #: Standard errors, and share of its own gain, by which a curve must lead a name on data that were
 #: left out to be taken in its place.
 CURVE_LEAD, CURVE_SHARE = 1.0, 0.2

@@ -20,7 +20,6 @@ from imucalib.estimators.variance import NoiseEstimate, estimate_noise
 from imucalib.loop.thresholds import AXIS_NATS, AXIS_NUMBERS
 
 _FEWEST = 12  # observations from which the scatter of an axis is worth a number
-_MOST = 2  # axes: the quietest is the noise that all have
 _NAMES = ("noise of x", "noise of y", "noise of z")
 _LIKELY = 1.5  # standard deviations of the score from which an estimate is worth its cost
 _SHARE = 0.6  # of the noise of all axes that is left to the others, to start from
@@ -38,32 +37,31 @@ def with_noisy_axes(fit: Fit) -> Fit:
     size = fit.at.residual.size
     if size != 3 * own.n or own.n < _FEWEST or size > AXIS_NUMBERS:
         return found
-    for _ in range(_MOST):
-        noisier = _noisier(found)
-        if noisier is None:
-            break
-        found = _refitted(found, *noisier)
-    return found
+    tried = [_estimated(found, axes) for axes in _likely(found)]
+    best = max(tried, key=lambda one: one[1].log_likelihood - AXIS_NATS * one[2], default=None)
+    if best is None or best[1].log_likelihood - found.log_likelihood <= AXIS_NATS * best[2]:
+        return found
+    return _refitted(found, best[0], best[1].noise)
 
 
-def _noisier(fit: Fit) -> tuple[Observations, Noise] | None:
-    """With the axis whose excess says most, and the noise there; None where none says enough."""
-    best: tuple[float, Observations, NoiseEstimate] | None = None
-    names = {noise.name for noise in fit.observations.shared}
-    for axis in map(int, np.flatnonzero(_beyond(fit) > _LIKELY)):
-        if _NAMES[axis] in names:
-            continue
-        data = replace(fit.observations, shared=(*fit.observations.shared, _excess(fit, axis)))
-        at = balance(fit.model, fit.theta, fit.eta, data)
-        size = fit.noise.factor * float(np.median(at.sigma))
-        sd = (*(_SHARE * sd for sd in fit.noise.sd), size)
-        start = Noise(_SHARE * fit.noise.factor, at.component, sd)
-        found = estimate_noise(at, start, fixed=False)
-        if best is None or found.log_likelihood > best[0]:
-            best = found.log_likelihood, data, found
-    if best is None or best[0] - fit.log_likelihood <= AXIS_NATS:
-        return None
-    return best[1], best[2].noise
+def _likely(fit: Fit) -> list[tuple[int, ...]]:
+    """Axes that may be noisier: each that stands out above, and both others of one below."""
+    score = _beyond(fit)
+    alone: list[tuple[int, ...]] = [(int(axis),) for axis in np.flatnonzero(score > _LIKELY)]
+    quiet = int(np.argmin(score))
+    others = tuple(axis for axis in range(3) if axis != quiet)
+    return [*alone, others] if score[quiet] < -_LIKELY else alone
+
+
+def _estimated(fit: Fit, axes: tuple[int, ...]) -> tuple[Observations, NoiseEstimate, int]:
+    """The noise with the excess of some axes, and of how many."""
+    own = fit.observations
+    data = replace(own, shared=(*own.shared, *(_excess(fit, axis) for axis in axes)))
+    at = balance(fit.model, fit.theta, fit.eta, data)
+    size = fit.noise.factor * float(np.median(at.sigma))
+    sd = (*(_SHARE * sd for sd in fit.noise.sd), *(size for _ in axes))
+    start = Noise(_SHARE * fit.noise.factor, at.component, sd)
+    return data, estimate_noise(at, start, fixed=False), len(axes)
 
 
 def _beyond(fit: Fit) -> Array:
