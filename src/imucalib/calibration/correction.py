@@ -32,7 +32,7 @@ _RANGED = {"temperature": ("temperature", " °C"), "order": ("time as a share of
 _MARGIN = 0.1  # share of a range by which a sample may leave it
 _AS_WARM = (
     "the sensor is taken to be as warm as its thermometer: in what the calibration's rows tell of "
-    "its lag there is no time",
+    "its lag there is no time"
 )
 _GRAVITY = 1.1 * STANDARD_GRAVITY  # m/s² on one axis: calibrations by gravity see no more
 
@@ -51,7 +51,7 @@ class Correction:
         self._undo = [Undo(model, theta) for model, theta in self._models]
         models = [model for model, _ in self._models]
         self.needs = {n for model in models for effect in model.effects for n in effect.needs}
-        self._settled = {n for n in self.needs if n.startswith(PREFIX) and counts_rows(n)}
+        self._by_rows = {n for n in self.needs if n.startswith(PREFIX) and counts_rows(n)}
         self._bent = any(undo.bent for undo in self._undo)
         self._samples = self._far = self._unsettled = 0
         self._left: dict[str, tuple[int, float, float]] = {}
@@ -60,13 +60,13 @@ class Correction:
     @property
     def lags(self) -> dict[str, float]:
         """The lagged temperatures that are needed, with their hours."""
-        names = [n for n in self.needs - self._settled if n.startswith(PREFIX)]
+        names = [n for n in self.needs - self._by_rows if n.startswith(PREFIX)]
         return {name: hours_of(name.removeprefix(PREFIX)) for name in names}
 
     @property
     def warm(self) -> bool:
         """Whether a thermometer tells something of what is needed."""
-        return "temperature" in self.needs or bool(self._settled)
+        return "temperature" in self.needs or bool(self._by_rows)
 
     def __call__(
         self,
@@ -130,8 +130,9 @@ class Correction:
         known = _clock(self.calibration, recording, channel)
         if thermometer is not None:
             known["temperature"] = temperature_at(thermometer, channel.t)
-            known |= dict.fromkeys(self._settled, known["temperature"])
-            self._held |= dict.fromkeys(_AS_WARM if self._settled else ())
+            known |= dict.fromkeys(self._by_rows, known["temperature"])
+            if self._by_rows:
+                self._held[_AS_WARM] = None
         if history is not None:
             known |= {name: history.lagged(h, channel.t) for name, h in self.lags.items()}
         for name in _RANGED:

@@ -110,14 +110,6 @@ def directions_of(grams: Sequence[Array]) -> tuple[Array, list[Array]]:
     return np.concatenate(sizes), turns
 
 
-def turned(gram: Array) -> tuple[Array, Array]:
-    """The same (m,) and (m, m) of one block."""
-    values, vectors = eigen(gram)
-    use = values > _OPEN * max(float(values[-1]), 1e-300)
-    turn = vectors * np.where(use, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
-    return np.where(use, values, 0.0), turn
-
-
 def best_evidence(
     explained: Array, power: Array, size: Array, starts: Index, freedom: int, tau: Array
 ) -> Array:

@@ -126,7 +126,7 @@ def _score_few(
             fitted,
             [candidates[k].columns / noise.factor for k in live],
             without=fit.observations.walk.without if fit.observations.walk else None,
-            coarse=draws == 0,
+            coarse=draws == 0 or any(noise.alone for noise in fit.observations.shared),
             held={
                 at.free + k: EXCESS if noise.alone else HELD
                 for k, noise in enumerate(fit.observations.shared)

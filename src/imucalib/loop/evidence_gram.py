@@ -22,7 +22,7 @@ from imucalib.estimators.contest import (
     Null,
     best_of_null,
     directions,
-    turned,
+    directions_of,
 )
 
 _ROWS = 512  # observations that are worked on at a time
@@ -86,9 +86,9 @@ def _wide_evidence(
         white -= basis @ (basis.T @ white)
         return columns.T @ white, np.einsum("ij,ij->j", white, white)
 
-    own = [turned(columns[:, at].T @ columns[:, at]) for at in indices]
+    size, turns = directions_of([columns[:, at].T @ columns[:, at] for at in indices])
     return _judged(
-        size=np.concatenate([size for size, _ in own]), turns=[turn for _, turn in own],
+        size=size, turns=turns,
         along=columns.T @ rest, power=float(rest @ rest), whole=whole, blocks=indices,
         freedom=len(rest) - basis.shape[1], tau=tau, null=null, draws=draws,
     )  # fmt: skip

@@ -81,9 +81,8 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
 
 
 def _of_structure(item: Unexplained) -> str:
-    words = (
-        f"Structure without a name{', driven by ' * bool(item.driver)}{item.driver}: {item.name}"
-    )
+    by = f", driven by {item.driver}" if item.driver else ""
+    words = f"Structure without a name{by}: {item.name}"
     alike = [effect for name in item.alike if (effect := known(name)) is not None]
     if alike:
         return f"{words}. To tell them apart: {' '.join(effect.identify for effect in alike)}"

@@ -12,17 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.balance import Noise, balance
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
-from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.estimators.variance import NoiseEstimate, estimate_noise
+from imucalib.loop.noise.component import estimated, refitted
 from imucalib.loop.thresholds import AXIS_NATS, AXIS_NUMBERS
 
 _FEWEST = 12  # observations from which the scatter of an axis is worth a number
 _NAMES = ("noise of x", "noise of y", "noise of z")
 _LIKELY = 1.5  # standard deviations of the score from which an estimate is worth its cost
-_SHARE = 0.6  # of the noise of all axes that is left to the others, to start from
+#: Start of the estimate: share of the noise of all axes that is left to the others, and the excess.
+_STARTS = ((0.6, 1.0),)
 
 
 def with_noisy_axes(fit: Fit) -> Fit:
@@ -33,15 +32,19 @@ def with_noisy_axes(fit: Fit) -> Fit:
     """
     own, sessions = fit.observations, fit.observations.of_sessions
     bare = replace(own, shared=sessions)
-    found = fit if len(own.shared) == len(sessions) else _refitted(fit, bare)
+    found = fit if len(own.shared) == len(sessions) else refitted(fit, bare)
     size = fit.at.residual.size
     if size != 3 * own.n or own.n < _FEWEST or size > AXIS_NUMBERS:
         return found
-    tried = [_estimated(found, axes) for axes in _likely(found)]
-    best = max(tried, key=lambda one: one[1].log_likelihood - AXIS_NATS * one[2], default=None)
-    if best is None or best[1].log_likelihood - found.log_likelihood <= AXIS_NATS * best[2]:
-        return found
-    return _refitted(found, best[0], best[1].noise)
+    most, chosen = found.log_likelihood, None
+    for axes in _likely(found):
+        excess = tuple(_excess(found.observations, axis) for axis in axes)
+        data = replace(found.observations, shared=(*found.observations.shared, *excess))
+        one = estimated(found, data, _STARTS)
+        worth = one.log_likelihood - AXIS_NATS * len(axes)
+        if worth > most:
+            most, chosen = worth, (data, one.noise)
+    return found if chosen is None else refitted(found, *chosen)
 
 
 def _likely(fit: Fit) -> list[tuple[int, ...]]:
@@ -51,17 +54,6 @@ def _likely(fit: Fit) -> list[tuple[int, ...]]:
     quiet = int(np.argmin(score))
     others = tuple(axis for axis in range(3) if axis != quiet)
     return [*alone, others] if score[quiet] < -_LIKELY else alone
-
-
-def _estimated(fit: Fit, axes: tuple[int, ...]) -> tuple[Observations, NoiseEstimate, int]:
-    """The noise with the excess of some axes, and of how many."""
-    own = fit.observations
-    data = replace(own, shared=(*own.shared, *(_excess(fit, axis) for axis in axes)))
-    at = balance(fit.model, fit.theta, fit.eta, data)
-    size = fit.noise.factor * float(np.median(at.sigma))
-    sd = (*(_SHARE * sd for sd in fit.noise.sd), *(size for _ in axes))
-    start = Noise(_SHARE * fit.noise.factor, at.component, sd)
-    return data, estimate_noise(at, start, fixed=False), len(axes)
 
 
 def _beyond(fit: Fit) -> Array:
@@ -77,14 +69,8 @@ def _beyond(fit: Fit) -> Array:
     return np.asarray((power.sum(axis=0) - expected) / spread)
 
 
-def _excess(fit: Fit, axis: int) -> SharedNoise:
-    n = fit.observations.n
-    basis = np.zeros((n, 3, 1))
+def _excess(data: Observations, axis: int) -> SharedNoise:
+    basis = np.zeros((data.n, 3, 1))
     # In proportion to what is declared of each reading.
-    basis[:, axis, 0] = fit.observations.sigma[:, 0, axis] / np.median(fit.observations.sigma)
-    return SharedNoise(_NAMES[axis], np.eye(n), math.nan, basis=basis)
-
-
-def _refitted(fit: Fit, data: Observations, begin: Noise | None = None) -> Fit:
-    found = fit_model(fit.model, data, start=fit.theta, begin=begin)
-    return found if found.converged else fit
+    basis[:, axis, 0] = data.sigma[:, 0, axis] / np.median(data.sigma)
+    return SharedNoise(_NAMES[axis], np.eye(data.n), math.nan, basis=basis)

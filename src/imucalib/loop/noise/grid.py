@@ -86,7 +86,8 @@ class EvidenceGrid:
     blocks : (N, m_k) columns of each candidate at typical size
     without : the same ratios where the last component, noise that neighbours share, is left out: it
         may have taken over what a candidate explains, and the other components with it
-    coarse : fewer hypotheses of the noise, for a part of data whose whole has been searched
+    coarse : fewer hypotheses of the noise, for a part of data whose whole has been searched, and
+        beside a number a reading, whose many columns make each cost ten times as much
     held : factors of the components, by number, that have few of their own
     """
 
@@ -105,8 +106,7 @@ class EvidenceGrid:
         self._columns = left.frame.T @ np.column_stack(blocks)
         widths = [b.shape[1] for b in blocks]
         self._size, starts = len(widths), np.cumsum([0, *widths])[:-1]
-        # A number a reading is many columns: beside it every hypothesis costs ten times as much.
-        shrink = _COARSE if coarse or (held and EXCESS in held.values()) else SHRINK
+        shrink = _COARSE if coarse else SHRINK
         points = _around(ratio, shrink if without is None else _COARSE, held)
         if without is not None:
             points += [(*point, 0.0) for point in _around(without, shrink, held)]

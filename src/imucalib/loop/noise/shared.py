@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.balance import Noise, balance
+from imucalib.core.balance import Noise
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
-from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.estimators.variance import NoiseEstimate, estimate_noise
+from imucalib.estimators.variance import estimate_noise
 from imucalib.loop.noise.axes import with_noisy_axes
+from imucalib.loop.noise.component import estimated, refitted
 from imucalib.loop.thresholds import SHARED_NATS, SHARED_NUMBERS
 
 NAME = "shared noise"
@@ -29,8 +29,8 @@ _FEWEST = 12
 #: Memories, in recordings, of what passes for a drift or a step.
 _SLOW = (0.2, 0.5, 2.0)
 _JITTER = 1e-9
-#: Starts of the estimate: share of the other components that stays, and the shared noise in units
-#: of that of a reading.
+#: Starts of the estimate: what neighbours share can stand in for the noise of a reading and for
+#: settings.
 _STARTS = ((1.0, 0.5), (0.4, 1.5))
 
 
@@ -46,12 +46,12 @@ def with_shared_noise(fit: Fit) -> Fit:
     bare = alone.observations
     longest = max(bare.n * _LONGEST, _MEMORY[0])
     tried = _tried(bare, tuple(m for m in _MEMORY if m <= longest))
-    found = [(_estimated(alone, data), data) for data in tried]
+    found = [(estimated(alone, data, _STARTS), data) for data in tried]
     best, data = max(found, key=lambda one: one[0].log_likelihood)
     if best.log_likelihood - alone.log_likelihood <= SHARED_NATS:
         return alone
     shared = replace(data.shared[-1], without=alone.noise.ratio)
-    return _refitted(alone, replace(data, shared=(*bare.shared, shared)), best.noise)
+    return refitted(alone, replace(data, shared=(*bare.shared, shared)), best.noise)
 
 
 def lead_over_a_walk(fit: Fit, nats: float) -> float:
@@ -64,7 +64,7 @@ def lead_over_a_walk(fit: Fit, nats: float) -> float:
     bare = replace(fit.observations, shared=shared[:-1] if walk else shared)
     alone = replace(fit, noise=_without(fit.noise)) if walk else fit
     memories = tuple(bare.n * share for share in _SLOW)
-    slow = max(_estimated(alone, data).log_likelihood for data in _tried(bare, memories))
+    slow = max(estimated(alone, data, _STARTS).log_likelihood for data in _tried(bare, memories))
     return fit.log_likelihood + nats - max(slow, fit.log_likelihood)
 
 
@@ -84,24 +84,6 @@ def _tried(bare: Observations, memories: tuple[float, ...]) -> list[Observations
 def _root(apart: Array, memory: float) -> Array:
     values = np.exp(-apart / memory) + _JITTER * np.eye(len(apart))
     return np.asarray(np.linalg.cholesky(values), np.float64)
-
-
-def _estimated(fit: Fit, data: Observations) -> NoiseEstimate:
-    """The noise beside a fit under data whose last component is shared, the best of a few starts:
-    what neighbours share can stand in for the noise of a reading and for settings."""
-    at = balance(fit.model, fit.theta, fit.eta, data)
-    noise, unit = fit.noise, fit.noise.factor * float(np.median(at.sigma))
-    found = []
-    for part, size in _STARTS:
-        sd = (*(part * sd for sd in noise.sd), size * unit)
-        start = Noise(part * noise.factor, at.component, sd)
-        found.append(estimate_noise(at, start, fixed=False))
-    return max(found, key=lambda one: one.log_likelihood)
-
-
-def _refitted(fit: Fit, data: Observations, begin: Noise | None = None) -> Fit:
-    found = fit_model(fit.model, data, start=fit.theta, begin=begin)
-    return found if found.converged else fit
 
 
 def shared_evidence(fit: Fit) -> float:
