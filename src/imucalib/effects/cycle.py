@@ -33,6 +33,8 @@ def _wave(angle: Callable[[Context], Array]) -> Basis:
 def cycle(value: str) -> Effect:
     """The swing with a period of so many rows of a table, "7.3rows"; ValueError otherwise."""
     rows = float(value.removesuffix(_ROWS))
+    if not value.endswith(_ROWS) or not rows > 0.0:
+        raise ValueError(f"no period in rows: {value}")
     return Response(
         f"cycle@{value}",
         f"The bias swings with a period of {rows:g} rows.",
