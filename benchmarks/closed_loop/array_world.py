@@ -19,9 +19,10 @@ from imucalib.calibrators.array.log import array_log
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import beside_the_fit, declared_term, with_declared
+from imucalib.calibrators.array.loop.earlier import start_state
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.setup import Setup, array_setup
-from imucalib.calibrators.array.loop.state import ArrayState, start_state
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term, rest_terms, typical_of
 from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.rests import fit_rests

@@ -547,7 +547,7 @@ class At:
 
 def path(density: float, **more: object) -> subject.MotionSubject:
     state = At(density)
-    made: dict[str, object] = {"residuals": None, "moving": None, "rng": None, "ages": None}
+    made: dict[str, object] = dict.fromkeys(("residuals", "moving", "rng", "ages", "earlier"))
     made.update(rules=LoopSettings(margin=3.0), left_out=frozenset())
     return subject.MotionSubject(state=state, **{**made, **more})  # type: ignore[arg-type]
 
