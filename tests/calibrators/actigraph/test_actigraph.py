@@ -198,7 +198,9 @@ def test_members_of_scans_keep_the_laws(name: str) -> None:
 
 
 def test_scans_know_their_members_by_name() -> None:
-    assert set(families()) == {"bias_step", "slip", "thermal_lag", "converter", "curve", "shape"}
+    assert set(families()) == {
+        "bias_step", "slip", "thermal_lag", "converter", "curve", "posture", "shape",
+    }  # fmt: skip
     for name in ("bias_step@later", "converter@w", "thermal_lag@", "nothing@1s"):
         assert known(name) is None
         with pytest.raises(UsageError):

@@ -29,17 +29,19 @@ Bar = Callable[[Bank, Terms, int], Array]
 Finer = Callable[[Entry], Sequence[tuple[str, Array]]]
 Forms = Callable[[Entry], Sequence[tuple[str, Array]]]
 _TIME = ("order", "time", "time_of_day")
+#: Families whose members are free functions of the response: of an axis, of the whole posture.
+_FREE = {"converter": "curve", "posture": "posture"}
 
 
 def kind_of(effect: Effect) -> str:
-    """What drives an effect: "time", "temperature", "history", "curve" or "shape"."""
+    """What drives an effect: "time", "temperature", "history", "posture", "curve" or "shape"."""
     if any(n in _TIME for n in effect.needs):
         return "time"
     if any(n.startswith("temperature") for n in effect.needs):
         return "temperature"
     if any(n.startswith("previous") for n in effect.needs):
         return "history"
-    return "curve" if effect.name.startswith("converter@") else "shape"
+    return _FREE.get(effect.name.partition("@")[0], "shape")
 
 
 @dataclass(frozen=True)
@@ -193,7 +195,10 @@ def _or_form(
         return bank, best
     if leads(rival.score, named):
         trial = _judged_with(rival.bank, terms, rival.score, now, design)
-        if not _objection(trial, named.entry.kind) and trial.gains.sum() > best.gains.sum():
+        worse = float((best.gains - trial.gains).sum()) >= 0.0
+        if named.entry.free:  # a formula goes before a curve that does as well
+            worse = _lead(best.gains - trial.gains) >= 1.0
+        if not _objection(trial, named.entry.kind) and not worse:
             return rival.bank, replace(trial, rivals=best.rivals)
     return bank, replace(best, form=rival.score.entry.name)
 
@@ -210,7 +215,7 @@ def _first_of(passing: Sequence[Scored], kind: str) -> list[Scored]:
 def _judged_with(
     bank: Bank, terms: Terms, candidate: Scored, now: Judged, design: Sequence[Split]
 ) -> Taken:
-    shares = _SHRUNK if candidate.entry.kind == "curve" else (1.0,)
+    shares = _SHRUNK if candidate.entry.free else (1.0,)
     sizes = [candidate.size * share for share in shares]
     columns = candidate.entry.columns
     trials = [judged(bank, terms.plus(columns, s), candidate.walk, design) for s in sizes]
@@ -244,5 +249,5 @@ def _best_of(held: Sequence[Taken]) -> Taken:
     """The largest gain; among those that do as well, a name before a curve, then the evidence."""
     best = max(held, key=lambda t: float(t.gains.sum()))
     alike = [t for t in held if _lead(best.gains - t.gains) < 1.0]
-    named = [t for t in alike if t.found.entry.kind != "curve"] or alike
+    named = [t for t in alike if not t.found.entry.free] or alike
     return max(named, key=lambda t: t.found.evidence)

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
+from imucalib.errors import NotConverged
 from imucalib.loop.design import Fold, folds_of
 from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained, Wander
 from imucalib.loop.held_out import Held
 from imucalib.loop.wander.ambiguous import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
-from imucalib.loop.wander.choice import Rules, Search, search
-from imucalib.loop.wander.confirm import confirmed
+from imucalib.loop.wander.choice import Refused, Rules, Search, search
+from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import Noise, noise_of
@@ -25,6 +26,7 @@ from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import null_of, scored, usable_walks
+from imucalib.loop.wander.slow import beside_slow_walks
 from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import (
     beside_others,
@@ -38,6 +40,7 @@ from imucalib.loop.wander.words import (
 _ROWS = 3000
 #: Chance that the best of all candidates reaches the bar where nothing is missing, at most.
 _ALPHA = 0.02
+_NO_INVERSE = "with it some readings have no inverse, so that nothing can be corrected by it"
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
     noise = noise_of(base, asked.known, part, base_precision(base))
     found = _searched(base, noise, folds, asked, rng)
     if found.search.taken:
-        final, precision = _final(found)
+        _, final, precision = _undoable(found)
         noise = noise_of(final, asked.known, part, precision)
         found = _searched(base, noise, folds, asked, rng)
     return _told(found, folds, part, asked, rng)
@@ -140,21 +143,29 @@ def _final(found: _Pass) -> tuple[Fit, Array]:
     return fitted(model, problem.fit.observations, noise, start, precision), precision
 
 
-def _open(found: _Pass, last: Noise) -> bool:
-    """Whether the walk is a rival of what was taken: a walk of the longest memory that is tried
-    passes for a drift or a step of the same recording."""
-    timed = any(taken.found.entry.timed for taken in found.search.taken)
-    longest = max(walk.tau for walk in found.problem.bank.walks)
-    return not found.search.taken or (timed and last.walk.tau >= longest)
+def _undoable(found: _Pass) -> tuple[_Pass, Fit, Array]:
+    """The search without effects of the response that leave readings without an inverse, the last
+    ones first, and its final model: who cannot be corrected by an effect has no use of it."""
+    refused = list[Refused]()
+    while found.search.taken:
+        try:
+            return found, *_final(found)
+        except NotConverged:
+            of_response = [t for t in found.search.taken if t.found.entry.of_response]
+            last = (of_response or found.search.taken)[-1]
+            refused.append(Refused(last.found.entry.name, last.found, _NO_INVERSE))
+            left = without(found.search, refused[-1:], found.problem.terms)
+            found = replace(found, search=left)
+    return found, found.problem.fit, base_precision(found.problem.fit)
 
 
 def _left(
     found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked,
     rng: np.random.Generator,
 ) -> tuple[Unexplained, ...]:  # fmt: skip
-    """Structure that the search could not name: of axes, of time."""
-    wander = _wander(last)
-    open_end = unexplained(wander) if _open(found, last) else ()
+    """Structure that the search could not name: of axes, and what wanders beside all that it did
+    name."""
+    open_end = unexplained(_wander(last))
     if not asked.probes:
         return open_end
     probed = left_over(
@@ -193,14 +204,12 @@ def _told(
         steps = steps_of(problem, found.search, found.chances)
         left = confirmed(found.search, steps, bars, problem.terms, each, gained)
         found = replace(found, search=left)
+    found, final, precision = _undoable(found)
+    last = noise_of(final, asked.known, part, precision)
     if found.search.taken:
-        final, precision = _final(found)
-        last = noise_of(final, asked.known, part, precision)
         final = fitted(final.model, final.observations, last, final.theta, precision)
-    else:
-        final = problem.fit
-        last = noise_of(final, asked.known, part, base_precision(final))
     steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
+    steps = beside_slow_walks(found.search.bank, problem.terms, found.search.taken, steps)
     loop = FitLoop(
         base=problem.fit,
         final=final,

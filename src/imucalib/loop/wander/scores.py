@@ -42,6 +42,16 @@ class Entry:
         """Whether time drives it."""
         return self.kind == "time"
 
+    @property
+    def of_response(self) -> bool:
+        """Whether the force itself drives it, alone."""
+        return self.kind in ("shape", "curve", "posture")
+
+    @property
+    def free(self) -> bool:
+        """Whether it may have any form: of an axis, of the posture, of the temperature."""
+        return self.kind in ("curve", "posture") or self.name.startswith("curve@")
+
 
 @dataclass(frozen=True)
 class Scored:
