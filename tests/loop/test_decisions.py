@@ -29,9 +29,9 @@ from imucalib.loop.separation.angle import pairs_of
 from imucalib.loop.separation.choice import Pool, informative, separating
 from imucalib.loop.separation.products import Ambiguity, Products
 from imucalib.loop.separation.prospect import Added, ends
+from imucalib.loop.separation.worn import _products as worn_products
 from imucalib.loop.wander import choice as wander_choice
 from imucalib.loop.wander import noise as wander_noise
-from imucalib.loop.wander.ambiguous import _products as worn_products
 from imucalib.loop.wander.bank import parts_of as parts_in_time
 from imucalib.loop.wander.bank import walks_of
 from imucalib.loop.wander.likelihood import Level
