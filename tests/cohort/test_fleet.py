@@ -282,3 +282,22 @@ def test_rivals_are_in_the_headline_and_what_was_refused_too(eight: Fleet) -> No
     assert document.verdict.text.startswith("Unexplained: cubic stands out")
     assert document.card is not None
     assert "-1.2 nats" in document.card.found[0].text
+
+
+def test_one_of_five_that_is_off_is_told() -> None:
+    """A bias of twenty times the others' scatter was nothing odd, by three degrees of freedom; of
+    fleets that lack nothing one in a hundred is told odd, also where axes scatter unlike."""
+    rng, sds, names = np.random.default_rng(5), np.full(5, 0.2), [f"bias_{a}" for a in "xyz"]
+    told, false = 0, 0
+    for _ in range(60):
+        size = np.exp(0.5 * rng.standard_normal(3))
+        values = size * rng.standard_normal((5, 3)) + 0.2 * rng.standard_normal((5, 3))
+        for odd in (False, True):
+            values[2, 0] += 20.0 * size[0] * odd
+            spreads = [spread_of(n, "mg", v, sds) for n, v in zip(names, values.T, strict=True)]
+            found = outliers(list("abcde"), spreads)
+            told += odd and [o.device for o in found] == ["c"]
+            false += bool(found) and not odd
+    # 4 or more of 60 at 1 %: 0.3 %.
+    assert false <= 3
+    assert told >= 51
