@@ -26,6 +26,7 @@ from imucalib.cohort.fleet.search import Rules
 from imucalib.cohort.fleet.spread import outliers, spread_of
 from imucalib.effects import catalogue
 from imucalib.errors import UsageError
+from imucalib.report.fleet.document import fleet_document
 from worlds.places import SAMPLES
 
 REQUEST = replace(LabRequest(), reference="norm")
@@ -252,3 +253,51 @@ def test_the_scatter_between_devices_is_that_beyond_their_own() -> None:
     assert outliers([str(k) for k in range(400)], [found]) == ()
     none = spread_of("bias_x", "mg", np.array([1.0, 1.1, 0.9]), np.full(3, 1.0))
     assert none.scatter == 0.0
+
+
+def test_a_table_that_is_given_twice_is_one_device(tmp_path: Path) -> None:
+    """Counted twice it would agree with itself."""
+    size = squares(3, 1.5)
+    tables = [write(tmp_path / f"d{k}.csv", size[k], k) for k in range(3)]
+    copy = tmp_path / "other" / "d0.csv"
+    copy.parent.mkdir()
+    copy.write_bytes(tables[0].read_bytes())
+    found = run_fleet([LabFiles(t) for t in (*tables, copy)], REQUEST, RULES, lambda _: None)
+    assert len(found.members) == 3
+    ((name, why),) = found.failed
+    assert name.startswith("other")
+    assert "the same table as" in why
+
+
+def test_rivals_are_in_the_headline_and_what_was_refused_too(eight: Fleet) -> None:
+    """A name that others explain as well alone is a claim that the data do not hold."""
+    assert eight.search is not None
+    one = replace(eight.search.found[0], rivals=("asymmetry", "cross_axis"))
+    found = replace(eight, search=replace(eight.search, found=(one,)))
+    headline = fleet_document(found).verdict.text
+    assert f"{one.effect} or asymmetry or cross_axis, in every device" in headline
+    refused = (("cubic", "the others foretell no device's: -1.2 nats"),)
+    none = replace(eight, search=replace(eight.search, found=(), refused=refused), difference=None)
+    document = fleet_document(none)
+    assert document.verdict.text.startswith("Unexplained: cubic stands out")
+    assert document.card is not None
+    assert "-1.2 nats" in document.card.found[0].text
+
+
+def test_one_of_five_that_is_off_is_told() -> None:
+    """A bias of twenty times the others' scatter was nothing odd, by three degrees of freedom; of
+    fleets that lack nothing one in a hundred is told odd, also where axes scatter unlike."""
+    rng, sds, names = np.random.default_rng(5), np.full(5, 0.2), [f"bias_{a}" for a in "xyz"]
+    told, false = 0, 0
+    for _ in range(60):
+        size = np.exp(0.5 * rng.standard_normal(3))
+        values = size * rng.standard_normal((5, 3)) + 0.2 * rng.standard_normal((5, 3))
+        for odd in (False, True):
+            values[2, 0] += 20.0 * size[0] * odd
+            spreads = [spread_of(n, "mg", v, sds) for n, v in zip(names, values.T, strict=True)]
+            found = outliers(list("abcde"), spreads)
+            told += odd and [o.device for o in found] == ["c"]
+            false += bool(found) and not odd
+    # 4 or more of 60 at 1 %: 0.3 %.
+    assert false <= 3
+    assert told >= 51

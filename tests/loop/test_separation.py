@@ -20,7 +20,8 @@ from imucalib.loop.separation.angle import Pair, apart, pairs_of
 from imucalib.loop.separation.choice import Pool, separating, total_of
 from imucalib.loop.separation.plan import FEWEST, separation
 from imucalib.loop.separation.products import Ambiguity, Products
-from imucalib.loop.separation.prospect import Added, Drawn, alone, ends
+from imucalib.loop.separation.prospect import Added, Drawn, alone, ends, weights
+from imucalib.loop.separation.soon import in_order, soon
 from imucalib.units import MG
 from worlds.bench import base_model
 
@@ -140,6 +141,53 @@ def test_a_plan_has_several_rests_that_none_carries_alone() -> None:
     seen = pool(grid(), one)
     strong = Pool(seen.gram[:149] + 10.0 * seen.gram.sum(axis=0), 150.0)
     assert len(separation(one, strong, np.random.default_rng(0)).plan) == FEWEST
+
+
+def test_the_first_of_a_plan_are_enough_most_of_the_time() -> None:
+    """In order of what each adds; the chance is the mean over rivals, as likely as they are."""
+    one = ambiguity()
+    seen = pool(grid(), one)
+    against = {"quadratic": ("asymmetry",), "asymmetry": ("quadratic",)}
+    pairs = tuple(p for p in pairs_of(one) if p.other in against.get(p.truth, ()))
+    worth = separating(one.products.gram, pairs)
+    plan = tuple(np.random.default_rng(2).integers(0, len(seen.gram), 40).tolist())
+    ordered = in_order(seen, plan, worth)
+    assert sorted(ordered) == sorted(plan)
+    alone_best = max(plan, key=lambda k: float(worth(seen.gram[k][None])[0]))
+    assert ordered[0] == alone_best
+    rng = np.random.default_rng(1)
+    found = soon(one, seen, ordered, against, rng, fewest=4, enough=0.5, draws=300)
+    assert found is not None
+    assert found.count < 40
+    mean = sum(found.likely[name] * found.ended[name] for name in against)
+    assert found.chance == pytest.approx(mean)
+    assert found.chance >= 0.5
+    assert soon(one, seen, (), {}, rng, fewest=4, enough=0.5, draws=300) is None
+
+
+def test_rivals_are_as_likely_as_their_evidence() -> None:
+    """Against the restricted likelihood of the rows, written out, at the best of the sizes."""
+    one, products = ambiguity(), ambiguity().products
+    root = np.linalg.cholesky(products.gram + 1e-9 * np.diag(np.diag(products.gram)))
+    rows = root.T
+    data = np.linalg.solve(root, products.along)
+    rest = products.power - data @ data
+    contrasts = null_space(rows[:, one.own].T)
+    y, freedom = contrasts.T @ data, products.numbers - one.first
+
+    def nats(name: str) -> float:
+        block = contrasts.T @ rows[:, one.blocks[name]]
+        values, turn = np.linalg.eigh(block @ block.T)
+        along = (turn.T @ y) ** 2
+        return max(
+            -0.5 * np.log1p(t**2 * np.maximum(values, 0.0)).sum()
+            - 0.5 * freedom * np.log(rest + (along / (1.0 + t**2 * np.maximum(values, 0.0))).sum())
+            for t in TAU
+        )
+
+    each = np.array([nats(name) for name in one.rivals])
+    share = np.exp(each - each.max())
+    assert list(weights(one).values()) == pytest.approx(list(share / share.sum()), rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,10 @@ def write_together(texts: Mapping[Path, str]) -> None:
 
 def read(path: Path) -> Calibration:
     """Read a calibration of any known version. Raises UnreadableInput with what is wrong where."""
+    if path.is_dir():
+        inside = path / "calibration.yaml"
+        remedy = f"name {inside}" if inside.is_file() else "name the calibration's file"
+        raise UnreadableInput("a folder, not a calibration", where=str(path), remedy=remedy)
     if not path.is_file():
         raise UnreadableInput("no such file", where=str(path))
     first, _, lines = path.read_bytes().partition(b"\n")

@@ -18,7 +18,8 @@ from imucalib import __version__
 class Provenance:
     """Where the numbers come from; enough to compute them again.
 
-    path : name of the input; mapping : how it was read; command : the line that was typed, or empty
+    path : name of the input; sha256 : of it; parts : of each file where it is several
+    mapping : how it was read; command : the line that was typed, or empty
     """
 
     path: str
@@ -31,6 +32,7 @@ class Provenance:
     versions: Mapping[str, str]
     time: str
     command: str = ""
+    parts: tuple[str, ...] = ()
 
     @property
     def footer(self) -> tuple[tuple[str, str], ...]:
@@ -48,6 +50,7 @@ class Provenance:
         return {
             "input": self.path,
             "sha256": self.sha256,
+            **({"inputs_sha256": list(self.parts)} if self.parts else {}),
             "samples": self.samples,
             "gaps": self.gaps,
             "mapping": dict(self.mapping),
@@ -69,6 +72,7 @@ def provenance_of(
     seed: int = 0,
     gaps: int = 0,
     command: str = "",
+    parts: tuple[str, ...] = (),
 ) -> Provenance:
     """The provenance of a run that ends now, on this machine."""
     import scipy
@@ -90,4 +94,5 @@ def provenance_of(
         versions=versions,
         time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         command=command,
+        parts=parts,
     )

@@ -58,7 +58,7 @@ def _blocks(part: Part, found: NextRecording) -> list[Block]:
         blocks.append(Text(f"What would: {'; '.join(part.remedies)}."))
     if not part.rows:
         return blocks
-    blocks += [Text(_promise(part)), _pairs(part)]
+    blocks += [Text(_promise(part)), *_first_ones(part), _pairs(part)]
     title = "Record this motion" if motion else f"Record these {part.what}"
     align = "r" + ("l" if motion else "r") * (len(part.header) - 1)
     blocks.append(Table(title, part.header, part.rows, align, _note(part, found)))
@@ -78,6 +78,19 @@ def _promise(part: Part) -> str:
     )  # fmt: skip
     after = "After it" if part.what == "motion" else "After them"
     return f"{after} one name stands alone{apart} in {', '.join(ended)} (simulated).{short}"
+
+
+def _first_ones(part: Part) -> list[Block]:
+    """With how few of them to search again."""
+    early = part.separation.soon
+    if early is None:
+        return []
+    words = (
+        f"Search again after the first {early.count}: in {100.0 * early.chance:.0f} of 100 they "
+        "are enough, each name as likely as the recording makes it "
+        f"({', '.join(f'{name} {share:.0%}' for name, share in early.likely.items())})."
+    )
+    return [Text(words.replace("%", " %"))]
 
 
 def _pairs(part: Part) -> Table:
@@ -156,6 +169,14 @@ def _part_dict(part: Part) -> dict[str, Any]:
             {"truth": truth, "rival": other, "now": float(now), "then": float(then)}
             for (truth, other), now, then in zip(one.pairs, one.now, one.apart, strict=True)
         ],
+        "first_that_may_do": None
+        if one.soon is None
+        else {
+            "count": one.soon.count,
+            "ends_in_100": 100.0 * one.soon.chance,
+            "if_it_is": {name: 100.0 * share for name, share in one.soon.ended.items()},
+            "likely_percent": {name: 100.0 * share for name, share in one.soon.likely.items()},
+        },
         "never": [list(pair) for pair in one.never],
         "what_would": list(part.remedies),
         part.what: [dict(zip(part.header[1:], row[1:], strict=True)) for row in part.rows],

@@ -7,9 +7,11 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from imucalib.calibration.checking.history import SCHEMA, read_history
+from imucalib.calibration.checking.e_value import Look
+from imucalib.calibration.checking.history import SCHEMA, counted_once, read_history
 from imucalib.errors import UnreadableInput, UsageError
 
 
@@ -58,3 +60,17 @@ def test_another_calibrations_history_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="another calibration"):
         read_history(path, "abc")
     assert read_history(tmp_path / "none.jsonl", "abc") == ()
+
+
+def test_readings_that_come_again_count_once() -> None:
+    """The same log checked twice, one that goes on, and another day's."""
+
+    def look(*value: float) -> Look:
+        n = len(value)
+        return Look(np.array(value), np.eye(n), np.ones((n, 1)), {"bias": np.ones((n, 1))}, 0.5)
+
+    monday, more, tuesday = look(0.1, 0.2), look(0.1, 0.2, 0.7), look(0.3, 0.2)
+    assert counted_once([monday, monday], tuesday.value) == (monday,)
+    assert counted_once([monday, tuesday], more.value) == (tuesday,)
+    assert counted_once([monday, more, tuesday], look(0.9).value) == (more, tuesday)
+    assert counted_once([tuesday], tuesday.value) == ()

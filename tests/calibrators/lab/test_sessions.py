@@ -19,6 +19,7 @@ from imucalib.core.balance import Balanced, Noise
 from imucalib.core.fit import Fit
 from imucalib.core.sessions import turned
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.source import sha256_of
 
 HEADER = ("session", "inclination", "tool_face", "x (mg)", "y (mg)", "z (mg)")
 SETTINGS = [(i, t + i / 2.0) for i in (-60.0, -20.0, 20.0, 60.0) for t in (0.0, 90.0, 180.0, 270.0)]
@@ -104,6 +105,7 @@ def test_files_are_sessions_as_a_column_is(told: LabRun, planted, tmp_path: Path
     assert np.allclose(several.result.final.theta, told.result.final.theta, atol=1e-9)
     assert several.table.row.tolist() == list(range(1, 81))
     assert any("day 1.csv 17-32" in note for note in several.outcome.notes)
+    assert several.outcome.provenance.parts == tuple(sha256_of(path) for path in each)
 
 
 def test_one_session_changes_nothing(planted, tmp_path: Path) -> None:
@@ -145,6 +147,8 @@ def test_what_is_mistaken_is_told(planted, tmp_path: Path) -> None:
     other = write(
         tmp_path / "c.csv", [r[1:] for r in rows], (*HEADER[1:3], "x (g)", "y (g)", "z (g)")
     )
+    with pytest.raises(UsageError, match="the same readings as"):
+        run(bare, bare)
     with pytest.raises(UsageError, match="its units"):
         run(bare, other)
     empty = write(tmp_path / "d.csv", [("", *rows[0][1:]), *rows[1:]])

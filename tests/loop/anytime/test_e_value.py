@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ from imucalib.core.observations import Observations
 from imucalib.effects import catalogue
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.anytime.e_value import e_value, log_e_value
+from imucalib.loop.anytime.looks import FIRST, LOOKS_SOON, SOON, Table, passed, schedule
+from imucalib.loop.anytime.ratio import Rows
 from imucalib.loop.candidates import effect_candidates
 from worlds.bench import NINE, base_model, bench, draw, ordinary_theta, tumble
 
@@ -89,3 +91,46 @@ def test_a_step_of_lab_states_it(tmp_path: Path) -> None:
     (step,) = json.loads(done.stdout)["loop"]["steps"]
     assert step["effect"] == "inclination_zero"
     assert step["e_value"] > 1e3
+
+
+def test_shares_of_looks_sum_to_one() -> None:
+    looks = schedule(10**9)
+    assert looks[0][0] == FIRST
+    assert all(b > a for (a, _), (b, _) in pairwise(looks))
+    # What is left after the last of k looks: a fifth of the chance times 14 / k.
+    left = (1.0 - SOON) * LOOKS_SOON / len(looks)
+    assert sum(share for _, share in looks) == pytest.approx(1.0 - left)
+    assert schedule(40) == looks[: len(schedule(40))]
+
+
+def _table(data: np.ndarray, effect: np.ndarray) -> Table:
+    """One effect beside a mean, rows of one number."""
+    n = data.size
+    rows = Rows(np.ones((n, 1)), (), (effect[:, None],))
+    return Table(rows, n, data, (), [()])
+
+
+def test_looks_are_passed_by_chance_as_often_as_is_spent() -> None:
+    """Ever, in tables that grow to 48 rows; and by an effect of λ 5 in most."""
+    rng = np.random.default_rng(3)
+    effect = 30.0 * rng.standard_normal(48)
+    size = 5.0 / np.linalg.norm(effect - effect.mean())
+    spent = 0.2 * sum(share for _, share in schedule(48))
+    clean = [passed(_table(rng.standard_normal(48), effect), 0.2) for _ in range(150)]
+    found = [
+        passed(_table(size * effect + rng.standard_normal(48), effect), 0.045) for _ in range(20)
+    ]
+    sd = (spent * (1.0 - spent) / len(clean)) ** 0.5
+    assert abs(np.mean(clean) - spent) < 3.0 * sd
+    assert np.mean(found) > 0.8
+
+
+def test_a_table_that_grows_keeps_its_looks() -> None:
+    """What was passed at 20 rows stays so, whatever comes after."""
+    rng = np.random.default_rng(4)
+    effect = rng.standard_normal(60)
+    strong = 3.0 * effect[:20] + rng.standard_normal(20)
+    assert passed(_table(strong, effect[:20]), 0.045)
+    for _ in range(5):
+        later = np.concatenate([strong, 50.0 * rng.standard_normal(40)])
+        assert passed(_table(later, effect), 0.045)

@@ -102,6 +102,22 @@ def _compared(without: Outcome, done: Outcome, bench: Bench) -> None:
     assert worst["deg"] == pytest.approx(np.degrees(CROSS / 2000.0), rel=0.1)
 
 
+def _more_apart(variance: dict[str, float]) -> Check:
+    """The variance of each parameter of every calibration grows by that, in its unit."""
+
+    def check(without: Outcome, done: Outcome, bench: Bench) -> None:
+        for before, after in zip(without.content["parameters"], done.content["parameters"],
+                                 strict=True):  # fmt: skip
+            kind = before["name"].rpartition("_")[0]
+            grown = np.square(after["sd"]) - np.square(before["sd"])
+            np.testing.assert_allclose(grown, variance.get(kind, 0.0), rtol=1e-3, atol=1e-9)
+
+    return check
+
+
+#: Two calibrations that hold the same.
+TWINS = ("compare", "<calibration.yaml>", "<calibration.yaml>", "--json")
+
 CASES: tuple[Case, ...] = (
     CHECK("--columns inclination=alpha,tool_face=beta", gives_what(*PLAIN), *_on("renamed.csv")),
     CHECK("--between-sessions 0.5mg", _scatters_more(np.full((18, 3), 0.25))),
@@ -116,6 +132,8 @@ CASES: tuple[Case, ...] = (
     CHECK("--shortest-rest nan", ends(2, "--shortest-rest nan"), *_on("rests.csv")),
     CHECK("--seed 3", _other_chance),
     CHECK("--effects <own.py>", _knows, *_on("crossed.csv", "crossed_calibration.yaml")),
+    Of("compare")("--between-sessions 0.5mg", _more_apart({"bias": 0.25}), *TWINS),
+    Of("compare")("--between-sessions 0.05deg", _more_apart({"mounting": 0.0025}), *TWINS),
     Of("compare")("--effects <own.py>", _compared, "compare", "<own_calibration.yaml>",
                   "<crossed_calibration.yaml>", "--json"),
 )  # fmt: skip

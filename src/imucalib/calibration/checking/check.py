@@ -17,7 +17,7 @@ from imucalib.calibration.checking.misfit import Misfits
 from imucalib.calibration.checking.next_rests import NextRests, next_rests, one_reading
 from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.checking.statistic import ANYTHING, FamilyTest, Statistic
-from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken
+from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UsageError
 from imucalib.units import DEG, MG
 
 Verdict = Literal["still good", "changed", "undecided"]
@@ -136,6 +136,7 @@ def checked(
     level = ALPHA / len(measured)
     sensors = tuple(_judged(one, level, seed) for one in measured)
     directed = measured[0].misfits.directed
+    _demand_tested(limits, directed=directed, gyros=bool(calibration.triads))
     wanted, stated = _limits(calibration, measured[0].misfits, noise, limits)
     found = Check(
         verdict="still good",
@@ -161,6 +162,21 @@ def checked(
         return replace(found, verdict="undecided")
     following = next_rests(calibration, measured[0].misfits, noise, wanted, directed=directed)
     return replace(found, verdict="undecided", following=following)
+
+
+def _demand_tested(limits: Limits, *, directed: bool, gyros: bool) -> None:
+    """Raise UsageError where limits are stated and none can be tested: "still good" would be by
+    another one."""
+    every = {"mg": limits.force, "deg": limits.direction, "deg/s": limits.rate,
+             "mm": limits.position}  # fmt: skip
+    tested = {"mg": True, "deg": directed, "deg/s": gyros, "mm": False}
+    stated = [unit for unit, size in every.items() if size is not None]
+    if stated and not any(tested[unit] for unit in stated):
+        raise UsageError(
+            f"nothing here tests a limit in {', '.join(stated)}",
+            remedy="a limit in mg is tested by any rests; deg by known directions, if the "
+            "calibration holds a mounting; deg/s by an array's gyros",
+        )
 
 
 def _judged(one: Measured, level: float, seed: int) -> SensorCheck:

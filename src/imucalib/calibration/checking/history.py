@@ -59,6 +59,17 @@ def read_history(path: Path, sha256: str) -> tuple[PastCheck, ...]:
     return tuple(found)
 
 
+def counted_once(past: Sequence[Look], now: Array) -> tuple[Look, ...]:
+    """Past looks whose readings are in no later one, nor in `now` (N,) m/s²: a log that is checked
+    again, or goes on where it ended, tells nothing twice."""
+    later, kept = [now], list[Look]()
+    for look in reversed(past):
+        if not any(np.isin(look.value, value).all() for value in later):
+            kept.append(look)
+        later.append(look.value)
+    return tuple(reversed(kept))
+
+
 def append_check(path: Path, past: Sequence[PastCheck], now: PastCheck) -> None:
     """Write the history with one more line, whole or not at all."""
     lines = [json.dumps(one.told) for one in past]

@@ -50,3 +50,10 @@ def limits_of(texts: Sequence[str]) -> Limits:
             raise UsageError(f"two limits in {unit}", remedy="state each once")
         found[UNITS[unit]] = number
     return Limits(**found)
+
+
+def sessions_of(texts: Sequence[str]) -> dict[str, float]:
+    """Scatter between power-ups by the kind of change: bias (mg), mounting (deg). Raises
+    UsageError."""
+    sizes = [size_of(text, {"mg": "bias", "deg": "mounting"}) for text in texts]
+    return {"bias" if unit == "mg" else "mounting": size for size, unit in sizes}

@@ -24,8 +24,9 @@ from imucalib.core.known_direction import KnownDirection
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, Reference
 
-#: Rests that are proposed at most.
-MOST = 12
+#: Rests that are proposed at most, and numbers beyond, all round, of which the first that does is
+#: told.
+MOST, MANY = 12, (16, 24, 32, 48, 64, 96, 128, 192, 256)
 #: Simulated recordings behind the change that a plan could see.
 _DRAWS = 2000
 
@@ -34,11 +35,13 @@ _DRAWS = 2000
 class NextRests:
     """direction : (k, 3) unit vectors of the specific force, sensor axes (tool axes with known
     directions), best first; seen : per family, what all rests together could see; enough : whether
-    that is within the limits"""
+    that is within the limits; many : how many all round would do where these do not, None where
+    none of `MANY` does"""
 
     direction: Array
     seen: Mapping[str, float]
     enough: bool
+    many: int | None = None
 
 
 def attitudes() -> Array:
@@ -77,7 +80,23 @@ def next_rests(
         seen = {name: statistic.seen(name) for name in limits}
         if all(seen[name] <= limit for name, limit in limits.items()):
             return NextRests(chosen, seen, True)
-    return NextRests(chosen, seen, False)
+    return NextRests(chosen, seen, False, _many(now, pool, limits))
+
+
+def _many(now: Misfits | None, pool: Misfits, limits: Mapping[str, float]) -> int | None:
+    """The first number of rests, spread over all attitudes, that would see the limits."""
+    for number in MANY:
+        less = len(pool.label) / number
+        each = replace(
+            pool,
+            reading=replace(pool.reading, covariance=less * pool.reading.covariance),
+            setting={k: replace(p, covariance=less * p.covariance) for k, p in
+                     pool.setting.items()},
+        )  # fmt: skip
+        statistic = Statistic(each if now is None else now.joined(each), draws=_DRAWS)
+        if all(statistic.seen(name) <= limit for name, limit in limits.items()):
+            return number
+    return None
 
 
 def _pool(calibration: Calibration, noise: CheckNoise, directed: bool) -> Misfits:

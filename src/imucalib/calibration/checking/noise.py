@@ -83,7 +83,7 @@ def check_noise(
         own, shared = _with_shared(stated, block)
         words.append(
             f"a reading scatters by {own.sd / MG:.3g} mg, as in the calibration "
-            f"({own.dof:.0f} degrees of freedom)"
+            + (f"({own.dof:.0f} degrees of freedom)" if own.dof < KNOWN else "(taken at its word)")
             + (f", of which neighbours share {100.0 * shared.share:.0f} %" if shared else "")
         )
     between, said = _session(calibration, session or {})
@@ -128,20 +128,27 @@ def _session(
         said = ", ".join(f"{size:.3g} {FAMILIES[name]} of {name}" for name, size in given.items())
         words = f"power-ups scatter by {said}, as given"
         return {name: Scatter(size) for name, size in given.items()}, (words,)
-    stated = calibration.facts.get("between_sessions")
-    if isinstance(stated, Mapping):
-        # One size for three axes, from so many sessions.
-        dof = 3.0 * (len(stated["sessions"]) - 1)
-        found = {
-            _CHANGES[row["what"]]: Scatter(float(row["sd"]), dof)
-            for row in stated["scatter"] if row["what"] in _CHANGES
-        }  # fmt: skip
+    found = stated_sessions(calibration)
+    if found:
         said = ", ".join(f"{s.sd:.3g} {FAMILIES[name]} of {name}" for name, s in found.items())
         return found, (f"power-ups scatter by {said}, as in the calibration",)
     return {}, (
         "the scatter of biases between power-ups is not in it: the file states none "
         "(--between-sessions)",
     )
+
+
+def stated_sessions(calibration: Calibration) -> dict[str, Scatter]:
+    """What a power-up brings by the kind of change, of a calibration of several; empty of one."""
+    stated = calibration.facts.get("between_sessions")
+    if not isinstance(stated, Mapping):
+        return {}
+    # One size for three axes, from so many sessions.
+    dof = 3.0 * (len(stated["sessions"]) - 1)
+    return {
+        _CHANGES[row["what"]]: Scatter(float(row["sd"]), dof)
+        for row in stated["scatter"] if row["what"] in _CHANGES
+    }  # fmt: skip
 
 
 def _key(name: str) -> str:

@@ -2,7 +2,8 @@
 
 All agree: χ² = Σ (θ_i - θ̄)ᵀ C_i⁻¹ (θ_i - θ̄), θ̄ by generalised least squares, with (m-1) p degrees
 of freedom; since the covariances' scale was estimated, χ² / dof is held against F (ν by
-Satterthwaite). The scatter of one parameter beyond its sds is that of `beyond`.
+Satterthwaite), where power-ups scatter against what chance does (`chance`). The scatter of one
+parameter beyond its sds is that of `beyond`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.comparison.basis import Basis
 from imucalib.calibration.comparison.beyond import beyond, chi_square
+from imucalib.calibration.comparison.chance import drawn, exceeded
 
 
 @dataclass(frozen=True)
@@ -49,34 +51,37 @@ class Scatter:
     z_rms: Array
 
 
-def agreement(basis: Basis) -> Agreement:
-    """Of two or more."""
+def agreement(basis: Basis, seed: int = 0) -> Agreement:
+    """Of two or more. seed : of what chance does where power-ups scatter"""
     from scipy.special import fdtrc
 
     value, covariance = basis.value, basis.covariance
     m, p = value.shape
+    null = None if basis.power_ups is None else drawn(basis, np.random.default_rng(seed))
     mean, own = _mean(value, covariance)
-    chi2 = sum(_square(v - mean, c) for v, c in zip(value, covariance, strict=True))
+    chi2 = float(_squares(value, mean, covariance))
     z, without = np.zeros((m, p)), np.zeros(m)
     for k in range(m):
         rest = np.arange(m) != k
         other, spread = _mean(value[rest], covariance[rest])
         whole = covariance[k] + spread
         z[k] = (value[k] - other) / np.sqrt(np.diag(whole))
+        square = _square(value[k] - other, whole)
+        if null is not None:
+            away = null[:, k] - _mean(null[:, rest], covariance[rest])[0]
+            without[k] = exceeded(_square(away, whole), float(square))
+            continue
         pair = np.array([covariance[k], spread])
         dof = noise_dof(pair, np.array([basis.dof[k], basis.dof[rest].sum()]))
-        without[k] = fdtrc(p, dof, _square(value[k] - other, whole) / p)
+        without[k] = fdtrc(p, dof, square / p)
     dof, nu = (m - 1) * p, noise_dof(covariance, basis.dof)
+    chance = float(fdtrc(dof, nu, chi2 / dof))
+    if null is not None:
+        chance = exceeded(_squares(null, _mean(null, covariance)[0], covariance), chi2)
     return Agreement(
-        mean=mean,
-        mean_sd=np.sqrt(np.diag(own)),
-        z=z,
-        chi2=float(chi2),
-        dof=dof,
-        p=float(fdtrc(dof, nu, chi2 / dof)),
-        noise_dof=nu,
+        mean=mean, mean_sd=np.sqrt(np.diag(own)), z=z, chi2=chi2, dof=dof, p=chance, noise_dof=nu,
         without=without,
-    )
+    )  # fmt: skip
 
 
 def odd_ones(basis: Basis, alpha: float) -> tuple[int, ...]:
@@ -94,7 +99,14 @@ def odd_ones(basis: Basis, alpha: float) -> tuple[int, ...]:
 
 
 def _some(basis: Basis, of: list[int]) -> Basis:
-    return replace(basis, value=basis.value[of], covariance=basis.covariance[of], dof=basis.dof[of])
+    days = basis.power_ups
+    return replace(
+        basis,
+        value=basis.value[of],
+        covariance=basis.covariance[of],
+        dof=basis.dof[of],
+        power_ups=days and replace(days, share=[days.share[k] for k in of]),
+    )
 
 
 def noise_dof(covariance: Array, dof: Array) -> float:
@@ -119,11 +131,19 @@ def scatter(basis: Basis) -> Scatter | None:
 
 
 def _mean(value: Array, covariance: Array) -> tuple[Array, Array]:
-    """Generalised least squares mean (p,) and its covariance (p, p)."""
+    """Generalised least squares mean (..., p) of values (..., m, p) and its covariance (p, p)."""
     weight = np.linalg.pinv(covariance, hermitian=True)
     own = np.linalg.pinv(weight.sum(axis=0), hermitian=True)
-    return own @ np.einsum("kij,kj->i", weight, value), own
+    return np.einsum("kij,...kj->...i", weight, value) @ own, own
 
 
-def _square(difference: Array, covariance: Array) -> float:
-    return float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+def _square(difference: Array, covariance: Array) -> Array:
+    """(...,) of differences (..., p)."""
+    inverse = np.linalg.pinv(covariance, hermitian=True)
+    return np.asarray(np.einsum("...i,ij,...j->...", difference, inverse, difference))
+
+
+def _squares(value: Array, mean: Array, covariance: Array) -> Array:
+    """(...,) of all calibrations, value (..., m, p), about their means (..., p)."""
+    each = [_square(value[..., k, :] - mean, c) for k, c in enumerate(covariance)]
+    return np.asarray(np.sum(each, axis=0))

@@ -9,7 +9,7 @@ rows, angles between them).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,9 +24,19 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
+class PowerUps:
+    """share : of each covariance, what power-ups bring; dof : behind its scale, one for all"""
+
+    share: Sequence[Array]
+    dof: float
+
+
+@dataclass(frozen=True)
 class Basis:
     """p numbers of m calibrations. value : (m, p); covariance : (m, p, p); dof : (m,) behind each
-    covariance's scale; words : what the numbers are, one sentence"""
+    covariance's scale; words : what the numbers are, one sentence
+    power_ups : of the covariances, None where nothing tells what they bring
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -34,39 +44,65 @@ class Basis:
     covariance: Array
     dof: Array
     words: str
+    power_ups: PowerUps | None = None
 
 
-def basis_of(calibrations: Sequence[Calibration], dof: Array, *, framed: bool) -> Basis:
-    """framed : whether all tie a frame to a tool, or none does and all mean the same frame."""
+def basis_of(
+    calibrations: Sequence[Calibration],
+    dof: Array,
+    *,
+    framed: bool,
+    power_ups: PowerUps | None = None,
+) -> Basis:
+    """framed : whether all tie a frame to a tool, or none does and all mean the same frame
+    power_ups : of the calibrations' own covariances"""
     own = [_applied(c) for c in calibrations]
     if all(names == own[0] for names in own[1:]):
-        at = [
-            [k for k, p in enumerate(c.parameters) if p.stage not in NEVER_APPLIED or c.triads]
-            for c in calibrations
-        ]
-        return Basis(
-            names=tuple(name for name, _ in own[0]),
-            units=tuple(unit for _, unit in own[0]),
-            value=np.array([[c.parameters[k].value for k in ks] for c, ks in
-                            zip(calibrations, at, strict=True)]),
-            covariance=np.array([c.covariance[np.ix_(ks, ks)] for c, ks in
-                                 zip(calibrations, at, strict=True)]),
-            dof=dof,
-            words="All hold the same parameters.",
-        )  # fmt: skip
-    every = [_linear(sensor_of(c), framed=framed) for c in calibrations]
+        return _of_parameters(calibrations, dof, power_ups)
+    share = [np.zeros_like(c.covariance) for c in calibrations]
+    if power_ups is not None:
+        share = list(power_ups.share)
+    every = [_linear(sensor_of(c), part, framed=framed) for c, part in
+             zip(calibrations, share, strict=True)]  # fmt: skip
     names, units = _names(framed)
-    covariance = np.array([own for _, own in every])
+    covariance = np.array([own for _, own, _ in every])
     touched = np.flatnonzero(np.einsum("kii->ki", covariance).max(axis=0) > _ROUNDING**2)
+    both = np.ix_(touched, touched)
     return Basis(
         names=tuple(names[k] for k in touched),
         units=tuple(units[k] for k in touched),
-        value=np.array([value[touched] for value, _ in every]),
-        covariance=covariance[:, touched][:, :, touched],
+        value=np.array([value[touched] for value, _, _ in every]),
+        covariance=np.array([own[both] for own in covariance]),
         dof=dof,
         words=f"They hold different effects ({_only(own)}): compared is what they do to first "
         f"order, reading = S force + c{'' if framed else ', free of the frame'}.",
+        power_ups=power_ups and replace(power_ups, share=[part[both] for _, _, part in every]),
     )
+
+
+def _of_parameters(
+    calibrations: Sequence[Calibration], dof: Array, power_ups: PowerUps | None
+) -> Basis:
+    """Of calibrations that hold the same."""
+    at = [
+        [k for k, p in enumerate(c.parameters) if p.stage not in NEVER_APPLIED or c.triads]
+        for c in calibrations
+    ]
+    first = _applied(calibrations[0])
+
+    def taken(every: Sequence[Array]) -> Array:
+        return np.array([one[np.ix_(ks, ks)] for one, ks in zip(every, at, strict=True)])
+
+    return Basis(
+        names=tuple(name for name, _ in first),
+        units=tuple(unit for _, unit in first),
+        value=np.array([[c.parameters[k].value for k in ks] for c, ks in
+                        zip(calibrations, at, strict=True)]),
+        covariance=taken([c.covariance for c in calibrations]),
+        dof=dof,
+        words="All hold the same parameters.",
+        power_ups=power_ups and replace(power_ups, share=list(taken(power_ups.share))),
+    )  # fmt: skip
 
 
 def _applied(calibration: Calibration) -> tuple[tuple[str, str], ...]:
@@ -94,10 +130,11 @@ def _names(framed: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return (*offsets, *shape), ("mg",) * 3 + ("1",) * 3 + ("deg",) * 3
 
 
-def _linear(sensor: OneSensor, *, framed: bool) -> tuple[Array, Array]:
-    """The numbers of one calibration and their covariance, by its derivatives.
+def _linear(sensor: OneSensor, part: Array, *, framed: bool) -> tuple[Array, Array, Array]:
+    """The numbers of one calibration, their covariance and that of a part, by its derivatives.
 
-    Every direction stands beside its opposite: what is even in the force is none of S.
+    part : (p, p) of all of the calibration's parameters. Every direction stands beside its
+    opposite: what is even in the force is none of S.
     """
     half = even_directions(60)
     force = sensor.calibration.gravity * np.concatenate([half, -half])
@@ -122,4 +159,5 @@ def _linear(sensor: OneSensor, *, framed: bool) -> tuple[Array, Array]:
         moved.flat[k] += step
         jacobian[:, k] = (numbers(moved) - start) / step
     whole = jacobian @ slope.reshape(fitted.size, -1)
-    return start, whole @ sensor.covariance @ whole.T
+    at = sensor.part.at
+    return start, whole @ sensor.covariance @ whole.T, whole @ part[np.ix_(at, at)] @ whole.T

@@ -28,6 +28,7 @@ from imucalib.calibration.comparison.meaning import (
     array_meanings,
     meanings_of,
 )
+from imucalib.calibration.comparison.power_ups import with_power_ups
 from imucalib.calibration.comparison.remarks import mounted, remarks
 from imucalib.calibration.comparison.sensor import ArrayImu, CalibratedSensor, sensor_of
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UnreadableInput, UsageError
@@ -93,15 +94,24 @@ def compared(
     names: Sequence[str],
     limits: Limits,
     dates: Sequence[str] = (),
+    between: Mapping[str, float] | None = None,
 ) -> Comparison:
     """Two or more calibrations of one sensor or one array.
 
+    between : scatter from power-up to power-up by the kind of change (bias mg, mounting deg),
+    instead of what those of several power-ups state
     Raises UsageError for sensors that are not comparable, UnreadableInput for a file without a
     covariance.
     """
     arrays = _demand(calibrations, names)
     framed = arrays or _same_frame(calibrations)
-    basis = basis_of(calibrations, np.array([_dof(c) for c in calibrations]), framed=framed)
+    dof = np.array([_dof(c) for c in calibrations])
+    if arrays and between:
+        raise UsageError("arrays are compared without the scatter of power-ups",
+                         remedy="leave out --between-sessions")  # fmt: skip
+    days = with_power_ups(calibrations, between or {})
+    calibrations = days.calibrations
+    basis = basis_of(calibrations, dof, framed=framed, power_ups=days.power_ups)
     every = _every(calibrations)
     gravity = calibrations[0].gravity
     found = {name: seen(sensors, gravity) for name, sensors in every.items()}
@@ -116,6 +126,8 @@ def compared(
     if arrays:
         own, said = array_meanings(calibrations, basis, limits)
         meanings, notes = (*meanings, *own), (*notes, *said)
+    else:
+        notes = (*notes, days.words)
     when = dates_of(calibrations, dates)
     return Comparison(
         names=tuple(names),

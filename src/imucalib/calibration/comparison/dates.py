@@ -34,7 +34,11 @@ def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Date
                 f"{len(stated)} dates for {len(calibrations)} calibrations",
                 remedy="give one a file, in their order: --dates 2026-01-31,2026-07-31",
             )
-        return _dates([_parsed(text) for text in stated], "dates as given")
+        found = _dates([_parsed(text) for text in stated], "dates as given")
+        if found is None:
+            raise UsageError("all dates are the same: nothing can drift between them",
+                             remedy="leave out --dates, or give the times of day")  # fmt: skip
+        return found
     starts = [(c.facts.get("clock") or {}).get("start_ns") for c in calibrations]
     if all(isinstance(s, int) for s in starts):
         known = [datetime.fromtimestamp(s / 1e9, UTC) for s in starts if s is not None]

@@ -21,8 +21,8 @@ def remarks(
     """One sentence each. framed : whether directions can be compared."""
     notes = []
     provenance = [c.facts.get("provenance") or {} for c in calibrations]
-    sums = [block.get("sha256") for block in provenance]
-    if len(set(sums) - {None, ""}) < len([s for s in sums if s]):
+    inputs = [set(b.get("inputs_sha256") or [b.get("sha256")]) - {None, ""} for b in provenance]
+    if len(set().union(*inputs)) < sum(map(len, inputs)):
         notes.append(
             "two of them were made from the same recording: their errors are shared, so the "
             "standard deviations of the difference are too large and p too near 1"

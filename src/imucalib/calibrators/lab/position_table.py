@@ -44,7 +44,8 @@ class PositionTable:
 
     unit : role -> unit that the heading states, when it does; inclination_zero : the same of
     where inclination 0 is, "vertical" or "horizontal"
-    names : role -> heading; row : (n,) row numbers from 1; sha256 : of the file
+    names : role -> heading; row : (n,) row numbers from 1; sha256 : of the file, of several of
+    their sums; files : the sum of each of several
     sessions : names of the power-ups, which the column session counts from 0, in order
     """
 
@@ -56,6 +57,7 @@ class PositionTable:
     sha256: str
     inclination_zero: str = ""
     sessions: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
 
     def __contains__(self, role: object) -> bool:
         return role in self.columns

@@ -163,6 +163,7 @@ def _provenance(
     return provenance_of(
         path=table.path,
         sha256=table.sha256,
+        parts=table.files,
         samples=table.n,
         gaps=gaps,
         mapping=mapping,

@@ -18,13 +18,12 @@ if TYPE_CHECKING:
 
 def noise_of(calibration: Calibration, options: dict[str, Any]) -> CheckNoise:
     """What the options and the calibration say of the noise."""
-    from imucalib.calibration.checking.limits import size_of
+    from imucalib.calibration.checking.limits import sessions_of, size_of
     from imucalib.calibration.checking.noise import check_noise
     from imucalib.units import MG
 
     reading = options["noise"] and MG * size_of(options["noise"], {"mg": "force"})[0]
-    sizes = [size_of(t, {"mg": "bias", "deg": "mounting"}) for t in options["between_sessions"]]
-    session = {"bias" if unit == "mg" else "mounting": size for size, unit in sizes}
+    session = sessions_of(options["between_sessions"])
     return check_noise(calibration, reading=reading, session=session)
 
 
@@ -38,6 +37,7 @@ def measured_of(
     """The log as misfits, sensor by sensor."""
     from dataclasses import replace
 
+    from imucalib.calibration.checking.history import counted_once
     from imucalib.calibrators.check_log import Asked, array_log, sensor_log
     from imucalib.calibrators.lab.files import LabFiles
 
@@ -50,9 +50,14 @@ def measured_of(
     make = array_log if calibration.triads else sensor_log
     measured, notes = make(replace(calibration, gravity=gravity), files, noise, asked)
     with_past = [
-        replace(m, past=tuple(one.sensors[m.name] for one in past if m.name in one.sensors))
+        replace(m, past=counted_once([o.sensors[m.name] for o in past if m.name in o.sensors],
+                                     m.misfits.value))
         for m in measured
-    ]
+    ]  # fmt: skip
+    before = max((sum(m.name in one.sensors for one in past) for m in measured), default=0)
+    if again := before - max((len(m.past) for m in with_past), default=0):
+        checks = "a check" if again == 1 else f"{again} checks"
+        notes = (*notes, f"{checks} of the history had readings that came again: counted once")
     return with_past, notes
 
 

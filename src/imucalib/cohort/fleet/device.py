@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.cohort.fleet.axes_alike import inverse_trigamma
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.loop.candidates import effect_candidates
@@ -76,7 +77,7 @@ def moderated(devices: Sequence[Device]) -> tuple[Device, ...]:
     own = np.log(square) - psi(dof / 2.0) + np.log(dof / 2.0)
     spread = float(np.var(own, ddof=1) - np.mean(polygamma(1, dof / 2.0)))
     if spread > 0.0:
-        fleet = 2.0 * _inverse_trigamma(spread)
+        fleet = 2.0 * inverse_trigamma(spread)
         size = np.exp(own.mean() + psi(fleet / 2.0) - np.log(fleet / 2.0))
     else:
         fleet, size = _ALL_ALIKE, float(np.sum(dof * square) / np.sum(dof))
@@ -85,11 +86,3 @@ def moderated(devices: Sequence[Device]) -> tuple[Device, ...]:
         replace(d, gram=d.gram * share, along=d.along * share, borrowed=float(fleet))
         for d, share in zip(devices, square / better, strict=True)
     )
-
-
-def _inverse_trigamma(value: float) -> float:
-    from scipy.optimize import brentq
-    from scipy.special import polygamma
-
-    found = brentq(lambda log_x: float(polygamma(1, np.exp(log_x))) - value, -12.0, 12.0)
-    return float(np.exp(found))

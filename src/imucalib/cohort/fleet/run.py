@@ -21,7 +21,7 @@ from imucalib.cohort.fleet.search import Rules
 from imucalib.cohort.fleet.shrunk import held_out, with_priors
 from imucalib.cohort.fleet.spread import Spread, outliers, spread_of
 from imucalib.core.effect import Effect
-from imucalib.errors import ImucalError, UsageError
+from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.loop.asked import searched
 from imucalib.loop.difference import Difference, difference
 from imucalib.units import MG
@@ -77,16 +77,27 @@ def run_fleet(
 def _calibrated(
     tables: Sequence[LabFiles], request: LabRequest, say: Callable[[str], None]
 ) -> tuple[list[tuple[str, LabRun]], tuple[tuple[str, str], ...]]:
-    """Runs by name, and what could not be calibrated; one bad file loses no other."""
+    """Runs by name, and what could not be calibrated; one bad file loses no other.
+
+    A table that is there already is no device: counted twice, it would agree with itself."""
     names = _names([files.table for files in tables])
     runs, failed = list[tuple[str, LabRun]](), list[tuple[str, str]]()
     for name, files in zip(names, tables, strict=True):
         try:
-            runs.append((name, calibrate_files(files, request, lambda _: None)))
+            run = calibrate_files(files, request, lambda _: None)
+            _demand_new(run, runs)
+            runs.append((name, run))
         except ImucalError as error:
             failed.append((name, str(error)))
             say(f"{name}: {error}")
     return runs, tuple(failed)
+
+
+def _demand_new(run: LabRun, others: Sequence[tuple[str, LabRun]]) -> None:
+    own = run.outcome.provenance.sha256
+    for name, other in others:
+        if other.outcome.provenance.sha256 == own:
+            raise UnreadableInput(f"the same table as {name}", remedy="give each device once")
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

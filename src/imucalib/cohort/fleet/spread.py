@@ -9,9 +9,12 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.comparison.beyond import Beyond, beyond, beyond_sd
+from imucalib.cohort.fleet.axes_alike import moderated_axes, of_a_kind
 
 #: Family-wise chance of an outlying device where none is, and devices from which on one is told.
 _ALPHA, _FEWEST = 0.01, 5
+#: Share of the devices' own variance below which a scatter is not told from none.
+_LEAST = 0.1
 
 
 @dataclass(frozen=True)
@@ -95,25 +98,24 @@ def outliers(devices: Sequence[str], spreads: Sequence[Spread]) -> tuple[Outlier
     count = len(devices)
     if count < _FEWEST:
         return ()
-    found = []
-    for one in spreads:
-        for k in range(count):
-            rest = np.arange(count) != k
-            others = spread_of(one.name, one.unit, one.values[rest], one.sds[rest])
-            var = others.scatter**2 + others.mean_sd**2 + one.sds[k] ** 2
-            t = abs(one.values[k] - others.mean) / float(np.sqrt(var))
-            p = min(1.0, 2.0 * float(stdtr(count - 2, -t)) * count * len(spreads))
+    kinds, found = of_a_kind([one.name for one in spreads]), list[Outlier]()
+    for k in range(count):
+        rest = np.arange(count) != k
+        others = [spread_of(s.name, s.unit, s.values[rest], s.sds[rest]) for s in spreads]
+        least = [_LEAST * float(np.mean(s.sds**2)) for s in others]
+        variance = np.maximum([s.scatter**2 for s in others], least)
+        better, freedom = moderated_axes(variance, count - 2.0, kinds)
+        for one, own, square, dof in zip(spreads, others, better, freedom, strict=True):
+            weight = 1.0 / (own.sds**2 + square)
+            mean = float(weight @ own.values / weight.sum())
+            sd = float(np.sqrt(square + 1.0 / weight.sum() + one.sds[k] ** 2))
+            t = abs(one.values[k] - mean) / sd
+            p = min(1.0, 2.0 * float(stdtr(dof, -t)) * count * len(spreads))
             if p <= _ALPHA:
                 found.append(
                     Outlier(
-                        devices[k],
-                        one.name,
-                        float(one.values[k]),
-                        float(one.sds[k]),
-                        one.unit,
-                        mean=others.mean,
-                        scatter=others.scatter,
-                        p=p,
+                        devices[k], one.name, float(one.values[k]), float(one.sds[k]), one.unit,
+                        mean=mean, scatter=float(square**0.5), p=p,
                     )
-                )
+                )  # fmt: skip
     return tuple(sorted(found, key=lambda o: o.p))

@@ -4,13 +4,17 @@ With Q the restricted likelihood of the rows so far (the fitted parameters and t
 integrated out under their invariant priors), ρ the settings' scatter over the noise and τ the size
 of the effect over its typical one at a noise of one declared σ,
 
-    E = mean over effects, ρ, τ of Q(rows | effect, ρ, τ)  /  mean over ρ of Q(rows | nothing, ρ)
+    M = mean over effects, ρ, τ of Q(rows | effect, ρ, τ)  /  mean over ρ of Q(rows | nothing, ρ)
 
 is a test martingale in the rows where nothing is missing (Lindon, Ham, Tingley and Bojinov 2022,
 arXiv 2210.08589: linear models under right-Haar priors), so it ever reaches 1/α, at whichever row
 one looks, with a chance of at most α (Ville). That is exact without settings; with them on average
 over the prior of ρ, and for one ρ as measured in `benchmarks/growing.py`. Every effect that could
 be tested has the same stake; a scan keeps its own, unused.
+
+Most of the stake is on looks at numbers of rows that stand beforehand (`looks`): they pay 1/α once
+one of them is passed, with a chance of at most `ON_LOOKS` α, whose mean is `ON_LOOKS`. Payments and
+martingale add: E = (1 - ON_LOOKS) M + payment.
 """
 
 from __future__ import annotations
@@ -21,63 +25,42 @@ from itertools import product
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.balance import whitener
 from imucalib.core.fit import Fit
+from imucalib.loop.anytime.looks import Table, passed
+from imucalib.loop.anytime.ratio import Rows, log_ratios
 from imucalib.units import DEG
 
-#: Scatter of settings, deg at a noise of one σ, and sizes of the effect over its typical one. Both
-#: stand before the data do.
+#: Scatter of settings, deg at a noise of one σ: stands before the data do, as the sizes do.
 SCATTER = (0.0, 0.03, 0.1, 0.3)
-SIZES = (0.05, 0.2, 0.8)
+#: What counts as reached, and the share of the stake on looks.
+ALPHA, ON_LOOKS = 0.05, 0.9
 
 
-def e_value(fit: Fit, blocks: Sequence[Array], stakes: int) -> float:
+def e_value(fit: Fit, blocks: Sequence[Array], stakes: int, seed: int = 0) -> float:
     """E that something is missing. fit : without it; blocks : (N, m) columns of each effect in the
-    balance's units at typical size; stakes : effects and scans. NaN where columns were not kept."""
+    balance's units at typical size; stakes : effects and scans; seed : of simulated tables. NaN
+    where columns were not kept."""
     if not blocks or any(b.shape[0] != fit.at.residual.size for b in blocks):
         return float("nan")
     logs = log_e_value(fit, blocks)
     top = float(logs.max())
-    return float(np.exp(min(top + np.log(np.sum(np.exp(logs - top)) / stakes), 600.0)))
+    mixed = float(np.exp(min(top + np.log(np.sum(np.exp(logs - top)) / stakes), 600.0)))
+    own = (1.0 - ON_LOOKS) * mixed
+    if own >= 1.0 / ALPHA:
+        return own
+    rest = fit.noise.ratio[fit.at.free :]
+    points = [(*[DEG * s] * fit.at.free, *rest) for s in SCATTER]
+    table = Table(_rows(fit, blocks), fit.observations.n, fit.at.residual, fit.noise.ratio, points)
+    return own + passed(table, ON_LOOKS * ALPHA, seed) / ALPHA
 
 
 def log_e_value(fit: Fit, blocks: Sequence[Array]) -> Array:
-    """(candidates,) log E of each by itself."""
+    """(candidates,) log of the martingale of each by itself."""
     free = fit.at.free
     rest = fit.noise.ratio[free:]
     grid = [(*point, *rest) for point in product(*([tuple(DEG * s for s in SCATTER)] * free))]
-    with_effect: Array = np.full((len(grid), len(blocks)), -np.inf)
-    nothing = np.full(len(grid), -np.inf)
-    for k, ratio in enumerate(grid):
-        nothing[k], with_effect[k] = _likelihoods(fit, ratio, blocks)
-    return _log_mean(with_effect) - _log_mean(nothing)
+    return log_ratios(_rows(fit, blocks), fit.at.residual[:, None], grid)[:, 0]
 
 
-def _likelihoods(
-    fit: Fit, ratio: tuple[float, ...], blocks: Sequence[Array]
-) -> tuple[float, Array]:
-    """Log restricted likelihood without and with each block, the mean over sizes."""
-    at = fit.at
-    white = whitener(at.settings, ratio)
-    basis, triangle = np.linalg.qr(white(at.jacobian))
-    residual = white(at.residual)
-    residual = residual - basis @ (basis.T @ residual)
-    freedom = residual.size - basis.shape[1]
-    fixed = -0.5 * white.log_det - float(np.log(np.abs(np.diag(triangle))).sum())
-    power = float(residual @ residual)
-    found = np.zeros(len(blocks))
-    for k, block in enumerate(blocks):
-        columns = white(block)
-        u, size, _ = np.linalg.svd(columns - basis @ (basis.T @ columns), full_matrices=False)
-        explained = (u.T @ residual) ** 2
-        gain = (np.array(SIZES)[:, None] * size) ** 2
-        left = power - (gain / (1.0 + gain)) @ explained
-        logs = -0.5 * (freedom * np.log(left) + np.log1p(gain).sum(axis=1))
-        found[k] = _log_mean(logs)
-    return fixed - 0.5 * freedom * float(np.log(power)), fixed + found
-
-
-def _log_mean(logs: Array) -> Array:
-    """Log of the mean over the first axis."""
-    top = logs.max(axis=0)
-    return np.asarray(top + np.log(np.mean(np.exp(logs - top), axis=0)), np.float64)
+def _rows(fit: Fit, blocks: Sequence[Array]) -> Rows:
+    return Rows(fit.at.jacobian, fit.at.settings, tuple(blocks))

@@ -20,6 +20,7 @@ from imucalib.loop.separation.choice import (
 )
 from imucalib.loop.separation.products import Ambiguity
 from imucalib.loop.separation.prospect import Added, ends
+from imucalib.loop.separation.soon import Soon, in_order, soon
 
 #: Share of simulated outcomes, of every rival as the truth, that a plan has to end.
 ENOUGH = 0.9
@@ -50,7 +51,8 @@ class Separation:
     pairs : (truth, other) that can be told apart; now, apart : their expected λ sin(angle) without
     and with the plan; ended : rival -> share of outcomes in which it is named alone, were it
     the truth (of those that can be told from it); never : pairs (truth, other) that nothing which
-    can be recorded tells apart; informative, random : other plans"""
+    can be recorded tells apart; informative, random : other plans
+    soon : the first of the plan that are enough most of the time, where that is less than all"""
 
     effect: str
     rivals: tuple[str, ...]
@@ -63,6 +65,7 @@ class Separation:
     never: tuple[tuple[str, str], ...]
     informative: Beside | None = None
     random: Beside | None = None
+    soon: Soon | None = None
 
     @property
     def least(self) -> float:
@@ -101,8 +104,11 @@ def separation(
         ended = ends(ambiguity, added, rng, _DRAWS, against)
         if min(ended.values()) >= ENOUGH:
             break
+    if worth is not None:
+        plan = in_order(pool, plan, worth)
     reached = apart(old + total_of(pool, plan), pairs) if pairs else np.zeros(0)
     others = _others(ambiguity, pool, pairs, plan, rng) if plan else (None, None)
+    early = soon(ambiguity, pool, plan, against, rng, fewest=fewest, enough=ENOUGH, draws=_DRAWS)
     return Separation(
         effect=ambiguity.effect,
         rivals=ambiguity.rivals,
@@ -115,6 +121,7 @@ def separation(
         never=never,
         informative=others[0],
         random=others[1],
+        soon=early,
     )
 
 

@@ -82,15 +82,7 @@ def alone(
 ) -> NDArray[np.bool_]:
     """(draws,) whether the truth has the most evidence and none of the others would do as well."""
     found = [ambiguity.blocks[name] for name in (truth, *others)]
-    own = ambiguity.own
-    base = data.gram[np.ix_(own, own)]
-    base = base + np.diag(1e-10 * np.diag(base) + 1e-12)
-    carry = np.linalg.solve(base, data.gram[own])
-    gram = data.gram - data.gram[:, own] @ carry
-    along = data.along - carry.T @ data.along[own]
-    used = np.einsum("pd,pd->d", data.along[own], np.linalg.solve(base, data.along[own]))
-    power = np.maximum(data.power - used, 1e-300)
-    freedom = round(data.numbers) - len(own)
+    gram, along, power, freedom = _without_base(ambiguity, data)
     nats = _nats(gram, along, power, found, freedom)
     best = nats[0]
     near = np.maximum(best - MARGIN, 0.5 * best)
@@ -100,6 +92,29 @@ def alone(
         close = _left(gram, along, found[0], at) < APART * noise
         single &= (other < near) & ~((other >= 0.5 * best) & close)
     return single
+
+
+def weights(ambiguity: Ambiguity) -> Mapping[str, float]:
+    """How likely the recording makes each rival, all of them alike beforehand; sum 1."""
+    p = ambiguity.products
+    data = Drawn(p.gram, p.along[:, None], np.array([p.power]), p.numbers)
+    found = [ambiguity.blocks[name] for name in ambiguity.rivals]
+    nats = _nats(*_without_base(ambiguity, data)[:3], found, round(p.numbers) - ambiguity.first)
+    share = np.exp(nats[:, 0] - nats[:, 0].max())
+    return dict(zip(ambiguity.rivals, (share / share.sum()).tolist(), strict=True))
+
+
+def _without_base(ambiguity: Ambiguity, data: Drawn) -> tuple[Array, Array, Array, int]:
+    """Products, those with the data, its power and its degrees of freedom, the base taken out."""
+    own = ambiguity.own
+    base = data.gram[np.ix_(own, own)]
+    base = base + np.diag(1e-10 * np.diag(base) + 1e-12)
+    carry = np.linalg.solve(base, data.gram[own])
+    gram = data.gram - data.gram[:, own] @ carry
+    along = data.along - carry.T @ data.along[own]
+    used = np.einsum("pd,pd->d", data.along[own], np.linalg.solve(base, data.along[own]))
+    power = np.maximum(data.power - used, 1e-300)
+    return gram, along, power, round(data.numbers) - len(own)
 
 
 def _nats(

@@ -67,7 +67,9 @@ def _to_do(check: Check) -> tuple[str, ...]:
         more = "; ..." if len(following.direction) > _RESTS else ""
         return (f"Record these rests too, and check all of them together: {rests}{more}.",)
     if check.verdict == "undecided":
-        return ("No recording decides this: calibrate again, or accept a wider limit (--limit).",)
+        many = None if following is None else following.many
+        lead = "No recording decides this" if many is None else f"It would take about {many} rests"
+        return (f"{lead}: calibrate again, or accept a wider limit (--limit).",)
     return (
         "Use it: `imucal apply CALIBRATION RECORDING -o corrected.mcap`.",
         "At the next check give --history FILE, so that the evidence of all looks counts.",

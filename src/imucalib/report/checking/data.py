@@ -38,6 +38,7 @@ def check_dict(check: Check, log: str, calibration: str, sha256: str) -> dict[st
         "sensors": [_sensor_dict(s) for s in check.sensors],
         "next": None if following is None else {
             "enough": following.enough,
+            "rests_all_round_that_would_do": following.many,
             "rests": [
                 {"attitude": attitude_words(d), "direction": d} for d in following.direction
             ],

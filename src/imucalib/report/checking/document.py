@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.calibration.checking.check import POWER, SIGNIFICANT, Check, SensorCheck
 from imucalib.calibration.checking.e_value import ALPHA
-from imucalib.calibration.checking.next_rests import NextRests
+from imucalib.calibration.checking.next_rests import MANY, NextRests
 from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.checking.statistic import ANYTHING
 from imucalib.report.checking.card import TONE, check_card
@@ -151,10 +151,20 @@ def _following(check: Check, following: NextRests) -> list[Block]:
     if following.enough:
         more = f"{count} more rest{'s' * (count != 1)}" if count > 1 else "One more rest"
         return [Text(f"{more} would decide: together with these they could see {seen}."), table]
+    if following.many is not None:
+        return [
+            Text(
+                f"{count} more rests could see {seen}, which is not enough; about "
+                f"{following.many}, all round, would be: as many as a new calibration takes, which "
+                "also mends what has changed.",
+                "warning",
+            )
+        ]
     return [
         Text(
-            f"No recording decides this: even {count} more rests could see {seen}. What the "
-            "calibration itself does not know is larger: calibrate again, or accept a wider limit.",
+            f"No recording decides this: {count} more rests could see {seen}, and {MANY[-1]} are "
+            "not enough. What the calibration itself does not know is larger: calibrate again, or "
+            "accept a wider limit.",
             "warning",
         )
     ]

@@ -64,6 +64,9 @@ def _found(fleet: Fleet) -> tuple[Text, ...]:
     ]  # fmt: skip
     if not lines:
         what = "Nothing that the devices share stands out beyond chance."
+        if fleet.search and fleet.search.refused:
+            what = "; ".join(f"{name} stands out, but {why}" for name, why in fleet.search.refused)
+            what = f"{what[0].upper()}{what[1:]}."
         lines.append(Text(what if fleet.search else "No effect was searched for.", tone))
     if fleet.outliers:
         odd = dict.fromkeys(o.device for o in fleet.outliers)

@@ -36,7 +36,13 @@ def fleet_document(fleet: Fleet) -> Document:
 def _verdict(fleet: Fleet) -> str:
     if fleet.search is None:
         return f"{len(fleet.members)} devices compared by their parameters; nothing was searched."
-    names = ", ".join(one.effect for one in fleet.search.found)
+    names = ", ".join(" or ".join((one.effect, *one.rivals)) for one in fleet.search.found)
+    if not names and fleet.search.refused:
+        stood = " and ".join(name for name, _ in fleet.search.refused)
+        return (
+            f"{fleet.verdict.capitalize()}: {stood} stands out beyond chance, but what some "
+            "devices say of it does not foretell the others."
+        )
     if not names:
         return f"{fleet.verdict.capitalize()}: no effect is shared beyond chance."
     text = f"{fleet.verdict.capitalize()}: {names}, in every device with a size of its own."

@@ -16,14 +16,18 @@ from imucalib.errors import UsageError
 def joined(tables: Sequence[PositionTable]) -> tuple[PositionTable, tuple[str, ...]]:
     """One table whose rows count through all, and notes on what was left out or renumbered.
 
-    Columns that one of them lacks are left out. Raises UsageError for units that differ, and for a
-    column session beside several files.
+    Columns that one of them lacks are left out. Raises UsageError for units that differ, for a
+    column session beside several files, and for a file that is given twice.
     """
     first, *others = tables
     if not others:
         return first, ()
-    for one in tables:
+    for k, one in enumerate(tables):
         _demand_alike(first, one)
+        twin = next((o for o in tables[:k] if o.sha256 == one.sha256), None)
+        if twin is not None:
+            raise UsageError(f"the same readings as {twin.path}", where=one.path,
+                             remedy="give each power-up once")  # fmt: skip
     roles = [role for role in first.columns if all(role in one for one in others)]
     columns = {role: np.concatenate([one.columns[role] for one in tables]) for role in roles}
     columns["session"] = np.repeat(np.arange(len(tables)), [one.n for one in tables]).astype(float)
@@ -35,6 +39,7 @@ def joined(tables: Sequence[PositionTable]) -> tuple[PositionTable, tuple[str, .
         path=", ".join(Path(one.path).name for one in tables),
         sha256=hashlib.sha256("".join(one.sha256 for one in tables).encode()).hexdigest(),
         sessions=_names(tables),
+        files=tuple(one.sha256 for one in tables),
     )
     return whole, _notes(tables, roles)
 

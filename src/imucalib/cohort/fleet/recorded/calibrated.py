@@ -142,7 +142,8 @@ def _read(file: Path) -> Calibrated:
 
 def _of(report: Mapping[str, Any], recording: str, own: Calibration | None) -> Calibrated:
     made = report["provenance"]
-    given = {one.name: made[one.name] for one in fields(Provenance) if one.name != "path"}
+    kept = {one.name for one in fields(Provenance)} - {"path", "parts"}
+    given = {name: made[name] for name in kept}
     values = [Value(p["name"], p["effect"], float(p["value"]), float(p["sd"]), p["unit"])
               for p in report["parameters"]]  # fmt: skip
     sums = report.get(block.KEY)

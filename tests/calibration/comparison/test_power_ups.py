@@ -1,0 +1,98 @@
+"""What a power-up changes is no change of the sensor: one day beside several."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.checking.limits import Limits, sessions_of
+from imucalib.calibration.comparison.agreement import agreement
+from imucalib.calibration.comparison.basis import basis_of
+from imucalib.calibration.comparison.compare import compared
+from imucalib.calibration.comparison.power_ups import with_power_ups
+from imucalib.errors import UsageError
+from worlds.stated import made
+
+#: mg: scatter of the bias between power-ups, and of a calibration's own.
+SCATTER, OWN = 0.5, 0.1
+
+
+def several(rng: np.random.Generator, days: int) -> Calibration:
+    """A mean of so many power-ups, whose scatter it knows from as many."""
+    theta, stated = np.zeros(6), SCATTER * (rng.chisquare(3 * (days - 1)) / 3 / (days - 1)) ** 0.5
+    theta[:3] = np.hypot(SCATTER / days**0.5, OWN) * rng.standard_normal(3)
+    theta[3:] = 1e-4 * rng.standard_normal(3)
+    covariance = np.diag([stated**2 / days + OWN**2] * 3 + [1e-8] * 3)
+    block = {
+        "sessions": [str(k) for k in range(days)],
+        "scatter": [{"what": "session bias", "sd": stated}],
+    }
+    one = made(theta, covariance, 60.0)
+    return replace(one, facts={**one.facts, "between_sessions": block})
+
+
+def one_day(rng: np.random.Generator) -> Calibration:
+    theta = np.concatenate([
+        np.hypot(SCATTER, OWN) * rng.standard_normal(3), 1e-4 * rng.standard_normal(3),
+    ])  # fmt: skip
+    return made(theta, np.diag([OWN**2] * 3 + [1e-8] * 3), 60.0)
+
+
+@pytest.mark.parametrize("days", [2, 5])
+def test_another_days_calibration_differs_by_chance_in_5_of_100(days: int) -> None:
+    """Without the scatter it was 40 to 60."""
+    rng, p = np.random.default_rng(days), []
+    for _ in range(40):
+        found = with_power_ups([several(rng, days), one_day(rng)], {})
+        dof = np.full(2, 60.0)
+        basis = basis_of(found.calibrations, dof, framed=False, power_ups=found.power_ups)
+        p.append(agreement(basis).p)
+    # 7 or more of 40 by chance: 0.3 %.
+    assert np.sum(np.array(p) <= 0.05) <= 6
+
+
+def test_a_scatter_that_is_given_is_in_every_sd_of_one_power_up() -> None:
+    rng = np.random.default_rng(4)
+    files = [one_day(rng), one_day(rng)]
+    plain = compared(files, ["a", "b"], Limits())
+    found = compared(files, ["a", "b"], Limits(), between=sessions_of(["0.7mg"]))
+    bias = np.einsum("kii->ki", found.basis.covariance)[:, :3]
+    np.testing.assert_allclose(bias, OWN**2 + 0.7**2)
+    np.testing.assert_allclose(found.basis.covariance[:, 3:], plain.basis.covariance[:, 3:])
+    assert found.agreement.p > plain.agreement.p
+    assert any("0.7 mg of bias, as given" in note for note in found.notes)
+    assert any("--between-sessions" in note for note in plain.notes)
+
+
+def test_other_effects_carry_the_scatter_too() -> None:
+    """What they do to first order: an offset scatters as the bias does."""
+    rng = np.random.default_rng(5)
+    one = several(rng, 3)
+    other = made(np.zeros(9), np.diag([OWN**2] * 3 + [1e-8] * 3 + [1e-4] * 3), mounted=True)
+    found = compared([one, other], ["a", "b"], Limits())
+    assert found.basis.words.startswith("They hold different effects")
+    stated = one.facts["between_sessions"]["scatter"][0]["sd"]
+    at = [found.basis.names.index(f"offset_{a}") for a in "xyz"]
+    np.testing.assert_allclose(found.basis.power_ups.share[1][at, at], stated**2, rtol=1e-3)
+    np.testing.assert_allclose(found.basis.power_ups.share[0][at, at], stated**2 / 3, rtol=1e-3)
+
+
+def test_dates_that_are_all_the_same_are_told() -> None:
+    rng = np.random.default_rng(6)
+    with pytest.raises(UsageError, match="all dates are the same"):
+        compared([one_day(rng)] * 2, ["a", "b"], Limits(), ["2026-01-01", "2026-01-01"])
+
+
+def test_a_recording_that_is_in_both_is_told() -> None:
+    """Also where one is of several files."""
+    rng = np.random.default_rng(7)
+    one, other = one_day(rng), one_day(rng)
+    of = {"sha256": "both", "inputs_sha256": ["monday", "tuesday"]}
+    files = [
+        replace(one, facts={**one.facts, "provenance": of}),
+        replace(other, facts={**other.facts, "provenance": {"sha256": "tuesday"}}),
+    ]
+    assert any("the same recording" in n for n in compared(files, ["a", "b"], Limits()).notes)
