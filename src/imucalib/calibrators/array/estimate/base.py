@@ -5,40 +5,42 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.calibrators.array.loop.motion import BoardMotion
+from imucalib.calibrators.array.loop.setup import Setup
+from imucalib.calibrators.array.loop.terms import Term
 from imucalib.estimators.array.bordered import Bordered, bordered
 from imucalib.estimators.array.gram import Columns, gram
 from imucalib.estimators.array.reduced import Gram, Reduced, reduced
-from imucalib.estimators.array.samples import Readings
-
-if TYPE_CHECKING:
-    from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.estimators.array.samples import Readings, Sampled
 
 
 class Base:
     """Columns of what is fitted: positions and terms, and the matrix from raw columns to the
     coordinates that are free."""
 
-    def __init__(self, state: ArrayState) -> None:
-        k = state.setup.triads
-        turn = np.broadcast_to(state.sampled.turn, (k, *state.sampled.turn.shape))
+    def __init__(
+        self, setup: Setup, sampled: Sampled, motion: BoardMotion, r: Array, terms: Sequence[Term]
+    ) -> None:
+        """r : (K, 3) m; sampled, motion : fitted with it and the terms."""
+        k = setup.triads
+        turn = np.broadcast_to(sampled.turn, (k, *sampled.turn.shape))
         blocks = [Columns(np.asarray(turn), False, False)]
-        blocks += [term.columns(state.motion) for term in state.terms]
+        blocks += [term.columns(motion) for term in terms]
         self.blocks: Sequence[Columns] = blocks
-        self.setup, self.sampled = state.setup, state.sampled
+        self.setup, self.sampled = setup, sampled
         self.raw = sum(block.size for block in blocks)
-        self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in state.terms)]
-        off = (state.r - state.setup.board.drawn)[1:].ravel()
-        flat = np.full(off.size, state.setup.board.prior_sd**-2.0)
-        self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in state.terms)])
+        self.lives = [np.eye(3 * k)[:, 3:], *(term.live for term in terms)]
+        off = (r - setup.board.drawn)[1:].ravel()
+        flat = np.full(off.size, setup.board.prior_sd**-2.0)
+        self.prior = np.concatenate([flat, *(term.sd**-2.0 for term in terms)])
         # What positions absorb is absorbed for good.
-        held = [term.sd**-2.0 * (not term.found) for term in state.terms]
+        held = [term.sd**-2.0 * (not term.found) for term in terms]
         self.rests = np.concatenate([0.0 * flat, *held])
-        self.pull = self.prior * np.concatenate([off, *(term.value for term in state.terms)])
+        self.pull = self.prior * np.concatenate([off, *(term.value for term in terms)])
 
     @cached_property
     def halves(self) -> tuple[Gram, Gram]:

@@ -53,7 +53,7 @@ class ArrayState:
 
     @cached_property
     def base(self) -> Base:
-        return Base(self)
+        return Base(self.setup, self.sampled, self.motion, self.r, self.terms)
 
     def measured(self, covariance: Array, density: float) -> ArrayState:
         """The same with these: nothing that its base stands on has moved."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
@@ -92,7 +91,7 @@ def _columns(rivals: Sequence[Rival], motion: BoardMotion) -> list[Columns]:
 
 def _products(state: ArrayState, rivals: Sequence[Rival], rows: Index | None) -> Gram:
     """Of the base's free coordinates and the rivals' columns."""
-    base = Base(state)
+    base = state.base
     some = np.arange(len(state.sampled.rate)) if rows is None else rows
     blocks = [*base.blocks, *_columns(rivals, state.motion)]
     return base.free(gram(state.sampled, blocks, some.astype(np.intp)))
@@ -114,7 +113,7 @@ def _ambiguity(
     theta[own] = term.theta / typical_of(term.effect, ends[1] - ends[0])
     along, back = found.along * often, found.matrix @ theta * often
     matrix = found.matrix * often
-    matrix[range(b), range(b)] += Base(state).prior
+    matrix[range(b), range(b)] += state.base.prior
     power = found.power * often + 2.0 * float(theta @ along) + float(theta @ back)
     names = [name for name, _, _ in rivals]
     return Ambiguity(
