@@ -1,7 +1,8 @@
 """A long log of a large array, from MCAP to arrays: python benchmarks/array/log.py.
 
-32 IMUs at 1 kHz as `mcap_read.py` writes them; CPU seconds and peak memory (VmHWM) of a process
-that reads the log, and of one that also puts all IMUs side by side as `imucal array` does.
+32 IMUs at 1 kHz as `benchmarks/readers/logs.py` writes them; CPU seconds and peak memory (VmHWM)
+of a process that reads the log, and of one that also puts all IMUs side by side as `imucal array`
+does.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def main() -> None:
     if options.stage:
         one(options.stage, options.file)
         return
-    from mcap_read import generate
+    sys.path.insert(0, str(Path(__file__).parents[1] / "readers"))
+    from logs import generate
 
     with TemporaryDirectory() as folder:
         path = options.file or Path(folder) / "array.mcap"

@@ -19,9 +19,10 @@ from imucalib.calibrators.array.log import array_log
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import beside_the_fit, declared_term, with_declared
+from imucalib.calibrators.array.loop.earlier import start_state
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.setup import Setup, array_setup
-from imucalib.calibrators.array.loop.state import ArrayState, start_state
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term, rest_terms, typical_of
 from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.rests import fit_rests
@@ -111,6 +112,7 @@ class _Log:
         self.positions = true - true[0]
         t, w, _, force = simulated_motion(PLAN, rng)
         spin = np.gradient(w, t, axis=0)
+        self.turning = w, spin
         felt = lever_arm(w, spin, self.positions) + force[:, None]
         begin = PLAN.poses * PLAN.pose_seconds
         self.moving, order = t > begin, np.clip((t - begin) / PLAN.seconds, 0.0, 1.0)
@@ -137,24 +139,23 @@ class _Log:
     def _outside(self, felt: Array, rate: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Readings with what no catalogue effect does."""
         name, size = self.job.outside or (self.job.noise, 1.0)
-        m, one = self.motion, int(rng.integers(1, BOARD.count))
+        own, turn = self.motion.truth, BOARD.rotations
+        order, one = self.motion.context["order"], int(rng.integers(1, BOARD.count))
         signs = np.sin(rng.uniform(0.0, 2.0 * np.pi, 3))
         at = rng.uniform(0.3, 0.7)
         if name == "gyro_rectification":
-            square = np.sum(m.force**2, axis=2, keepdims=True) / STANDARD_GRAVITY**2
-            own = 6e-3 * DEG * size * signs * np.ones_like(m.force)
-            rate = rate + square * np.einsum("kij,tkj->tki", m.rotations, own)
+            square = np.sum(own.force**2, axis=2, keepdims=True) / STANDARD_GRAVITY**2
+            rate = rate + square * (6e-3 * DEG * size * (turn @ signs))
         elif name == "soft_saturation":
-            own = m.seen(m.force)
-            steep = np.sign(own) * np.maximum(np.abs(own) - 35.0, 0.0) ** 2
-            felt = felt - 5e-4 * size * np.einsum("kij,tkj->tki", m.rotations, steep)
+            steep = np.sign(own.force) * np.maximum(np.abs(own.force) - 35.0, 0.0) ** 2
+            felt = felt - 5e-4 * size * np.einsum("kij,tkj->tki", turn, steep)
         elif name == "imu_shifts":
             shift = np.zeros((BOARD.count, 3))
             shift[one] = 1e-4 * size * signs
-            felt = felt + lever_arm(m.rate, m.spin, shift) * (m.order > at)[:, None, None]
+            felt = felt + lever_arm(*self.turning, shift) * (order > at)[:, None, None]
             self.positions = self.positions + shift * (1.0 - at)  # the mean over the motion
         elif name == "slow clock":
-            rate[:, one] -= 5e-5 * (m.order - 0.5)[:, None] * m.spin
+            rate[:, one] -= 5e-5 * (order - 0.5)[:, None] * self.turning[1]
         return felt, rate
 
     def _recording(self, felt: Array, rate: Array, rng: np.random.Generator) -> Recording:

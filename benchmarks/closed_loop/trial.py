@@ -122,7 +122,9 @@ def said(trial: Trial, loop: FitLoop | MotionLoop) -> Trial:
 
 
 def _against(curve: str) -> str:
-    """The driver of "curve@bias:tool_face:..." as probes call it."""
+    """The driver of "curve@bias:tool_face:..." or "curve of ... against |a|" as probes call it."""
+    if not curve.startswith("curve@"):
+        return curve.rpartition(" against ")[2]
     return curve.split(":")[1].replace("_", "-")
 
 

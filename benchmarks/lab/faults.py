@@ -58,7 +58,9 @@ class Told:
 def told(path: Path, line: str = "") -> Told:
     """What `imucal lab` says about slips, before it fits anything."""
     context = command.make_context("lab", [str(path), *shlex.split(line)])
-    request, start = request_of(context.params), time.process_time()
+    with context:
+        request = request_of(context.params)
+    start = time.process_time()
     try:
         table = read_position_table(path)
         table, lost = repaired(table, request.repairs, request.fixes, request.swap_angles)

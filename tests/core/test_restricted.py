@@ -37,27 +37,52 @@ def test_the_restricted_likelihood_is_that_of_dense_matrices(
     components, ratio = (components, tuple(sizes)) if wide else (components[:2], tuple(sizes[:2]))
     left = restricted(jacobian, components)
     assert left.wide == (2 if wide else -1)
-    found = left.at([ratio])
-    inverse = np.linalg.inv(_dense(components, ratio))
+    found = left.at(np.array(ratio))
+    power = [found.power(found.solve(left.frame.T @ one)) for one in data.T]
+    expected, logs = _projected(jacobian, _dense(components, ratio), data)
+    assert power == pytest.approx(expected, rel=1e-7)
+    assert found.log_det == pytest.approx(logs, rel=1e-8, abs=1e-8)
+
+
+def _projected(jacobian: Array, covariance: Array, data: Array) -> tuple[Array, float]:
+    """y'Py of every column, and log|V| + log|J'V⁻¹J| - log|J'J|."""
+    inverse = np.linalg.inv(covariance)
     weighted = jacobian.T @ inverse
     project = inverse - weighted.T @ np.linalg.solve(weighted @ jacobian, weighted)
-    expected = np.einsum("nd,nm,md->d", data, project, data)
-    power = found.power(found.solve(left.frame.T @ data))[0]
-    assert power == pytest.approx(expected, rel=1e-7)
     logs = -np.linalg.slogdet(inverse)[1] + np.linalg.slogdet(weighted @ jacobian)[1]
     logs -= np.linalg.slogdet(jacobian.T @ jacobian)[1]
-    assert found.log_det[0] == pytest.approx(logs, rel=1e-8, abs=1e-8)
+    return np.einsum("nd,nm,md->d", data, project, data), float(logs)
 
 
-def test_several_noises_at_once_are_each_by_itself() -> None:
+#: Which of a rig's components there are, and ratios of each.
+_GRIDS: dict[tuple[int, ...], list[tuple[float, ...]]] = {
+    (): [()],
+    (1,): [(0.0,), (2.0,), (0.3,)],
+    (2,): [(0.5,), (4.0,)],
+    (0, 1): [(a, b) for a in (0.0, 0.1, 3.0) for b in (0.2, 0.0, 5.0)],
+    (0, 1, 2): [(a, b, c) for a in (0.0, 2.0) for b in (0.2, 1.0) for c in (0.0, 0.7)],
+    (0, 1, 0): [(a, b, 0.4) for a in (0.6, 2.0) for b in (0.2, 1.0)] + [(0.3, 0.9, 0.0)],
+}
+
+
+@pytest.mark.parametrize("which", _GRIDS, ids=str)
+@pytest.mark.parametrize("most", [1, 2, 100])
+def test_a_grid_of_noises_is_each_by_itself(which: tuple[int, ...], most: int) -> None:
+    """Every point comes once, whatever has the most columns and however many are made at a time."""
     jacobian, components, data = _rig(1)
-    left = restricted(jacobian, components[:2])
-    ratios = ((0.1, 2.0), (3.0, 0.0))
-    both, inside = left.at(ratios), left.frame.T @ data
-    for k, ratio in enumerate(ratios):
-        one = left.at([ratio])
-        assert np.allclose(both.solve(inside)[0][k], one.solve(inside)[0][0], rtol=1e-12)
-        assert both.log_det[k] == pytest.approx(one.log_det[0], rel=1e-12)
+    some, points = tuple(components[k] for k in which), _GRIDS[which]
+    left, found = restricted(jacobian, some), []
+    for part in left.over(np.array(points), most):
+        rest, along = part.split(left.frame.T @ data)
+        power = (rest**2).sum(axis=1)[:, None] + part.weight @ along**2
+        assert len(power) <= most
+        found += list(zip(part.log_det.ravel(), power.reshape(-1, data.shape[1]), strict=True))
+    assert len(found) == len(points)
+    for point in points:
+        power, logs = _projected(jacobian, _dense((*some, np.zeros((30, 1))), (*point, 0.0)), data)
+        near = min(found, key=lambda one: float(np.abs(one[1] / power - 1.0).max()))
+        assert near[1] == pytest.approx(power, rel=1e-9)
+        assert near[0] == pytest.approx(logs, rel=1e-9, abs=1e-9)
 
 
 def test_what_large_settings_leave_is_not_lost() -> None:
@@ -65,12 +90,15 @@ def test_what_large_settings_leave_is_not_lost() -> None:
     jacobian, components, data = _rig(2)
     column = components[0]
     left = restricted(jacobian, (column,))
-    found = left.at([(1e6,)])
     both = np.column_stack([jacobian, column])
     rest = data - both @ np.linalg.lstsq(both, data, rcond=None)[0]
-    moved = data + 1e6 * column @ np.ones((column.shape[1], data.shape[1]))
-    power = found.power(found.solve(left.frame.T @ moved))[0]
-    assert power == pytest.approx((rest**2).sum(axis=0) + column.shape[1], rel=1e-5)
+    moved = left.frame.T @ (data + 1e6 * column @ np.ones((column.shape[1], data.shape[1])))
+    expected = pytest.approx((rest**2).sum(axis=0) + column.shape[1], rel=1e-5)
+    found = left.at(np.array([1e6]))
+    assert [found.power(found.solve(one)) for one in moved.T] == expected
+    (grid,) = left.over(np.array([[1e6]]), 1)
+    square, along = grid.split(moved)
+    assert (square**2).sum(axis=1)[0] + grid.weight[0, 0] @ along[0] ** 2 == expected
 
 
 def test_a_direction_that_the_data_leave_open_is_no_parameter() -> None:

@@ -77,6 +77,22 @@ def test_structure_outside_the_catalogue_gets_no_name(calibrator: str, name: str
     assert formed or curves or any(d and d in world.OUTSIDE[name] for d in drivers)
 
 
+@pytest.mark.parametrize("name", ["gyro_rectification", "soft_saturation", "imu_shifts"])
+def test_what_a_board_does_beyond_the_catalogue_is_no_named_cause(name: str) -> None:
+    world, job = module("scenarios").world("array"), module("trial").Job
+    trial = world.trial(job("array", "outside, strong", 51, outside=(name, 3.0)))
+    assert not trial.named
+    assert trial.verdict != "nothing missing"
+    assert trial.after <= 1.05 * trial.before
+
+
+def test_a_board_whose_clock_creeps_is_not_clean() -> None:
+    world, job = module("scenarios").world("array"), module("trial").Job
+    trial = world.trial(job("array", "noise", 52, noise="slow clock"))
+    assert not trial.named
+    assert trial.alarm
+
+
 @pytest.mark.parametrize("fault", ["swapped columns", "lost sign", "factor ten", "radians"])
 def test_faults_of_a_table_are_found(fault: str) -> None:
     world, job = module("lab_world"), module("trial").Job

@@ -29,9 +29,9 @@ from imucalib.loop.separation.angle import pairs_of
 from imucalib.loop.separation.choice import Pool, informative, separating
 from imucalib.loop.separation.products import Ambiguity, Products
 from imucalib.loop.separation.prospect import Added, ends
+from imucalib.loop.separation.worn import _products as worn_products
 from imucalib.loop.wander import choice as wander_choice
 from imucalib.loop.wander import noise as wander_noise
-from imucalib.loop.wander.ambiguous import _products as worn_products
 from imucalib.loop.wander.bank import parts_of as parts_in_time
 from imucalib.loop.wander.bank import walks_of
 from imucalib.loop.wander.likelihood import Level
@@ -338,12 +338,15 @@ def test_the_best_of_a_scan_is_sought_between_its_neighbours() -> None:
 
 
 def test_an_e_value_is_the_mean_over_its_stakes(monkeypatch: pytest.MonkeyPatch) -> None:
-    fit = SimpleNamespace(at=SimpleNamespace(residual=np.zeros(5)))
+    """A tenth on the martingales, the rest on the looks that stand beforehand, which pay twenty."""
+    at = SimpleNamespace(residual=np.zeros(5), jacobian=np.zeros((5, 1)), settings=(), free=0)
+    own = SimpleNamespace(at=at, noise=Noise(1.0), observations=SimpleNamespace(n=5))
     monkeypatch.setattr(anytime, "log_e_value", lambda fit, blocks: np.array([1.0, 3.0, -2.0]))
+    monkeypatch.setattr(anytime, "passed", lambda table, chance, seed: True)
     blocks = [np.zeros((5, 2))] * 3
-    due = (np.exp(1.0) + np.exp(3.0) + np.exp(-2.0)) / 4.0
-    assert anytime.e_value(fit, blocks, 4) == pytest.approx(due)  # type: ignore[arg-type]
-    assert np.isnan(anytime.e_value(fit, [*blocks, np.zeros((4, 2))], 4))  # type: ignore[arg-type]
+    due = 0.1 * (np.exp(1.0) + np.exp(3.0) + np.exp(-2.0)) / 4.0 + 20.0
+    assert anytime.e_value(own, blocks, 4) == pytest.approx(due)  # type: ignore[arg-type]
+    assert np.isnan(anytime.e_value(own, [*blocks, np.zeros((4, 2))], 4))  # type: ignore[arg-type]
 
 
 def test_stretches_of_time_stand_for_noise_that_neighbours_share() -> None:
@@ -547,7 +550,7 @@ class At:
 
 def path(density: float, **more: object) -> subject.MotionSubject:
     state = At(density)
-    made: dict[str, object] = {"residuals": None, "moving": None, "rng": None, "ages": None}
+    made: dict[str, object] = dict.fromkeys(("residuals", "moving", "rng", "ages", "earlier"))
     made.update(rules=LoopSettings(margin=3.0), left_out=frozenset())
     return subject.MotionSubject(state=state, **{**made, **more})  # type: ignore[arg-type]
 

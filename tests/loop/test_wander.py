@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,11 +14,12 @@ from imucalib.effects import named
 from imucalib.loop.design import Fold
 from imucalib.loop.wander.bank import Bank, bank_of, parts_of, splits_of, walks_of
 from imucalib.loop.wander.choice import Rules, search
+from imucalib.loop.wander.engine import _nearest
 from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.held_blocks import judged, solved
 from imucalib.loop.wander.likelihood import Terms, best_level, levels
 from imucalib.loop.wander.noise import Noise
-from imucalib.loop.wander.scores import SIZES, Entry, null_of, scored
+from imucalib.loop.wander.scores import SIZES, Entry, Scored, null_of, scored
 from imucalib.loop.wander.walk import Course, Walk, beside, correlated, drawn, weighted, whitened
 from imucalib.units import MG
 from worlds.bench import GRAVITY, draw, tumble
@@ -45,6 +48,9 @@ def test_the_filter_is_the_dense_inverse(walk: Walk) -> None:
     at = course()
     z = np.random.default_rng(1).standard_normal((60, 5))
     white, log_det = whitened(at, (walk,), z)
+    single, _ = whitened(at, (walk,), z.astype(np.float32))
+    assert single.dtype == np.float32
+    assert np.allclose(single, white, atol=1e-5)
     v = dense(at, walk)
     assert np.allclose(white[0].T @ white[0], z.T @ np.linalg.solve(v, z), rtol=1e-9, atol=1e-9)
     assert log_det.sum() == pytest.approx(np.linalg.slogdet(v)[1], abs=1e-9)
@@ -147,6 +153,10 @@ def test_evidence_is_the_gain_of_the_dense_likelihood() -> None:
     keep = np.ones(bank.course.parts, dtype=bool)
     entries = [Entry("a", "", "shape", np.array([3, 4])), Entry("b", "", "shape", np.array([5]))]
     found, _ = scored(bank, terms, keep, entries, (0, 1, 2))
+    quick, _ = scored(bank, terms, keep, entries, (0, 1, 2), told=False)
+    assert [s.entry for s in quick] == [s.entry for s in found]
+    assert [s.evidence for s in quick] == pytest.approx([s.evidence for s in found], abs=1e-9)
+    assert [(s.walk, s.size) for s in quick] == [(s.walk, s.size) for s in found]
     variance = [dense(bank.course, walk) for walk in WALKS]
     y = columns[:, 7]
     without = max(marginal(columns[:, :3], y, v, np.ones(3), 87) for v in variance)
@@ -211,7 +221,7 @@ def test_noise_takes_no_effects_place_and_no_effect_the_noises() -> None:
             walk = best_level(bank, terms, keep)
             _, chance = scored(bank, terms, keep, entries, range(len(bank.walks)), null)
             nats = np.quantile(chance, 0.95, axis=1)
-            rules = Rules(lambda *_, nats=nats: nats, 3, lambda entry: (), lambda _: ())
+            rules = Rules(lambda *_, nats=nats: (nats,), 3, lambda entry: (), lambda _: ())
             found = search(bank, terms, entries, splits_of(folds, at.part), keep, rules)
             assert walk.walk > 0
             if planted:
@@ -220,6 +230,36 @@ def test_noise_takes_no_effects_place_and_no_effect_the_noises() -> None:
                 passed += bool(found.taken)
     assert hit == 40
     assert passed <= at_most(40, 0.05).most
+
+
+def test_chance_is_asked_for_only_where_what_is_sure_does_not_hold_out() -> None:
+    """A lower bar is drawn once nothing that reaches the higher one is taken."""
+    rng = np.random.default_rng(3)
+    n, every = 160, np.arange(160)
+    folds = tuple(Fold(every[every // 20 == k], every[every // 20 != k]) for k in range(8))
+    time = np.sort(rng.uniform(0.0, 86400.0, n))
+    at = Course(time, np.ones((n, 1)), np.ones(n), parts_of(folds, n))
+    x = np.column_stack([np.ones(n), rng.standard_normal((n, 2))])
+    y = x @ np.array([0.0, 3.0, 0.6]) + rng.standard_normal(n)
+    bank, keep = bank_of(at, walks_of(time)[:3], np.column_stack([x, y])), np.ones(8, dtype=bool)
+    entries = [Entry(f"e{k}", "", f"kind {k}", np.array([k])) for k in (1, 2)]
+    asked = list[tuple[int, str]]()
+
+    def bars(_: Bank, __: Terms, turn: int, scores: Sequence[Scored]) -> Iterator[Array]:
+        for name, nats in (("sure", 40.0), ("drawn", 3.0)):
+            asked.append((turn, name))
+            yield np.full(2, nats)
+
+    rules = Rules(bars, 3, lambda entry: (), lambda _: ())
+    terms = Terms(np.array([0]), np.array([1e-2]), 1)
+    found = search(bank, terms, entries, splits_of(folds, at.part), keep, rules)
+    assert [t.found.entry.name for t in found.taken] == ["e1", "e2"]
+    assert asked == [(0, "sure"), (1, "sure"), (1, "drawn")]
+
+
+def test_a_round_without_drawn_data_has_those_of_the_next() -> None:
+    drawn = {1: np.array([1.0]), 3: np.array([3.0])}
+    assert [float(_nearest(drawn, turn)[0]) for turn in range(5)] == [1.0, 1.0, 3.0, 3.0, 3.0]
 
 
 @pytest.mark.parametrize("share", [0.2, 1.0, 5.0])

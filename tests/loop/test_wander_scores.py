@@ -33,7 +33,8 @@ def bank(seed: int, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return SimpleNamespace(
         columns=columns, data=10, white=columns[None], course=SimpleNamespace(part=PART),
         walks=("white",), count=np.bincount(PART), log_det=np.zeros((1, 3)), by_part=by_part,
-        train=lambda *_: kept.T @ kept, plus=lambda more: more,
+        train=lambda *_: kept.T @ kept, plus=lambda more: more, made={},
+        products=lambda at, keep: by_part(0, at)[keep].sum(axis=0)[None],
     )  # fmt: skip
 
 
@@ -92,7 +93,7 @@ def test_a_curve_of_seven_terms_is_held_to_three_typical_sizes(
     kept = made.columns[KEEP[PART]]
     made.train = lambda *_: kept.T @ kept
     sums = np.array([made.columns[k == PART].T @ made.columns[k == PART] for k in range(3)])
-    made.by_part = lambda _, at: sums[:, at][:, :, at]
+    made.products = lambda at, keep: sums[:, at][:, :, at][keep].sum(axis=0)[None]
     (found,), _ = scored(made, TERMS, KEEP, [Entry("c", "", "curve", at)], (0,))  # type: ignore[arg-type]
     assert found.size == widest
 

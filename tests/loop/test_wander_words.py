@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imucalib.errors import NotConverged
 from imucalib.loop.found import Step, Wander
-from imucalib.loop.wander import engine, words
-from imucalib.loop.wander.choice import Taken
+from imucalib.loop.wander import confirm, engine, words
+from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Terms
+from imucalib.loop.wander.scores import Entry
 from imucalib.loop.wander.words import (
     aliases,
     chance_of,
@@ -23,7 +25,7 @@ from imucalib.units import MG
 
 
 def scored(name: str, evidence: float, columns: tuple[int, ...], **more: object) -> SimpleNamespace:
-    entry = {"name": name, "family": "", "kind": "effect", "timed": False}
+    entry: dict[str, Any] = {"family": "", "kind": "time" if more.get("timed") else "effect"}
     made = {
         "evidence": evidence,
         "walk": 0,
@@ -34,7 +36,7 @@ def scored(name: str, evidence: float, columns: tuple[int, ...], **more: object)
     }
     entry |= {k: v for k, v in more.items() if k in entry}
     made |= {k: v for k, v in more.items() if k in made}
-    return SimpleNamespace(entry=SimpleNamespace(columns=np.array(columns), **entry), **made)
+    return SimpleNamespace(entry=Entry(name, columns=np.array(columns), **entry), **made)
 
 
 def test_p_counts_the_draws_that_do_as_well_in_one_of_two_halves() -> None:
@@ -52,9 +54,9 @@ def test_of_a_scan_only_the_best_is_a_score_and_curves_all_are() -> None:
     )
     found = [
         scored("lag@1h", 8.0, (0,), family="lag"), scored("lag@2h", 7.0, (1,), family="lag"),
-        scored("curve@x", 6.0, (1, 2), family="curve", kind="curve", timed=True),
+        scored("curve@x", 6.0, (1, 2), family="curve", kind="curve"),
         scored("curve@y", 5.0, (2,), family="curve", kind="curve"),
-        scored("plain", 4.0, (2,)), scored("other", 3.0, (1,)),
+        scored("plain", 4.0, (2,), timed=True), scored("other", 3.0, (1,)),
     ]  # fmt: skip
     chance = np.array([[7.5, 1.0, 1.0], [6.5, 1.0, 1.0]])
     scores = scores_of(problem, found, chance, np.array([2.5, 3.5]))  # type: ignore[arg-type]
@@ -62,7 +64,7 @@ def test_of_a_scan_only_the_best_is_a_score_and_curves_all_are() -> None:
     assert scores[0].size == pytest.approx(5.0 / np.sqrt(2.0) * 2.0 * MG)
     assert scores[1].size == pytest.approx(np.sqrt(6.0 / 2.0) * 2.0 * MG)
     assert [s.p for s in scores] == pytest.approx([0.5, 1.0, 1.0, 1.0, 1.0])
-    assert [s.bar for s in scores] == [2.5, 3.5, 2.5, 2.5, 2.5]
+    assert [s.bar for s in scores] == [2.5, 2.5, 2.5, 3.5, 2.5]
     assert {s.draws for s in scores} == {3}
 
 
@@ -97,12 +99,63 @@ def test_rivals_are_near_in_evidence_or_in_angle() -> None:
         scored("own", 20.0, (2,)), scored("sibling@1", 19.0, (3,), family="fam"),
         scored("even", 17.0, (5,)), scored("less", 16.9, (5,)), scored("close", 10.0, (3,)),
         scored("closer", 9.9, (3,)), scored("wide", 16.0, (4,)), scored("scan@1", 12.0, (3,)),
-        scored("scan@2", 11.0, (3,)), scored("curve@x", 20.0, (3,), kind="curve"),
+        scored("scan@2", 11.0, (3,)), scored("converter@x", 20.0, (3,), kind="curve"),
+        scored("posture@24", 16.9, (3,), kind="posture"),
+        scored("posture@80", 17.0, (5,), kind="posture"),
+        scored("curve@bias:temperature:1:2:4", 16.9, (3,), kind="temperature"),
     ]  # fmt: skip
     taken = SimpleNamespace(found=own, rivals=rivals)
     terms = Terms(np.array([0, 1]), np.zeros(2), 2)
     found = aliases(bank, terms, taken)  # type: ignore[arg-type]
-    assert found == ("even", "close", "scan@1")
+    assert found == ("even", "close", "scan@1", "posture@80")
+
+
+def test_what_gravity_shows_as_a_part_of_an_effect_would_do_as_well() -> None:
+    """Squares of the forces across an axis are columns of cross_axis in the norm."""
+    found = SimpleNamespace(found=scored("cross_axis", 300.0, (2,)), rivals=())
+    bank, terms = SimpleNamespace(white=np.zeros((1, 3, 3))), Terms(np.arange(2), np.ones(2), 2)
+    assert aliases(bank, terms, found) == ("squares_across",)  # type: ignore[arg-type]
+    found = SimpleNamespace(found=scored("cubic", 300.0, (2,)), rivals=())
+    assert aliases(bank, terms, found) == ()  # type: ignore[arg-type]
+
+
+def test_a_response_beside_a_free_one_has_another_form_than_its_name() -> None:
+    kinds = {
+        "cubic": "shape",
+        "converter@x": "curve",
+        "posture@24": "posture",
+        "lag": "temperature",
+    }
+    made = [scored(name, 20.0, (0,), kind=kind) for name, kind in kinds.items()]
+    every = [Taken(one, 1.0, np.zeros(2), 2.0, 1.0, ()) for one in made]  # type: ignore[arg-type]
+    found = [words._beside(one, every) for one in every]
+    assert found == [("converter@x", "posture@24"), ("posture@24",), ("converter@x",), ()]
+
+
+def test_what_leaves_readings_without_an_inverse_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The last of the response goes first; a temperature stays."""
+    kinds = {"posture@24": "posture", "lag": "temperature", "cubic": "shape"}
+    made = [scored(name, 20.0, (k,), kind=kind) for k, (name, kind) in enumerate(kinds.items())]
+    taken = tuple(Taken(one, 1.0, np.zeros(2), 2.0, 1.0, ()) for one in made)  # type: ignore[arg-type]
+    terms, plain = Terms(np.arange(1), np.ones(1), 1), SimpleNamespace(theta=np.zeros(9))
+    bank = SimpleNamespace(course=SimpleNamespace(parts=2))
+    monkeypatch.setattr(confirm, "best_level", lambda *_: "level")
+
+    def final(found: engine._Pass) -> Any:
+        if any(t.found.entry.kind == "posture" for t in found.search.taken):
+            raise NotConverged("no inverse")
+        return "fit", "precision"
+
+    monkeypatch.setattr(engine, "_final", final)
+    found = Search(bank, terms, None, taken, (), (), ())  # type: ignore[arg-type]
+    problem = SimpleNamespace(terms=terms, fit=plain)
+    done, *rest = engine._undoable(engine._Pass(problem, None, (), (), found))  # type: ignore[arg-type]
+    assert rest == ["fit", "precision"]
+    assert [t.found.entry.name for t in done.search.taken] == ["lag"]
+    assert [r.name for r in done.search.refused] == ["cubic", "posture@24"]
+    assert all("no inverse" in r.reason for r in done.search.refused)
 
 
 @pytest.mark.parametrize(

@@ -195,6 +195,28 @@ def test_a_tool_that_slipped_stands_turned_from_then_on() -> None:
     assert values(Context(14, dials)) == ("record7", "record8", "record9")
 
 
+def test_a_cycle_swings_with_its_period_in_rows() -> None:
+    """Counted from the first row, whatever rows are left; of forty rows from a swing and a half to
+    two in five rows."""
+    force, context = world()
+    theta = np.random.default_rng(8).normal(size=6)
+    phase = 2 * np.pi * np.arange(N)[:, None] / 7.3
+    expected = 1e-3 * (theta[:3] * np.cos(phase) + theta[3:] * np.sin(phase))
+    np.testing.assert_allclose(added("cycle@7.3rows", theta, force, context), expected, atol=1e-12)
+    some = context.take(np.arange(20, 50))
+    np.testing.assert_allclose(
+        added("cycle@7.3rows", theta, force[20:50], some), expected[20:50], atol=1e-12
+    )
+    dials = {"record": np.arange(40.0), "tool_face": np.zeros(40)}
+    family = families()["cycle"]
+    tried = [40.0 / float(v.removesuffix("rows")) for v in family.values(Context(40, dials))]
+    np.testing.assert_allclose(tried, np.arange(1.5, 16.0, 0.5), rtol=1e-3)
+    near = [float(v.removesuffix("rows")) for v in family.nearby(Context(40, dials), "8rows")]
+    np.testing.assert_allclose(40.0 / np.array(near), np.linspace(4.5, 5.5, 11), rtol=1e-3)
+    assert family.values(Context(40, {"record": np.arange(40.0)})) == ()
+    assert family.values(Context(19, {k: v[:19] for k, v in dials.items()})) == ()
+
+
 def test_a_step_in_time_is_tried_between_twelve_readings_and_twelve() -> None:
     """Forty readings a minute apart: from behind the 12th to before the 29th."""
     tried = families()["bias_step"].values(Context(40, {"time": 60.0 * np.arange(40)}))

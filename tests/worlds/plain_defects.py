@@ -124,6 +124,7 @@ SENSOR: dict[str, tuple[int, Force]] = {
     # What no catalogue holds.
     "local_sine": (1, lambda x, c, p: p[0] * np.sin(2 * np.pi * x / 0.4 + c.phase)),
     "thermal_lag": (1, lambda x, c, p: p[0] * c.v * (c.late - 25)[:, None]),
+    "swing": (1, lambda x, c, p: p[0] * c.v * np.sin(2 * np.pi * c.row / 7.3)[:, None]),
     "random_walk": (1, lambda x, c, p: p[0] * c.walk),
     "shock": (1, lambda x, c, p: p[0] * c.v * (
         (c.row >= c.at) * np.exp(-np.maximum(c.row - c.at, 0) / 6))[:, None]),

@@ -36,8 +36,8 @@ class FoundStep:
     size : in words where there are many parameters; checks : errors that the choice has seen or
     not, as their metric says; held_out : nats that data gain which did not estimate it; curve :
     what a correction without a name corrects, in words, or empty; formula : of a form that has no
-    cause, in words, or empty; certain : nothing else would do, and chance would not; e_value : see
-    `Step`
+    cause, in words, or empty; certain : nothing else would do, chance would not, and held-out data
+    prove it; e_value : see `Step`
     """
 
     effect: str
@@ -148,7 +148,7 @@ def findings_of(
     """The shared loop's search."""
     return Findings(
         verdict=loop.verdict,
-        steps=tuple(_step(step, loop.final) for step in loop.steps),
+        steps=tuple(_step(step, loop) for step in loop.steps),
         records=loop.records,
         rejected=loop.rejected,
         unexplained=loop.unexplained,
@@ -175,14 +175,14 @@ def _facts(loop: FitLoop) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
-def _step(step: Step, final: Fit) -> FoundStep:
+def _step(step: Step, loop: FitLoop) -> FoundStep:
     before, after = step.checked[0].before, step.checked[0].after
     check = Check("leave-one-out error, rms", "mg", before / MG, after / MG)
     curve = ""
     if step.curve:
         what, against = step.effect.removeprefix("curve@").split(":")[:2]
         curve = f"{what} against {against}".replace("_", "-")
-    own = tuple(p for p in stored_parameters(final) if p.effect == step.effect)
+    own = tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect)
     form = known(step.effect) if step.formed else None
     return FoundStep(
         effect=step.effect,
@@ -194,7 +194,7 @@ def _step(step: Step, final: Fit) -> FoundStep:
         parameters=own,
         curve=curve,
         formula=f"{form.sentence.rstrip('.')}, {form.equation}" if form else "",
-        certain=step.certain,
+        certain=step.certain and not loop.suspected,
         e_value=step.e_value,
     )
 

@@ -66,7 +66,7 @@ def command(recording: Path, **options: Any) -> int:
 
 def request_of(options: dict[str, Any]) -> ActigraphRequest:
     """The request that the options state; raises click's usage errors."""
-    from imucalib.calibrators.actigraph.request import ActigraphRequest
+    from imucalib.calibrators.actigraph.request import FREE, ActigraphRequest
     from imucalib.loop.found import LoopSettings
 
     shared = shared_of(options)
@@ -80,8 +80,7 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         kind=_kind(options),
         declare=shared.declare,
         only=shared.only,
-        # Of a worn sensor the free curve is the converter's.
-        without=(*shared.without, *(() if shared.rules.curves else ("converter",))),
+        without=(*shared.without, *(() if shared.rules.curves else FREE)),
         loop=shared.loop,
         # The null of a wandering bias is simulated once a round: 200 place the bar well enough.
         rules=LoopSettings(draws=shared.draws or 200),

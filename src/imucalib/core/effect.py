@@ -169,6 +169,8 @@ class Family:
     member : value as text -> the effect "name@value", the same for the same text anywhere
     values : context -> texts to try; nearby : (context, text) -> finer ones around the best, or
         nothing where the values are all there are
+    unfounded : whether no physics speaks for one value before another, so that it has to stand out
+        as far as a curve does
     """
 
     name: str
@@ -177,6 +179,7 @@ class Family:
     member: Callable[[str], Effect]
     values: Callable[[Context], tuple[str, ...]]
     nearby: Callable[[Context, str], tuple[str, ...]] = lambda context, text: ()
+    unfounded: bool = False
 
 
 Turn = Callable[[Context], tuple[Array, Array]]

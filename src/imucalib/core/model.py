@@ -22,12 +22,17 @@ _SAME = np.eye(3)
 
 @dataclass(frozen=True)
 class Prediction:
-    """reading (n, K, 3); d_theta (n, K, 3, p); d_truth (n, K, 3, 3); force: x (n, K, 3)."""
+    """reading (n, K, 3); d_theta (n, K, 3, p); d_truth (n, K, 3, 3); force: x (n, K, 3).
+
+    set_up : (n, K, 3) what the fixture makes of the truth; d_set_up : (n, K, 3, 3) by it
+    """
 
     reading: Array
     d_theta: Array
     d_truth: Array
     force: Array
+    set_up: Array
+    d_set_up: Array
 
 
 @dataclass(frozen=True)
@@ -69,8 +74,9 @@ class Model:
         """Readings of the truth (n, K, 3) m/s² and all derivatives."""
         n, k, _ = truth.shape
         slope = np.zeros((n, k, 3, theta.size))
-        chain = np.broadcast_to(_SAME, (n, k, 3, 3))
-        x, slices = truth, self.slices(context)
+        chain = mounted = np.broadcast_to(_SAME, (n, k, 3, 3))
+        x = set_up = truth
+        slices = self.slices(context)
         for effect in self.effects:
             if effect.stage == "sensor":
                 continue
@@ -81,6 +87,10 @@ class Model:
             slope[..., part] = action.d_theta
             chain = step @ chain
             x = x + action.delta
+            if effect.stage == "fixture":
+                set_up = x
+            else:
+                mounted = step @ mounted
         reading, response = x.copy(), np.broadcast_to(_SAME, chain.shape).copy()
         turning = theta.size
         for effect in self.effects:
@@ -92,7 +102,7 @@ class Model:
                 slope[..., part] = action.d_theta
                 turning = min(turning, part.start)
         slope[..., :turning] = response @ slope[..., :turning]  # of those that turn the truth
-        return Prediction(reading, slope, response @ chain, x)
+        return Prediction(reading, slope, response @ chain, x, set_up, response @ mounted)
 
     def correct(self, theta: Array, reading: Array, context: Context) -> Array:
         """The specific force (n, K, 3) in the tool's frame that gives these readings.

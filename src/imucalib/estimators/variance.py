@@ -158,19 +158,17 @@ def _search(at: Balanced, start: Noise) -> Noise:
         # The likelihood is flat near zero: a long first step can be stranded there.
         found = min(found, descend(-np.log(reach)), key=lambda result: float(result.fun))
     ratio = np.where(found.x > zero, np.exp(found.x), 0.0)
-    covariance = left.at(ratio[None])
-    power = float(covariance.power(covariance.solve(data[:, None]))[0, 0])
+    covariance = left.at(ratio)
+    power = covariance.power(covariance.solve(data))
     factor = float(np.sqrt(max(power / dof, 1e-30)))
     return Noise(factor, at.component, tuple(float(r) * factor for r in ratio))
 
 
 def _profiled(left: Restricted, data: Array, dof: int, ratio: Array) -> tuple[float, Array]:
     """Minus the restricted log likelihood with s at its best, and its slopes by the log ratios."""
-    covariance = left.at(ratio[None])
-    solved = covariance.solve(data[:, None])
-    rest, taken = solved[0][0, :, 0], solved[1][0, :, 0]
-    power = max(float(covariance.power(solved)[0, 0]), 1e-300)
-    inside = covariance.inside[0]
+    covariance = left.at(ratio)
+    rest, taken = solved = covariance.solve(data)
+    power, inside = max(covariance.power(solved), 1e-300), covariance.inside
     # tr V⁻¹ U_c U_c' = q_c - tr of the capacity's inverse, and U' V⁻¹ y is what U takes.
     own = 1.0 - np.diag(inside) - dof * taken**2 / power
     slope: Array = np.bincount(left.owner, own, minlength=ratio.size).astype(np.float64)
@@ -180,7 +178,7 @@ def _profiled(left: Restricted, data: Array, dof: int, ratio: Array) -> tuple[fl
         inner = weighted.T @ (each[:, None] * weighted)
         trace = float(np.sum(each / covariance.diagonal) - np.sum(inside * inner))
         slope[left.wide] = trace - dof * float(each @ rest**2) / power
-    return 0.5 * (float(covariance.log_det[0]) + dof * float(np.log(power))), slope
+    return 0.5 * (covariance.log_det + dof * float(np.log(power))), slope
 
 
 def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:

@@ -37,10 +37,10 @@ class AllanCurve:
 
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """(M,) ends of the deviation's interval, by its chi-square (SP 1065, section 5.3.1)."""
-        from scipy.stats import chi2
+        from scipy.special import chdtri
 
         ends = (1.0 + level) / 2.0, (1.0 - level) / 2.0
-        low, high = (self.variance * self.freedom / chi2.ppf(e, self.freedom) for e in ends)
+        low, high = (self.variance * self.freedom / chdtri(self.freedom, 1.0 - e) for e in ends)
         return np.sqrt(low), np.sqrt(high)
 
 

@@ -122,7 +122,7 @@ class _Collected:
 def identified(curve: AllanCurve) -> AxisNoise:
     """The coefficients that a curve of four or more values shows; none where no such sum fits it,
     as with lines in the spectrum: then only what the white noise lies below."""
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     for start in range(max(len(curve.tau) - _LEFT, 0) + 1):
         rows = np.arange(start, len(curve.tau))
@@ -132,7 +132,7 @@ def identified(curve: AllanCurve) -> AxisNoise:
         ratio = curve.variance[rows] / parts.sum(axis=1)
         off = float(np.sum(curve.freedom[rows] * (ratio - 1.0 - np.log(ratio))))
         white = float(np.max(parts[:, 0] / parts.sum(axis=1)))
-        if white > _SEEN and chi2.sf(off, max(len(rows) - len(names), 1)) > _MISFIT:
+        if white > _SEEN and chdtrc(max(len(rows) - len(names), 1), off) > _MISFIT:
             found = {name: _coefficient(name, names, curve, rows) for name in _SHAPES}
             return AxisNoise(**found, curve=curve, start=float(curve.tau[start]))
     none = Coefficient(None, None, None)

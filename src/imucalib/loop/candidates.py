@@ -31,14 +31,25 @@ def effect_columns(fit: Fit, effect: Effect, prediction: Prediction | None = Non
     """(N, m) columns of a catalogue effect at θ = 0, scaled by its typical sizes.
 
     The effect's own derivative at the fitted truth, chained through what acts after it.
-    prediction : of the fit, when it is there: sensor effects act side by side and need no new one
+    prediction : of the fit, when it is there: an effect that does nothing at its start needs no new
+        one
     """
-    if prediction is not None and effect.stage == "sensor":
-        context = fit.observations.context
-        start = np.array([p.start for p in effect.parameters(context)])
-        size = np.array([p.typical for p in effect.parameters(context)])
-        columns = fit.at.columns(effect.act(start, Truth(prediction.force), context).d_theta)
-        return np.asarray(columns * size)
+    context = fit.observations.context
+    parameters = effect.parameters(context)
+    start, size = (np.array([getattr(p, of) for p in parameters]) for of in ("start", "typical"))
+    if effect.stage == "mounting" or start.any():
+        return fit.at.columns(_beside(fit, effect) * size)
+    prediction = prediction or fitted_prediction(fit)
+    if effect.stage == "sensor":
+        slope = effect.act(start, Truth(prediction.force), context).d_theta
+    else:
+        slope = effect.act(start, Truth(prediction.set_up), context).d_theta
+        slope = prediction.d_set_up @ slope
+    return fit.at.columns(slope * size)
+
+
+def _beside(fit: Fit, effect: Effect) -> Array:
+    """(n, K, 3, p) slopes of an effect at its start in the model that has it."""
     extended = fit.model.plus(effect)
     context, reference = fit.observations.context, fit.observations.reference
     slices = extended.slices(context)
@@ -46,8 +57,7 @@ def effect_columns(fit: Fit, effect: Effect, prediction: Prediction | None = Non
     for name, part in fit.model.slices(context).items():
         theta[slices[name]] = fit.theta[part]
     prediction = extended.predict(theta, reference.truth(fit.eta), context)
-    typical = np.array([p.typical for p in effect.parameters(context)])
-    return fit.at.columns(prediction.d_theta[..., slices[effect.name]] * typical)
+    return prediction.d_theta[..., slices[effect.name]]
 
 
 def effect_candidates(

@@ -9,6 +9,7 @@ import numpy as np
 
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
+from imucalib.effects import families as effect_families
 from imucalib.effects import known
 from imucalib.loop.candidates import correlated_noise, effect_candidates, family_candidates, probes
 from imucalib.loop.evidence import Candidate, Score, apart, score
@@ -124,8 +125,13 @@ def effect_named(effects: Mapping[str, Effect], name: str) -> Effect:
 
 def choose(scores: tuple[Score, ...], rules: LoopSettings) -> Score | None:
     """The best catalogue effect. Neither noise nor a curve speaks against it here."""
-    physical = (s for s in scores if passes(s, rules) and s.candidate.kind == "effect")
+    physical = (s for s in scores if s.candidate.kind == "effect" and _stands_out(s, rules))
     return next(physical, None)
+
+
+def _stands_out(found: Score, rules: LoopSettings) -> bool:
+    family = effect_families().get(found.candidate.family)
+    return (clear if family and family.unfounded else passes)(found, rules)
 
 
 def passes(found: Score, rules: LoopSettings) -> bool:

@@ -21,8 +21,6 @@ def step_tables(found: Findings) -> list[Table]:
 def _table(steps: Sequence[FoundStep], found: Findings) -> Table:
     checks = steps[0].checks
     sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
-    # What held-out data do not prove is not certain, whatever else would not do.
-    alone = "nothing" if found.verdict == "suspected" else "nothing: certain"
     rows = tuple(
         (
             s.effect,
@@ -30,7 +28,7 @@ def _table(steps: Sequence[FoundStep], found: Findings) -> Table:
             probability(s.p, s.draws),
             *((f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)) if nats else ()),
             *_changes(s),
-            ", ".join(s.aliases) or (alone if s.certain else "-"),
+            ", ".join(s.aliases) or ("nothing: certain" if s.certain else "-"),
         )
         for s in steps
     )

@@ -17,6 +17,7 @@ from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.windows import WindowBuilder, Windows, in_order
 
 _WINDOW = 10.0  # s
+_FORGOTTEN = 20.0  # decays
 _SILENT = 3600.0  # s without a reading after which nothing is known of the way to the next one
 
 
@@ -29,15 +30,28 @@ class ThermalHistory:
 
     def lagged(self, hours: float, at: Array) -> Array:
         """Temperature (°C) behind a lag of some hours, at times (s); it starts in equilibrium."""
-        from scipy.signal import lfilter
-
         t = self.time
         step = float(np.median(np.diff(t))) if t.size > 1 else 1.0
         grid = np.arange(t[0], t[-1] + step, step)
         values = np.interp(grid, t, self.values)
         share = 1.0 - np.exp(-step / (3600.0 * hours))
-        late = lfilter([share], [1.0, share - 1.0], values, zi=[(1.0 - share) * values[0]])[0]
-        return np.asarray(np.interp(at, grid, late))
+        return np.asarray(np.interp(at, grid, _trailing(values, share)))
+
+
+def _trailing(values: Array, share: float) -> Array:
+    """y_k = y_{k-1} + share (x_k - y_{k-1}) from equilibrium, in stretches over which a reading's
+    weight falls to e^-20: in sums the decay is a factor, and there none overflows."""
+    if share >= 1.0:
+        return values
+    decay = -np.log1p(-share)
+    found, last = np.empty_like(values), values[0]
+    length = max(1, int(_FORGOTTEN / decay))
+    for start in range(0, values.size, length):
+        some = values[start : start + length]
+        fallen = np.exp(-decay * np.arange(1, some.size + 1))
+        found[start : start + length] = fallen * (last + np.cumsum(share * some / fallen))
+        last = found[start + some.size - 1]
+    return found
 
 
 def history_of(windows: Windows) -> ThermalHistory:

@@ -198,8 +198,10 @@ def test_members_of_scans_keep_the_laws(name: str) -> None:
 
 
 def test_scans_know_their_members_by_name() -> None:
-    assert set(families()) == {"bias_step", "slip", "thermal_lag", "converter", "curve", "shape"}
-    for name in ("bias_step@later", "converter@w", "thermal_lag@", "nothing@1s"):
+    scans = {"bias_step", "slip", "thermal_lag", "cycle", "converter", "curve", "posture", "shape"}
+    assert set(families()) == scans
+    wrong = ("bias_step@later", "converter@w", "thermal_lag@", "cycle@7s", "cycle@-2rows")
+    for name in (*wrong, "nothing@1s"):
         assert known(name) is None
         with pytest.raises(UsageError):
             named(name)

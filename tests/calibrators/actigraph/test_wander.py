@@ -112,6 +112,47 @@ def test_a_passing_offset_is_not_nothing(worn: ModuleType, monkeypatch: pytest.M
     assert not any(s.certain for s in loop.steps)
 
 
+@pytest.mark.parametrize("aim", [10.0, 30.0])
+def test_an_offset_of_the_posture_is_no_certain_response(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, aim: float
+) -> None:
+    """A strap presses the case around one posture: smooth, and no law of the axes."""
+    middle = np.array([0.48, -0.6, 0.64])
+
+    def pressed(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * np.exp((x @ middle - 1.0) / 0.3)[:, None]
+
+    case = of(worn, monkeypatch, pressed, aim)
+    result = case.solved(WANTED)
+    certain = {s.effect.partition("@")[0] for s in result.loop.steps if s.certain}
+    assert certain <= {"posture"}
+    assert any("posture" in name for s in result.loop.steps for name in (s.effect, *s.aliases))
+    assert case.error(result.final) < 0.7 * case.error(result.base)
+
+
+def test_a_square_across_an_axis_is_no_certain_cross_axis(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The size of gravity cannot tell x_x + c x_y² from x_y + c x_x x_y."""
+    case = of(worn, monkeypatch, lambda x, t, u, c: c * np.eye(3)[0] * x[:, 1:2] ** 2, 30.0)
+    steps = case.solved(WANTED).loop.steps
+    assert steps[0].effect == "cross_axis"
+    assert not any(s.certain for s in steps)
+
+
+def test_readings_at_a_limit_are_refused_and_told(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beyond its limit the axis reads the same whatever the force is: there is no inverse."""
+
+    def limited(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return 1e3 * np.eye(3)[2] * (np.clip(x, -0.93, 0.93) - x)
+
+    monkeypatch.setattr(worn, "strength", lambda *_: 30.0)
+    loop = of(worn, monkeypatch, limited, 30.0).solved(WANTED).loop
+    assert any("no inverse" in u.name for u in loop.unexplained)
+
+
 NOISES = ("white", "walk 10 min", "walk 2 h", "walk 12 h", "t3")
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from imucalib.calibrators.array.board import Board, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
+from imucalib.calibrators.array.loop.earlier import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.state import start_state
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun

@@ -18,7 +18,7 @@ from worlds import plain_bench, plain_defects
 
 OUTSIDE = {
     "third_harmonic", "slip", "local_sine", "thermal_lag", "random_walk", "shock", "late_reading",
-    "pick_up", "soft_saturation",
+    "pick_up", "soft_saturation", "swing",
 }  # fmt: skip
 EVERY = [*plain_defects.DIALS, *plain_defects.AXES, *plain_defects.SENSOR]
 PLANTED = [name for name in EVERY if name not in OUTSIDE]
@@ -137,6 +137,19 @@ def test_a_sensor_behind_its_thermometer_is_named(tmp_path: Path) -> None:
     assert run.result.loop.verdict == "explained"
     # What is left: the noise of 0.5 mg on three axes, and the doubt of the fit.
     assert run.result.error.final < 0.8 * run.result.error.base
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_bias_that_swings_with_a_period_of_its_own_is_named(seed: int, tmp_path: Path) -> None:
+    """On sweeps of eight it was a cross-axis sensitivity, for certain."""
+    bench = plain_bench.Bench(plain_bench.Plan(seed, (("swing", 15.0),)))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    (step,) = run.result.loop.steps
+    family, _, period = step.effect.partition("@")
+    assert family == "cycle"
+    assert float(period.removesuffix("rows")) == pytest.approx(7.3, rel=0.05)
+    assert run.result.loop.verdict == "explained"
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -69,7 +69,7 @@ def gyro_rest(triad: Triad, rate: Array, rests: Mapping[str, float]) -> GyroRest
 
     None where fewer than three rests have a rate: their scatter is the only noise that counts.
     """
-    from scipy.stats import t as student
+    from scipy.special import stdtr
 
     known = rate[np.isfinite(rate).all(axis=1)]
     if len(known) < 3:
@@ -78,5 +78,5 @@ def gyro_rest(triad: Triad, rate: Array, rests: Mapping[str, float]) -> GyroRest
     before = float(rests.get("count") or len(known))
     sd = moved.std(axis=0, ddof=1) * np.sqrt(1.0 / len(known) + 1.0 / before)
     sd = np.maximum(sd, 1e-12)
-    each = 2.0 * student.sf(np.abs(moved.mean(axis=0)) / sd, len(known) - 1)
+    each = 2.0 * stdtr(len(known) - 1, -np.abs(moved.mean(axis=0)) / sd)
     return GyroRest(moved.mean(axis=0), sd, float(min(1.0, 3.0 * each.min())))

@@ -16,6 +16,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects import families, named
+from imucalib.effects.curve import of_temperature
 from imucalib.errors import NotConverged, UsageError
 from imucalib.loop.asked import Searched, searched
 from imucalib.loop.found import FitLoop
@@ -26,6 +27,8 @@ from imucalib.units import MG
 
 #: Posture runs a parameter below which what is left over is no noise to search in.
 _SEARCHED = 2
+#: Free functions of the response that are tried on what is left where a search may not take them.
+_PROBED = ("converter", "posture")
 
 
 @dataclass(frozen=True)
@@ -156,16 +159,19 @@ def search(
     """The closed loop over the catalogue and its scans, under a noise that wanders."""
     tried = wanted(request)
     known = (quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows) / MG**2
-    curve = families()["converter"]
-    probes = () if curve in tried.families else (curve,)
+    asked = {family.name for family in tried.families}
+    probes = tuple(families()[n] for n in _PROBED if n not in asked)
     return close(base, Asked(tried.effects, tried.families, known, request.rules, probes), rng)
 
 
 def wanted(request: ActigraphRequest) -> Searched:
-    """Sensor effects and scans: a fixture is nothing that a wrist has."""
-    return searched(
+    """Sensor effects, scans, and a curve of the temperature: a fixture is nothing that a wrist
+    has."""
+    found = searched(
         request.only, request.without, request.extra_effects, lambda e: e.stage == "sensor"
     )
+    curve = (replace(f, values=of_temperature) if f.name == "curve" else f for f in found.families)
+    return replace(found, families=tuple(curve))
 
 
 def unseen(runs: PostureRuns) -> tuple[str, ...]:

@@ -11,6 +11,9 @@ from imucalib.effects import own_effects
 from imucalib.loop.found import LoopSettings
 from imucalib.units import STANDARD_GRAVITY
 
+#: Scans whose members may have any form: of an axis' response, of the temperature, of the posture.
+FREE = ("converter", "curve", "posture")
+
 
 @dataclass(frozen=True)
 class ActigraphRequest:

@@ -121,7 +121,7 @@ def _fit(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> tuple[F
 
 
 def _tested(parts: tuple[Part, ...], good: list[Fit]) -> Series:
-    from scipy.stats import chi2, norm
+    from scipy.special import chdtrc, ndtr
 
     information = [np.linalg.inv(fit.covariance) for fit in good]
     total = np.linalg.inv(np.sum(information, axis=0))
@@ -134,7 +134,7 @@ def _tested(parts: tuple[Part, ...], good: list[Fit]) -> Series:
     spread = [np.sqrt(np.diag(fit.covariance) - np.diag(total)) for fit in good]
     z = np.array(away) / np.array(spread)
     worst = np.abs(z).max(axis=0)
-    chance = np.minimum(1.0, 2.0 * norm.sf(worst) * z.size)
+    chance = np.minimum(1.0, 2.0 * ndtr(-worst) * z.size)
     order = [k for k in np.argsort(chance) if chance[k] < 0.01]
     parameters = good[0].parameters
     moved = tuple((parameters[k].name, float(chance[k])) for k in order)
@@ -144,7 +144,7 @@ def _tested(parts: tuple[Part, ...], good: list[Fit]) -> Series:
         common=np.asarray(common),
         statistic=statistic,
         dof=dof,
-        p=float(chi2.sf(statistic, dof)),
+        p=float(chdtrc(dof, statistic)),
         moved=moved,
     )
 

@@ -28,9 +28,10 @@ from imucalib.calibrators.array.log import ArrayLog, array_log, in_package_axes
 from imucalib.calibrators.array.loop.at_rest import with_rests
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import with_declared
+from imucalib.calibrators.array.loop.earlier import start_state
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.setup import array_setup
-from imucalib.calibrators.array.loop.state import ArrayState, start_state
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term, rest_terms
 from imucalib.calibrators.array.moving import Moving, moving_part
 from imucalib.calibrators.array.request import ArrayRequest

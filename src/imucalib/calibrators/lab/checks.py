@@ -100,15 +100,18 @@ def refuse_sizes(table: PositionTable, bad: Index, rows: Index) -> None:
 
 
 def _repair(reading: Array, usual: float, row: int) -> str:
-    """The one number that is ten times too large or too small, or nothing."""
+    """Every one number that may be ten times too large or too small, the likeliest first: |a| alone
+    does not tell two axes of about one size apart."""
+    found = list[tuple[float, str]]()
     for axis, name in enumerate("xyz"):
         for factor, words in ((0.1, "large"), (10.0, "small")):
             changed = reading.copy()
             changed[axis] *= factor
-            if abs(float(np.linalg.norm(changed)) / usual - 1.0) < 0.1:
-                value = float(changed[axis])
-                return f"{name} may be ten times too {words}: --fix {row}:{name}={value:.10g}, "
-    return ""
+            off = abs(float(np.linalg.norm(changed)) / usual - 1.0)
+            if off < 0.1:
+                line = f"--fix {row}:{name}={float(changed[axis]):.10g}"
+                found.append((off, f"{name} may be ten times too {words}: {line}, "))
+    return "or ".join(words for _, words in sorted(found))
 
 
 def kept_rows(table: PositionTable, exclude: tuple[int, ...]) -> Index:

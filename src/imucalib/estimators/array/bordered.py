@@ -72,7 +72,7 @@ def _part(
     force = apart.six.shape[1]
     for lost, place in ((apart.six, apart.place[:force]), (apart.three, apart.place)):
         order = np.argsort(place)
-        columns, taken = place[order], lost[:, order]
+        columns, taken = place[order], np.take(lost, order, axis=1)
         n = int(np.searchsorted(columns, b))
         across[np.ix_(columns[:n], columns)] -= taken[:, :n].T @ taken
         for mine, some in _within(own, starts, columns):

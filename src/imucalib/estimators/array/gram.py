@@ -58,7 +58,7 @@ def _part(sampled: Sampled, blocks: Sequence[Columns], rows: Index) -> Gram:
     apart = taken_apart(sampled, blocks, rows)
     total, force = len(apart.place), apart.six.shape[1]
     # In the order of the blocks from here on: one matrix of all columns, and no copy.
-    across = apart.three[:, np.argsort(apart.place)]
+    across = np.take(apart.three, np.argsort(apart.place), axis=1)
     matrix, whole = across.T @ across, np.zeros(total)
     np.negative(matrix, out=matrix)
     for a in range(0, force, _COLUMNS):

@@ -67,15 +67,30 @@ class _Blocks:
 
 @dataclass(frozen=True)
 class _Part:
-    """Noise hypotheses; weight : (P, 1) what each costs where no candidate is added."""
+    """Noise hypotheses, P times F; weight : (P F, 1) what each costs where no candidate is added.
+
+    rest, along : all candidates' columns, split as the covariances do, (P, n, c) and (P, f, c)
+    """
 
     covariances: Covariances
+    rest: Array
+    along: Array
     blocks: tuple[_Blocks, ...]
     weight: Array
 
     @property
     def size(self) -> int:
         return len(self.weight)
+
+    def against(self, data: Array) -> tuple[Array, Array]:
+        """Power (P F, D) of data (n, D), and its projection (P F, c, D) on the columns."""
+        rest, along = self.covariances.split(data)
+        weighted = self.covariances.weight[..., None] * along[:, None]
+        power = (rest**2).sum(axis=1)[:, None] + (weighted * along[:, None]).sum(axis=2)
+        projection = (self.rest.swapaxes(-1, -2) @ rest)[:, None] + (
+            self.along.swapaxes(-1, -2)[:, None] @ weighted
+        )
+        return power.reshape(self.size, -1), projection.reshape(self.size, -1, data.shape[1])
 
 
 class EvidenceGrid:
@@ -114,8 +129,9 @@ class EvidenceGrid:
             (which := np.flatnonzero(np.equal(widths, m)), starts[which, None] + np.arange(m))
             for m in np.unique(widths)
         ]
-        numbers = left.columns.shape[1] * self._columns.shape[1]
-        at = [left.at(some) for some in _parted(points, left.wide, numbers)]
+        distinct = np.array(list(dict.fromkeys(points)), np.float64)
+        each = self._freedom + len(SHRINK) * left.columns.shape[1]
+        at = list(left.over(distinct, max(1, _NUMBERS // (each * self._columns.shape[1]))))
         lowest = min(float(some.log_det.min()) for some in at)
         self._parts = [
             _part(some, self._columns, same, (some.log_det - lowest) / self._freedom) for some in at
@@ -135,25 +151,12 @@ class EvidenceGrid:
         nothing: Array = np.full(data.shape[1], np.inf)
         best: Array = np.full((self._size, data.shape[1]), np.inf)
         for part in self._parts:
-            solved = part.covariances.solve(data)
-            power, projection = part.covariances.power(solved), self._columns.T @ solved[0]
+            power, projection = part.against(data)
             np.minimum(nothing, (part.weight * power).min(axis=0), out=nothing)
             for blocks in part.blocks:
                 least = np.minimum(best[blocks.which], blocks.left(power, projection))
                 best[blocks.which] = least
         return np.asarray(0.5 * self._freedom * (np.log(nothing) - np.log(best)))
-
-
-def _parted(
-    points: list[tuple[float, ...]], wide: int, numbers: int
-) -> list[list[tuple[float, ...]]]:
-    """The hypotheses without repeats, in parts that share the ratio of the wide component and
-    whose arrays, of so many numbers a hypothesis, stay small."""
-    same: dict[float, list[tuple[float, ...]]] = {}
-    for point in dict.fromkeys(points):
-        same.setdefault(point[wide] if wide >= 0 else 0.0, []).append(point)
-    step = max(1, _NUMBERS // max(numbers, 1))
-    return [some[a : a + step] for some in same.values() for a in range(0, len(some), step)]
 
 
 def _around(
@@ -170,21 +173,29 @@ def _part(
     covariances: Covariances, columns: Array, same: Sequence[tuple[Index, Index]], penalty: Array
 ) -> _Part:
     """same : of each width which candidates have it and their columns (k, m), which are decomposed
-    together; penalty : (P,) of log det V, a degree of freedom."""
-    scaled = (columns / covariances.root[:, None]).T
-    along = covariances.along(columns).swapaxes(-1, -2)
-    freedom = columns.shape[0]
+    together; penalty : (P, F) of log det V, a degree of freedom."""
+    rest, along = covariances.split(columns)
+    before = ((columns / covariances.root[:, None]) ** 2).sum(axis=0)
+    cost = penalty.reshape(-1, 1)
     blocks = []
     for which, at in same:
         # Eigenvectors of the small Gram matrices are the blocks' singular directions.
-        whole = scaled[at] @ scaled[at].swapaxes(-1, -2)
-        gram = whole - along[:, at] @ along[:, at].swapaxes(-1, -2)
+        gram = _grams(rest, along, covariances.weight, at)
         values, vectors = eigen(gram) if at.shape[1] > 1 else (gram[..., 0], np.ones(gram.shape))
-        open_ = values > _ROUNDING * np.trace(whole, axis1=1, axis2=2)[:, None]
+        open_ = values > _ROUNDING * before[at].sum(axis=1)[:, None]
         size = np.where(open_, values, 0.0)
         scale = np.where(open_, 1.0 / np.sqrt(np.where(open_, values, 1.0)), 0.0)
         turn = scale[..., None] * vectors.swapaxes(-1, -2)
         gain = TAU[:, None] ** 2 * size[..., None, :]
-        cost = penalty[:, None, None, None] + np.log1p(gain).sum(-1, keepdims=True) / freedom
-        blocks.append(_Blocks(which, at, turn, gain / (1.0 + gain), np.exp(cost)))
-    return _Part(covariances, tuple(blocks), np.exp(penalty[:, None]))
+        times = cost[..., None, None] + np.log1p(gain).sum(-1, keepdims=True) / len(columns)
+        blocks.append(_Blocks(which, at, turn, gain / (1.0 + gain), np.exp(times)))
+    return _Part(covariances, rest, along, tuple(blocks), np.exp(cost))
+
+
+def _grams(rest: Array, along: Array, weight: Array, at: Index) -> Array:
+    """(P F, k, m, m) of blocks' columns (k, m) under every hypothesis."""
+    one = rest[:, :, at].transpose(0, 2, 3, 1)
+    two = along[:, :, at].transpose(0, 2, 3, 1)[:, None]
+    own = (one @ one.swapaxes(-1, -2))[:, None]
+    gram = own + (two * weight[:, :, None, None]) @ two.swapaxes(-1, -2)
+    return np.asarray(gram.reshape(-1, *gram.shape[2:]))

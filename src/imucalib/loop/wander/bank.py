@@ -71,6 +71,8 @@ class Bank:
     _sums: dict[tuple[int, bytes], Array] = field(default_factory=dict, repr=False)
     _whole: dict[int, Array] = field(default_factory=dict, repr=False)
     _added: dict[bytes, Array] = field(default_factory=dict, repr=False)
+    #: What scores keep of the whole data between searches with and without simulated data.
+    made: dict[tuple[int, bytes, bytes], object] = field(default_factory=dict, repr=False)
 
     @property
     def count(self) -> Index:
@@ -86,6 +88,14 @@ class Bank:
             return self._whole[walk]
         out = white[~keep[self.course.part]]
         return np.asarray(self._whole[walk] - out.T @ out)
+
+    def products(self, columns: Index, keep: Mask) -> Array:
+        """(walks, c, c) products of some columns over the parts that are kept."""
+        if keep.all():
+            picked = self.white[:, :, columns]
+            return np.asarray(picked.transpose(0, 2, 1) @ picked)
+        every = range(len(self.walks))
+        return np.stack([self.by_part(walk, columns)[keep].sum(axis=0) for walk in every])
 
     def by_part(self, walk: int, columns: Index) -> Array:
         """(parts, c, c) products of some columns, part by part."""
@@ -104,7 +114,7 @@ class Bank:
         white = self._added[key]
         both = np.concatenate([self.white, white], axis=2)
         every = np.column_stack([self.columns, columns])
-        return replace(self, columns=every, white=both, _whole={})
+        return replace(self, columns=every, white=both, _whole={}, made={})
 
 
 def bank_of(course: Course, walks: tuple[Walk, ...], columns: Array) -> Bank:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.effect import Effect
 from imucalib.loop.wander.bank import Bank, Mask, Split
 from imucalib.loop.wander.forms import leads, rival_form
 from imucalib.loop.wander.held_blocks import Judged, inside, judged
@@ -25,21 +24,9 @@ _SHRUNK = (1.0, 0.4, 0.2, 0.1)
 _LEAST = 2.5
 #: Candidates of one kind that are judged on the blocks.
 _OF_A_KIND = 2
-Bar = Callable[[Bank, Terms, int], Array]
+Bars = Callable[[Bank, Terms, int, Sequence[Scored]], Iterable[Array]]
 Finer = Callable[[Entry], Sequence[tuple[str, Array]]]
 Forms = Callable[[Entry], Sequence[tuple[str, Array]]]
-_TIME = ("order", "time", "time_of_day")
-
-
-def kind_of(effect: Effect) -> str:
-    """What drives an effect: "time", "temperature", "history", "curve" or "shape"."""
-    if any(n in _TIME for n in effect.needs):
-        return "time"
-    if any(n.startswith("temperature") for n in effect.needs):
-        return "temperature"
-    if any(n.startswith("previous") for n in effect.needs):
-        return "history"
-    return "curve" if effect.name.startswith("converter@") else "shape"
 
 
 @dataclass(frozen=True)
@@ -82,12 +69,13 @@ class Search:
 
 @dataclass(frozen=True)
 class Rules:
-    """bar : (bank, terms, round) -> nats that a candidate must reach, (2,) by `timed`
+    """bars : (bank, terms, round, scores) -> nats that a candidate must reach, (2,) by `timed`, the
+    next ones where nothing that reaches the first holds out
     most : effects; same_tau : as in `usable_walks`
     finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing
     forms : (entry) -> names and columns of the forms that the driver of a name may have"""
 
-    bar: Bar
+    bars: Bars
     most: int
     finer: Finer
     forms: Forms
@@ -110,23 +98,20 @@ def search(
         level = best_level(bank, terms, keep)
         open_entries = [e for e in entries if not any(same(e, t.found.entry) for t in taken)]
         walks = usable_walks(bank, level, same_tau=rules.same_tau)
-        scores, _ = scored(bank, terms, keep, open_entries, walks)
+        scores, _ = scored(bank, terms, keep, open_entries, walks, told=not rules.same_tau)
         first = first or scores
         refused = list[Refused]()
         best = None
-        if len(taken) < rules.most and any(s.evidence > _LEAST for s in scores):
-            bar = rules.bar(bank, terms, len(taken))
+        wanted = len(taken) < rules.most and any(s.evidence > _LEAST for s in scores)
+        for bar in rules.bars(bank, terms, len(taken), scores) if wanted else ():
+            passing = [s for s in scores if s.evidence >= bar[int(s.entry.timed)]]
+            refused.clear()
             bank, best = _choice(
-                bank=bank,
-                terms=terms,
-                level=level,
-                scores=scores,
-                design=design,
-                keep=keep,
-                rules=rules,
-                bar=bar,
+                bank, terms, keep, passing, rules, level=level, scores=scores, design=design,
                 refused=refused,
-            )
+            )  # fmt: skip
+            if best is not None:
+                break
         if best is None:
             return Search(
                 bank=bank,
@@ -149,17 +134,9 @@ def same(one: Entry, other: Entry) -> bool:
 
 
 def _choice(
-    bank: Bank,
-    terms: Terms,
-    level: Level,
-    scores: Sequence[Scored],
-    design: Sequence[Split],
-    keep: Mask,
-    rules: Rules,
-    bar: Array,
-    refused: list[Refused],
-) -> tuple[Bank, Taken | None]:
-    passing = [s for s in scores if s.evidence >= bar[int(s.entry.timed)]]
+    bank: Bank, terms: Terms, keep: Mask, passing: Sequence[Scored], rules: Rules, *, level: Level,
+    scores: Sequence[Scored], design: Sequence[Split], refused: list[Refused],
+) -> tuple[Bank, Taken | None]:  # fmt: skip
     kinds = dict.fromkeys(s.entry.kind for s in passing)
     tried = [s for kind in kinds for s in _first_of(passing, kind)]
     if not tried or len(design) < 3:
@@ -193,7 +170,10 @@ def _or_form(
         return bank, best
     if leads(rival.score, named):
         trial = _judged_with(rival.bank, terms, rival.score, now, design)
-        if not _objection(trial, named.entry.kind) and trial.gains.sum() > best.gains.sum():
+        worse = float((best.gains - trial.gains).sum()) >= 0.0
+        if named.entry.free:  # a formula goes before a curve that does as well
+            worse = _lead(best.gains - trial.gains) >= 1.0
+        if not _objection(trial, named.entry.kind) and not worse:
             return rival.bank, replace(trial, rivals=best.rivals)
     return bank, replace(best, form=rival.score.entry.name)
 
@@ -210,7 +190,7 @@ def _first_of(passing: Sequence[Scored], kind: str) -> list[Scored]:
 def _judged_with(
     bank: Bank, terms: Terms, candidate: Scored, now: Judged, design: Sequence[Split]
 ) -> Taken:
-    shares = _SHRUNK if candidate.entry.kind == "curve" else (1.0,)
+    shares = _SHRUNK if candidate.entry.free else (1.0,)
     sizes = [candidate.size * share for share in shares]
     columns = candidate.entry.columns
     trials = [judged(bank, terms.plus(columns, s), candidate.walk, design) for s in sizes]
@@ -244,5 +224,5 @@ def _best_of(held: Sequence[Taken]) -> Taken:
     """The largest gain; among those that do as well, a name before a curve, then the evidence."""
     best = max(held, key=lambda t: float(t.gains.sum()))
     alike = [t for t in held if _lead(best.gains - t.gains) < 1.0]
-    named = [t for t in alike if t.found.entry.kind != "curve"] or alike
+    named = [t for t in alike if not t.found.entry.free] or alike
     return max(named, key=lambda t: t.found.evidence)

@@ -34,21 +34,26 @@ def confirmed(
     steps : of the search, with their aliases; bars : of its rounds, (2,) each
     gained : on the blocks
     """
-    kept, doubted = list[Taken](), list[Refused]()
+    doubted = list[Refused]()
     for taken, step, bar in zip(search.taken, steps, bars, strict=False):
         if why := _doubt(taken, step, float(bar[0]), each, gained):
             doubted.append(Refused(step.effect, taken.found, why))
-        else:
-            kept.append(taken)
-    if not doubted:
+    return without(search, doubted, base)
+
+
+def without(search: Search, refused: Sequence[Refused], base: Terms) -> Search:
+    """The search without some of what it took."""
+    if not refused:
         return search
+    gone = {one.found.entry.name for one in refused}
+    kept = tuple(t for t in search.taken if t.found.entry.name not in gone)
     terms = base
     for taken in kept:
         terms = terms.plus(taken.found.entry.columns, taken.size)
     keep = np.ones(search.bank.course.parts, dtype=bool)
     level = best_level(search.bank, terms, keep)
-    refused = (*search.refused, *doubted)
-    return replace(search, terms=terms, level=level, taken=tuple(kept), refused=refused)
+    told = (*search.refused, *refused)
+    return replace(search, terms=terms, level=level, taken=kept, refused=told)
 
 
 def _doubt(taken: Taken, step: Step, bar: float, each: Predicted, gained: Difference) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,20 +11,22 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
+from imucalib.errors import NotConverged
 from imucalib.loop.design import Fold, folds_of
 from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained, Wander
 from imucalib.loop.held_out import Held
-from imucalib.loop.wander.ambiguous import ambiguities
+from imucalib.loop.separation.worn import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
-from imucalib.loop.wander.choice import Rules, Search, search
-from imucalib.loop.wander.confirm import confirmed
+from imucalib.loop.wander.choice import Refused, Rules, Search, search
+from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
-from imucalib.loop.wander.scores import null_of, scored, usable_walks
+from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
+from imucalib.loop.wander.slow import beside_slow_walks
 from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import (
     beside_others,
@@ -38,6 +40,7 @@ from imucalib.loop.wander.words import (
 _ROWS = 3000
 #: Chance that the best of all candidates reaches the bar where nothing is missing, at most.
 _ALPHA = 0.02
+_NO_INVERSE = "with it some readings have no inverse, so that nothing can be corrected by it"
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class Closed:
 @dataclass(frozen=True)
 class _Pass:
     """One search of the whole data. chances : of every round, (2, draws) evidence of the best on
-    data that lack nothing; bars : (2,) of every round"""
+    data that lack nothing; bars : (2,) of every round; neither where another search follows"""
 
     problem: Problem
     level: Level
@@ -88,42 +91,57 @@ def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
     noise = noise_of(base, asked.known, part, base_precision(base))
     found = _searched(base, noise, folds, asked, rng)
     if found.search.taken:
-        final, precision = _final(found)
+        _, final, precision = _undoable(found)
         noise = noise_of(final, asked.known, part, precision)
-        found = _searched(base, noise, folds, asked, rng)
+        found = _searched(base, noise, folds, asked, rng, last=True)
     return _told(found, folds, part, asked, rng)
 
 
 def _searched(
-    base: Fit, noise: Noise, folds: tuple[Fold, ...], asked: Asked, rng: np.random.Generator
-) -> _Pass:
+    base: Fit, noise: Noise, folds: tuple[Fold, ...], asked: Asked, rng: np.random.Generator,
+    *, last: bool = False,
+) -> _Pass:  # fmt: skip
     rules = asked.rules
     plain = fitted(base.model, base.observations, noise, base.theta, base_precision(base))
     rows = min(rules.most_scored, _ROWS)
     problem = problem_of(plain, noise, asked.effects, asked.families, folds, rows)
     bank, terms = problem.bank, problem.terms
     keep = np.ones(bank.course.parts, dtype=bool)
-    chances, bars = list[Array](), list[Array]()
+    drawn: dict[int, Array] = {}
+    alpha = min(rules.alpha, _ALPHA) / 2.0
+    enough = sure(rules.draws, len(problem.entries) * len(bank.walks))
 
-    def bar(bank: Bank, terms: Terms, _: int) -> Array:
+    def draw(bank: Bank, terms: Terms, turn: int) -> Array:
         every = levels(bank, terms, keep)
         null = null_of(bank, every, rng, rules.draws)
         walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
-        chances.append(scored(bank, terms, keep, problem.entries, walks, null)[1])
-        bars.append(np.quantile(chances[-1], 1.0 - min(rules.alpha, _ALPHA) / 2.0, axis=1))
-        return bars[-1]
+        drawn[turn] = scored(bank, terms, keep, problem.entries, walks, null)[1]
+        return np.asarray(np.quantile(drawn[turn], 1.0 - alpha, axis=1))
 
-    decide = Rules(bar, rules.most_effects, problem.finer, problem.forms)
+    def tried(bank: Bank, terms: Terms, turn: int, scores: Sequence[Scored]) -> Iterator[Array]:
+        if scores[0].evidence >= enough and not scores[0].entry.timed:
+            yield np.array([enough, np.inf])
+        if last or not turn:  # else the next search draws its own
+            yield draw(bank, terms, turn)
+
+    decide = Rules(tried, rules.most_effects, problem.finer, problem.forms)
     found = search(bank, terms, problem.entries, problem.splits, keep, decide)
-    if not bars:  # nothing came near a bar, which only the report asks for
-        bar(bank, terms, 0)
+    if not drawn and (last or not found.taken):  # which only the report asks for
+        draw(found.bank, found.terms, len(found.taken))
+    chances = tuple(_nearest(drawn, turn) for turn in range(len(found.taken) + 1) if drawn)
+    bars = tuple(np.quantile(chance, 1.0 - alpha, axis=1) for chance in chances)
     every = levels(bank, terms, keep)
     level = max(every, key=lambda one: one.nats)
     # The base under its own walk, which is larger than what is left beside the final model.
     scatter = noise.scatter * float(np.sqrt(level.variance))
     own = replace(noise, walk=bank.walks[level.walk], scatter=scatter)
     plain = fitted(base.model, base.observations, own, plain.theta, base_precision(base))
-    return _Pass(replace(problem, fit=plain), level, tuple(chances), tuple(bars), found)
+    return _Pass(replace(problem, fit=plain), level, chances, bars, found)
+
+
+def _nearest(drawn: Mapping[int, Array], turn: int) -> Array:
+    """Of the round itself, or of the next one for which data were drawn, or of the last."""
+    return drawn[min((t for t in drawn if t >= turn), default=max(drawn))]
 
 
 def _final(found: _Pass) -> tuple[Fit, Array]:
@@ -140,21 +158,29 @@ def _final(found: _Pass) -> tuple[Fit, Array]:
     return fitted(model, problem.fit.observations, noise, start, precision), precision
 
 
-def _open(found: _Pass, last: Noise) -> bool:
-    """Whether the walk is a rival of what was taken: a walk of the longest memory that is tried
-    passes for a drift or a step of the same recording."""
-    timed = any(taken.found.entry.timed for taken in found.search.taken)
-    longest = max(walk.tau for walk in found.problem.bank.walks)
-    return not found.search.taken or (timed and last.walk.tau >= longest)
+def _undoable(found: _Pass) -> tuple[_Pass, Fit, Array]:
+    """The search without effects of the response that leave readings without an inverse, the last
+    ones first, and its final model: who cannot be corrected by an effect has no use of it."""
+    refused = list[Refused]()
+    while found.search.taken:
+        try:
+            return found, *_final(found)
+        except NotConverged:
+            of_response = [t for t in found.search.taken if t.found.entry.of_response]
+            last = (of_response or found.search.taken)[-1]
+            refused.append(Refused(last.found.entry.name, last.found, _NO_INVERSE))
+            left = without(found.search, refused[-1:], found.problem.terms)
+            found = replace(found, search=left)
+    return found, found.problem.fit, base_precision(found.problem.fit)
 
 
 def _left(
     found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked,
     rng: np.random.Generator,
 ) -> tuple[Unexplained, ...]:  # fmt: skip
-    """Structure that the search could not name: of axes, of time."""
-    wander = _wander(last)
-    open_end = unexplained(wander) if _open(found, last) else ()
+    """Structure that the search could not name: of axes, and what wanders beside all that it did
+    name."""
+    open_end = unexplained(_wander(last))
     if not asked.probes:
         return open_end
     probed = left_over(
@@ -183,8 +209,8 @@ def _told(
 ) -> Closed:  # fmt: skip
     problem, bars = found.problem, found.bars
     rules = Rules(
-        lambda bank, terms, turn: bars[min(turn, len(bars) - 1)], asked.rules.most_effects,
-        problem.finer, problem.forms, same_tau=True,
+        lambda bank, terms, turn, scores: (bars[min(turn, len(bars) - 1)],),
+        asked.rules.most_effects, problem.finer, problem.forms, same_tau=True,
     )  # fmt: skip
     each = predicted(problem, folds, rules)
     gained = held_difference(each, folds)
@@ -193,14 +219,12 @@ def _told(
         steps = steps_of(problem, found.search, found.chances)
         left = confirmed(found.search, steps, bars, problem.terms, each, gained)
         found = replace(found, search=left)
+    found, final, precision = _undoable(found)
+    last = noise_of(final, asked.known, part, precision)
     if found.search.taken:
-        final, precision = _final(found)
-        last = noise_of(final, asked.known, part, precision)
         final = fitted(final.model, final.observations, last, final.theta, precision)
-    else:
-        final = problem.fit
-        last = noise_of(final, asked.known, part, base_precision(final))
     steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
+    steps = beside_slow_walks(found.search.bank, problem.terms, found.search.taken, steps)
     loop = FitLoop(
         base=problem.fit,
         final=final,

@@ -33,7 +33,7 @@ _ITSELF = 1e-6
 
 def driver_of(entry: Entry) -> str:
     """What the forms of a name bend and against what, as their names have it; empty for none."""
-    if entry.kind == "shape":
+    if entry.kind in ("shape", "posture"):
         return "response:xyz"
     return "bias:temperature" if entry.kind == "temperature" else ""
 
@@ -92,9 +92,9 @@ def leads(form: Scored, named: Scored) -> bool:
     """Whether a form explains more than a name by a margin, so that it may take its place.
 
     Postures sample a response hundreds of times, a day a temperature few: what else moves in that
-    day bends it by three nats now and then.
+    day bends it by three nats now and then. A curve has no name to lose.
     """
-    margin = MARGIN if named.entry.kind == "shape" else STRONG
+    margin = 0.0 if named.entry.free else MARGIN if named.entry.kind == "shape" else STRONG
     return form.evidence > named.evidence + margin
 
 

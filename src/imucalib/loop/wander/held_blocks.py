@@ -17,7 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.wander.bank import Bank, Mask, Split
-from imucalib.loop.wander.likelihood import Terms, totals
+from imucalib.loop.wander.likelihood import Terms, sizes, totals
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def judged(bank: Bank, terms: Terms, walk: int, splits: Sequence[Split]) -> Judg
     parts = bank.by_part(walk, np.append(terms.columns, bank.data))
     train, test = (np.array([getattr(s, name) for s in splits]) for name in ("train", "test"))
     p_train, q_train, theta = totals(_summed(train, parts), terms.precision)
-    p_all, q_all, _ = totals(_summed(train | test, parts), terms.precision)
+    p_all, q_all = sizes(_summed(train | test, parts), terms.precision)
     n, trained = test @ bank.count, train @ bank.count
     s2 = np.maximum(q_train / np.maximum(trained - terms.base, 1), 1e-300)
     log_v = test @ bank.log_det[walk]

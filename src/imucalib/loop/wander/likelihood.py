@@ -49,22 +49,31 @@ def levels(bank: Bank, terms: Terms, keep: Mask) -> tuple[Level, ...]:
     """The likelihood under every walk, over the parts that are kept."""
     columns = np.append(terms.columns, bank.data)
     freedom = int(bank.count[keep].sum()) - terms.base
-    every = range(len(bank.walks))
-    gram = np.stack([bank.by_part(walk, columns)[keep].sum(axis=0) for walk in every])
-    log_p, rest, _ = totals(gram, terms.precision)
+    log_p, rest = sizes(bank.products(columns, keep), terms.precision)
     variance = np.maximum(rest, 1e-300) / freedom
-    sizes = log_p - np.log(terms.precision).sum() + bank.log_det[:, keep].sum(axis=1)
-    nats = -0.5 * (sizes + freedom * np.log(variance))
-    return tuple(Level(k, float(nats[k]), float(variance[k]), freedom) for k in every)
+    volume = log_p - np.log(terms.precision).sum() + bank.log_det[:, keep].sum(axis=1)
+    nats = -0.5 * (volume + freedom * np.log(variance))
+    return tuple(Level(k, float(nats[k]), float(variance[k]), freedom) for k in range(len(nats)))
 
 
 def totals(gram: Array, precision: Array) -> tuple[Array, Array, Array]:
     """log|P| (k,), Q (k,) and the parameters P⁻¹b (k, p) of products (k, p + 1, p + 1), the data
     last, under priors of these precisions (p,)."""
+    log_p, rest = sizes(gram, precision)
     precise = gram[:, :-1, :-1] + np.diag(precision)
     theta: Array = np.asarray(np.linalg.solve(precise, gram[:, :-1, -1:])[..., 0], np.float64)
-    rest = gram[:, -1, -1] - np.einsum("kp,kp->k", gram[:, -1, :-1], theta)
-    return np.asarray(np.linalg.slogdet(precise)[1], np.float64), rest, theta
+    return log_p, rest, theta
+
+
+def sizes(gram: Array, precision: Array) -> tuple[Array, Array]:
+    """`totals` without the parameters: one Cholesky factor of P with b below it, whose last row is
+    then L⁻¹b."""
+    bordered = gram + np.diag(np.append(precision, 0.0))
+    power = gram[:, -1, -1]
+    bordered[:, -1, -1] = 2.0 * power + 1e-300  # any number above b'P⁻¹b serves
+    root = np.linalg.cholesky(bordered)
+    log_p = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)[:, :-1]).sum(axis=1)
+    return log_p, power - np.sum(root[:, -1, :-1] ** 2, axis=1)
 
 
 def best_level(bank: Bank, terms: Terms, keep: Mask) -> Level:

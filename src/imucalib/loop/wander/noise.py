@@ -21,6 +21,9 @@ _ROUNDS = 4
 #: Share of the fitted walk up to which an effect may bring its own, and nats behind the likeliest
 #: from which a larger walk is out of the question.
 ROOM, _BEHIND = 3.5, 40.0
+#: Nats behind the likeliest after two rounds from which a walk is not tried again: weights move it
+#: no more.
+_LOST = 100.0
 
 
 @dataclass(frozen=True)
@@ -81,28 +84,32 @@ def noise_of(fit: Fit, known: Array, part: Index, precision: Array | None = None
     keep = np.ones(int(part[-1]) + 1, dtype=bool)
     walks = walks_of(fit.observations.context["time"])
     scatter, far = max(_MAD * float(np.median(np.abs(misfit))), 1e-3), np.ones(n)
-    for _ in range(_ROUNDS):
+    tried = walks
+    for turn in range(_ROUNDS):
         variance = far**2 * (1.0 + known / scatter**2)
         course = Course(fit.observations.context["time"], seen, variance, part)
-        bank = bank_of(course, walks, np.column_stack([columns, whole]) / scatter)
+        bank = bank_of(course, tried, np.column_stack([columns, whole]) / scatter)
         every = levels(bank, terms, keep)
         best = max(every, key=lambda level: level.nats)
         left = (whole - columns @ solved(bank, terms, best.walk, keep)) / scatter
-        white = beside(course, walks[best.walk], left)
+        white = beside(course, tried[best.walk], left)
         wander = scatter * float(np.sqrt(np.mean((left - white) ** 2)))
         scatter = scatter * float(np.sqrt(best.variance))
         alone = white / np.sqrt(variance) * far
         size = _MAD * float(np.median(np.abs(alone)))
         far = np.sqrt(np.maximum(1.0, np.abs(alone) / max(size, 1e-12) / _FAR))
+        nats, walk = {tried[k]: level.nats for k, level in enumerate(every)}, tried[best.walk]
+        if turn:  # the first is white, which the walk is held against
+            tried = tuple(w for w in tried if w.rho == 0.0 or nats[w] > best.nats - _LOST)
     course = replace(course, variance=far**2 * (1.0 + known / scatter**2))
     gained = best.nats - every[0].nats
     # A smaller noise may come with an effect; a larger one so far behind stays there in every fold.
     likely = tuple(
-        walk
-        for walk, level in zip(walks, every, strict=True)
-        if walk.rho <= ROOM * walks[best.walk].rho or level.nats > best.nats - _BEHIND
+        one
+        for one in walks
+        if one.rho <= ROOM * walk.rho or nats.get(one, -np.inf) > best.nats - _BEHIND
     )
     return Noise(
-        scatter=scatter, course=course, walk=walks[best.walk], evidence=gained, wander=wander,
+        scatter=scatter, course=course, walk=walk, evidence=gained, wander=wander,
         light=int((far > 1.0).sum()), walks=likely,
     )  # fmt: skip

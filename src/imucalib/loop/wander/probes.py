@@ -38,6 +38,9 @@ def left_over(
     p = chance_of(best, chance)
     if p > alpha:
         return ()
+    if best.entry.kind == "posture":
+        name = "offset against the posture"
+        return (Unexplained(name, "posture", "curve", p, best.evidence, best.share),)
     axes = best.entry.name.partition("@")[2]
     axis = axes if len(axes) == 1 else "each axis"
     name = f"response of {axis} against its own input"

@@ -17,11 +17,11 @@ from imucalib.loop.design import Fold
 from imucalib.loop.evidence import Candidate
 from imucalib.loop.search import thinned
 from imucalib.loop.wander.bank import Bank, Split, bank_of, splits_of
-from imucalib.loop.wander.choice import Taken, kind_of
+from imucalib.loop.wander.choice import Taken
 from imucalib.loop.wander.forms import driver_of, form_columns
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.noise import Noise, natural
-from imucalib.loop.wander.scores import Entry
+from imucalib.loop.wander.scores import Entry, kind_of
 from imucalib.units import MG
 
 #: Values of a scan that are tried at first; the neighbours of the best one are tried after.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
+from imucalib.errors import NotConverged
 from imucalib.loop.design import Fold
 from imucalib.loop.difference import Difference, difference, with_density
 from imucalib.loop.held_out import Held, errors
@@ -49,10 +50,14 @@ def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicte
         after = before
         gain = 0.0
         if found.taken:
-            after = errors_of(found.terms, found.level.walk, found.taken)
-            one = judged(bank, problem.terms, plain.walk, [split])
-            two = judged(found.bank, found.terms, found.level.walk, [split])
-            gain = float(two.nats[0] - one.nats[0])
+            try:
+                after = errors_of(found.terms, found.level.walk, found.taken)
+            except NotConverged:  # what has no inverse corrects nothing
+                found = replace(found, taken=())
+            else:
+                one = judged(bank, problem.terms, plain.walk, [split])
+                two = judged(found.bank, found.terms, found.level.walk, [split])
+                gain = float(two.nats[0] - one.nats[0])
         parts.append((before, after))
         gains.append(gain)
         names.append(frozenset(t.found.entry.name.partition("@")[0] for t in found.taken))

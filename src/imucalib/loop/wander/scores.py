@@ -15,16 +15,33 @@ from itertools import pairwise
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.effect import Effect
 from imucalib.estimators.contest import best_evidence, directions
 from imucalib.loop.wander.bank import Bank, Mask
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import ROOM
+from imucalib.loop.wander.projected import Null, View, gains, projected, turned
 from imucalib.loop.wander.walk import drawn, whitened
 
 #: Prior sizes that are tried, in typical ones. A curve is held to three: its many terms would
 #: otherwise grow to any size where the postures do not determine them.
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
 _CURVE_SIZE, _CURVE_TERMS = 3.0, 7
+
+_TIME = ("order", "time", "time_of_day")
+#: Families whose members are free functions of the response: of an axis, of the whole posture.
+_FREE = {"converter": "curve", "posture": "posture"}
+
+
+def kind_of(effect: Effect) -> str:
+    """What drives an effect: "time", "temperature", "history", "posture", "curve" or "shape"."""
+    if any(n in _TIME for n in effect.needs):
+        return "time"
+    if any(n.startswith("temperature") for n in effect.needs):
+        return "temperature"
+    if any(n.startswith("previous") for n in effect.needs):
+        return "history"
+    return _FREE.get(effect.name.partition("@")[0], "shape")
 
 
 @dataclass(frozen=True)
@@ -42,6 +59,16 @@ class Entry:
         """Whether time drives it."""
         return self.kind == "time"
 
+    @property
+    def of_response(self) -> bool:
+        """Whether the force itself drives it, alone."""
+        return self.kind in ("shape", "curve", "posture")
+
+    @property
+    def free(self) -> bool:
+        """Whether it may have any form: of an axis, of the posture, of the temperature."""
+        return self.kind in ("curve", "posture") or self.name.startswith("curve@")
+
 
 @dataclass(frozen=True)
 class Scored:
@@ -57,15 +84,6 @@ class Scored:
     share: float
 
 
-@dataclass(frozen=True)
-class Null:
-    """Data that lack nothing: products (walks, m, draws) with all columns, and power (walks,
-    draws)."""
-
-    along: Array
-    power: Array
-
-
 def null_of(bank: Bank, every: Sequence[Level], rng: np.random.Generator, draws: int) -> Null:
     """Drawn from every walk as often as its likelihood says: the noise is not known exactly."""
     nats = np.array([level.nats for level in every])
@@ -79,9 +97,20 @@ def null_of(bank: Bank, every: Sequence[Level], rng: np.random.Generator, draws:
         ],
         axis=1,
     )
-    white, _ = whitened(bank.course, bank.walks, data)
-    along = bank.white.transpose(0, 2, 1) @ white
-    return Null(along, np.einsum("gnd,gnd->gd", white, white))
+    # Single precision is a thousandth of a nat here, at half the time.
+    white, _ = whitened(bank.course, bank.walks, data.astype(np.float32))
+    columns = bank.white.astype(np.float32)
+    along = np.stack([own.T @ one for own, one in zip(columns, white, strict=True)])
+    return Null(along, np.einsum("gnd,gnd->gd", white, white, dtype=np.float64))
+
+
+def sure(draws: int, ways: int) -> float:
+    """Nats that nothing but time reaches where nothing is missing, so that no data need be drawn:
+    the odds of a size have mean one then, whatever the noise (Markov's inequality).
+
+    ways : candidates and walks, multiplied
+    """
+    return float(np.log(1e3 * draws * len(SIZES) * ways))
 
 
 def usable_walks(bank: Bank, fitted: Level, *, same_tau: bool) -> tuple[int, ...]:
@@ -102,18 +131,20 @@ def scored(
     entries: Sequence[Entry],
     walks: Sequence[int],
     null: Null | None = None,
+    *,
+    told: bool = True,
 ) -> tuple[tuple[Scored, ...], Array]:
     """Every candidate, best first, and on every draw of the null the best (2, draws) of those that
     nothing in time drives and of those that time does.
 
     A long walk looks like a drift now and then, never like a temperature: each has its own chance.
+    told : whether somebody reads what is left of the columns, their strength and share
     """
     draws = 0 if null is None else null.power.shape[1]
     if not entries:
         return (), np.zeros((2, draws))
     base = levels(bank, terms, keep)
     freedom = base[0].freedom
-    starts = np.cumsum([0] + [e.columns.size for e in entries])
     best = np.full((len(entries), 1 + draws), -np.inf)
     without = np.full((1 + draws), -np.inf)
     where, facts = np.zeros((len(entries), 2), dtype=int), np.zeros((len(entries), 3))
@@ -122,16 +153,13 @@ def scored(
         if walk not in walks and null is None:
             without[0] = max(without[0], base[walk].nats)
             continue
-        view = _projected(bank, terms, keep, walk, null)
+        view = projected(bank, terms, keep, walk, null)
         plain = base[walk].nats - 0.5 * freedom * np.log(view.power / view.power[0])
         without = np.maximum(without, plain)
         if walk not in walks:
             continue
-        size, own = _own(view, entries)
-        said = _facts(view, entries, size, own[:, 0], starts)
-        for k, factor in enumerate(SIZES):
-            tau = np.array([factor])
-            gain = plain + best_evidence(own, view.power, size, starts[:-1], freedom, tau)
+        each, said = _of_every_size(view, entries, freedom, quick=null is None and not told)
+        for k, (factor, gain) in enumerate(zip(SIZES, plain + each, strict=True)):
             gain[curve & (factor > _CURVE_SIZE)] = -np.inf
             better = gain[:, 0] > best[:, 0]
             where[better], facts[better] = (walk, k), said[better]
@@ -146,38 +174,18 @@ def scored(
     return tuple(sorted(found, key=lambda s: -s.evidence)), np.array(chance)
 
 
-@dataclass(frozen=True)
-class _View:
-    """Columns and data under one walk with the model taken out: gram (m, m), along (m, 1 + draws),
-    power (1 + draws,), whole (m,) squared sizes before that."""
-
-    gram: Array
-    along: Array
-    power: Array
-    whole: Array
-
-
-def _projected(bank: Bank, terms: Terms, keep: Mask, walk: int, null: Null | None) -> _View:
-    full = bank.train(walk, keep)
-    inside = full[terms.columns]
-    precise = inside[:, terms.columns] + np.diag(terms.precision)
-    solved = np.linalg.solve(precise, inside)
-    gram = full - inside.T @ solved
-    y = bank.data
-    along, power = gram[:, [y]], gram[y, [y]]
-    if null is not None:
-        data = null.along[walk]
-        own = np.linalg.solve(precise, data[terms.columns])
-        along = np.column_stack([along, data - inside.T @ own])
-        used = np.einsum("pd,pd->d", data[terms.columns], own)
-        power = np.concatenate([power, null.power[walk] - used])
-    return _View(gram, along, np.maximum(power, 1e-300), np.diag(full))
-
-
-def _own(view: _View, entries: Sequence[Entry]) -> tuple[Array, Array]:
-    size, turns = directions(view.gram, [e.columns for e in entries])
-    pairs = zip(entries, turns, strict=True)
-    return size, np.concatenate([turn.T @ view.along[e.columns] for e, turn in pairs]) ** 2
+def _of_every_size(
+    view: View, entries: Sequence[Entry], freedom: int, *, quick: bool
+) -> tuple[Array, Array]:
+    """(sizes, k, 1 + draws) nats, and `_facts`, which are left at nothing when it must be quick."""
+    blocks = [e.columns for e in entries]
+    if quick:
+        return gains(view, blocks, freedom, SIZES)[:, :, None], np.zeros((len(entries), 3))
+    starts = np.cumsum([0] + [columns.size for columns in blocks])
+    size, own = turned(view, blocks)
+    each = (view.power, size, starts[:-1], freedom)
+    found = np.stack([best_evidence(own, *each, np.array([factor])) for factor in SIZES])
+    return found, _facts(view, entries, size, own[:, 0], starts)
 
 
 def finest(
@@ -219,12 +227,12 @@ def beside(
     return np.stack(gains, axis=1)
 
 
-def _facts(view: _View, entries: Sequence[Entry], size: Array, own: Array, starts: Index) -> Array:
+def _facts(view: View, entries: Sequence[Entry], size: Array, own: Array, starts: Index) -> Array:
     """(k, 3) share left, λ at typical size, share of the power explained."""
     out = np.zeros((len(entries), 3))
     for i, (entry, (a, b)) in enumerate(zip(entries, pairwise(starts), strict=True)):
         kept = float(size[a:b].sum())
-        out[i, 0] = kept / max(float(view.whole[entry.columns].sum()), 1e-300)
+        out[i, 0] = kept / max(float(view.columns.whole[entry.columns].sum()), 1e-300)
         out[i, 1] = np.sqrt(kept)
         out[i, 2] = own[a:b].sum() / view.power[0]
     return out

@@ -17,6 +17,9 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 
+#: Numbers of the states of some walks that are held at once.
+_CACHED = 50_000
+
 
 @dataclass(frozen=True)
 class Walk:
@@ -60,21 +63,30 @@ class _Filter:
 
 
 def whitened(course: Course, walks: Sequence[Walk], columns: Array) -> tuple[Array, Array]:
-    """L⁻¹ columns, (walks, n, m) for columns (n, m), and log|V| of every part, (walks, parts)."""
+    """L⁻¹ columns, (walks, n, m) for columns (n, m) in their own precision, and log|V| of every
+    part, (walks, parts). As many walks at once as leave their states in the cache."""
     steps = _filter(course, tuple(walks))
     start, longest, length = _order(course)
+    counts = (length[:, None] > np.arange(int(length.max()))).sum(axis=0)
+    rows = [start[longest[:count]] + step for step, count in enumerate(counts)]
     (n, m), q = columns.shape, course.seen.shape[1]
-    out = np.empty((len(walks), n, m))
-    state = np.zeros((len(walks), course.parts, q, m))
-    for step in range(int(length.max())):
-        alive = longest[: int((length > step).sum())]
-        rows = start[alive] + step
-        state = state[:, : alive.size]
-        if step:
-            state *= steps.keep[:, rows, None, None]
-        new = columns[rows] - (course.seen[rows][:, None] @ state)[:, :, 0]
-        state += steps.gain[:, rows, :, None] * new[:, :, None]
-        out[:, rows] = new
+    out = np.empty((len(walks), n, m), columns.dtype)
+    seen = course.seen.astype(columns.dtype)[:, None]
+    each = max(1, _CACHED // (course.parts * q * m))
+    for a in range(0, len(walks), each):
+        some = slice(a, a + each)
+        if not any(walk.rho for walk in walks[some]):
+            out[some] = columns
+            continue
+        keep, gain = (x[some].astype(columns.dtype) for x in (steps.keep, steps.gain))
+        state = np.zeros((len(keep), course.parts, q, m), columns.dtype)
+        for step, at in enumerate(rows):
+            state = state[:, : at.size]
+            if step:
+                state *= keep[:, at, None, None]
+            new = columns[at] - (seen[at] @ state)[:, :, 0]
+            state += gain[:, at, :, None] * new[:, :, None]
+            out[some, at] = new
     out /= steps.root[..., None]
     return out, steps.log_det
 

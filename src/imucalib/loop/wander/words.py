@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.effects import catalogue
 from imucalib.effects.shape import in_words, is_form
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
@@ -21,6 +22,8 @@ from imucalib.units import MG
 
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
 _APART, _ALIKE = 2.0, 3.0
+#: Kinds of response, each with the free functions that hold what it leaves.
+_OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture",), "posture": ("curve",)}
 
 
 def chance_of(found: Scored, chance: Array) -> float:
@@ -64,7 +67,6 @@ def scores_of(
 def steps_of(problem: Problem, found: Search, chances: Sequence[Array]) -> tuple[Step, ...]:
     steps, terms = list[Step](), problem.terms
     unit = problem.noise.scatter * MG
-    curves = tuple(t.found.entry.name for t in found.taken if t.found.entry.kind == "curve")
     for taken, chance in zip(found.taken, chances, strict=False):
         checked = Checked("error", "m/s2", taken.before * unit, taken.after * unit)
         steps.append(
@@ -74,13 +76,13 @@ def steps_of(problem: Problem, found: Search, chances: Sequence[Array]) -> tuple
                 chance.shape[1],
                 taken.found.evidence,
                 (checked,),
-                # A response that needs a curve beside its name has another form than the name's.
                 (
                     *aliases(found.bank, terms, taken),
                     *([taken.form] if taken.form else ()),
-                    *(curves if _bends(taken) else ()),
+                    *_beside(taken, found.taken),
                 ),
                 gains=tuple(float(g) for g in taken.gains),
+                curve=taken.found.entry.name.startswith("curve@"),
             )
         )
         terms = terms.plus(taken.found.entry.columns, taken.size)
@@ -108,14 +110,22 @@ def beside_others(problem: Problem, found: Search, steps: Sequence[Step]) -> tup
     return tuple(out)
 
 
-def _bends(taken: Taken) -> bool:
-    return taken.found.entry.kind == "shape"
+def _beside(taken: Taken, every: Sequence[Taken]) -> tuple[str, ...]:
+    """Free functions of the response that were taken as well: what needs one beside its name has
+    another form than the name's."""
+    own = taken.found.entry
+    if own.kind not in _OF_RESPONSE:
+        return ()
+    others = (t.found.entry for t in every)
+    return tuple(e.name for e in others if e.kind in _OF_RESPONSE[own.kind])
 
 
 def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
     """Names that would do as well: nearly the same evidence, or too small an angle between.
 
-    A curve is no rival of a name: it contains every shape of its axis.
+    A curve of an axis is no rival of a name: it contains every shape of it. What else may have any
+    form is one by its evidence alone, for its angle to what it contains is none. What the size of
+    gravity alone shows as a part of the effect is always one.
     """
     own = taken.found
     white = bank.white[own.walk]
@@ -127,9 +137,11 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
         other = entry.kind == "curve" and own.entry.kind != "curve"
         if same or other or rival.evidence < own.evidence / 2.0:
             continue
-        if rival.evidence >= near or _apart(white, bank.data, terms, own, rival) < _APART:
+        alike = not entry.free and _apart(white, bank.data, terms, own, rival) < _APART
+        if rival.evidence >= near or alike:
             out.append(entry.name)
-    return tuple(_best_of_each_scan(out))
+    parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
+    return tuple(_best_of_each_scan([*out, *parts]))
 
 
 def _best_of_each_scan(names: Sequence[str]) -> list[str]:

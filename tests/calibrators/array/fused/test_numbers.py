@@ -3,6 +3,7 @@ walk, noise that grows, dω/dt from neighbours, instants side by side."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -201,6 +202,17 @@ def test_neighbours_say_dw_dt_as_well_as_their_noise_lets_them() -> None:
     assert not precision[[0, -1]].any()
     assert spin_by_neighbours(t[:24], made.take(slice(24)), None) is None
     assert spin_by_neighbours(t[:25], made.take(slice(25)), None) is not None
+
+
+def test_neighbours_are_believed_of_a_board_at_rest() -> None:
+    """The mean positive part of nine noisy squares would add a third to the variance."""
+    t = np.arange(2000) * 0.01
+    still = replace(moved(t, 0.5, (1.0, 1e-3), np.random.default_rng(0)), spin=np.zeros((2000, 3)))
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(still.rate.shape)
+    found = spin_by_neighbours(t, replace(still, rate=noise), None)
+    assert found is not None
+    own = 2.0 * 1e-6 / 0.02**2
+    assert 0.99 < np.mean(1.0 / found[1][5:-5]) / own < 1.15
 
 
 def test_neighbours_are_not_believed_of_a_fast_motion() -> None:

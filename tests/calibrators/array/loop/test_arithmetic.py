@@ -16,7 +16,6 @@ from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.search import Search
 from imucalib.calibrators.array.loop.setup import stretches, with_neighbours
 from imucalib.calibrators.array.loop.terms import determined
-from imucalib.calibrators.array.loop.timing import SampleAge, fit_sample_age
 from imucalib.calibrators.array.loop.worth import TAU, Beside, _most_likely
 from imucalib.calibrators.array.simulation import (
     LogPlan,
@@ -26,6 +25,7 @@ from imucalib.calibrators.array.simulation import (
 )
 from imucalib.estimators.array.noise import SensorNoise, Squares
 from imucalib.estimators.array.reduced import Alone
+from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
 from imucalib.loop.evidence import Candidate, Score
 from worlds.twisted_board import BOARD
 

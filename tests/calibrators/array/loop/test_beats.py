@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.loop.ages import Ages, beats
-from imucalib.calibrators.array.loop.timing import _sawtooth
+from imucalib.estimators.array.sample_age import _sawtooth
 
 T = np.arange(0.0, 40.0, 0.01) + 100.0
 

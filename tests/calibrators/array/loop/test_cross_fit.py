@@ -10,8 +10,8 @@ import pytest
 from imucalib.calibrators.array.loop.ages import found_ages, voting
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.cross_fit import difference_of_medians
+from imucalib.calibrators.array.loop.earlier import start_state
 from imucalib.calibrators.array.loop.setup import Setup, array_setup, part_of
-from imucalib.calibrators.array.loop.state import start_state
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.rests import RestFit

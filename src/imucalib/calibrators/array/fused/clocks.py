@@ -14,7 +14,7 @@ from imucalib.calibrators.array.fused.instrument import Instrument
 from imucalib.calibrators.array.fused.noise import ChipNoise
 from imucalib.calibrators.array.fused.start import turning
 from imucalib.calibrators.array.fused.stretch import Stretch
-from imucalib.calibrators.array.loop.timing import fit_sample_age
+from imucalib.estimators.array.sample_age import fit_sample_age
 
 _ROWS = 4096  # samples that are fused at a time, so that memory stays small
 _WINDOW = 90.0  # s over which a beat holds its frequency

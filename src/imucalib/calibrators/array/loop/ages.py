@@ -11,8 +11,8 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.setup import Setup, with_neighbours
 from imucalib.calibrators.array.loop.state import ArrayState
-from imucalib.calibrators.array.loop.timing import SampleAge, fit_sample_age
 from imucalib.calibrators.array.moving import Moving
+from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 
 _GROUP = 8  # samples that learn or vote together where all are in the search

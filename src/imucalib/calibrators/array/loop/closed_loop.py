@@ -13,11 +13,12 @@ from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted
 from imucalib.calibrators.array.loop.declared import with_declared
+from imucalib.calibrators.array.loop.earlier import Earlier, drawn_state
 from imucalib.calibrators.array.loop.held_out import held_out_residuals
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Search, absorbed
 from imucalib.calibrators.array.loop.setup import Setup
-from imucalib.calibrators.array.loop.state import ArrayState, start_state
+from imucalib.calibrators.array.loop.state import ArrayState, settled
 from imucalib.calibrators.array.loop.subject import MotionSubject, without_a_name
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.moving import Moving
@@ -69,8 +70,10 @@ def close_array_loop(
     the search
     """
 
+    earlier = Earlier()
+
     def started(chosen: Setup) -> MotionSubject:
-        return _start(chosen, terms, moving, rng, rules, asked)
+        return _start(chosen, terms, moving, rng, rules, asked=asked, earlier=earlier)
 
     def searched(chosen: Setup) -> tuple[MotionSubject, MotionSubject]:
         first = started(chosen)
@@ -147,10 +150,11 @@ def _ended(
 
 def _start(
     setup: Setup, terms: tuple[Term, ...], moving: Moving, rng: np.random.Generator,
-    rules: LoopSettings, asked: Asked,
+    rules: LoopSettings, *, asked: Asked, earlier: Earlier,
 ) -> MotionSubject:  # fmt: skip
     """The base model on some samples, with the clocks that it shows."""
-    base = with_declared(start_state(setup, terms), asked.declare, moving)
+    start = settled(earlier.begun(drawn_state(setup, terms)))
+    base = with_declared(earlier.kept(start), asked.declare, moving)
     ages = found_ages(base, moving)
     return MotionSubject(
         state=base if ages is None else kept_ages(base, ages, voting=True),
@@ -160,6 +164,7 @@ def _start(
         rules=rules,
         left_out=asked.skipped(setup.imus),
         ages=ages,
+        earlier=earlier,
     )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.candidates import Entry, candidates
+from imucalib.calibrators.array.loop.earlier import Earlier
 from imucalib.calibrators.array.loop.noise_tests import NoiseTest, best_of_noise, noise_tests
 from imucalib.calibrators.array.loop.setup import looked_at
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -35,7 +36,7 @@ ABSORBED = 1e-5  # share of a block, beyond what the motion takes, that the rest
 class Search(Searched):
     """scores : p of those that no simulated data reach, 1 for all others: `drawn` has theirs
     state : where it was; entries by name; contest : of those that can be seen; base : what was
-    taken out; rejected, seed, draws : of the simulated data
+    taken out; rejected, seed, draws : of the simulated data, earlier : those that serve as well
     impact : m rms that a candidate's typical size moves the positions
     asked : candidates by themselves, as far as they were asked for"""
 
@@ -46,12 +47,16 @@ class Search(Searched):
     rejected: frozenset[str]
     seed: int
     draws: int
+    earlier: Earlier
     impact: dict[str, float]
     asked: dict[str, Beside] = field(default_factory=dict)
 
     @cached_property
     def null(self) -> Array:
         """(draws,) the best evidence on data that lack nothing, and whose noise is as modelled."""
+        return self.earlier.chance(self.state, self._drawn_null)
+
+    def _drawn_null(self) -> Array:
         rng = np.random.default_rng(self.seed)
         state = replace(self.state)  # without its columns: a search outlives them
         blocks = candidates(state, self.rejected).blocks
@@ -83,8 +88,10 @@ class Search(Searched):
     def by_chance(self, score: Score, factor: float = 1.0) -> Score:
         """A score as if there were `factor` times fewer samples: noise that neighbours share."""
         value, bar = score.evidence / factor, self.contest.beyond_chance(self.draws)
-        reached = 0 if value >= bar else int((self.null >= value).sum())
-        return replace(score, evidence=value, p=(1 + reached) / (self.draws + 1))
+        if value >= bar:
+            return replace(score, evidence=value, p=1.0 / (self.draws + 1))
+        reached, draws = int((self.null >= value).sum()), len(self.null)
+        return replace(score, evidence=value, p=(1 + reached) / (draws + 1), draws=draws)
 
     def beside(self, name: str) -> Beside:
         """Made where it is asked for: of all candidates of many IMUs they would be large."""
@@ -125,8 +132,9 @@ class Search(Searched):
 
 
 def search(
-    state: ArrayState, rejected: frozenset[str], rng: np.random.Generator, draws: int
-) -> Search:
+    state: ArrayState, rejected: frozenset[str], rng: np.random.Generator, draws: int,
+    earlier: Earlier,
+) -> Search:  # fmt: skip
     """Score all candidates at a fitted state."""
     found = candidates(state, rejected)
     starts, b = starts_of(found.blocks), len(state.base.prior)
@@ -166,6 +174,7 @@ def search(
         rejected=rejected,
         seed=int(rng.integers(2**63)),
         draws=draws,
+        earlier=earlier,
         impact={e.name: float(np.linalg.norm(moved[index[e.name]])) for e in entries},
     )
 

@@ -27,8 +27,8 @@ _ROUNDS, _AGAIN, _NEAR, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.05
 _STALE = 0.1
 #: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
 _WEIGHED = 2
-#: Step of a position, in its prior's sd, from which a fit is lost.
-_RUNAWAY = 10.0
+#: Step of a position, in its prior's sd, and growth of a squared step, from which a fit is lost.
+_RUNAWAY, _GROWN = 10.0, 1e3
 
 
 @dataclass(frozen=True)
@@ -91,35 +91,15 @@ class ArrayState:
         return np.asarray(term.live @ part @ term.live.T)
 
 
-def start_state(setup: Setup, terms: tuple[Term, ...]) -> ArrayState:
-    """Fitted with the drawing and plain noise as the start."""
-    k = setup.triads
-    one = np.ones(k)
-    noise = SensorNoise(0.2, 0.0, np.inf, one), SensorNoise(5e-3, 0.0, np.inf, one)
-    rate = np.median(setup.readings.rate, axis=1)
-    ones = np.ones(setup.readings.rate.shape[:2])
-    weights = Weights(ones / noise[0].sigma ** 2, ones / noise[1].sigma ** 2)
-    sampled = fit_samples(setup.readings, weights, setup.board.drawn, rate)
-    state = ArrayState(
-        setup=setup,
-        r=setup.board.drawn,
-        terms=terms,
-        noise=noise,
-        sampled=sampled,
-        motion=motion_at(setup, sampled, None),
-        covariance=np.empty((0, 0)),
-        density=-np.inf,
-        converged=False,
-    )
-    return settled(state)
-
-
-def settled(state: ArrayState, *, shaped: bool = True) -> ArrayState:
+def settled(state: ArrayState, *, shaped: bool = True, lost: bool = False) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for.
 
-    shaped : whether they are asked, or the shape is kept, as where the search is over
+    shaped : whether they are asked, or the shape is kept, as where the search is over; lost :
+    whether a fit that does not converge is of no use, and nothing more is asked of it
     """
     state = _climbed(_with_scale(state), _NEAR if shaped else _CLOSE)
+    if lost and not state.converged:
+        return state
     if state.setup.robust and shaped:
         # Which shape only shows once the fit is near; the fit then moves a little with it.
         for _ in range(3):
@@ -154,7 +134,7 @@ def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
 
 def _climbed(state: ArrayState, close: float) -> ArrayState:
     """Newton with the matrix of the start: what changes on the way is the residual."""
-    converged, matrix, made = False, np.empty((0, 0)), np.zeros(2)
+    converged, matrix, made, least = False, np.empty((0, 0)), np.zeros(2), np.inf
     base: Base | None = None
     off = state.sampled.off
     share = min(noise.information for noise in state.noise)
@@ -178,8 +158,10 @@ def _climbed(state: ArrayState, close: float) -> ArrayState:
         off = state.sampled.off.less(change)
         state = _with_scale(_moved(state, step, covariance), off)
         moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
-        converged = float(step @ inner @ step) < close and float(np.abs(moved).max()) < _STALE
-        if converged:
+        square = float(step @ inner @ step)
+        converged = square < close and float(np.abs(moved).max()) < _STALE
+        least = min(least, square)
+        if converged or square > _GROWN * least:
             break
     return replace(moved_motion(state, base, off), converged=converged)
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from imucalib.calibrators.array.loop.ages import Ages, ages_again, kept_ages
 from imucalib.calibrators.array.loop.curves import CURVE
+from imucalib.calibrators.array.loop.earlier import Earlier
 from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residuals
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Search, search
@@ -47,6 +48,7 @@ class MotionSubject:
     rules: LoopSettings
     left_out: frozenset[str]
     ages: Ages | None
+    earlier: Earlier
     steps: tuple[Step, ...] = ()
     dropped: tuple[tuple[str, str], ...] = ()
     debt: float = 0.0
@@ -60,7 +62,7 @@ class MotionSubject:
     @cached_property
     def searched(self) -> Search:
         """What could be missing; refusing an effect moves nothing that the others are scored by."""
-        return search(self.state, self.left_out, self.rng, self.rules.draws)
+        return search(self.state, self.left_out, self.rng, self.rules.draws, self.earlier)
 
     def search(self, rejected: Collection[str]) -> Search:
         return self.searched
@@ -104,7 +106,7 @@ class MotionSubject:
         if reason:  # before the refit: it is what a search costs most
             return Refused(chosen.name, reason)
         term = self.searched.term(chosen.name)
-        trial = _refitted(self.state, term)
+        trial = _refitted(self.state, term, self.earlier)
         if trial is None:
             return Refused(chosen.name, _DIVERGED)
         reason = _why_not(self.state, trial)
@@ -183,7 +185,7 @@ class MotionSubject:
         term = replace(term, name=CURVE + term.name)
         if min(gains) <= 0.0:
             return None
-        trial = _refitted(self.state, term)
+        trial = _refitted(self.state, term, self.earlier)
         if trial is None or _why_not(self.state, trial):
             return None
         corrected = (*self.corrected, without_a_name(chosen))
@@ -217,12 +219,13 @@ def without_a_name(s: Score) -> Unexplained:
     return Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
 
 
-def _refitted(state: ArrayState, term: Term) -> ArrayState | None:
+def _refitted(state: ArrayState, term: Term, earlier: Earlier) -> ArrayState | None:
     """The joint fit with one term more; None where it runs away, as few IMUs allow."""
     try:
-        return settled(replace(state, terms=(*state.terms, term)))
+        found = settled(earlier.begun(replace(state, terms=(*state.terms, term))), lost=True)
     except np.linalg.LinAlgError:
         return None
+    return earlier.kept(found) if found.converged else found
 
 
 def _not_held_out(gains: tuple[float, float]) -> str:

@@ -1,0 +1,82 @@
+"""An offset that depends on the posture, as a strap that presses the case in some of them makes it.
+
+The size of gravity shows of a bias b(u) at the posture u only its part along gravity, u·b(u). That
+part is free here: a sum of bumps spread evenly over the sphere, each as wide as the way to its
+neighbours. It holds every response of the axes too, if coarsely: what a few numbers explain as well
+has their name. Without a force there is no posture: the offset fades below a twentieth of g.
+"""
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect, Family, Response
+from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
+from imucalib.units import MG, STANDARD_GRAVITY
+
+#: Bumps that are tried, and observations that each needs at least.
+_BUMPS, _EACH = (24, 80), 4
+_MOST = 400
+_FADES = 0.05 * STANDARD_GRAVITY  # m/s²
+
+
+def centres(bumps: int) -> Array:
+    """(bumps, 3) unit vectors along a spiral whose turns are equal areas (Saff and Kuijlaars)."""
+    order = np.arange(bumps) + 0.5
+    height, turn = 1.0 - 2.0 * order / bumps, np.pi * (1.0 + 5.0**0.5) * order
+    across = np.sqrt(1.0 - height**2)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
+
+
+def posture(value: str) -> Effect:
+    """The offset as a sum of so many bumps, "24"; ValueError otherwise."""
+    bumps = int(value)
+    if not 0 < bumps <= _MOST:
+        raise ValueError(f"'{value}' is no number of bumps")
+    middle, sharp = centres(bumps), bumps / (4.0 * np.pi)  # one over the area of each
+
+    def heights(truth: Truth) -> tuple[Array, Array, Array]:
+        size = np.sqrt(np.sum(truth.force**2, axis=-1, keepdims=True) + _FADES**2)
+        up = truth.force / size
+        return up, size, np.exp(sharp * (up @ middle.T - 1.0))
+
+    def basis(truth: Truth, context: Context) -> Array:
+        up, _, height = heights(truth)
+        return np.asarray(MG * up[..., :, None] * height[..., None, :])
+
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        up, size, height = heights(truth)
+        flat = (np.eye(3) - up[..., :, None] * up[..., None, :]) / size[..., None]
+        turned = flat[..., :, None, :] * height[..., None, :, None]
+        uphill = sharp * height[..., None] * (middle @ flat)
+        return np.asarray(MG * (turned + up[..., :, None, None] * uphill[..., None, :, :]))
+
+    return Response(
+        f"posture@{value}",
+        "The reading is off along gravity by what depends on the posture, smoothly.",
+        f"y = x + u Σ_k c_k exp({value}/4π (u·e_k - 1)),  u = x/|x|, e_k evenly over the sphere",
+        "a strap or a cable that presses the case; parts of a mg, practice",
+        "Record the same postures with the sensor worn otherwise, or not worn.",
+        each=tuple(Parameter(f"posture_{value}_{k + 1}", "mg", 1.0, 50.0) for k in range(bumps)),
+        basis=basis,
+        basis_dx=basis_dx,
+    )
+
+
+def _values(context: Context) -> tuple[str, ...]:
+    """Where no dial says which way is up: a bench knows more than the size of gravity."""
+    if "time" not in context or "inclination" in context or len(context.triads) > 1:
+        return ()
+    return tuple(str(bumps) for bumps in _BUMPS if context.n >= _EACH * bumps)
+
+
+FAMILIES = (
+    Family(
+        "posture",
+        "The offset depends on the posture, as where a strap presses the case.",
+        "24",
+        posture,
+        _values,
+    ),
+)

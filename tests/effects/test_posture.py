@@ -1,0 +1,52 @@
+"""The offset of a posture: along gravity, of a smooth function of its direction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucalib.core.context import Context
+from imucalib.core.truth import Truth
+from imucalib.effects import families
+from imucalib.effects.worn.posture import centres, posture
+from imucalib.units import MG, STANDARD_GRAVITY
+
+
+def test_bumps_are_spread_evenly() -> None:
+    every = centres(80)
+    assert np.allclose(np.linalg.norm(every, axis=1), 1.0)
+    nearest = np.sort(every @ every.T, axis=1)[:, -2]
+    apart = np.arccos(nearest) / np.sqrt(4.0 * np.pi / 80)  # in sides of a bump's area
+    assert 0.8 < apart.min() <= apart.max() < 1.1
+
+
+def test_the_offset_is_along_gravity_and_as_the_equation_says() -> None:
+    rng = np.random.default_rng(2)
+    up = rng.standard_normal((7, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    sizes = rng.standard_normal(24)
+    context = Context(7, {})
+    effect = posture("24")
+    delta = effect.act(sizes, Truth(STANDARD_GRAVITY * up[:, None]), context).delta[:, 0] / MG
+    bumps = np.exp(24 / (4.0 * np.pi) * (up @ centres(24).T - 1.0))
+    assert np.allclose(delta, (bumps @ sizes)[:, None] * up, rtol=0.01, atol=0.01)
+    assert np.allclose(np.cross(delta, up), 0.0, atol=1e-12)
+    assert np.all(effect.act(sizes, Truth(np.zeros((7, 1, 3))), context).delta == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("n", "extra", "values"),
+    [(95, {}, ()), (96, {}, ("24",)), (320, {}, ("24", "80")), (320, {"inclination": 0.1}, ())],
+)
+def test_a_posture_needs_a_clock_and_rests_but_no_dial(
+    n: int, extra: dict[str, float], values: tuple[str, ...]
+) -> None:
+    known = {name: np.full(n, v) for name, v in {"time": 1.0, **extra}.items()}
+    assert families()["posture"].values(Context(n, known)) == values
+    assert families()["posture"].values(Context(n, {})) == ()
+
+
+@pytest.mark.parametrize("value", ["0", "-3", "401", "many"])
+def test_what_is_no_number_of_bumps_is_no_posture(value: str) -> None:
+    with pytest.raises(ValueError, match=value):
+        posture(value)
