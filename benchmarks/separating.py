@@ -25,6 +25,7 @@ def told_of(made: Separation, ambiguity: Ambiguity, truth: str) -> dict[str, obj
     """What a plan promises."""
     return {
         "rests": len(made.plan),
+        "first": made.soon.count if made.soon else len(made.plan),
         "now": float(made.now.min(initial=np.inf)),
         "apart": made.least,
         "promised": made.ended.get(truth, 0.0),
@@ -50,13 +51,14 @@ def row(head: tuple[str, ...], devices: int, told: list[dict]) -> str:
         np.median([o[k].needed or most for o, most in zip(told, longer, strict=True)])
         for k in ("informative", "random")
     ]
-    ways = ("right", "informative 2", "random 2")
+    ways = ("right", "right first", "informative 2", "random 2")
+    first = np.median([o["first"] for o in told])
     counts = [
         f"{sum(o.get(way) == 'alone' for o in told)} + {sum(o.get(way) == 'form' for o in told)}"
         for way in ways
     ]
     cells = [*head, f"{len(told)} of {devices}", f"{rests:.0f}", f"{now:.1f} -> {then:.1f}",
              f"{100.0 * np.mean([o['promised'] for o in told]):.0f}", counts[0],
-             f"{len(few)}",
-             *(f"{v:.0f}" for v in other), *counts[1:]]  # fmt: skip
+             f"{first:.0f}", counts[1], f"{len(few)}",
+             *(f"{v:.0f}" for v in other), *counts[2:]]  # fmt: skip
     return "| " + " | ".join(cells) + " |"

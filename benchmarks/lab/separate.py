@@ -8,7 +8,8 @@ angles: a two-axis table set within 0.02 deg, rivals by the shape of the respons
 by hand, by the size of gravity alone (without cross_axis, which gravity alone does not tell from
 squares); warm: the second half of the table is warmer, so that a bias that follows it looks like a
 step. A device is calibrated; where its name has rivals the advised rests are made from the same
-truth and noise, appended, and all is searched again. `right` is one name and the true one, without
+truth and noise, appended, and all is searched again; `right first` after those that may do, `right`
+after all. It is one name and the true one, without
 rivals + with a form beside it that has no cause; then the same of twice as many rests that
 determine the base model best, and of random ones.
 """
@@ -181,6 +182,8 @@ def trial(kind: str, truth: str, size: float, seed: int) -> dict[str, object] | 
     n, told = len(made.plan), told_of(made, found[0], truth)
     if not n:
         return told
+    few = rests.take(np.array(made.plan[: told["first"]]))
+    told["right first"] = recorded(one, kind, table, few, truth)
     told["right"] = recorded(one, kind, table, rests.take(np.array(made.plan)), truth)
     for times in (2,):
         plan = best_of(found[0], pool, times * n)

@@ -142,7 +142,8 @@ def test_five_cave_instruments_have_squares(tmp_path: Path) -> None:
         cli, ["fleet", *tables, "--reference", "norm", "-o", str(out), "--draws", "199"],
         standalone_mode=False,
     )  # fmt: skip
-    assert "quadratic, in every device" in done.stdout
+    headline = " ".join(done.stdout.split())
+    assert "Explained: quadratic or asymmetry or cross_axis, in every device" in headline
     page = (out / "report.html").read_text(encoding="utf-8")
     (bias,), (scale,) = (re.findall(rf"<tr>(<td[^>]*>{name}<.*?)</tr>", page, re.DOTALL)
                          for name in ("bias_x", "scale_x"))  # fmt: skip
@@ -289,7 +290,7 @@ def test_one_of_five_that_is_off_is_told() -> None:
     fleets that lack nothing one in a hundred is told odd, also where axes scatter unlike."""
     rng, sds, names = np.random.default_rng(5), np.full(5, 0.2), [f"bias_{a}" for a in "xyz"]
     told, false = 0, 0
-    for _ in range(60):
+    for _ in range(30):
         size = np.exp(0.5 * rng.standard_normal(3))
         values = size * rng.standard_normal((5, 3)) + 0.2 * rng.standard_normal((5, 3))
         for odd in (False, True):
@@ -298,6 +299,6 @@ def test_one_of_five_that_is_off_is_told() -> None:
             found = outliers(list("abcde"), spreads)
             told += odd and [o.device for o in found] == ["c"]
             false += bool(found) and not odd
-    # 4 or more of 60 at 1 %: 0.3 %.
-    assert false <= 3
-    assert told >= 51
+    # 3 or more of 30 at 1 %: 0.3 %.
+    assert false <= 2
+    assert told >= 24
