@@ -130,6 +130,20 @@ def test_an_offset_of_the_posture_is_no_certain_response(
     assert case.error(result.final) < 0.7 * case.error(result.base)
 
 
+def test_a_scale_that_swings_once_a_day_is_no_bias_that_does(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six days; the wrong one corrected a week from 0.95 to 1.24 mg."""
+
+    def daily(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * x * np.sin(2.0 * np.pi * 6.0 * u + 1.0)[:, None]
+
+    case = of(worn, monkeypatch, daily, 20.0)
+    result = case.solved(WANTED)
+    assert [s.effect for s in result.loop.steps] == ["scale_by_time_of_day"]
+    assert case.error(result.final) < 0.3 * case.error(result.base)
+
+
 def test_a_square_across_an_axis_is_no_certain_cross_axis(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
