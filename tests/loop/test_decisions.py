@@ -338,12 +338,15 @@ def test_the_best_of_a_scan_is_sought_between_its_neighbours() -> None:
 
 
 def test_an_e_value_is_the_mean_over_its_stakes(monkeypatch: pytest.MonkeyPatch) -> None:
-    fit = SimpleNamespace(at=SimpleNamespace(residual=np.zeros(5)))
+    """A tenth on the martingales, the rest on the looks that stand beforehand, which pay twenty."""
+    at = SimpleNamespace(residual=np.zeros(5), jacobian=np.zeros((5, 1)), settings=(), free=0)
+    own = SimpleNamespace(at=at, noise=Noise(1.0), observations=SimpleNamespace(n=5))
     monkeypatch.setattr(anytime, "log_e_value", lambda fit, blocks: np.array([1.0, 3.0, -2.0]))
+    monkeypatch.setattr(anytime, "passed", lambda table, chance, seed: True)
     blocks = [np.zeros((5, 2))] * 3
-    due = (np.exp(1.0) + np.exp(3.0) + np.exp(-2.0)) / 4.0
-    assert anytime.e_value(fit, blocks, 4) == pytest.approx(due)  # type: ignore[arg-type]
-    assert np.isnan(anytime.e_value(fit, [*blocks, np.zeros((4, 2))], 4))  # type: ignore[arg-type]
+    due = 0.1 * (np.exp(1.0) + np.exp(3.0) + np.exp(-2.0)) / 4.0 + 20.0
+    assert anytime.e_value(own, blocks, 4) == pytest.approx(due)  # type: ignore[arg-type]
+    assert np.isnan(anytime.e_value(own, [*blocks, np.zeros((4, 2))], 4))  # type: ignore[arg-type]
 
 
 def test_stretches_of_time_stand_for_noise_that_neighbours_share() -> None:
