@@ -131,7 +131,7 @@ class _Week:
             since = np.maximum(t - self.at, 0.0)
             left = (t >= self.at) * np.exp(-since / (6.0 * 3600.0))
             return np.asarray(reading + 3.0 * size * MG * left[:, None] * np.sin(self.phase))
-        wave = np.sin(2.0 * np.pi * t / 86400.0 + self.phase[0])
+        wave = np.sin(2.0 * np.pi * t / (7.0 * 3600.0) + self.phase[0])
         return np.asarray(reading + 1e-3 * size * wave[:, None] * np.sin(self.phase) * force)
 
     def test(self, rng: np.random.Generator) -> tuple[Array, Array, Context]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -222,7 +223,8 @@ def _told(
     found, final, precision = _undoable(found)
     last = noise_of(final, asked.known, part, precision)
     if found.search.taken:
-        final = fitted(final.model, final.observations, last, final.theta, precision)
+        with suppress(NotConverged):  # else it stays as it is, which has an inverse
+            final = fitted(final.model, final.observations, last, final.theta, precision)
     steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
     steps = beside_slow_walks(found.search.bank, problem.terms, found.search.taken, steps)
     loop = FitLoop(

@@ -23,8 +23,8 @@ from imucalib.loop.wander.choice import Taken
 from imucalib.loop.wander.likelihood import Terms, levels
 from imucalib.loop.wander.walk import Course, Walk
 
-#: Memories of a slow walk in recordings, and its variances over a run's.
-_TAU, _RHO = (0.5, 2.0), (1.0, 10.0, 100.0, 1000.0)
+#: Memories of a slow walk in recordings, and its variances over a run's, as fine as the search's.
+_TAU, _RHO = (0.5, 2.0), (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
 
 
 def beside_slow_walks(
