@@ -57,9 +57,9 @@ def catalogue_document(effects: Sequence[Effect], scans: Sequence[Family] = ()) 
     table = Table("", ("effect", "acts on", "needs"), rows, "lll")
     named = ", ".join(f"{family.name}@" for family in scans)
     verdict = Text(
-        f"{len(effects)} effects; `imucal effects NAME` tells one. Those of a fixture belong to "
-        "the bench and are never applied; those of the motion are for `imucal array`."
-        + (f" With a value that the search finds: {named}." if named else "")
+        f"{len(effects)} effects; `imucal effects NAME` tells one. A fixture's belong to the bench "
+        "and are never applied, those of the motion are for `imucal array`."
+        + (f" With a value: {named}." if named else "")
     )
     return Document("Effects", verdict, (Section("Catalogue", (table,)),))
 
