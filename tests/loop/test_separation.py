@@ -15,6 +15,7 @@ from imucalib.effects import catalogue
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.found import FitLoop
 from imucalib.loop.noise.grid import TAU
+from imucalib.loop.separation import plan, repeated
 from imucalib.loop.separation.ambiguities import ambiguities
 from imucalib.loop.separation.angle import Pair, apart, pairs_of
 from imucalib.loop.separation.choice import Pool, separating, total_of
@@ -253,3 +254,16 @@ def test_a_rival_is_alone_by_evidence_and_by_what_the_others_cannot_explain(size
     assert 0.03 < share.mean() < 0.97
     expected = [judged(rows, y[:, k], found) for k in range(300)]
     np.testing.assert_array_equal(share, expected)
+
+
+@pytest.mark.parametrize("goal", [0.0, 1.7, 2.0, 9.0])
+def test_how_many_of_another_choice_is_found_by_looking_at_a_few(goal: float) -> None:
+    every = np.sqrt(0.05 * np.arange(1, 193))
+    looked = []
+
+    def reached(k: int) -> float:
+        looked.append(k)
+        return float(every[k - 1])
+
+    assert repeated._beside(reached, 24, goal) == plan.beside(every, 24, goal)
+    assert len(looked) < 12

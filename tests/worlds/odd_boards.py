@@ -149,10 +149,18 @@ def saturating(limit: float, imus: frozenset[int]) -> Plant:
     return plant
 
 
+def one_sided(m: Moved, r: Array, k: int) -> Planted:
+    """imu3's gyro reads 1 % more of one direction of turning about one axis."""
+    if k != 3:
+        return plain(m, r, k)
+    more = np.maximum(m.rate, 0.0) * np.array([0.01, 0.0, 0.0])
+    return Planted(m.felt(r), m.rate + more)
+
+
 PLANTS: dict[str, Plant] = {
     "clean": plain, "flexing": flexing, "by rate": by_rate, "drifting": drifting,
     "gyro drifting": gyro_drifting, "loose": loose, "sensitive": sensitive,
-    "shifted pair": shifted_pair, "late few": late_few, "humming": humming,
+    "one-sided": one_sided, "shifted pair": shifted_pair, "late few": late_few, "humming": humming,
     "gyro saturating": saturating(1500.0, frozenset({0})),
     "gyros saturating": saturating(2500.0, frozenset(range(8))),
 }  # fmt: skip

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from bisect import bisect_left
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.loop.separation.angle import apart, pairs_of
 from imucalib.loop.separation.choice import Pool, informative, separating
-from imucalib.loop.separation.plan import ENOUGH, Separation, beside, can_be_told
+from imucalib.loop.separation.plan import ENOUGH, Beside, Separation, can_be_told
 from imucalib.loop.separation.products import Ambiguity
 from imucalib.loop.separation.prospect import Added, ends
 
@@ -38,9 +40,12 @@ def repeated(ambiguity: Ambiguity, menu: Pool, rng: np.random.Generator) -> Sepa
         ended = dict(ends(ambiguity, added, rng, _DRAWS, against))
         if min(ended.values()) >= ENOUGH:
             break
-    times = np.arange(1, _LONGER * count + 1)[:, None, None]
-    each = np.stack([apart(old + times * gram, pairs).min(axis=-1) for gram in menu.gram])
-    goal = float(each[best, count - 1])
+
+    def reached(k: int, some: Array) -> float:
+        """The median over some candidates (n, P, P), each k times."""
+        return float(np.median([apart(old + k * gram, pairs).min() for gram in some]))
+
+    goal = reached(count, menu.gram[best : best + 1])
     most = int(np.argmax(informative(old, ambiguity.first)(count * menu.gram)))
     return _told(
         ambiguity,
@@ -50,9 +55,17 @@ def repeated(ambiguity: Ambiguity, menu: Pool, rng: np.random.Generator) -> Sepa
         now=apart(old, pairs),
         apart=apart(old + count * menu.gram[best], pairs),
         ended=ended,
-        informative=beside(each[most], count, goal),
-        random=beside(np.median(each, axis=0), count, goal),
+        informative=_beside(lambda k: reached(k, menu.gram[most : most + 1]), count, goal),
+        random=_beside(lambda k: reached(k, menu.gram), count, goal),
     )
+
+
+def _beside(reached: Callable[[int], float], count: int, goal: float) -> Beside:
+    """How far `count` times of another choice reach, and how many reach the goal. More of the same
+    never tells less, so that a few are looked at, not all."""
+    longest = _LONGER * count
+    fewer = bisect_left(range(1, longest + 1), goal, key=reached)
+    return Beside(reached(count), fewer + 1 if fewer < longest else None, longest)
 
 
 def _told(ambiguity: Ambiguity, **found: object) -> Separation:

@@ -21,6 +21,7 @@ from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.errors import Undetermined, UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import still_segments
+from worlds.boards import BoardPlan, board_log, made_board
 
 BOARD = read_board("mimu4444_corners")
 PLAN = LogPlan(poses=12, pose_seconds=3.0, seconds=15.0)
@@ -100,6 +101,28 @@ def test_its_lines_mend_the_board_file(
     assert line in "\n".join(found.lines)
     again = seen(broken, with_lines(found.lines, tmp_path / "board.yaml"))
     assert again.faults == ()
+
+
+@pytest.fixture(scope="module")
+def turned() -> Recording:
+    """Turned by hand from rest to rest, so that gravity turns as the gyros say."""
+    rng, plan = np.random.default_rng(3), BoardPlan(rests=8, twist_s=5.0)
+    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, plan, rng)
+    return board_log(parts, plan, rng).recording
+
+
+@pytest.mark.parametrize("turn", [SIGNED[k] for k in (1, 2, 3, 4, 7, 13, 18, 33, 46)])
+@pytest.mark.parametrize("sensor", ["accelerometer", "gyro"])
+def test_all_sensors_of_a_kind_that_are_wired_alike_are_told(
+    turned: Recording, sensor: str, turn: Matrix, tmp_path: Path
+) -> None:
+    """Alike in the packages, so that top and bottom of the board contradict each other: of all
+    accelerometers, every gyro and half of the accelerometers were told."""
+    broken = wired(turned, "01234567", "accel" if sensor == "accelerometer" else "angular", turn)
+    found = seen(broken, BOARD)
+    assert found.faults == (f"every {sensor}: other axes or signs than drawn",)
+    assert f'{sensor}_axes: "{in_words(turn.T)}"' in found.lines[0]
+    assert seen(broken, with_lines(found.lines, tmp_path / "board.yaml")).faults == ()
 
 
 @pytest.mark.parametrize("seed", range(6))

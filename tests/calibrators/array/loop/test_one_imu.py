@@ -70,6 +70,32 @@ def test_gyros_that_saturate_softly_are_told_and_move_no_position(plant: str, na
     assert 0.3 < fifth / (2.0 * 2000.0**5 / (15.0 * limit**4)) < 1.1
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_gyro_that_reads_more_of_one_direction_is_told_as_that(seed: int) -> None:
+    """A square, a cube, a bias and a drift of that IMU were four wrong names, three as certain."""
+    rng = np.random.default_rng(seed)
+    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
+    made = odd_log(parts, PLANTS["one-sided"], PLAN, rng)
+    found = closed(made.recording, 600)
+    families = {name.partition("@")[0] for name in named(found)}
+    assert families == {"gyro_misalignment", "gyro_scale", "gyro_asymmetry"}
+    assert "gyro_asymmetry@imu3" in named(found)
+    term = next(t for t in found.final.found if t.name.startswith("gyro_asymmetry"))
+    # Half of it in either direction, the mean is a scale; in the package's own axes.
+    each = np.zeros((8, 3))
+    each[slice(None) if term.only is None else [term.only]] = term.theta.reshape(-1, 3)
+    own = np.zeros((8, 3))
+    own[3] = 0.5 * np.abs(BOARD.rotations[3].T @ [1.0, 0.0, 0.0])
+    assert np.abs(each) == pytest.approx(own, abs=0.04)
+    # The mean scale of all gyros, a sixteenth of it, is the size's; beside it nothing moves.
+    truth, r = made.positions[1:], found.final.r[1:]
+    left, _, right = np.linalg.svd(truth.T @ r)
+    turned = truth @ left @ right
+    size = np.sum(turned * r) / np.sum(turned**2)
+    assert size == pytest.approx(1.0, abs=2e-3)
+    assert np.abs(r - size * turned).max() < 5e-5
+
+
 def test_every_effect_of_its_own_is_tried_on_each_imu() -> None:
     for effect in array_catalogue().values():
         assert effect.scan is not effect.shared

@@ -10,9 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.drawing.axes import common_gyro_axes, in_words, relative_axes
+from imucalib.calibrators.array.drawing.axes import (
+    SIGNED,
+    common_gyro_axes,
+    in_words,
+    relative_axes,
+)
 from imucalib.calibrators.array.drawing.places import Places, in_its_unit, places
 from imucalib.calibrators.array.log import ArrayLog
 from imucalib.calibrators.array.moving import SLOWEST
@@ -68,6 +73,24 @@ class Drawn:
         else:
             found += [f"{names[k]} stands where {names[seen.place[k]]} is drawn" for k in moved]
         return found
+
+    @property
+    def gyros_alone(self) -> bool:
+        """Whether all accelerometers and places are as drawn, or some gyros are."""
+        same = np.eye(3)
+        drawn = bool(np.all(self.accelerometer == same)) and self._places_fit is not False
+        return drawn or bool(np.any(np.all(self.gyro == same, axis=(1, 2))))
+
+    @property
+    def accelerometers_alone(self) -> bool:
+        """Whether all gyros are as drawn, and places that the motion shows."""
+        return bool(np.all(self.gyro == np.eye(3))) and self._places_fit is True
+
+    @property
+    def _places_fit(self) -> bool | None:
+        """None where the motion does not show them."""
+        seen = self.places
+        return None if seen is None else not (len(seen.exchanged) or seen.inverted)
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -130,17 +153,51 @@ def compared(log: ArrayLog, segments: Segments, board: Board, order: list[int]) 
         return Drawn(board, acceleration, same, None)
     some = rows[:: max(len(rows) // _SAMPLES, 1)]
     gyro = relative_axes(log.rate[some] - offset, turns)
-    force = _turned(log.acceleration, turns, acceleration)
-    rate = (_turned(log.rate, turns, gyro) - _turned(offset[None], turns, gyro)).mean(axis=1)
-    common = common_gyro_axes(
-        log.t, rate, _turned(still, turns, acceleration).mean(axis=1), segments.start, segments.stop
-    )
-    rate = rate @ common.T
-    gyro = _signed(turns.transpose(0, 2, 1) @ common @ turns @ gyro)
-    where = places(log.t, force, rate, usable, board.positions) if in_its_unit(still) else None
-    if where is not None and where.inverted:
-        acceleration = -acceleration
-    return Drawn(board, acceleration, gyro, where)
+    shown = _Shown(
+        log=log, segments=segments, board=board, still=still, gyro=gyro, offset=offset,
+        usable=usable,
+    )  # fmt: skip
+    found = shown.with_accelerometers(acceleration)
+    if found.gyros_alone:
+        return found
+    # All accelerometers wired alike contradict all gyros, and each other where packages differ.
+    for own in SIGNED[1:]:
+        every = np.broadcast_to(own, same.shape)
+        if np.array_equal(relative_axes(_turned(still, turns, every), turns), same):
+            other = shown.with_accelerometers(every)
+            if other.accelerometers_alone:
+                return other
+    return found
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What the log shows beside the accelerometers' axes. still : (m, K, 3) forces at rest; gyro :
+    (K, 3, 3) axes relative to each other; offset : (K, 3); usable : (n,) neither clipped nor slow;
+    still and offset as drawn, in board axes"""
+
+    log: ArrayLog
+    segments: Segments
+    board: Board
+    still: Array
+    gyro: Array
+    offset: Array
+    usable: Flags
+
+    def with_accelerometers(self, own: Array) -> Drawn:
+        """The board file as it is seen where accelerometers read by `own` (K, 3, 3)."""
+        log, turns = self.log, self.board.rotations
+        force, still = _turned(log.acceleration, turns, own), _turned(self.still, turns, own)
+        rate = _turned(log.rate, turns, self.gyro) - _turned(self.offset[None], turns, self.gyro)
+        mean, ends = rate.mean(axis=1), (self.segments.start, self.segments.stop)
+        common = common_gyro_axes(log.t, mean, still.mean(axis=1), *ends)
+        gyro = _signed(turns.transpose(0, 2, 1) @ common @ turns @ self.gyro)
+        where = None
+        if in_its_unit(still):
+            where = places(log.t, force, mean @ common.T, self.usable, self.board.positions)
+        if where is not None and where.inverted:
+            own = -own
+        return Drawn(self.board, np.asarray(own), gyro, where)
 
 
 def _signed(matrix: Array) -> Array:
