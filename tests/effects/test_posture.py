@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from imucalib.core.context import Context
+from imucalib.core.effect import Response
 from imucalib.core.truth import Truth
 from imucalib.effects import families
 from imucalib.effects.worn.posture import centres, posture
@@ -50,3 +51,16 @@ def test_a_posture_needs_a_clock_and_rests_but_no_dial(
 def test_what_is_no_number_of_bumps_is_no_posture(value: str) -> None:
     with pytest.raises(ValueError, match=value):
         posture(value)
+
+
+@pytest.mark.parametrize("bumps", [24, 80])
+def test_all_bumps_together_are_the_sum_of_each(bumps: int) -> None:
+    """At rest, in a throw and in free fall; ten mg a bump, to a hundred thousandth of a mg."""
+    rng = np.random.default_rng(bumps)
+    truth = Truth(np.concatenate([rng.normal(size=(200, 1, 3)) * 10.0, np.zeros((1, 1, 3))]))
+    effect, context = posture(str(bumps)), Context(201)
+    theta = 10.0 * rng.normal(size=bumps)
+    assert isinstance(effect, Response)
+    assert effect.total is not None
+    due = effect.basis(truth, context) @ theta
+    np.testing.assert_allclose(effect.total(theta, truth, context) / MG, due / MG, atol=1e-4)

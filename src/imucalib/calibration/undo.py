@@ -110,12 +110,16 @@ class Undo:
         x, settled = linear, np.ones(len(reading), dtype=np.bool_)
         if not self.bent:
             return x, settled
-        before = x
+        last = np.zeros(len(reading))
         for _ in range(_ROUNDS):
             before, x = x, linear - self._beyond(x, known) @ self._inverse.T
-            if float(np.abs(x - before).max()) <= _CLOSE:
+            moved = np.abs(x - before).max(axis=1)
+            # The next step is to this one as this one is to the last: one too small is not made.
+            shrunk = np.minimum(moved / np.maximum(last, _CLOSE), 1.0)
+            if float((moved * shrunk).max(initial=0.0)) <= _CLOSE:
                 return x, settled
-        settled = np.abs(x - before).max(axis=1) <= _CLOSE
+            last = moved
+        settled = moved <= _CLOSE
         return np.where(settled[:, None], x, linear), settled
 
     def _beyond(self, x: Array, known: Context) -> Array:
@@ -129,6 +133,8 @@ class Undo:
 
     def _delta(self, effect: Effect, x: Array, known: Context) -> Array:
         theta = self._theta[self._slices[effect.name]]
+        if isinstance(effect, Response) and effect.total is not None:
+            return effect.total(theta, Truth(x[:, None]), known)[:, 0]
         if isinstance(effect, Response):  # without the derivatives, which are most of the work
             return np.asarray(effect.basis(Truth(x[:, None]), known)[:, 0] @ theta)
         return effect.act(theta, Truth(x[:, None]), known).delta[:, 0]

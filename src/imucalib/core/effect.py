@@ -110,6 +110,8 @@ class Response(Described):
     basis_dx : (truth, context) -> (n, K, 3, m, 3), its derivative by the specific force, or None
         where it does not depend on it
     scan : whether one triad alone may have it, so that it is tried on each
+    total : (theta, truth, context) -> (n, K, 3), what all parameters add together, where that is
+        far less work than the basis
     """
 
     each: tuple[Parameter, ...] = ()
@@ -118,6 +120,7 @@ class Response(Described):
     channel: Channel = "acceleration"
     shared: bool = False
     scan: bool = False
+    total: Callable[[Array, Truth, Context], Array] | None = None
 
     stage: Stage = "sensor"
 

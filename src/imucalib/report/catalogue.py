@@ -57,8 +57,7 @@ def catalogue_document(effects: Sequence[Effect], scans: Sequence[Family] = ()) 
     table = Table("", ("effect", "acts on", "needs"), rows, "lll")
     named = ", ".join(f"{family.name}@" for family in scans)
     verdict = Text(
-        f"{len(effects)} effects; `imucal effects NAME` tells one. A fixture's are never "
-        "applied; those of the motion are for `imucal array`."
+        f"{len(effects)} effects; `imucal effects NAME` tells one."
         + (f" With a value: {named}." if named else "")
     )
     return Document("Effects", verdict, (Section("Catalogue", (table,)),))
