@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import product
 
@@ -360,3 +361,22 @@ def test_what_chance_reaches_is_the_same_beside_settings_as_large_as_may_be(larg
         )
 
     assert chance(large) == pytest.approx(chance(3e3), abs=0.02)
+
+
+def test_others_pay_nothing_for_a_scan_without_a_reason() -> None:
+    """Twenty values that no physics prefers, beside a cubic: its p is as it was."""
+    fit = _tumbled("cubic", 66, size=0.4)
+    rng = np.random.default_rng(5)
+    (cubic,), _ = effect_candidates(fit, [named("cubic")])
+    shape = (cubic.columns.shape[0], 6)
+    many = [Candidate(f"n{k}", "effect", 5.0 * rng.standard_normal(shape)) for k in range(20)]
+    unfounded = [replace(c, unfounded=True) for c in many]
+
+    def scored(candidates: list[Candidate]) -> dict[str, Score]:
+        found = score(fit, (cubic, *candidates), np.random.default_rng(6), draws=499, alpha=0.999)
+        return {s.name: s for s in found}
+
+    alone, beside, among = scored([]), scored(unfounded), scored(many)
+    assert beside["cubic"].p == alone["cubic"].p
+    assert beside["cubic"].bar == alone["cubic"].bar < among["cubic"].bar
+    assert beside["n0"].bar != beside["cubic"].bar

@@ -89,7 +89,7 @@ def fitted_prediction(fit: Fit) -> Prediction:
 def family_candidates(fit: Fit, family: Family, values: Sequence[str]) -> tuple[Candidate, ...]:
     """Candidates of some members of a scan; those that the context cannot carry are left out."""
     found, _ = effect_candidates(fit, [family.member(value) for value in values])
-    return tuple(replace(c, family=family.name) for c in found)
+    return tuple(replace(c, family=family.name, unfounded=family.unfounded) for c in found)
 
 
 def _cosines(values: Array, terms: int) -> Array:

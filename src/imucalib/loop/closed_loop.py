@@ -91,7 +91,7 @@ def close_loop(
         scores=end.last.scores,
         first_scores=end.first.scores,
         missing=end.last.missing,
-        bar=end.first.scores[0].bar if end.first.scores else math.inf,
+        bar=next((s.bar for s in end.first.scores if not s.candidate.unfounded), math.inf),
     )
 
 

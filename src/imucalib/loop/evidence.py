@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.noise.grid import EXCESS, HELD, TAU, EvidenceGrid
@@ -37,7 +37,8 @@ class Candidate:
     """One block. columns : (N, m) in the balance's units, scaled by the typical size.
 
     family : the scan that it is one value of, or empty; curve : of a probe, what could correct it
-    (a value of the family "curve", without the number of terms)
+    (a value of the family "curve", without the number of terms); unfounded : as its family; chance
+    is counted among such by themselves, and others pay nothing for them
     """
 
     name: str
@@ -46,6 +47,7 @@ class Candidate:
     driver: str = ""
     family: str = ""
     curve: str = ""
+    unfounded: bool = False
 
 
 @dataclass(frozen=True)
@@ -114,16 +116,15 @@ def _score_few(
     fit: Fit, candidates: tuple[Candidate, ...], rng: np.random.Generator, draws: int, alpha: float
 ) -> tuple[Score, ...]:
     at, noise = fit.at, fit.noise
-    fitted = noise.ratio
     alone = strengths(fit, [c.columns for c in candidates])
     live = np.flatnonzero(alone.live)
-    evidence, p, done = np.zeros(len(candidates)), np.ones(len(candidates)), 0
-    null = np.zeros(0)
+    evidence, p = np.zeros(len(candidates)), np.ones(len(candidates))
+    chance = _Chance(np.ones(0), {}, 0)
     if live.size:
         grid = EvidenceGrid(
             at.jacobian,
             at.settings,
-            fitted,
+            noise.ratio,
             [candidates[k].columns / noise.factor for k in live],
             without=fit.observations.walk.without if fit.observations.walk else None,
             coarse=draws == 0 or any(noise.alone for noise in fit.observations.shared),
@@ -134,25 +135,51 @@ def _score_few(
             },
         )
         found = grid.evidence(at.residual[:, None] / noise.factor)
-        for part in (*_PARTS, draws):
-            size = min(part, draws) - done
-            if size <= 0:
-                break
-            simulated = grid.evidence(_null_data(fit, rng, size)).max(axis=0)
-            null, done = np.concatenate([null, simulated]), done + size
-            p[live] = (1 + (null[None] >= found).sum(axis=1)) / (done + 1)
-            if not _undecided(float(p.min()), done, alpha):
-                break
-        evidence[live] = found[:, 0]
+        apart = np.array([candidates[k].unfounded for k in live])
+        chance = _by_chance(fit, grid, found, apart, rng, (draws, alpha))
+        evidence[live], p[live] = found[:, 0], chance.p
     scores = [
         Score(
-            candidate=c, evidence=float(evidence[k]), p=float(p[k]), draws=done,
+            candidate=c, evidence=float(evidence[k]), p=float(p[k]), draws=chance.draws,
             left=float(alone.left[k]), strength=float(alone.strength[k]),
-            share=float(alone.share[k]), size=_size(fit, c), bar=_bar(null, alpha),
+            share=float(alone.share[k]), size=_size(fit, c),
+            bar=_bar(chance.null.get(c.unfounded), alpha),
         )
         for k, c in enumerate(candidates)
     ]  # fmt: skip
     return tuple(sorted(scores, key=lambda s: -s.evidence))
+
+
+@dataclass(frozen=True)
+class _Chance:
+    """p : of each candidate; null : (draws,) the best of those that are founded (False), and of
+    those that are not (True), on data that lack nothing"""
+
+    p: Array
+    null: dict[bool, Array]
+    draws: int
+
+
+def _by_chance(
+    fit: Fit, grid: EvidenceGrid, found: Array, apart: Flags, rng: np.random.Generator,
+    asked: tuple[int, float],
+) -> _Chance:  # fmt: skip
+    """found : (candidates, 1); apart : which are unfounded; asked : draws at most, and alpha"""
+    draws, alpha = asked
+    p, done = np.ones(len(found)), 0
+    null: dict[bool, Array] = {pool: np.zeros(0) for pool in set(apart.tolist())}
+    for part in (*_PARTS, draws):
+        size = min(part, draws) - done
+        if size <= 0:
+            break
+        simulated, done = grid.evidence(_null_data(fit, rng, size)), done + size
+        for pool, before in null.items():
+            own = apart == pool
+            best = null[pool] = np.concatenate([before, simulated[own].max(axis=0)])
+            p[own] = (1 + (best[None] >= found[own]).sum(axis=1)) / (done + 1)
+        if not _undecided(float(p.min()), done, alpha):
+            break
+    return _Chance(p, null, done)
 
 
 def _size(fit: Fit, candidate: Candidate) -> float:
@@ -160,8 +187,8 @@ def _size(fit: Fit, candidate: Candidate) -> float:
     return float(np.linalg.norm(sized) / fit.observations.n**0.5)
 
 
-def _bar(null: Array, alpha: float) -> float:
-    return float(np.quantile(null, 1.0 - alpha)) if null.size else np.inf
+def _bar(null: Array | None, alpha: float) -> float:
+    return np.inf if null is None or not null.size else float(np.quantile(null, 1.0 - alpha))
 
 
 def _score_many(
@@ -187,21 +214,13 @@ def _score_many(
         value = 0.0 if absorbed else float(found.evidence[i])
         p = 1.0 if absorbed else (1 + int((found.best >= value).sum())) / (draws + 1)
         left, strength, share = (float(v[i]) for v in (found.left, found.strength, found.share))
-        bar = _bar(found.best, alpha)
-        size = _size(fit, candidates[k])
+        bar, size = _bar(found.best, alpha), _size(fit, candidates[k])
         scores.append(
             Score(
-                candidate=bare[k],
-                evidence=value,
-                p=p,
-                draws=draws,
-                left=left,
-                strength=strength,
-                share=share,
-                size=size,
-                bar=bar,
+                candidate=bare[k], evidence=value, p=p, draws=draws, left=left, strength=strength,
+                share=share, size=size, bar=bar,
             )
-        )
+        )  # fmt: skip
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
-from imucalib.effects import families as effect_families
 from imucalib.effects import known
 from imucalib.loop.candidates import correlated_noise, effect_candidates, family_candidates, probes
 from imucalib.loop.evidence import Candidate, Score, apart, score
@@ -130,8 +129,7 @@ def choose(scores: tuple[Score, ...], rules: LoopSettings) -> Score | None:
 
 
 def _stands_out(found: Score, rules: LoopSettings) -> bool:
-    family = effect_families().get(found.candidate.family)
-    return (clear if family and family.unfounded else passes)(found, rules)
+    return (clear if found.candidate.unfounded else passes)(found, rules)
 
 
 def passes(found: Score, rules: LoopSettings) -> bool:

@@ -89,7 +89,7 @@ def close_array_loop(
     gained = cross_fitted(halved or setup, moving, searched)
     refused: tuple[tuple[str, str], ...] = ()
     structure = path.corrected
-    if path.steps and gained is not None and not gained.holds:
+    if path.steps and gained is not None and gained.refutes:
         refused = tuple((step.effect, _REFUSED) for step in path.steps)
         structure += tuple(_as_structure(step) for step in path.steps if step.evidence > STRONG)
         path = first

@@ -61,8 +61,11 @@ class Gained:
         return any(d.proved for d in both) and not lost
 
     @property
-    def holds(self) -> bool:
-        return self.principal.gain > 0.0
+    def refutes(self) -> bool:
+        """Whether neither error has fallen. Where a half of the motion shows too little for its
+        search to take anything, errors are the same: that says nothing against what the whole
+        shows, nor for it."""
+        return self.principal.gain < 0.0
 
 
 def cross_fitted(setup: Setup, moving: Moving, searched: Searching) -> Gained | None:
