@@ -48,6 +48,8 @@ def cycle(value: str) -> Effect:
             for a in "xyz"
         ),
         basis=_wave(lambda context: 2.0 * np.pi * context["record"] / rows),
+        # Of the room and not of the sensor: no recording has its phase.
+        stage="fixture",
     )
 
 
