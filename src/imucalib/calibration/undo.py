@@ -133,11 +133,13 @@ class Undo:
 
     def _delta(self, effect: Effect, x: Array, known: Context) -> Array:
         theta = self._theta[self._slices[effect.name]]
-        if isinstance(effect, Response) and effect.total is not None:
-            return effect.total(theta, Truth(x[:, None]), known)[:, 0]
-        if isinstance(effect, Response):  # without the derivatives, which are most of the work
-            return np.asarray(effect.basis(Truth(x[:, None]), known)[:, 0] @ theta)
-        return effect.act(theta, Truth(x[:, None]), known).delta[:, 0]
+        truth = Truth(x[:, None])
+        if not isinstance(effect, Response):
+            return effect.act(theta, truth, known).delta[:, 0]
+        if effect.total is not None:
+            return effect.total(theta, truth, known)[:, 0]
+        # Without the derivatives, which are most of the work.
+        return np.asarray(effect.basis(truth, known)[:, 0] @ theta)
 
     def _slope(self, effect: Effect) -> Array:
         theta = self._theta[self._slices[effect.name]]

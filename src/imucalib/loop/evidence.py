@@ -136,7 +136,7 @@ def _score_few(
         )
         found = grid.evidence(at.residual[:, None] / noise.factor)
         apart = np.array([candidates[k].unfounded for k in live])
-        chance = _by_chance(fit, grid, found, apart, rng, (draws, alpha))
+        chance = _by_chance(fit, grid, found, apart, rng, draws=draws, alpha=alpha)
         evidence[live], p[live] = found[:, 0], chance.p
     scores = [
         Score(
@@ -161,11 +161,10 @@ class _Chance:
 
 
 def _by_chance(
-    fit: Fit, grid: EvidenceGrid, found: Array, apart: Flags, rng: np.random.Generator,
-    asked: tuple[int, float],
+    fit: Fit, grid: EvidenceGrid, found: Array, apart: Flags, rng: np.random.Generator, *,
+    draws: int, alpha: float,
 ) -> _Chance:  # fmt: skip
-    """found : (candidates, 1); apart : which are unfounded; asked : draws at most, and alpha"""
-    draws, alpha = asked
+    """found : (candidates, 1); apart : which are unfounded; draws : at most"""
     p, done = np.ones(len(found)), 0
     null: dict[bool, Array] = {pool: np.zeros(0) for pool in set(apart.tolist())}
     for part in (*_PARTS, draws):

@@ -29,6 +29,12 @@ def centres(bumps: int) -> Array:
     return np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
 
 
+def _up(truth: Truth) -> tuple[Array, Array]:
+    """Direction (n, K, 3) of the force, shorter where little is felt, and its size (n, K, 1)."""
+    size = np.sqrt(np.sum(truth.force**2, axis=-1, keepdims=True) + _FADES**2)
+    return truth.force / size, size
+
+
 def posture(value: str) -> Effect:
     """The offset as a sum of so many bumps, "24"; ValueError otherwise."""
     bumps = int(value)
@@ -37,14 +43,12 @@ def posture(value: str) -> Effect:
     middle, sharp = centres(bumps), bumps / (4.0 * np.pi)  # one over the area of each
 
     def heights(truth: Truth) -> tuple[Array, Array, Array]:
-        size = np.sqrt(np.sum(truth.force**2, axis=-1, keepdims=True) + _FADES**2)
-        up = truth.force / size
+        up, size = _up(truth)
         return up, size, np.exp(sharp * (up @ middle.T - 1.0))
 
     def total(theta: Array, truth: Truth, context: Context) -> Array:
         # A long recording asks for this; single precision is a part in ten million of the offset.
-        size = np.sqrt(np.sum(truth.force**2, axis=-1, keepdims=True) + _FADES**2)
-        up = truth.force / size
+        up, _ = _up(truth)
         fall = up.astype(np.float32) @ (sharp * middle.T).astype(np.float32) - np.float32(sharp)
         return np.asarray(MG * up * (np.exp(fall) @ theta.astype(np.float32))[..., None])
 
