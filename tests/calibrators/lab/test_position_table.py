@@ -105,6 +105,17 @@ def test_angle_units_and_words_that_end_like_one(tmp_path: Path) -> None:
     assert table.unit == {"temperature": "degc"}
 
 
+def test_columns_that_take_no_part_are_told(tmp_path: Path) -> None:
+    """A supply's voltage may drive what is left: it is said that nobody looked."""
+    rows = ["inclination,tool_face,x,y,z,supply_V,position,rate,remark"]
+    rows += [f"{10 * k},0,1,2,3,{3.3 - 0.01 * k * k},{k + 1},100,ok" for k in range(4)]
+    table = read_position_table(_write(tmp_path, "\n".join(rows)))
+    assert table.unused == ("supply_V",)
+    assert "supply_V" in table.left_out[0]
+    named = read_position_table(_write(tmp_path, "\n".join(rows)), {"temperature": "supply_V"})
+    assert named.left_out == ()
+
+
 def test_columns_can_be_named(tmp_path: Path) -> None:
     path = _write(tmp_path, PLAIN.replace("inclination", "dial A").replace("tool_face", "dial B"))
     assert "no column for inclination, tool_face" in _refused(path).what

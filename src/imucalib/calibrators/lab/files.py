@@ -83,7 +83,7 @@ def _ordered(files: LabFiles, request: LabRequest, say: Callable[[str], None]) -
     table = read.by_time
     if not np.array_equal(table.row, read.row):
         say("rows are taken in the order of their time, not of the file")
-    say(f"read {table.n} positions from {files.table}")
+    say("; ".join((f"read {table.n} positions from {files.table}", *table.left_out)))
     return table
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
+from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.csv.dialect import is_number
 
 #: What a column can be, and the names under which it is found, as `bare` gives them.
 ROLES: dict[str, tuple[str, ...]] = {
@@ -98,3 +102,14 @@ def roles_of(headings: list[str], chosen: Mapping[str, str], where: str) -> dict
         if hits:
             names[role] = hits[0]
     return names
+
+
+def unused(cells: Mapping[str, Array | list[str]], used: Collection[str]) -> tuple[str, ...]:
+    """Headings of columns of numbers that nothing uses, but for constants and counts of rows."""
+
+    def says(values: Array | list[str]) -> bool:
+        if len(values) < 2 or not all(is_number(str(v)) for v in values):
+            return False
+        return bool(np.ptp(np.diff([float(v) for v in values])) > 0.0)
+
+    return tuple(name for name, values in cells.items() if name not in used and says(values))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.atomic_file import replaced_atomically
-from imucalib.calibrators.lab.headings import ROLES, bare, roles_of
+from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, unused
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.csv.dialect import is_number
 from imucalib.readers.csv.spreadsheet import is_spreadsheet, sheet_cells
@@ -47,6 +47,7 @@ class PositionTable:
     names : role -> heading; row : (n,) row numbers from 1; sha256 : of the file, of several of
     their sums; files : the sum of each of several
     sessions : names of the power-ups, which the column session counts from 0, in order
+    unused : headings of columns of numbers that take no part
     """
 
     columns: Mapping[str, Array]
@@ -58,6 +59,7 @@ class PositionTable:
     inclination_zero: str = ""
     sessions: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
 
     def __contains__(self, role: object) -> bool:
         return role in self.columns
@@ -69,6 +71,12 @@ class PositionTable:
     def at(self, row: int) -> int:
         """Where a row of the file stands: elsewhere once the rows are in the order of time."""
         return int(np.flatnonzero(self.row == row)[0])
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What is said of columns that take no part."""
+        words = ", ".join(self.unused)
+        return (f"nothing is made of: {words} (columns without a known name)",) * bool(words)
 
     @property
     def by_time(self) -> PositionTable:
@@ -141,7 +149,7 @@ def read_position_table(
     row = np.arange(1, count + 1)
     return PositionTable(
         columns, names, unit, row, path=str(path), sha256=sha256_of(path), inclination_zero=zero,
-        sessions=sessions,
+        sessions=sessions, unused=unused(cells, set(names.values())),
     )  # fmt: skip
 
 

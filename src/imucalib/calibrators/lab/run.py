@@ -81,7 +81,7 @@ def run_lab(
     why = reasons(result, raw) + worthless(result, whole)
     outcome = _judged(
         result=result, raw=raw, request=request, provenance=provenance, undecided=undecided,
-        why=why, notes=(raw.sentence, *faults.notes, *notes),
+        why=why, notes=(raw.sentence, *table.left_out, *faults.notes, *notes),
     )  # fmt: skip
     sessions = sessions_of(result.final, table.sessions)
     details = lab_details(result, excluded, undecided, faults, sessions)
