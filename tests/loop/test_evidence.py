@@ -124,7 +124,14 @@ SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
 
 
 def _dense_evidence(fit: Fit, columns: Array, taus: tuple[float, ...] = SIZES) -> float:
-    """The definition: restricted likelihood with V + τ² G Gᵀ, profiled over noise and grids."""
+    """The definition: half a prior for the whole block, half for one number of it, whichever."""
+    single = [_dense_block(fit, columns[:, [k]], taus) for k in range(columns.shape[1])]
+    one = np.logaddexp.reduce(single) - np.log(len(single))
+    return float(np.logaddexp(_dense_block(fit, columns, taus), one) - np.log(2.0))
+
+
+def _dense_block(fit: Fit, columns: Array, taus: tuple[float, ...]) -> float:
+    """Restricted likelihood with V + τ² G Gᵀ, profiled over noise and grids."""
     at = fit.at
     n, p = at.jacobian.shape
 
@@ -155,13 +162,43 @@ def test_evidence_is_its_definition(name: str) -> None:
     assert found[0].evidence == pytest.approx(_dense_evidence(fit, columns), abs=1e-6)
 
 
+def test_what_one_axis_alone_has_pays_for_one_number_and_not_for_six() -> None:
+    """Only the first number of an effect is there: the evidence is within log(2 m) of its own."""
+    fit = _planted("cubic", 64, 0.5, n=14)
+    rng = np.random.default_rng(3)
+    whole = rng.standard_normal((fit.at.residual.size, 6))
+    whole[:, 0] = fit.at.residual
+    evidence = {
+        name: score(fit, (Candidate(name, "effect", columns),), rng, draws=1)[0].evidence
+        for name, columns in {"one": whole[:, :1], "whole": whole}.items()
+    }
+    assert evidence["one"] - np.log(12.0) <= evidence["whole"] <= evidence["one"] + 1e-9
+
+
+@pytest.mark.parametrize("others", [3, 400])
+def test_thousands_of_observations_weigh_one_number_as_few_do(others: int) -> None:
+    """By the blocks' own definition, with fewer and with more columns than observations."""
+    rng = np.random.default_rng(2)
+    base, block, more = (rng.standard_normal((300, m)) for m in (9, 3, others))
+    residual, tau = 0.4 * block[:, 0] + rng.standard_normal(300), np.array([0.1, 1.0])
+
+    def evidence(*blocks: Array, parts: tuple[int, ...] = ()) -> Array:
+        return gram_evidence(residual, base, blocks, tau, rng, 1, parts=parts).evidence
+
+    apart = evidence(block, *(block[:, [k]] for k in range(3)), more)
+    both = evidence(block, more, parts=(0,))
+    expected = np.log(np.exp(apart[0]) / 2.0 + np.exp(apart[1:4]).sum() / 6.0)
+    assert both == pytest.approx([expected, apart[4]], abs=1e-6)
+    assert expected > apart[0] + 1.0
+
+
 @cache
 def _best_size() -> float:
     """The likeliest size of the effect in `_planted("cubic", 64, 1.0, n=14)`."""
     fit = _planted("cubic", 64, 1.0, n=14)
     columns = effect_columns(fit, named("cubic"))
     tried = [float(tau) for tau in np.geomspace(0.1, 30.0, 25)]
-    return max(tried, key=lambda tau: _dense_evidence(fit, columns, (tau,)))
+    return max(tried, key=lambda tau: _dense_block(fit, columns, (tau,)))
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -169,7 +206,7 @@ def test_every_size_of_an_effect_is_tried(size: float) -> None:
     """Columns c times as large have their best size at 1 / c of what it was."""
     fit = _planted("cubic", 64, 1.0, n=14)
     columns = effect_columns(fit, named("cubic")) * _best_size() / size
-    assert max(SIZES, key=lambda tau: _dense_evidence(fit, columns, (tau,))) == size
+    assert max(SIZES, key=lambda tau: _dense_block(fit, columns, (tau,))) == size
     found = score(fit, (Candidate("cubic", "effect", columns),), np.random.default_rng(0), draws=1)
     assert found[0].evidence == pytest.approx(_dense_evidence(fit, columns), abs=1e-6)
 

@@ -41,6 +41,7 @@ class Contest:
 
     blocks : indices of the columns, of which one may stand in several; size, turns : of all blocks,
     as `directions` tells them; tau : sizes that are tried, in typical ones
+    owner : of the last blocks, which are single columns, the block whose only number each may be
     """
 
     blocks: Sequence[Index]
@@ -48,6 +49,7 @@ class Contest:
     turns: Sequence[Array]
     freedom: int
     tau: Array
+    owner: Sequence[int] = ()
 
     @property
     def starts(self) -> Index:
@@ -61,17 +63,19 @@ class Contest:
     def evidence(self, along: Array, power: Array) -> Array:
         """(k, n) nats of k blocks; along : (M, n); power : (n,) of the residuals."""
         seen = self.seen(along)
-        return best_evidence(seen, power, self.size, self.starts, self.freedom, self.tau)
+        nats = best_evidence(seen, power, self.size, self.starts, self.freedom, self.tau)
+        return whole_or_one(nats, self.owner)
 
     def told(self, along: Array, power: float, whole: Array, best: Array) -> GramEvidence:
         """Of one residual (M,); whole : (k,) squared size of each block before anything was taken
         out; best : (draws,) as in `GramEvidence`"""
         found = self.evidence(along[:, None], np.array([power]))[:, 0]
         starts = self.starts
-        kept = np.add.reduceat(self.size, starts)
+        kept = np.add.reduceat(self.size, starts)[: len(whole)]
         left = kept / np.maximum(whole, 1e-300)
-        rank = np.add.reduceat((self.size > 0.0).astype(float), starts)
-        gone = np.add.reduceat(self.seen(along[:, None])[:, 0], starts) / max(power, 1e-300)
+        rank = np.add.reduceat((self.size > 0.0).astype(float), starts)[: len(whole)]
+        seen = np.add.reduceat(self.seen(along[:, None])[:, 0], starts)[: len(whole)]
+        gone = seen / max(power, 1e-300)
         share = 1.0 - (1.0 - gone) * self.freedom / np.maximum(self.freedom - rank, 1.0)
         return GramEvidence(found, left, np.sqrt(kept), np.maximum(share, 0.0), best)
 
@@ -80,6 +84,20 @@ class Contest:
         but for one search in a thousand: of such data the odds of a size have mean one, whatever
         the noise, and so reach exp(x) in a share exp(-x) at most (Markov's inequality)."""
         return float(np.log(1e3 * draws * len(self.tau) * max(len(self.blocks), 1)))
+
+
+def whole_or_one(nats: Array, owner: Sequence[int]) -> Array:
+    """(k, n) nats of k blocks of which a single number may be all, as where one axis alone has an
+    effect: half a prior for the whole block, half for one of its columns, whichever.
+
+    nats : (k + len(owner), n), the blocks' and then those of single columns, each of its owner
+    """
+    found, of = nats[: len(nats) - len(owner)].copy(), np.array(owner, np.intp)
+    for k in np.unique(of):
+        alone = nats[len(found) :][of == k]
+        one = np.logaddexp.reduce(alone, axis=0) - np.log(len(alone))
+        found[k] = np.logaddexp(found[k], one) - np.log(2.0)
+    return found
 
 
 def best_of_null(contest: Contest, null: Null, draws: int) -> Array:

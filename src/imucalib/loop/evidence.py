@@ -127,6 +127,7 @@ def _score_few(
             noise.ratio,
             [candidates[k].columns / noise.factor for k in live],
             without=fit.observations.walk.without if fit.observations.walk else None,
+            parts=[i for i, k in enumerate(live) if candidates[k].kind == "effect"],
             coarse=draws == 0 or any(noise.alone for noise in fit.observations.shared),
             held={
                 at.free + k: EXCESS if noise.alone else HELD
@@ -197,8 +198,9 @@ def _score_many(
     factor, live = fit.noise.factor, [k for k, c in enumerate(candidates) if np.any(c.columns)]
     blocks = [candidates[k].columns for k in live]
     found = gram_evidence(
-        fit.at.residual / factor, fit.at.jacobian, blocks, TAU, rng, draws, unit=factor
-    )
+        fit.at.residual / factor, fit.at.jacobian, blocks, TAU, rng, draws, unit=factor,
+        parts=[i for i, k in enumerate(live) if candidates[k].kind == "effect"],
+    )  # fmt: skip
     # Scores outlive the search: thousands of numbers a column would stay with them.
     bare = [replace(c, columns=c.columns[:0].copy()) for c in candidates]
     dead = [k for k in range(len(candidates)) if k not in live]
@@ -214,12 +216,11 @@ def _score_many(
         p = 1.0 if absorbed else (1 + int((found.best >= value).sum())) / (draws + 1)
         left, strength, share = (float(v[i]) for v in (found.left, found.strength, found.share))
         bar, size = _bar(found.best, alpha), _size(fit, candidates[k])
-        scores.append(
-            Score(
-                candidate=bare[k], evidence=value, p=p, draws=draws, left=left, strength=strength,
-                share=share, size=size, bar=bar,
-            )
+        told = Score(
+            candidate=bare[k], evidence=value, p=p, draws=draws, left=left, strength=strength,
+            share=share, size=size, bar=bar,
         )  # fmt: skip
+        scores.append(told)
     return tuple(sorted(scores, key=lambda s: -s.evidence))
 
 

@@ -36,18 +36,23 @@ def gram_evidence(
     rng: np.random.Generator,
     draws: int,
     unit: float = 1.0,
+    parts: Sequence[int] = (),
 ) -> GramEvidence:
     """residual (N,) and jacobian (N, p) in units of the noise, blocks (N, m_k) in units of which
-    the noise is `unit`; N > p."""
+    the noise is `unit`; N > p; parts : the blocks of which a single number may be all."""
     basis = np.linalg.qr(jacobian)[0]
     rest = residual - basis @ (basis.T @ residual)
     starts = np.cumsum([0] + [b.shape[1] for b in blocks])
     freedom, power = residual.size - basis.shape[1], float(rest @ rest)
     indices = [np.arange(first, last) for first, last in pairwise(starts)]
+    several = [k for k in parts if len(indices[k]) > 1]
+    owner = [k for k in several for _ in indices[k]]
+    indices += [np.array([column]) for k in several for column in indices[k]]
     if starts[-1] > freedom:
         return _wide_evidence(
-            basis, rest, blocks=blocks, indices=indices, tau=tau, rng=rng, draws=draws, unit=unit
-        )
+            basis, rest, blocks=blocks, indices=indices, owner=owner, tau=tau, rng=rng,
+            draws=draws, unit=unit,
+        )  # fmt: skip
     inside = np.concatenate([basis.T @ b for b in blocks], axis=1) / unit
     size, gram, along = np.zeros(starts[-1]), np.zeros((starts[-1],) * 2), np.zeros(starts[-1])
     for a in range(0, len(residual), _ROWS):  # in parts: no second copy of all columns
@@ -65,6 +70,7 @@ def gram_evidence(
         freedom=freedom,
         whole=np.add.reduceat(size, starts[:-1]),
         blocks=indices,
+        owner=owner,
         tau=tau,
         rng=rng,
         draws=draws,
@@ -72,13 +78,13 @@ def gram_evidence(
 
 
 def _wide_evidence(
-    basis: Array, rest: Array, *, blocks: Sequence[Array], indices: Sequence[Index], tau: Array,
-    rng: np.random.Generator, draws: int, unit: float,
+    basis: Array, rest: Array, *, blocks: Sequence[Array], indices: Sequence[Index],
+    owner: Sequence[int], tau: Array, rng: np.random.Generator, draws: int, unit: float,
 ) -> GramEvidence:  # fmt: skip
     """With more columns than observations: no matrix of the size of the columns squared, and data
     of as many directions as there are left."""
     columns = np.concatenate(list(blocks), axis=1) / unit
-    whole = np.array([float(np.sum(columns[:, at] ** 2)) for at in indices])
+    whole = np.array([float(np.sum(columns[:, at] ** 2)) for at in indices[: len(blocks)]])
     columns -= basis @ (basis.T @ columns)
 
     def null(count: int) -> tuple[Array, Array]:
@@ -89,7 +95,7 @@ def _wide_evidence(
     size, turns = directions_of([columns[:, at].T @ columns[:, at] for at in indices])
     return _judged(
         size=size, turns=turns,
-        along=columns.T @ rest, power=float(rest @ rest), whole=whole, blocks=indices,
+        along=columns.T @ rest, power=float(rest @ rest), whole=whole, blocks=indices, owner=owner,
         freedom=len(rest) - basis.shape[1], tau=tau, null=null, draws=draws,
     )  # fmt: skip
 
@@ -104,10 +110,12 @@ def block_evidence(
     tau: Array,
     rng: np.random.Generator,
     draws: int,
+    owner: Sequence[int] = (),
 ) -> GramEvidence:
     """The same from the products alone: gram (M, M) and along (M,) of the projected columns, the
     residual's power and freedom, the blocks as indices of columns (a column may stand in several),
-    and the squared size (k,) of each block before anything was taken out of it."""
+    and the squared size (k,) of each block before anything was taken out of it; owner : as in
+    `Contest`, of the blocks after those k."""
     white, root, powers = _null(gram, freedom, rng, draws)
     done = 0
 
@@ -120,16 +128,16 @@ def block_evidence(
     size, turns = directions(gram, blocks)
     return _judged(
         size=size, turns=turns, along=along, power=power,
-        whole=whole, blocks=blocks, freedom=freedom, tau=tau, null=null, draws=draws,
+        whole=whole, blocks=blocks, owner=owner, freedom=freedom, tau=tau, null=null, draws=draws,
     )  # fmt: skip
 
 
 def _judged(
     *, size: Array, turns: list[Array], along: Array, power: float, whole: Array,
-    blocks: Sequence[Index], freedom: int, tau: Array, null: Null, draws: int,
+    blocks: Sequence[Index], owner: Sequence[int], freedom: int, tau: Array, null: Null, draws: int,
 ) -> GramEvidence:  # fmt: skip
     """size, turns : of all blocks, as `directions` tells them; null : data that lack nothing."""
-    contest = Contest(blocks, size, turns, freedom, tau)
+    contest = Contest(blocks, size, turns, freedom, tau, owner)
     return contest.told(along, power, whole, best_of_null(contest, null, draws))
 
 
