@@ -45,7 +45,7 @@ _OPTIONS = (
         "--columns",
         multiple=True,
         metavar="ROLE=NAME,...",
-        help="Columns by heading: inclination, tool_face, face, x, y, z, temperature, samples.",
+        help="By heading: inclination, tool_face, face, x, y, z, temperature, samples, driver.",
     ),
     click.option(
         "--convention",

@@ -1,4 +1,5 @@
-"""Bias and scale that follow a covariate: temperature, time, warm-up, the previous position."""
+"""Bias and scale that follow a covariate: temperature, time, warm-up, the previous position, and
+any column of a table that the user names as a driver."""
 
 from collections.abc import Callable
 
@@ -6,7 +7,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Basis, Response
+from imucalib.core.effect import Basis, Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.units import MG
@@ -163,5 +164,59 @@ EFFECTS = (
         "mg/g",
         1.0,
         _previous,
+    ),
+)
+
+#: What a column that the user names as a driver is called among the covariates.
+COLUMN = "column "
+
+
+_FOLLOWS = {
+    "bias": ("bias", "y_i = x_i + c_i u", "mg"),
+    "scale": ("scale factor", "y_i = x_i (1 + c_i u)", "mg/g"),
+}
+
+
+def _follows(value: str) -> Effect:
+    """Of "bias:supply_V:12:0.5" the bias that follows the column supply_V, for 0.5 of it from 12;
+    ValueError where the value says nothing of the kind."""
+    what, _, rest = value.partition(":")
+    name, middle, half = rest.rsplit(":", 2)
+    center, unit = float(middle), float(half)
+    if what not in _FOLLOWS or not name or not unit > 0.0:
+        raise ValueError(f"no driver: {value}")
+
+    def drive(context: Context) -> Array:
+        return (context[COLUMN + name] - center) / unit
+
+    sentence, equation, size = _FOLLOWS[what]
+    words = (
+        f"The {sentence} follows {name}.",
+        f"{equation},  u = ({name} - {middle}) / {half}",
+        "a column that the user names; its size is taken as a drift's",
+        f"Repeat positions at two values of {name}, in mixed order.",
+    )
+    basis = (bias_with(drive),) if what == "bias" else _scale_with(drive)
+    return _effect(f"follows@{value}", words, (COLUMN + name,), size, 1.0, *basis)
+
+
+def _drivers(context: Context) -> tuple[str, ...]:
+    """Bias and scale with every named column that moves: middle of its range, half of it."""
+    found = []
+    for name in filter(lambda name: name.startswith(COLUMN), context.covariates):
+        half = 0.5 * float(np.ptp(context[name]))
+        if half > 0.0:
+            span = f"{float(np.min(context[name])) + half:.6g}:{half:.6g}"
+            found += [f"{what}:{name.removeprefix(COLUMN)}:{span}" for what in _FOLLOWS]
+    return tuple(found)
+
+
+FAMILIES = (
+    Family(
+        "follows",
+        "Bias or scale follow a column that the user names (`--columns driver=NAME`).",
+        "bias:supply_V:12:0.5",
+        _follows,
+        _drivers,
     ),
 )

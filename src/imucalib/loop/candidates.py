@@ -13,6 +13,7 @@ from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
 from imucalib.core.model import Prediction
 from imucalib.core.truth import Truth
+from imucalib.effects.covariate import COLUMN
 from imucalib.loop.evidence import Candidate
 from imucalib.units import DEG, MG
 
@@ -124,13 +125,14 @@ def probes(fit: Fit) -> tuple[Candidate, ...]:
         found.append(_probe(fit, name, block, letter, f"response:{letter}:-1:1"))
     name, block = "response of each axis against its own input", np.concatenate(every, axis=-1)
     found.append(_probe(fit, name, block, "xyz", "response:xyz:-1:1"))
-    for name in ("order", "temperature", "inclination", "tool_face"):
+    named = [name for name in context.covariates if name.startswith(COLUMN)]
+    for name in ("order", "temperature", "inclination", "tool_face", *named):
         if name not in context or np.ptp(context[name]) <= 0.0:
             continue
         periodic = name == "tool_face"
         terms = min(_LOBES if periodic else _TERMS, max(2, len(np.unique(context[name])) - 1))
         curves = (_harmonics if periodic else _cosines)(context[name], terms)
-        words = name.replace("_", "-")
+        words = name.removeprefix(COLUMN) if name in named else name.replace("_", "-")
         block = np.einsum("nt,ij->nijt", curves, np.eye(3))[:, None]
         wide = np.broadcast_to(block, (n, k, 3, 3, curves.shape[1])).reshape(n, k, 3, -1)
         span = f"{name}:{np.min(context[name]):.10g}:{np.max(context[name]):.10g}"

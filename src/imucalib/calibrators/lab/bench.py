@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.lab.conventions import Conventions
+from imucalib.calibrators.lab.headings import is_driver
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.core.context import Context
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.effects.covariate import COLUMN
 from imucalib.effects.thermal_lag import ROWS, covariate, in_rows
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.rests.thermal_history import ThermalHistory
@@ -202,6 +204,8 @@ def _covariates(table: PositionTable, reading: Array) -> dict[str, Array]:
         "tool_face_approach": "tool_face_approach",
     }
     found |= {name: table.columns[role] for name, role in optional.items() if role in table}
+    for role in filter(is_driver, table.columns):
+        found[COLUMN + table.names[role].strip().replace(":", " ")] = table.columns[role]
     return found | _late_temperatures(table)
 
 

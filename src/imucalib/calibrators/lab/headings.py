@@ -37,6 +37,8 @@ _UNIT = re.compile(
     r"(?:[_\s]*[\[(]\s*|[_\s]+|(?=°))(degrees|degree|deg|grad|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|"
     r"lsb|counts|s)\s*[\])]?$"
 )
+#: Roles of columns that may drive what is left: "driver", "driver_2" and so on.
+_DRIVER = re.compile(r"driver(_\d+)?")
 _SPELLINGS = {"degrees": "deg", "degree": "deg"}
 #: Beginnings of German headings, where "Grad" is a degree; elsewhere it may be a gon.
 _GERMAN = ("neigung", "werkzeug")
@@ -75,6 +77,11 @@ def bare(text: str) -> Heading:
     return Heading(name, _SPELLINGS.get(stated, stated), zero)
 
 
+def is_driver(role: str) -> bool:
+    """Whether a column's role is to be looked at as a driver of what is left."""
+    return _DRIVER.fullmatch(role) is not None
+
+
 def roles_of(headings: list[str], chosen: Mapping[str, str], where: str) -> dict[str, str]:
     """Role -> heading: those chosen, then those found by name.
 
@@ -82,8 +89,9 @@ def roles_of(headings: list[str], chosen: Mapping[str, str], where: str) -> dict
     """
     names: dict[str, str] = {}
     for role, heading in chosen.items():
-        if role not in ROLES:
-            raise UsageError(f"unknown column role '{role}'", remedy=f"use: {', '.join(ROLES)}")
+        if role not in ROLES and not is_driver(role):
+            remedy = f"use: {', '.join(ROLES)}, driver, driver_2"
+            raise UsageError(f"unknown column role '{role}'", remedy=remedy)
         if heading not in headings:
             remedy = f"there are: {', '.join(headings)}"
             raise UsageError(f"no column is called '{heading}'", where=where, remedy=remedy)

@@ -75,8 +75,10 @@ class PositionTable:
     @property
     def left_out(self) -> tuple[str, ...]:
         """What is said of columns that take no part."""
-        words = ", ".join(self.unused)
-        return (f"nothing is made of: {words} (columns without a known name)",) * bool(words)
+        if not self.unused:
+            return ()
+        hint = f"--columns driver={self.unused[0]} looks whether it drives what is left"
+        return (f"columns that take no part: {', '.join(self.unused)} ({hint})",)
 
     @property
     def by_time(self) -> PositionTable:

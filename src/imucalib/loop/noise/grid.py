@@ -73,6 +73,7 @@ class _Blocks:
             np.minimum(best, (power[part, None] * least).min(axis=0), out=best)
         return best
 
+
 @dataclass(frozen=True)
 class _Part:
     """Noise hypotheses, P times F; weight : (P F, 1) what each costs where no candidate is added.
