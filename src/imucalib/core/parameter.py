@@ -3,6 +3,7 @@ not believed."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -14,6 +15,7 @@ class Parameter:
     typical : one standard deviation of what data sheets and practice let one expect, in `unit`
     plausible : largest absolute value that is still believed, in `unit`
     start : the value at which the effect is absent
+    usual : largest that data sheets let one expect, in `unit`; the name of a larger one is in doubt
     """
 
     name: str
@@ -21,3 +23,4 @@ class Parameter:
     typical: float
     plausible: float
     start: float = 0.0
+    usual: float = math.inf

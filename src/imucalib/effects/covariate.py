@@ -1,6 +1,7 @@
 """Bias and scale that follow a covariate: temperature, time, warm-up, the previous position, and
 any column of a table that the user names as a driver."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -68,8 +69,10 @@ def _effect(
     typical: float,
     basis: Basis,
     basis_dx: Basis | None = None,
+    usual: float = math.inf,
 ) -> Response:
-    each = tuple(Parameter(f"{name}_{a}", unit, typical, 30.0 * typical) for a in "xyz")
+    largest = 30.0 * typical
+    each = tuple(Parameter(f"{name}_{a}", unit, typical, largest, usual=usual) for a in "xyz")
     return Response(name, *words, needs, each=each, basis=basis, basis_dx=basis_dx)
 
 
@@ -86,6 +89,7 @@ EFFECTS = (
         "mg/degC",
         0.5,
         bias_with(_from_reference("temperature")),
+        usual=2.0,
     ),
     _effect(
         "temperature_scale",
@@ -99,6 +103,7 @@ EFFECTS = (
         "mg/g/degC",
         0.2,
         *_scale_with(_from_reference("temperature")),
+        usual=0.8,
     ),
     _effect(
         "bias_drift",

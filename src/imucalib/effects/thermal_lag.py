@@ -15,6 +15,10 @@ PREFIX = "temperature_lag_"
 _ROWS = "rows"
 
 
+#: mg/°C, twice the worst of data sheets.
+USUAL = 2.0
+
+
 def covariate(value: str) -> str:
     """Name of the covariate that carries the temperature with this lag."""
     return f"{PREFIX}{value}"
@@ -50,7 +54,7 @@ def thermal_lag(value: str) -> Effect:
         "0.5-3 h in a case on the wrist, minutes in a chamber, practice",
         "Record the temperature through several changes that last longer than the lag.",
         (name,),
-        each=tuple(Parameter(f"lag_{value}_{a}", "mg/degC", 0.5, 15.0) for a in "xyz"),
+        each=tuple(Parameter(f"lag_{value}_{a}", "mg/degC", 0.5, 15.0, usual=USUAL) for a in "xyz"),
         basis=basis,
     )
 

@@ -28,7 +28,7 @@ from imucalib.loop.choice import Decided, Options, curve_of, decided
 from imucalib.loop.evidence import Score, score
 from imucalib.loop.found import Checked, FitLoop, LoopSettings, Step
 from imucalib.loop.noise.doubts import noise_doubts
-from imucalib.loop.noise.shared import WANDERING, lead_over_a_walk, with_shared_noise
+from imucalib.loop.noise.shared import with_shared_noise
 from imucalib.loop.records import (
     extended,
     held_out_rms,
@@ -40,7 +40,8 @@ from imucalib.loop.records import (
     row_of,
     set_aside,
 )
-from imucalib.loop.search import aliases, choose, effect_named, looked_like, search, unexplained
+from imucalib.loop.rivals import aliases, without_a_name
+from imucalib.loop.search import choose, effect_named, looked_like, search, unexplained
 from imucalib.loop.subject import Refused, Searched, close
 from imucalib.loop.thresholds import KEEP, SUSPECTS
 
@@ -188,10 +189,9 @@ class _State:
         fit, chosen, curve = decided.fit, decided.score, decided.curve
         rivals = decided.rivals
         if chosen.name in {s.name for s in scores} or chosen.candidate.family:
-            near = aliases(self.fit, self.effects, chosen, scores, self.rules)
-            rivals = near or decided.rivals
-        if not curve and lead_over_a_walk(self.fit, chosen.evidence) < self.rules.margin:
-            rivals = (*rivals, WANDERING)
+            rivals = aliases(self.fit, self.effects, chosen, scores, self.rules) or rivals
+        if not curve:
+            rivals += without_a_name(self.fit, fit, chosen, self.rules.margin)
         step = Step(
             chosen.name,
             chosen.p,

@@ -6,16 +6,27 @@ evidence, and the spread of the rivals in their interval (Hoeting et al. 1999, e
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.loop.candidates import effect_candidates
-from imucalib.loop.evidence import score
-from imucalib.loop.found import FitLoop, Step
+from imucalib.loop.evidence import Candidate, Score, apart, score
+from imucalib.loop.found import FitLoop, LoopSettings, Step
+from imucalib.loop.noise.shared import WANDERING, lead_over_a_walk
 from imucalib.loop.records import extended, reduced
+from imucalib.loop.search import effect_named, thinned
+from imucalib.loop.thresholds import APART, CURVE_TERMS, MARGIN
+
+#: What stands beside a name of a size that no data sheet tells: another effect, of nobody's list.
+UNLISTED = "unlisted_effect"
+_SURE = 2.0  # standard errors
+#: Covariates by which time drives an effect.
+_TIME = ("order", "record", "sweep", "time", "time_of_day")
 
 
 @dataclass(frozen=True)
@@ -51,3 +62,58 @@ def _of_step(loop: FitLoop, step: Step) -> tuple[Rival, ...]:
             found.append((effect.name, float(np.exp(nats[effect.name] - best)), fit))
     total = sum(weight for _, weight, _ in found)
     return tuple(Rival(name, weight / total, fit) for name, weight, fit in found)
+
+
+def aliases(
+    current: Fit,
+    effects: Mapping[str, Effect],
+    chosen: Score,
+    scores: tuple[Score, ...],
+    rules: LoopSettings,
+) -> tuple[str, ...]:
+    """Effects that would do as well: nearly the same evidence, or too small an angle between; and a
+    curve of another driver with nearly the same evidence, though it pays for its many numbers."""
+    near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
+    thin = thinned(current, rules.most_scored)
+
+    def columns(name: str) -> Candidate:
+        return effect_candidates(thin, [effect_named(effects, name)])[0][0]
+
+    def beside(rival: Score) -> bool:
+        own = rival.candidate.family and rival.candidate.family == chosen.candidate.family
+        if rival.candidate.kind != "effect" or rival.name == chosen.name or own:
+            return False
+        if rival.evidence >= near:
+            return True
+        alike = rival.evidence >= chosen.evidence / 2.0
+        return alike and apart(thin, columns(chosen.name), columns(rival.name)) < APART
+
+    names = tuple(s.name for s in scores if beside(s))
+    return names + _curve_beside(effect_named(effects, chosen.name), chosen, scores)
+
+
+def _curve_beside(effect: Effect, chosen: Score, scores: tuple[Score, ...]) -> tuple[str, ...]:
+    own = {_driver(name) for name in effect.needs} or {"response"}
+    for s in scores:
+        what, _, rest = s.candidate.curve.partition(":")
+        of = what if what == "response" else _driver(rest.partition(":")[0])
+        if s.candidate.curve and s.evidence >= chosen.evidence - MARGIN and of not in own:
+            return (f"curve@{s.candidate.curve}:{CURVE_TERMS[1]}",)
+    return ()
+
+
+def _driver(covariate: str) -> str:
+    """What drives: time by whatever name, the temperature be it of now or earlier."""
+    if covariate.startswith("temperature"):
+        return "temperature"
+    return "order" if covariate in _TIME else covariate
+
+
+def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tuple[str, ...]:
+    """What would do as well and has no name: a bias that wanders slowly, unless the effect leads it
+    by `margin` nats; and whatever else where its size is beyond what data sheets tell."""
+    walk = lead_over_a_walk(before, chosen.evidence) < margin
+    part = after.model.slices(after.observations.context).get(chosen.name, slice(0))
+    sure = np.abs(after.theta[part]) - _SURE * after.sd[part]
+    usual = np.array([p.usual for p in after.parameters[part]])
+    return (WANDERING,) * walk + (UNLISTED,) * bool(np.any(sure > usual))

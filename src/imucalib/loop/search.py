@@ -11,13 +11,12 @@ from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.loop.candidates import correlated_noise, effect_candidates, family_candidates, probes
-from imucalib.loop.evidence import Candidate, Score, apart, score
+from imucalib.loop.evidence import Score, score
 from imucalib.loop.found import LoopSettings, Step, Unexplained
 from imucalib.loop.held_out import fitted, log_predictive
 from imucalib.loop.records import held_out_rms
 from imucalib.loop.subject import Refused, Searched
 from imucalib.loop.thresholds import (
-    APART,
     BEYOND_CHANCE,
     HELD_OUT_NATS,
     HELD_OUT_RMS,
@@ -229,29 +228,3 @@ def _refuted(before: Fit, after: Fit, least_nats: float, most_rms: float) -> str
     # The correction itself, as a user will apply it, and not only the model run forwards.
     times = fitted(after).rms() / fitted(before).rms()
     return f"corrected readings are {times:.2g} times as far off" if times > WORSE else ""
-
-
-def aliases(
-    current: Fit,
-    effects: Mapping[str, Effect],
-    chosen: Score,
-    scores: tuple[Score, ...],
-    rules: LoopSettings,
-) -> tuple[str, ...]:
-    """Effects that would do as well: nearly the same evidence, or too small an angle between."""
-    near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
-    thin = thinned(current, rules.most_scored)
-
-    def columns(name: str) -> Candidate:
-        return effect_candidates(thin, [effect_named(effects, name)])[0][0]
-
-    def beside(rival: Score) -> bool:
-        own = rival.candidate.family and rival.candidate.family == chosen.candidate.family
-        if rival.candidate.kind != "effect" or rival.name == chosen.name or own:
-            return False
-        if rival.evidence >= near:
-            return True
-        alike = rival.evidence >= chosen.evidence / 2.0
-        return alike and apart(thin, columns(chosen.name), columns(rival.name)) < APART
-
-    return tuple(s.name for s in scores if beside(s))

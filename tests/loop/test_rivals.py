@@ -1,0 +1,75 @@
+"""What would do as well as a name: a curve of another driver among it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.lab.position_table import read_position_table
+from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.run import run_lab
+from imucalib.effects import known
+from imucalib.loop.evidence import Candidate, Score
+from imucalib.loop.rivals import UNLISTED, _curve_beside
+
+
+def _score(name: str, kind: str, nats: float, curve: str = "") -> Score:
+    candidate = Candidate(name, kind, np.zeros((1, 1)), curve=curve)  # type: ignore[arg-type]
+    return Score(candidate, nats, 0.003, 299, 1.0, 5.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "curve", "lead", "rival"),
+    [
+        ("temperature_bias", "bias:tool_face:0:6", 2.9, True),
+        ("temperature_bias", "bias:tool_face:0:6", 3.1, False),
+        ("temperature_bias", "bias:temperature:20:30", 0.1, False),
+        ("thermal_lag@2rows", "bias:temperature:20:30", 0.1, False),
+        ("bias_step@record10", "bias:order:0:1", 0.1, False),
+        ("quadratic", "response:x:-1:1", 0.1, False),
+        ("quadratic", "bias:order:0:1", 0.1, True),
+        ("inclination_zero", "inclination:inclination:-1:1", 0.1, False),
+        ("inclination_zero", "bias:temperature:20:30", 0.1, True),
+    ],
+)
+def test_a_curve_of_another_driver_with_as_much_evidence_is_a_rival(
+    name: str, curve: str, lead: float, rival: bool
+) -> None:
+    effect = known(name)
+    assert effect is not None
+    own, other = _score(name, "effect", 20.0), _score("probe", "probe", 20.0 - lead, curve)
+    found = _curve_beside(effect, own, (own, other))
+    assert found == ((f"curve@{curve}:6",) if rival else ())
+    assert all(known(one) is not None for one in found)
+
+
+def _creeping(path: Path, seed: int) -> Path:
+    """Six rings of six; after each new inclination the bias settles, which no effect says."""
+    rng = np.random.default_rng(seed)
+    ring, place = np.repeat(np.arange(6), 6), np.tile(np.arange(6), 6)
+    inclination, tool_face = 15.0 * ring, 60.0 * place
+    i = np.deg2rad(inclination + 0.05 * rng.standard_normal(6)[ring])
+    t = np.deg2rad(tool_face + 0.05 * rng.standard_normal(36))
+    warm = 22.0 + 10.0 * (1.0 - np.exp(-np.arange(36) / 16.0)) + 0.2 * rng.standard_normal(36)
+    force = np.stack([np.cos(i) * np.sin(t), np.cos(i) * np.cos(t), np.sin(i)], axis=1)
+    along = rng.standard_normal(3)
+    settling = 6.0 * np.exp(-place / 1.5)[:, None] * along / np.linalg.norm(along)
+    reading = 1000.0 * force * [1.004, 0.997, 1.002] + [12.0, -7.0, 3.0] + settling
+    reading += 0.6 * rng.standard_normal((36, 3))
+    heading = "inclination,tool_face,temperature_C,x_mg,y_mg,z_mg"
+    rows = np.column_stack([inclination, tool_face, warm, reading])
+    np.savetxt(path, rows, "%.6g", ",", header=heading, comments="")
+    return path
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_what_settles_after_each_setting_is_nothing_certain(tmp_path: Path, seed: int) -> None:
+    sheet = _creeping(tmp_path / "sheet.csv", seed)
+    loop = run_lab(read_position_table(sheet), LabRequest()).result.loop
+    assert loop is not None
+    (step,) = loop.steps
+    assert step.effect.startswith("thermal_lag")
+    assert not step.certain
+    assert UNLISTED in step.aliases  # 3 mg/°C: no data sheet has it
