@@ -219,7 +219,9 @@ def test_a_first_step_has_its_rivals_beside_what_came_after_it(
     other, near = scored("lag@2h", 0.0, (5,), family="lag"), scored("step", 0.0, (6,))
     seen = list[tuple[list[int], list[str]]]()
 
-    def score(_: object, terms: Terms, __: object, entries: list[Any], *___: object) -> Any:
+    def score(
+        _: object, terms: Terms, __: object, entries: list[Any], *___: object, told: bool
+    ) -> Any:
         seen.append((terms.columns.tolist(), [e.name for e in entries]))
         return [SimpleNamespace(entry=e) for e in entries], None
 

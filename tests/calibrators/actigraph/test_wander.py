@@ -144,6 +144,36 @@ def test_a_scale_that_swings_once_a_day_is_no_bias_that_does(
     assert case.error(result.final) < 0.3 * case.error(result.base)
 
 
+@pytest.mark.parametrize(("of_scale", "hours"), [(False, 12), (True, 12), (False, 9), (True, 9)])
+def test_half_a_day_of_a_daily_swing_is_no_certain_drift(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, of_scale: bool, hours: int
+) -> None:
+    """Less than a period: the correction serves, and the name is one of two."""
+    monkeypatch.setattr(worn, "SPAN", hours * 3600.0)
+    monkeypatch.setattr(worn, "RUNS", 160)
+    phase = 2.0 * np.pi * hours / 24.0
+
+    def daily(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * (x if of_scale else 1.0) * np.sin(phase * u + 0.2)[:, None]
+
+    case = of(worn, monkeypatch, daily, 20.0)
+    drift, swing = (
+        ("scale_drift", "scale_by_time_of_day") if of_scale else ("bias_drift", "time_of_day")
+    )
+    result = case.solved(ActigraphRequest(only=("bias_drift", "scale_drift", "warm_up")))
+    assert [s.effect for s in result.loop.steps] == [drift]
+    assert swing in result.loop.steps[0].aliases
+    assert case.error(result.final) < 0.5 * case.error(result.base)
+
+
+def test_a_day_that_drifts_is_no_swing(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worn, "SPAN", 24 * 3600.0)
+    monkeypatch.setattr(worn, "RUNS", 160)
+    case = of(worn, monkeypatch, lambda x, t, u, c: c * u[:, None], 20.0)
+    result = case.solved(ActigraphRequest(only=("bias_drift", "scale_drift", "warm_up")))
+    assert [(s.effect, s.certain) for s in result.loop.steps] == [("bias_drift", True)]
+
+
 def test_a_square_across_an_axis_is_no_certain_cross_axis(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:

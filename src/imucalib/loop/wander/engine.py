@@ -27,7 +27,7 @@ from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
-from imucalib.loop.wander.slow import beside_slow_walks
+from imucalib.loop.wander.slow import beside_slow_walks, beside_the_day
 from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import (
     beside_others,
@@ -226,6 +226,7 @@ def _told(
         with suppress(NotConverged):  # else it stays as it is, which has an inverse
             final = fitted(final.model, final.observations, last, final.theta, precision)
     steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
+    steps = beside_the_day(problem, found.search, steps)
     steps = beside_slow_walks(found.search.bank, problem.terms, found.search.taken, steps)
     loop = FitLoop(
         base=problem.fit,

@@ -1,10 +1,16 @@
-"""Whether a bias that wanders slowly does as well as what time drives, over one recording.
+"""Whether what is slower than the recording does as well as what was taken: a bias that wanders,
+and the day.
 
 The noise of the search forgets within a sixth of the recording; a drift, a step, a warm-up and a
 daily swing last longer, and so does a slow walk, which is none of them. Here the walk goes on
 through the whole recording:
 
     lead = max over the search's walks of L(with the effect) - max over slower ones of L(without)
+
+What swings once a day is no candidate where less than one and a half days were seen: half a day of
+it is a drift, and no recording of half a day can tell them apart. No day is a pure sine; a wave of
+24 h with its harmonic holds a straight line over twelve hours but for 2 % of it, over a whole day
+but for a half.
 """
 
 from __future__ import annotations
@@ -15,16 +21,23 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.effects import catalogue
+from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.found import Step
 from imucalib.loop.noise.shared import WANDERING
 from imucalib.loop.thresholds import MARGIN
 from imucalib.loop.wander.bank import Bank, bank_of
-from imucalib.loop.wander.choice import Taken
+from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Terms, levels
+from imucalib.loop.wander.problem import Problem
+from imucalib.loop.wander.scores import Entry
 from imucalib.loop.wander.walk import Course, Walk
+from imucalib.loop.wander.words import with_rivals
+from imucalib.units import MG
 
 #: Memories of a slow walk in recordings, and its variances over a run's, as fine as the search's.
 _TAU, _RHO = (0.5, 2.0), (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
+_CLOCK, _DAY, _HARMONICS = "time_of_day", 86400.0, 2
 
 
 def beside_slow_walks(
@@ -65,3 +78,34 @@ def _through(bank: Bank, walks: tuple[Walk, ...], columns: Array) -> Bank:
     course = bank.course
     whole = Course(course.time, course.seen, course.variance, np.zeros_like(course.part))
     return bank_of(whole, walks, bank.columns[:, columns])
+
+
+def beside_the_day(problem: Problem, found: Search, steps: Sequence[Step]) -> tuple[Step, ...]:
+    """The steps; with those that a swing of the day explains as well, where the search had none."""
+    if not steps or _CLOCK in problem.small.observations.context:
+        return tuple(steps)
+    swings = _swings(problem)
+    bank, start = found.bank, found.bank.columns.shape[1]
+    entries = list[Entry]()
+    for name, columns in swings.items():
+        at = start + np.arange(columns.shape[1])
+        entries.append(Entry(name, "", "time", at))
+        start += at.size
+    bank = bank.plus(np.concatenate(list(swings.values()), axis=1))
+    return with_rivals(problem, replace(found, bank=bank), steps, entries)
+
+
+def _swings(problem: Problem) -> dict[str, Array]:
+    """Columns (n, c) of a wave of 24 h and its harmonics by what swings, of whatever phase."""
+    data, unit = problem.small.observations, problem.small.at.sigma[:, :1] / MG
+    context, found = data.context, dict[str, Array]()
+    effects = [e for e in catalogue().values() if e.needs == (_CLOCK,)]
+    for harmonic in range(1, _HARMONICS + 1):
+        angle = 2.0 * np.pi * harmonic * context["time"] / _DAY
+        own = replace(context, covariates={**context.covariates, _CLOCK: angle})
+        small = replace(problem.small, observations=replace(data, context=own))
+        for one in effect_candidates(small, effects)[0]:
+            columns = one.columns * unit / problem.noise.scatter
+            before = found.get(one.name, columns[:, :0])
+            found[one.name] = np.column_stack([before, columns])
+    return found

@@ -17,7 +17,7 @@ from imucalib.loop.wander.bank import Bank
 from imucalib.loop.wander.choice import Refused, Search, Taken, same
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.problem import Problem
-from imucalib.loop.wander.scores import Scored, scored, usable_walks
+from imucalib.loop.wander.scores import Entry, Scored, scored, usable_walks
 from imucalib.units import MG
 
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
@@ -94,16 +94,23 @@ def beside_others(problem: Problem, found: Search, steps: Sequence[Step]) -> tup
     a lag that was found first is a step of the bias once the temperature is known."""
     if len(found.taken) < 2:
         return tuple(steps)
+    rest = [e for e in problem.entries if not any(same(e, t.found.entry) for t in found.taken)]
+    return with_rivals(problem, found, steps, rest)
+
+
+def with_rivals(
+    problem: Problem, found: Search, steps: Sequence[Step], entries: Sequence[Entry]
+) -> tuple[Step, ...]:
+    """The steps with those of the entries that would do as well in the place of each."""
     bank, out = found.bank, list[Step]()
     keep = np.ones(bank.course.parts, dtype=bool)
     walks = usable_walks(bank, found.level, same_tau=False)
-    rest = [e for e in problem.entries if not any(same(e, t.found.entry) for t in found.taken)]
     for taken, step in zip(found.taken, steps, strict=False):
         terms = problem.terms
         for other in found.taken:
             if other is not taken:
                 terms = terms.plus(other.found.entry.columns, other.size)
-        scores, _ = scored(bank, terms, keep, [taken.found.entry, *rest], walks)
+        scores, _ = scored(bank, terms, keep, [taken.found.entry, *entries], walks, told=False)
         own = next(s for s in scores if s.entry is taken.found.entry)
         names = aliases(bank, terms, replace(taken, found=own, rivals=scores))
         out.append(replace(step, aliases=tuple(_best_of_each_scan([*step.aliases, *names]))))
