@@ -10,6 +10,7 @@ from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings, Unexplained
+from imucalib.loop.noise.settings import doubtful_dials, strongest
 from imucalib.loop.noise.shared import shared_evidence
 from imucalib.units import MG
 
@@ -37,14 +38,14 @@ def noise_doubts(
         assert fit.observations.walk is not None
         memory = fit.observations.walk.memory
         name = f"noise that neighbours share, {size:.2g} mg, forgotten in {memory:.2g} positions"
-        own = [s for s in scores if s.candidate.kind == "effect" and s.evidence > 0.0]
-        likely = tuple(s.name for s in own if s.evidence > 0.5 * own[0].evidence)[:2]
+        likely = strongest(s for s in scores if s.candidate.kind == "effect")[:2]
         if likely:
             name += f" ({' or '.join(likely)} would do as well)"
         found.append(Unexplained(name, "order", "noise", p, nats, 0.0, alike=likely))
     if rules.declared and (p := beyond_declared(fit)) < rules.noise_alpha:
         name = f"scatter {fit.noise.factor:.2g} times the declared noise"
         found.append(Unexplained(name, "", "noise", p, 0.0, 1.0 - fit.noise.factor**-2.0))
+    found += doubtful_dials(fit, scores, rules.noise_alpha)
     if (p := heavy_tails(fit, rng, round(2.0 / rules.noise_alpha))) < rules.noise_alpha:
         found.append(Unexplained("heavy tails", "", "noise", p, 0.0, 0.0))
     return tuple(found)
