@@ -93,7 +93,7 @@ def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
     found = _searched(base, noise, folds, asked, rng)
     if found.search.taken:
         _, final, precision = _undoable(found)
-        noise = noise_of(final, asked.known, part, precision)
+        noise = noise_of(final, asked.known, part, precision, base.theta.size)
         found = _searched(base, noise, folds, asked, rng, last=True)
     return _told(found, folds, part, asked, rng)
 
@@ -221,7 +221,7 @@ def _told(
         left = confirmed(found.search, steps, bars, problem.terms, each, gained)
         found = replace(found, search=left)
     found, final, precision = _undoable(found)
-    last = noise_of(final, asked.known, part, precision)
+    last = noise_of(final, asked.known, part, precision, problem.terms.base)
     if found.search.taken:
         with suppress(NotConverged):  # else it stays as it is, which has an inverse
             final = fitted(final.model, final.observations, last, final.theta, precision)
