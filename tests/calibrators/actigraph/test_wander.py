@@ -130,6 +130,28 @@ def test_an_offset_of_the_posture_is_no_certain_response(
     assert case.error(result.final) < 0.7 * case.error(result.base)
 
 
+@pytest.mark.parametrize("runs", [144, 200])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_clusters_of_postures_are_no_certain_converter(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, runs: int, seed: int
+) -> None:
+    """Half a day, eight habits; 5 mg that change from one part of the sphere to the next."""
+    rng = np.random.default_rng(seed)
+    middle, off = rng.standard_normal((8, 3)), rng.standard_normal((8, 3))
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    for name, value in {"SPAN": 43200.0, "RUNS": runs, "HABITS": 8, "SCATTER": 0.4}.items():
+        monkeypatch.setattr(worn, name, value)
+    monkeypatch.setattr(worn, "strength", lambda *_: 5.0)
+    monkeypatch.setitem(
+        worn.EFFECTS, "planted", lambda x, t, u, c: 5.0 * off[np.argmax(x @ middle.T, axis=1)]
+    )
+    case = worn.Case("white", "planted", 5.0, 3000 + seed)
+    result = case.solved(WANTED)
+    assert {s.effect.partition("@")[0] for s in result.loop.steps if s.certain} <= {"posture"}
+    assert any("posture" in name for s in result.loop.steps for name in (s.effect, *s.aliases))
+    assert case.error(result.final) < 0.9 * case.error(result.base)
+
+
 def test_a_scale_that_swings_once_a_day_is_no_bias_that_does(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,7 @@ from imucalib.units import MG
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
 _APART, _ALIKE = 2.0, 3.0
 #: Kinds of response, each with the free functions that hold what it leaves.
-_OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture",), "posture": ("curve",)}
+_OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture", "shape"), "posture": ("curve",)}
 
 
 def chance_of(found: Scored, chance: Array) -> float:
@@ -131,8 +131,10 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
     """Names that would do as well: nearly the same evidence, or too small an angle between.
 
     A curve of an axis is no rival of a name: it contains every shape of it. What else may have any
-    form is one by its evidence alone, for its angle to what it contains is none. What the size of
-    gravity alone shows as a part of the effect is always one.
+    form is one by its evidence alone, for its angle to what it contains is none; beside another
+    free function also where it does as well on blocks left out, for the evidence of both hangs on
+    how rough a curve may be. What the size of gravity alone shows as a part of the effect is always
+    one.
     """
     own = taken.found
     white = bank.white[own.walk]
@@ -144,7 +146,10 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
         other = entry.kind == "curve" and own.entry.kind != "curve"
         if same or other or rival.evidence < own.evidence / 2.0:
             continue
-        alike = not entry.free and _apart(white, bank.data, terms, own, rival) < _APART
+        if entry.free:
+            alike = own.entry.free and entry.name in taken.alike
+        else:
+            alike = _apart(white, bank.data, terms, own, rival) < _APART
         if rival.evidence >= near or alike:
             out.append(entry.name)
     parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
