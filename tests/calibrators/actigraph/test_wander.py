@@ -166,6 +166,36 @@ def test_a_scale_that_swings_once_a_day_is_no_bias_that_does(
     assert case.error(result.final) < 0.3 * case.error(result.base)
 
 
+@pytest.mark.parametrize("of_scale", [False, True])
+def test_a_swing_of_seven_hours_is_not_nothing(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, of_scale: bool
+) -> None:
+    """Less than the scatter of a run, so that a walk would pass for noise."""
+
+    def swing(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * (x if of_scale else 1.0) * np.sin(2.0 * np.pi * 144.0 / 7.0 * u)[:, None]
+
+    loop = of(worn, monkeypatch, swing, 12.0).solved(WANTED).loop
+    assert (loop.verdict, loop.steps) == ("unexplained", ())
+    what = "scale" if of_scale else "bias"
+    assert loop.unexplained[0].name.startswith(f"the {what} swings with a period of ")
+    assert 6.8 <= float(loop.unexplained[0].name.split()[-2]) <= 7.2
+
+
+@pytest.mark.parametrize("at", [-0.05, 0.07])
+def test_a_scale_that_jumps_is_no_certain_drift_of_it(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, at: float
+) -> None:
+    def jump(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * x * (u[:, None] > at)
+
+    monkeypatch.setattr(worn, "SPAN", 24 * 3600.0)
+    case = of(worn, monkeypatch, jump, 20.0)
+    result = case.solved(WANTED)
+    assert result.loop.verdict != "nothing missing"
+    assert not any(s.certain for s in result.loop.steps)
+
+
 @pytest.mark.parametrize(("of_scale", "hours"), [(False, 12), (True, 12), (False, 9), (True, 9)])
 def test_half_a_day_of_a_daily_swing_is_no_certain_drift(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch, of_scale: bool, hours: int

@@ -27,8 +27,9 @@ from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
-from imucalib.loop.wander.slow import beside_slow_walks, beside_the_day
+from imucalib.loop.wander.slow import beside_scale_steps, beside_slow_walks, beside_the_day
 from imucalib.loop.wander.sums import sums_of
+from imucalib.loop.wander.swing import swings
 from imucalib.loop.wander.words import (
     beside_others,
     looked_like,
@@ -181,7 +182,7 @@ def _left(
 ) -> tuple[Unexplained, ...]:  # fmt: skip
     """Structure that the search could not name: of axes, and what wanders beside all that it did
     name."""
-    open_end = unexplained(_wander(last))
+    open_end = (*swings(found.problem, found.search), *unexplained(_wander(last)))
     if not asked.probes:
         return open_end
     probed = left_over(
@@ -227,7 +228,8 @@ def _told(
             final = fitted(final.model, final.observations, last, final.theta, precision)
     steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
     steps = beside_the_day(problem, found.search, steps)
-    steps = beside_slow_walks(found.search.bank, problem.terms, found.search.taken, steps)
+    steps = beside_scale_steps(problem, found.search, steps)
+    steps = beside_slow_walks(problem, found.search, steps)
     loop = FitLoop(
         base=problem.fit,
         final=final,
