@@ -263,6 +263,23 @@ def test_a_walk_may_be_larger_unless_it_is_far_behind(monkeypatch: pytest.Monkey
     assert found.walks == walks[:4]
 
 
+def test_parameters_that_a_prior_holds_cost_the_scatter_no_freedom(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Fifty runs of white noise of 1 mg; one column is free, eighty are held to little."""
+    n, p = 50, 81
+    rng = np.random.default_rng(3)
+    fit = SimpleNamespace(
+        theta=np.zeros(p), parameters=[SimpleNamespace(typical=1.0)] * p,
+        observations=SimpleNamespace(context={"time": np.arange(float(n))}),
+    )  # fmt: skip
+    seen = (rng.normal(size=n), rng.normal(size=(n, p)), rng.normal(size=(n, 4)))
+    monkeypatch.setattr(wander_noise, "natural", lambda fit: seen)
+    part, held = np.zeros(n, np.intp), np.append(0.01, np.full(p - 1, 1e6))
+    found = wander_noise.noise_of(fit, np.zeros(n), part, held, 1)  # type: ignore[arg-type]
+    assert found.scatter == pytest.approx(1.0, abs=0.3)
+
+
 def test_the_bias_wanders_where_it_carries_more_than_the_scatter() -> None:
     assert Wander(2.0, 3.0, 1.9, 99.0).counts
     assert not Wander(2.0, 3.0, 2.1, 99.0).counts

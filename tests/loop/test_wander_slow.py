@@ -10,9 +10,10 @@ import pytest
 
 from imucalib.loop.found import Step
 from imucalib.loop.wander.bank import bank_of
-from imucalib.loop.wander.likelihood import Terms
-from imucalib.loop.wander.scores import Entry
-from imucalib.loop.wander.slow import beside_slow_walks, lead
+from imucalib.loop.wander.choice import Search, Taken
+from imucalib.loop.wander.likelihood import Level, Terms
+from imucalib.loop.wander.scores import Entry, Scored
+from imucalib.loop.wander.slow import beside_scale_steps, beside_slow_walks, lead
 from imucalib.loop.wander.walk import Course, Walk, drawn
 
 SPAN, ROWS = 86400.0, 150
@@ -33,8 +34,37 @@ def recording(seed: int, walk: Walk, step: float) -> tuple[Any, Terms, Any]:
     return bank, Terms(np.arange(1), np.full(1, 0.01), 1), taken
 
 
+def as_found(bank: Any, terms: Terms, taken: tuple[Any, ...]) -> tuple[Any, Any]:
+    """A problem and its search; column 0 of a bank of four is the base model's scale."""
+    slices = {"scale": slice(0, 1)} if bank.columns.shape[1] == 4 else {}
+    fit = SimpleNamespace(
+        model=SimpleNamespace(slices=lambda _: slices), parameters=[SimpleNamespace(typical=0.001)],
+        observations=SimpleNamespace(context=None),
+    )  # fmt: skip
+    problem = SimpleNamespace(fit=fit, terms=terms, noise=SimpleNamespace(scatter=1.0))
+    level = Level(0, 0.0, 1.0, 1)
+    return problem, Search(bank, terms, level, taken, (), (), ())
+
+
+def scaled(data: Any) -> tuple[Any, Terms, Any]:
+    """A bank whose one axis points up or down, in which the scale drifted, with data (time / span,
+    up) -> (n,) beside white noise."""
+    rng = np.random.default_rng(4)
+    time = np.sort(rng.uniform(0.0, SPAN, ROWS))
+    up = rng.uniform(-1.0, 1.0, ROWS)
+    course = Course(time, np.ones((ROWS, 1)), np.ones(ROWS), np.zeros(ROWS, np.intp))
+    drift = up * (time / SPAN - 0.5)
+    y = data(time / SPAN, up) + rng.standard_normal(ROWS)
+    bank = bank_of(course, (Walk(0.0, 1.0),), np.column_stack([up, np.ones(ROWS), drift, y]))
+    entry = Entry("scale_drift", "", "time", np.array([2]))
+    score = Scored(entry, 20.0, 0, 3.0, 1.0, 1.0, 0.5)
+    taken = Taken(score, 3.0, np.zeros(2), 2.0, 1.0, ())
+    return bank, Terms(np.arange(2), np.full(2, 0.01), 2), taken
+
+
 def leads(walk: Walk, step: float) -> np.ndarray:
-    return np.array([lead(*recording(seed, walk, step)) for seed in range(6)])
+    every = [recording(seed, walk, step) for seed in range(6)]
+    return np.array([lead(*each, each[0].course.seen) for each in every])
 
 
 def test_a_step_leads_slow_walks_and_a_slow_walk_is_no_step() -> None:
@@ -51,6 +81,38 @@ def test_only_what_time_drives_has_the_slow_walk_as_its_rival(
     other = Entry("cubic", "", "shape", np.array([0]))
     cubic = SimpleNamespace(found=SimpleNamespace(entry=other), size=1.0)
     told = (Step("cubic", 0.01, 99, 9.0, (), ()), Step("step", 0.01, 99, 9.0, (), ("lag",)))
-    found = beside_slow_walks(bank, terms, (cubic, taken), told)
+    found = beside_slow_walks(*as_found(bank, terms, (cubic, taken)), told)
     assert found[0] is told[0]
     assert found[1].aliases == (("lag",) if alone else ("lag", "wandering_bias"))
+
+
+STEP = Step("scale_drift", 0.01, 99, 20.0, (), ())
+
+
+@pytest.mark.parametrize(
+    ("data", "rival"),
+    [
+        (lambda t, up: 12.0 * up * (t - 0.5), ""),
+        (lambda t, up: 6.0 * up * (t > 0.5), "scale_step"),
+        (lambda t, up: 6.0 * up * (t > 0.3), "scale_step"),
+    ],
+)
+def test_a_scale_that_jumps_is_no_certain_drift_of_it(data: Any, rival: str) -> None:
+    bank, terms, taken = scaled(data)
+    found = beside_scale_steps(*as_found(bank, terms, (taken,)), (STEP,))
+    assert [name.partition("@")[0] for name in found[0].aliases] == ([rival] if rival else [])
+
+
+def test_a_scale_that_wanders_slowly_is_no_certain_drift_of_it() -> None:
+    bank, terms, taken = scaled(lambda t, up: 8.0 * up * np.sin(9.0 * t + 2.0 * t**2))
+    found = beside_slow_walks(*as_found(bank, terms, (taken,)), (STEP,))
+    assert found[0].aliases == ("wandering_scale",)
+
+
+def test_where_time_drives_nothing_no_scale_is_held_to_jump() -> None:
+    bank, terms, taken = scaled(lambda t, up: 12.0 * up * (t - 0.5))
+    other = SimpleNamespace(found=SimpleNamespace(entry=Entry("cubic", "", "shape", np.array([2]))))
+    assert beside_scale_steps(*as_found(bank, terms, (other,)), (STEP,)) == (STEP,)
+    nothing = as_found(bank, terms, (taken,))
+    nothing[0].fit.model = SimpleNamespace(slices=lambda _: {})
+    assert beside_scale_steps(*nothing, (STEP,)) == (STEP,)

@@ -105,14 +105,31 @@ def test_rivals_are_near_in_evidence_or_in_angle() -> None:
         scored("curve@bias:temperature:1:2:4", 16.9, (3,), kind="temperature"),
     ]  # fmt: skip
     taken = SimpleNamespace(found=own, rivals=rivals)
+    taken.alike = ("posture@24",)
     terms = Terms(np.array([0, 1]), np.zeros(2), 2)
     found = aliases(bank, terms, taken)  # type: ignore[arg-type]
     assert found == ("even", "close", "scan@1", "posture@80")
 
 
+@pytest.mark.parametrize(
+    ("nats", "alike", "told"),
+    [(17.0, False, True), (12.0, True, True), (12.0, False, False), (9.0, True, False)],
+)
+def test_a_free_function_is_anothers_rival_where_it_does_as_well_on_blocks_left_out(
+    nats: float, alike: bool, told: bool
+) -> None:
+    """Half of the evidence at least; without the blocks within three nats."""
+    own = scored("converter@xyz", 20.0, (2,), kind="curve", family="converter")
+    rival = scored("posture@80", nats, (3,), kind="posture", family="posture")
+    taken = SimpleNamespace(found=own, rivals=(rival,), alike=("posture@80",) if alike else ())
+    bank = SimpleNamespace(white=np.random.default_rng(1).standard_normal((1, 20, 5)), data=4)
+    found = aliases(bank, Terms(np.arange(2), np.ones(2), 2), taken)  # type: ignore[arg-type]
+    assert found == (("posture@80",) if told else ())
+
+
 def test_what_gravity_shows_as_a_part_of_an_effect_would_do_as_well() -> None:
     """Squares of the forces across an axis are columns of cross_axis in the norm."""
-    found = SimpleNamespace(found=scored("cross_axis", 300.0, (2,)), rivals=())
+    found = SimpleNamespace(found=scored("cross_axis", 300.0, (2,)), rivals=(), alike=())
     bank, terms = SimpleNamespace(white=np.zeros((1, 3, 3))), Terms(np.arange(2), np.ones(2), 2)
     assert aliases(bank, terms, found) == ("squares_across",)  # type: ignore[arg-type]
     found = SimpleNamespace(found=scored("cubic", 300.0, (2,)), rivals=())
@@ -129,7 +146,7 @@ def test_a_response_beside_a_free_one_has_another_form_than_its_name() -> None:
     made = [scored(name, 20.0, (0,), kind=kind) for name, kind in kinds.items()]
     every = [Taken(one, 1.0, np.zeros(2), 2.0, 1.0, ()) for one in made]  # type: ignore[arg-type]
     found = [words._beside(one, every) for one in every]
-    assert found == [("converter@x", "posture@24"), ("posture@24",), ("converter@x",), ()]
+    assert found == [("converter@x", "posture@24"), ("cubic", "posture@24"), ("converter@x",), ()]
 
 
 def test_what_leaves_readings_without_an_inverse_is_refused(
@@ -219,7 +236,9 @@ def test_a_first_step_has_its_rivals_beside_what_came_after_it(
     other, near = scored("lag@2h", 0.0, (5,), family="lag"), scored("step", 0.0, (6,))
     seen = list[tuple[list[int], list[str]]]()
 
-    def score(_: object, terms: Terms, __: object, entries: list[Any], *___: object) -> Any:
+    def score(
+        _: object, terms: Terms, __: object, entries: list[Any], *___: object, told: bool
+    ) -> Any:
         seen.append((terms.columns.tolist(), [e.name for e in entries]))
         return [SimpleNamespace(entry=e) for e in entries], None
 

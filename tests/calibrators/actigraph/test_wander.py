@@ -130,6 +130,28 @@ def test_an_offset_of_the_posture_is_no_certain_response(
     assert case.error(result.final) < 0.7 * case.error(result.base)
 
 
+@pytest.mark.parametrize("runs", [144, 200])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_clusters_of_postures_are_no_certain_converter(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, runs: int, seed: int
+) -> None:
+    """Half a day, eight habits; 5 mg that change from one part of the sphere to the next."""
+    rng = np.random.default_rng(seed)
+    middle, off = rng.standard_normal((8, 3)), rng.standard_normal((8, 3))
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    for name, value in {"SPAN": 43200.0, "RUNS": runs, "HABITS": 8, "SCATTER": 0.4}.items():
+        monkeypatch.setattr(worn, name, value)
+    monkeypatch.setattr(worn, "strength", lambda *_: 5.0)
+    monkeypatch.setitem(
+        worn.EFFECTS, "planted", lambda x, t, u, c: 5.0 * off[np.argmax(x @ middle.T, axis=1)]
+    )
+    case = worn.Case("white", "planted", 5.0, 3000 + seed)
+    result = case.solved(WANTED)
+    assert {s.effect.partition("@")[0] for s in result.loop.steps if s.certain} <= {"posture"}
+    assert any("posture" in name for s in result.loop.steps for name in (s.effect, *s.aliases))
+    assert case.error(result.final) < 0.9 * case.error(result.base)
+
+
 def test_a_scale_that_swings_once_a_day_is_no_bias_that_does(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,6 +164,66 @@ def test_a_scale_that_swings_once_a_day_is_no_bias_that_does(
     result = case.solved(WANTED)
     assert [s.effect for s in result.loop.steps] == ["scale_by_time_of_day"]
     assert case.error(result.final) < 0.3 * case.error(result.base)
+
+
+@pytest.mark.parametrize("of_scale", [False, True])
+def test_a_swing_of_seven_hours_is_not_nothing(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, of_scale: bool
+) -> None:
+    """Less than the scatter of a run, so that a walk would pass for noise."""
+
+    def swing(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * (x if of_scale else 1.0) * np.sin(2.0 * np.pi * 144.0 / 7.0 * u)[:, None]
+
+    loop = of(worn, monkeypatch, swing, 12.0).solved(WANTED).loop
+    assert (loop.verdict, loop.steps) == ("unexplained", ())
+    what = "scale" if of_scale else "bias"
+    assert loop.unexplained[0].name.startswith(f"the {what} swings with a period of ")
+    assert 6.8 <= float(loop.unexplained[0].name.split()[-2]) <= 7.2
+
+
+@pytest.mark.parametrize("at", [-0.05, 0.07])
+def test_a_scale_that_jumps_is_no_certain_drift_of_it(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, at: float
+) -> None:
+    def jump(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * x * (u[:, None] > at)
+
+    monkeypatch.setattr(worn, "SPAN", 24 * 3600.0)
+    case = of(worn, monkeypatch, jump, 20.0)
+    result = case.solved(WANTED)
+    assert result.loop.verdict != "nothing missing"
+    assert not any(s.certain for s in result.loop.steps)
+
+
+@pytest.mark.parametrize(("of_scale", "hours"), [(False, 12), (True, 12), (False, 9), (True, 9)])
+def test_half_a_day_of_a_daily_swing_is_no_certain_drift(
+    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, of_scale: bool, hours: int
+) -> None:
+    """Less than a period: the correction serves, and the name is one of two."""
+    monkeypatch.setattr(worn, "SPAN", hours * 3600.0)
+    monkeypatch.setattr(worn, "RUNS", 160)
+    phase = 2.0 * np.pi * hours / 24.0
+
+    def daily(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return c * (x if of_scale else 1.0) * np.sin(phase * u + 0.2)[:, None]
+
+    case = of(worn, monkeypatch, daily, 20.0)
+    drift, swing = (
+        ("scale_drift", "scale_by_time_of_day") if of_scale else ("bias_drift", "time_of_day")
+    )
+    result = case.solved(ActigraphRequest(only=("bias_drift", "scale_drift", "warm_up")))
+    assert [s.effect for s in result.loop.steps] == [drift]
+    assert swing in result.loop.steps[0].aliases
+    assert case.error(result.final) < 0.5 * case.error(result.base)
+
+
+def test_a_day_that_drifts_is_no_swing(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worn, "SPAN", 24 * 3600.0)
+    monkeypatch.setattr(worn, "RUNS", 160)
+    case = of(worn, monkeypatch, lambda x, t, u, c: c * u[:, None], 20.0)
+    result = case.solved(ActigraphRequest(only=("bias_drift", "scale_drift", "warm_up")))
+    assert [(s.effect, s.certain) for s in result.loop.steps] == [("bias_drift", True)]
 
 
 def test_a_square_across_an_axis_is_no_certain_cross_axis(

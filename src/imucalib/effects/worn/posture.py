@@ -15,8 +15,9 @@ from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.units import MG, STANDARD_GRAVITY
 
-#: Bumps that are tried, and observations that each needs at least.
-_BUMPS, _EACH = (24, 80), 4
+#: Bumps that are tried, and observations from which on: one for each of the finer, whose prior
+#: holds them, and fewer than a converter's curve needs, which clusters of postures would pass for.
+_BUMPS, _FEWEST = (24, 80), 80
 _MOST = 400
 _FADES = 0.05 * STANDARD_GRAVITY  # m/s²
 
@@ -80,7 +81,7 @@ def _values(context: Context) -> tuple[str, ...]:
     """Where no dial says which way is up: a bench knows more than the size of gravity."""
     if "time" not in context or "inclination" in context or len(context.triads) > 1:
         return ()
-    return tuple(str(bumps) for bumps in _BUMPS if context.n >= _EACH * bumps)
+    return tuple(map(str, _BUMPS)) if context.n >= _FEWEST else ()
 
 
 FAMILIES = (

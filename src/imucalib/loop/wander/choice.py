@@ -33,7 +33,8 @@ Forms = Callable[[Entry], Sequence[tuple[str, Array]]]
 class Taken:
     """One accepted effect: its score, its prior size, the gain in nats of every block, and the
     mean held-out errors without and with it in the search's own design (units of the columns);
-    rivals : all scores of that search; form : a form that would do as well as the name, or empty"""
+    rivals : all scores of that search; form : a form that would do as well as the name, or empty
+    alike : names of what does as well on the blocks"""
 
     found: Scored
     size: float
@@ -42,6 +43,7 @@ class Taken:
     after: float
     rivals: tuple[Scored, ...]
     form: str = ""
+    alike: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ def _or_form(
         if named.entry.free:  # a formula goes before a curve that does as well
             worse = _lead(best.gains - trial.gains) >= 1.0
         if not _objection(trial, named.entry.kind) and not worse:
-            return rival.bank, replace(trial, rivals=best.rivals)
+            return rival.bank, replace(trial, rivals=best.rivals, alike=best.alike)
     return bank, replace(best, form=rival.score.entry.name)
 
 
@@ -225,4 +227,6 @@ def _best_of(held: Sequence[Taken]) -> Taken:
     best = max(held, key=lambda t: float(t.gains.sum()))
     alike = [t for t in held if _lead(best.gains - t.gains) < 1.0]
     named = [t for t in alike if not t.found.entry.free] or alike
-    return max(named, key=lambda t: t.found.evidence)
+    chosen = max(named, key=lambda t: t.found.evidence)
+    others = (t.found.entry.name for t in held if _lead(chosen.gains - t.gains) < 1.0)
+    return replace(chosen, alike=tuple(name for name in others if name != chosen.found.entry.name))

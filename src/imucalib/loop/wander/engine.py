@@ -27,8 +27,9 @@ from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
-from imucalib.loop.wander.slow import beside_slow_walks
+from imucalib.loop.wander.slow import beside_scale_steps, beside_slow_walks, beside_the_day
 from imucalib.loop.wander.sums import sums_of
+from imucalib.loop.wander.swing import swings
 from imucalib.loop.wander.words import (
     beside_others,
     looked_like,
@@ -93,7 +94,7 @@ def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
     found = _searched(base, noise, folds, asked, rng)
     if found.search.taken:
         _, final, precision = _undoable(found)
-        noise = noise_of(final, asked.known, part, precision)
+        noise = noise_of(final, asked.known, part, precision, base.theta.size)
         found = _searched(base, noise, folds, asked, rng, last=True)
     return _told(found, folds, part, asked, rng)
 
@@ -181,7 +182,7 @@ def _left(
 ) -> tuple[Unexplained, ...]:  # fmt: skip
     """Structure that the search could not name: of axes, and what wanders beside all that it did
     name."""
-    open_end = unexplained(_wander(last))
+    open_end = (*swings(found.problem, found.search), *unexplained(_wander(last)))
     if not asked.probes:
         return open_end
     probed = left_over(
@@ -221,12 +222,14 @@ def _told(
         left = confirmed(found.search, steps, bars, problem.terms, each, gained)
         found = replace(found, search=left)
     found, final, precision = _undoable(found)
-    last = noise_of(final, asked.known, part, precision)
+    last = noise_of(final, asked.known, part, precision, problem.terms.base)
     if found.search.taken:
         with suppress(NotConverged):  # else it stays as it is, which has an inverse
             final = fitted(final.model, final.observations, last, final.theta, precision)
     steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
-    steps = beside_slow_walks(found.search.bank, problem.terms, found.search.taken, steps)
+    steps = beside_the_day(problem, found.search, steps)
+    steps = beside_scale_steps(problem, found.search, steps)
+    steps = beside_slow_walks(problem, found.search, steps)
     loop = FitLoop(
         base=problem.fit,
         final=final,

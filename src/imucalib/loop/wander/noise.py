@@ -69,18 +69,21 @@ def walk_columns(at: Balanced, reading: Array) -> Array:
     return np.column_stack([bias, outward])
 
 
-def noise_of(fit: Fit, known: Array, part: Index, precision: Array | None = None) -> Noise:
+def noise_of(
+    fit: Fit, known: Array, part: Index, precision: Array | None = None, free: int | None = None
+) -> Noise:
     """Estimate the noise beside a fitted model.
 
     known : (n,) mg², the part of each run's variance that its windows and the resolution explain
     precision : (p,) of the parameters' priors in typical sizes, 1 each by default
+    free : parameters that no prior holds, which cost a freedom each; all by default
     """
     misfit, columns, seen = natural(fit)
     theta = fit.theta / np.array([p.typical for p in fit.parameters])
     whole = misfit + columns @ theta
     n, p = columns.shape
     precise = np.ones(p) if precision is None else precision
-    terms = Terms(np.arange(p), precise, p)
+    terms = Terms(np.arange(p), precise, p if free is None else free)
     keep = np.ones(int(part[-1]) + 1, dtype=bool)
     walks = walks_of(fit.observations.context["time"])
     scatter, far = max(_MAD * float(np.median(np.abs(misfit))), 1e-3), np.ones(n)

@@ -17,13 +17,13 @@ from imucalib.loop.wander.bank import Bank
 from imucalib.loop.wander.choice import Refused, Search, Taken, same
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.problem import Problem
-from imucalib.loop.wander.scores import Scored, scored, usable_walks
+from imucalib.loop.wander.scores import Entry, Scored, scored, usable_walks
 from imucalib.units import MG
 
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
 _APART, _ALIKE = 2.0, 3.0
 #: Kinds of response, each with the free functions that hold what it leaves.
-_OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture",), "posture": ("curve",)}
+_OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture", "shape"), "posture": ("curve",)}
 
 
 def chance_of(found: Scored, chance: Array) -> float:
@@ -94,16 +94,23 @@ def beside_others(problem: Problem, found: Search, steps: Sequence[Step]) -> tup
     a lag that was found first is a step of the bias once the temperature is known."""
     if len(found.taken) < 2:
         return tuple(steps)
+    rest = [e for e in problem.entries if not any(same(e, t.found.entry) for t in found.taken)]
+    return with_rivals(problem, found, steps, rest)
+
+
+def with_rivals(
+    problem: Problem, found: Search, steps: Sequence[Step], entries: Sequence[Entry]
+) -> tuple[Step, ...]:
+    """The steps with those of the entries that would do as well in the place of each."""
     bank, out = found.bank, list[Step]()
     keep = np.ones(bank.course.parts, dtype=bool)
     walks = usable_walks(bank, found.level, same_tau=False)
-    rest = [e for e in problem.entries if not any(same(e, t.found.entry) for t in found.taken)]
     for taken, step in zip(found.taken, steps, strict=False):
         terms = problem.terms
         for other in found.taken:
             if other is not taken:
                 terms = terms.plus(other.found.entry.columns, other.size)
-        scores, _ = scored(bank, terms, keep, [taken.found.entry, *rest], walks)
+        scores, _ = scored(bank, terms, keep, [taken.found.entry, *entries], walks, told=False)
         own = next(s for s in scores if s.entry is taken.found.entry)
         names = aliases(bank, terms, replace(taken, found=own, rivals=scores))
         out.append(replace(step, aliases=tuple(_best_of_each_scan([*step.aliases, *names]))))
@@ -124,8 +131,10 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
     """Names that would do as well: nearly the same evidence, or too small an angle between.
 
     A curve of an axis is no rival of a name: it contains every shape of it. What else may have any
-    form is one by its evidence alone, for its angle to what it contains is none. What the size of
-    gravity alone shows as a part of the effect is always one.
+    form is one by its evidence alone, for its angle to what it contains is none; beside another
+    free function also where it does as well on blocks left out, for the evidence of both hangs on
+    how rough a curve may be. What the size of gravity alone shows as a part of the effect is always
+    one.
     """
     own = taken.found
     white = bank.white[own.walk]
@@ -137,7 +146,10 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
         other = entry.kind == "curve" and own.entry.kind != "curve"
         if same or other or rival.evidence < own.evidence / 2.0:
             continue
-        alike = not entry.free and _apart(white, bank.data, terms, own, rival) < _APART
+        if entry.free:
+            alike = own.entry.free and entry.name in taken.alike
+        else:
+            alike = _apart(white, bank.data, terms, own, rival) < _APART
         if rival.evidence >= near or alike:
             out.append(entry.name)
     parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
