@@ -26,6 +26,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
+from imucalib.effects.covariate import COLUMN
 from imucalib.errors import UsageError
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments, StillSettings
@@ -64,7 +65,7 @@ def sensor_log(
     calibration: Calibration, files: LabFiles, noise: CheckNoise, asked: Asked
 ) -> tuple[list[Measured], tuple[str, ...]]:
     """The misfits of one accelerometer, and what was made of the log. Errors as of `lab`."""
-    table = positions_in(files)
+    table = positions_in(_with_drivers(calibration, files)) or positions_in(files)
     if table is not None:
         log = check_table(calibration, table, asked)
     else:
@@ -74,6 +75,14 @@ def sensor_log(
     if (calibration.facts.get(BLOCK) or {}).get("use") == "parts":
         notes = ("of a calibration in parts the one of the whole is checked", *notes)
     return [Measured(misfits)], (*log.notes, *notes)
+
+
+def _with_drivers(calibration: Calibration, files: LabFiles) -> LabFiles:
+    """The columns too that the calibration follows, under the names that they had there."""
+    needs = {name for effect in calibration.model()[0].effects for name in effect.needs}
+    names = sorted(name.removeprefix(COLUMN) for name in needs if name.startswith(COLUMN))
+    drivers = {f"driver_{k}": name for k, name in enumerate(names)}
+    return replace(files, columns={**drivers, **files.columns})
 
 
 def array_log(

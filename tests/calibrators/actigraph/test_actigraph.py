@@ -198,9 +198,11 @@ def test_members_of_scans_keep_the_laws(name: str) -> None:
 
 
 def test_scans_know_their_members_by_name() -> None:
-    scans = {"bias_step", "slip", "thermal_lag", "cycle", "converter", "curve", "posture", "shape"}
+    scans = {"bias_step", "slip", "thermal_lag", "cycle", "converter", "curve", "posture", "shape",
+             "follows"}  # fmt: skip
     assert set(families()) == scans
-    wrong = ("bias_step@later", "converter@w", "thermal_lag@", "cycle@7s", "cycle@-2rows")
+    wrong = ("bias_step@later", "converter@w", "thermal_lag@", "cycle@7s", "cycle@-2rows",
+             "follows@bias:1:2")  # fmt: skip
     for name in (*wrong, "nothing@1s"):
         assert known(name) is None
         with pytest.raises(UsageError):

@@ -43,6 +43,9 @@ def test_what_follows_a_named_column_is_found_and_done_without(tmp_path: Path, k
     (step,) = json.loads((out / "report.json").read_text())["loop"]["steps"]
     assert step["effect"].startswith(f"follows@{kind}:supply_V:1")
     assert step["certain"]
+    again = _run("check", out / "calibration.yaml", sheet)
+    assert again.return_value in (None, 0), again.output
+    assert "is taken as in the middle" not in again.output
     rests = tmp_path / "rests.csv"
     lines = [f"{k / 50},0,0,9.81" for k in range(500)]
     rests.write_text("\n".join(["time_s,acc_x_m/s2,acc_y_m/s2,acc_z_m/s2", *lines]) + "\n")
