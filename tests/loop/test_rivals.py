@@ -11,6 +11,7 @@ from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
 from imucalib.effects import known
+from imucalib.effects.shape import in_words
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.rivals import UNLISTED, _curve_beside
 
@@ -43,6 +44,20 @@ def test_a_curve_of_another_driver_with_as_much_evidence_is_a_rival(
     found = _curve_beside(effect, own, (own, other))
     assert found == ((f"curve@{curve}:6",) if rival else ())
     assert all(known(one) is not None for one in found)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("curve@bias:tool_face:0:5.235987756:6", "a curve of the bias against tool face"),
+        ("shape@response:xyz:soft_saturation:0.3", "a soft saturation of the response"),
+        ("follows@scale:supply_V:12:0.5", "scale follows supply_V"),
+        ("converter@xyz", "converter@xyz"),
+        ("squares_across", "squares across"),
+    ],
+)
+def test_names_for_a_reader(name: str, words: str) -> None:
+    assert in_words(name) == words
 
 
 def _creeping(path: Path, seed: int) -> Path:

@@ -123,13 +123,18 @@ def is_form(name: str) -> bool:
 
 
 def in_words(name: str) -> str:
-    """An effect's name for a reader: of a form its kind and what it bends, without its numbers."""
-    if not is_form(name):
+    """An effect's name for a reader: of a form or a curve its kind and what it bends, and of what
+    follows a column both, without their numbers."""
+    family, _, value = name.partition("@")
+    what, against, kind, *_ = (*value.split(":"), "", "")
+    if family == "follows":
+        return f"{what} follows {against}"
+    kind = "curve" if family == "curve" else kind.replace("_", " ")
+    if what not in KINDS or not kind:
         return name.replace("_", " ")
-    what, against, kind = name.partition("@")[2].split(":")[:3]
     article = "an" if kind[0] in "aeiou" else "a"
     driver = "" if what == "response" else f" against {against.replace('_', ' ')}"
-    return f"{article} {kind.replace('_', ' ')} of the {KINDS[what]}{driver}"
+    return f"{article} {kind} of the {KINDS[what]}{driver}"
 
 
 FAMILIES = (

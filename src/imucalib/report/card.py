@@ -104,7 +104,7 @@ def _sized(step: FoundStep) -> str:
     """An effect and its size in words."""
     if step.curve:
         return f"A curve without a name, {step.curve}"
-    name = step.formula or step.effect.replace("_", " ")
+    name = step.formula or in_words(step.effect)
     own = step.parameters
     words = ", ".join(plus_minus(p.value, p.sd, p.unit) for p in own[:_PARAMETERS])
     size = step.size or (words if len(own) <= _PARAMETERS else f"{len(own)} parameters")

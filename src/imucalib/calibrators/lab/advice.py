@@ -21,6 +21,7 @@ from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
 from imucalib.core.references import KnownVector, angles_of, unit_vector
 from imucalib.effects import known
+from imucalib.effects.shape import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.found import Unexplained
@@ -65,7 +66,8 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
         )
     for step in loop.steps if loop else ():
         effect = known(step.effect)
-        names = " or ".join((step.effect, *step.aliases))
+        told = (in_words(n) if n.startswith(("shape@", "curve@")) else n for n in step.aliases)
+        names = " or ".join((step.effect, *told))
         if step.aliases and effect is not None:
             found.append(f"These positions cannot tell {names} apart. {effect.identify}")
         elif effect is not None and effect.stage == "fixture":
