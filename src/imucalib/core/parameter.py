@@ -3,6 +3,7 @@ not believed."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -14,6 +15,7 @@ class Parameter:
     typical : one standard deviation of what data sheets and practice let one expect, in `unit`
     plausible : largest absolute value that is still believed, in `unit`
     start : the value at which the effect is absent
+    least : smallest value that is still believed, in `unit`, of what has one sign
     """
 
     name: str
@@ -21,3 +23,4 @@ class Parameter:
     typical: float
     plausible: float
     start: float = 0.0
+    least: float = -math.inf

@@ -1,6 +1,7 @@
 """Bias and scale that follow a covariate: temperature, time, warm-up, the previous position."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -112,18 +113,21 @@ EFFECTS = (
         1.0,
         bias_with(_from_reference("order")),
     ),
-    _effect(
-        "scale_drift",
-        (
-            "The scale factor moves steadily over the recording.",
-            "y_i = x_i (1 + d_i (order - 1/2)), order from 0 to 1",
-            "0.1 % over a bench run, practice",
-            "Repeat a few positions at the end, and take the positions in random order.",
+    replace(
+        _effect(
+            "scale_drift",
+            (
+                "The scale factor moves steadily over the recording.",
+                "y_i = x_i (1 + d_i (order - 1/2)), order from 0 to 1",
+                "0.1 % over a bench run, practice",
+                "Repeat a few positions at the end, and take the positions in random order.",
+            ),
+            ("order",),
+            "mg/g",
+            1.0,
+            *_scale_with(_from_reference("order")),
         ),
-        ("order",),
-        "mg/g",
-        1.0,
-        *_scale_with(_from_reference("order")),
+        remedy="its scale moves: let it warm up, check its supply, or leave it out",
     ),
     _effect(
         "warm_up",
