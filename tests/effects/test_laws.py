@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from imucalib.core.context import MOTION, Context
-from imucalib.core.effect import Action, Effect
+from imucalib.core.effect import Action, Effect, Response
 from imucalib.core.model import Model
 from imucalib.core.truth import Motion, Truth
 from imucalib.effects import catalogue, families, load_file, named
@@ -166,6 +166,20 @@ def test_words_and_sizes(effect: Effect) -> None:
         assert p.unit in UNITS
         assert 0.0 < 5.0 * p.typical <= p.plausible
         assert p.plausible <= 300.0 * p.typical or is_record_error(effect.name)
+
+
+def test_twins_have_the_same_columns_and_lag_each_in_its_way() -> None:
+    every = {n: e for n, e in catalogue().items() if isinstance(e, Response)}
+    late = {n: e for n, e in every.items() if e.twin}
+    assert late
+    for name, effect in late.items():
+        twin = every[effect.twin]
+        assert effect.lagged is not twin.lagged is not None, name
+        assert not twin.twin, "a search has it for others: it needs no twin itself"
+        if effect.channel == twin.channel:
+            context = _context()
+            truth = _truth(context)
+            np.testing.assert_array_equal(effect.basis(truth, context), twin.basis(truth, context))
 
 
 def test_parameter_names_are_unique_over_the_catalogue() -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from imucalib.calibrators.array.loop import subject
+from imucalib.calibrators.array.loop.worth import why_not
 from imucalib.core.balance import Noise
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations
@@ -150,11 +151,12 @@ def test_an_effect_must_hold_out(
 
 
 def trial(density: float, value: float = 1.0, **more: object) -> SimpleNamespace:
-    parameter = SimpleNamespace(name="p", unit="ms", plausible=5.0)
-    term = SimpleNamespace(value=np.array([value]), theta=np.array([value]),
+    parameter = SimpleNamespace(name="p", unit="ms", plausible=5.0, least=-2.0)
+    term = SimpleNamespace(name="t", value=np.array([value]), theta=np.array([value]),
                            parameters=lambda imus: (parameter,))  # fmt: skip
     made: dict[str, object] = {"terms": (term,), "converged": True, "density": density,
-                               "setup": SimpleNamespace(imus=("a",))}  # fmt: skip
+                               "setup": SimpleNamespace(imus=("a",)),
+                               "sd_of": lambda term: np.array([0.1])}  # fmt: skip
     return SimpleNamespace(**{**made, **more})
 
 
@@ -167,13 +169,16 @@ def trial(density: float, value: float = 1.0, **more: object) -> SimpleNamespace
         ((1.0, -2.1), 1.1, 1.0, "does not hold out"),
         ((9.0, 9.0), 1.0, 1.0, "not better"),
         ((9.0, 9.0), 1.1, -5.1, "implausible size (p = -5.1 ms)"),
+        ((9.0, 9.0), 1.1, 5.1, "implausible size (p = 5.1 ms)"),
+        ((9.0, 9.0), 1.1, -2.4, "implausible size (p = -2.4 ms)"),
+        ((9.0, 9.0), 1.1, -2.2, ""),  # within three deviations of the least
     ],
 )
 def test_both_halves_of_a_motion_must_agree(
     gains: tuple[float, float], density: float, value: float, reason: str
 ) -> None:
     """Neither loses three nats, nor both together one."""
-    found = subject._not_held_out(gains) or subject._why_not(
+    found = subject._not_held_out(gains) or why_not(
         trial(1.0),
         trial(density, value),  # type: ignore[arg-type]
     )
@@ -181,7 +186,7 @@ def test_both_halves_of_a_motion_must_agree(
     assert reason in found
     nothing = trial(2.0)
     nothing.terms[0].value = np.zeros(0)
-    assert "determine none" in subject._why_not(trial(1.0), nothing)  # type: ignore[arg-type]
+    assert "determine none" in why_not(trial(1.0), nothing)  # type: ignore[arg-type]
 
 
 def test_the_difference_is_a_ratio_estimate_with_a_wider_interval() -> None:

@@ -1,7 +1,7 @@
 """Equations of docs/effects.md that are matrices, turns or delays, written a second time by hand.
 
 Each stands beside the text that it was written from: a test compares that with the page. Units as
-in `equations`; a delay acts to first order, ω(t - τ) = ω - τ dω/dt.
+in `equations`; a delay and a low-pass act to first order, ω(t - τ) = ω - τ dω/dt.
 """
 
 from __future__ import annotations
@@ -127,6 +127,15 @@ BY_HAND: dict[str, tuple[str, Callable[[Array, Known], Array]]] = {
         "y_k(t) = ω(t - τ_k)", lambda p, k: k["ω"] - p[0] * np.rad2deg(k["spin"])),
     "accelerometer_delay": (
         "y_k(t) = a_k(t - τ_k)", lambda p, k: k["a"] - p[0] * k["jerk"] / 9.80665),
+    "accelerometer_low_pass": (
+        "y_k + τ_k dy_k/dt = a_k", lambda p, k: k["a"] - p[0] * k["jerk"] / 9.80665),
+    "common_accelerometer_low_pass": (
+        "y + τ dy/dt = a, the same for all", lambda p, k: k["a"] - p[0] * k["jerk"] / 9.80665),
+    "gyro_low_pass": (
+        "y + τ dy/dt = ω, the same for all",
+        lambda p, k: k["ω"] - p[0] * np.rad2deg(k["spin"])),
+    "gyro_low_pass_each": (
+        "y_k + τ_k dy_k/dt = ω", lambda p, k: k["ω"] - p[0] * np.rad2deg(k["spin"])),
     "gyro_sample_age": (
         "y_k(t) = ω(t - T (φ_k(t) mod 1 - 1/2)), φ_k by the beat line of gyro k",
         lambda p, k: k["ω"] - p[0] * k["age"][:, None] * np.rad2deg(k["spin"])),

@@ -6,7 +6,7 @@ Each plant changes what one IMU, or a few, read at the true motion.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -157,6 +157,35 @@ def one_sided(m: Moved, r: Array, k: int) -> Planted:
     return Planted(m.felt(r), m.rate + more)
 
 
+def slowed(t: Array, values: Array, tau: float) -> Array:
+    """(n, 3) behind a low-pass of the first order, τ in s, at even times t (n,): exact for straight
+    lines from sample to sample."""
+    from scipy.signal import lfilter
+
+    h = t[1] - t[0]
+    kept = np.exp(-h / tau)
+    first, second = 1.0 - tau / h * (1.0 - kept), tau / h * (1.0 - kept) - kept
+    start = (1.0 - first) * values[:1]
+    return np.asarray(lfilter([first, second], [1.0, -kept], values, axis=0, zi=start)[0])
+
+
+def slow(
+    force: float = 0.0, rate: float = 0.0, imus: frozenset[int] = frozenset(range(8))
+) -> Plant:
+    """Accelerometers and gyros behind low-passes of so many seconds; such a log is made `often`."""
+
+    def plant(m: Moved, r: Array, k: int) -> Planted:
+        one = plain(m, r, k)
+        if k not in imus:
+            return one
+        return Planted(
+            slowed(m.t, one.felt, force) if force else one.felt,
+            slowed(m.t, one.rate, rate) if rate else one.rate,
+        )
+
+    return plant
+
+
 PLANTS: dict[str, Plant] = {
     "clean": plain, "flexing": flexing, "by rate": by_rate, "drifting": drifting,
     "gyro drifting": gyro_drifting, "loose": loose, "sensitive": sensitive,
@@ -166,16 +195,22 @@ PLANTS: dict[str, Plant] = {
 }  # fmt: skip
 
 
-def odd_log(parts: Parts, plant: Plant, plan: BoardPlan, rng: np.random.Generator) -> Made:
-    """A log of a board of which some IMUs sense something else."""
-    rests, twist = handled(plan, rng), twisted(plan, rng)
+def odd_log(
+    parts: Parts, plant: Plant, plan: BoardPlan, rng: np.random.Generator, often: int = 1
+) -> Made:
+    """A log of a board of which some IMUs sense something else; often : steps of the truth from
+    sample to sample, for what has a memory."""
+    fine = replace(plan, hz=often * plan.hz)
+    rests, twist = handled(fine, rng), twisted(fine, rng)
     w, spin, force = (np.concatenate(pair) for pair in zip(rests, twist, strict=True))
-    n = len(w)
-    t, moving = np.arange(n) / plan.hz, np.arange(n) >= len(rests[0])
+    t, moving = np.arange(len(w)) / fine.hz, np.arange(len(w)) >= len(rests[0])
     truth, channels = Moved(t, w, spin, force, moving), {}
+    t, moving = t[::often], moving[::often]
+    n = len(t)
     for i, name in enumerate(parts.names):
         seen = plant(truth, parts.positions[i], i)
         noise = rng.normal(size=(2, n, 3))
+        seen = Planted(seen.felt[::often], seen.rate[::often])
         x = seen.felt @ parts.gain[i].T + rng.normal(size=3) * plan.bias + noise[0] * plan.sigma
         y = seen.rate @ parts.gyro_gain[i].T
         y = y + (rng.normal(size=3) * plan.gyro_bias + noise[1] * plan.sigma_gyro) * DEG

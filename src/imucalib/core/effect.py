@@ -16,6 +16,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
+from imucalib.core.course import Lagged
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.units import DEG
@@ -79,6 +80,7 @@ class Described:
     needs : covariates of the context, which must be there and vary, or parts of the motion
     identify : how to record data that determines it and separates it from its aliases
     part_of : the effect that holds all that the size of gravity alone shows of it, or nothing
+    remedy : what to do about it where one triad of many has it alone, or nothing
     """
 
     name: str
@@ -88,6 +90,7 @@ class Described:
     identify: str
     needs: tuple[str, ...] = ()
     part_of: str = field(default="", kw_only=True)
+    remedy: str = field(default="", kw_only=True)
 
     def missing(self, context: Context) -> str:
         for name in self.needs:
@@ -112,6 +115,10 @@ class Response(Described):
     scan : whether one triad alone may have it, so that it is tried on each
     total : (theta, truth, context) -> (n, K, 3), what all parameters add together, where that is
         far less work than the basis
+    lagged : where it says when sensors read: what is met of a quantity by sensors that lag; θ and
+        the basis give the lag, and what else acts on a reading acts on what is met then
+    twin : an effect whose columns are its own, up to what `lagged` makes of them, or those of the
+        other kind of sensor that leads: a search has it for both, and a refit tells them apart
     """
 
     each: tuple[Parameter, ...] = ()
@@ -121,6 +128,8 @@ class Response(Described):
     shared: bool = False
     scan: bool = False
     total: Callable[[Array, Truth, Context], Array] | None = None
+    lagged: Lagged | None = None
+    twin: str = ""
 
     stage: Stage = "sensor"
 

@@ -16,6 +16,7 @@ class Parameter:
     plausible : largest absolute value that is still believed, in `unit`
     start : the value at which the effect is absent
     usual : largest that data sheets let one expect, in `unit`; the name of a larger one is in doubt
+    least : smallest value that is still believed, in `unit`, of what has one sign
     """
 
     name: str
@@ -24,3 +25,4 @@ class Parameter:
     plausible: float
     start: float = 0.0
     usual: float = math.inf
+    least: float = -math.inf

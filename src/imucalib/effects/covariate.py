@@ -3,6 +3,7 @@ any column of a table that the user names as a driver."""
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -118,18 +119,21 @@ EFFECTS = (
         1.0,
         bias_with(_from_reference("order")),
     ),
-    _effect(
-        "scale_drift",
-        (
-            "The scale factor moves steadily over the recording.",
-            "y_i = x_i (1 + d_i (order - 1/2)), order from 0 to 1",
-            "0.1 % over a bench run, practice",
-            "Repeat a few positions at the end, and take the positions in random order.",
+    replace(
+        _effect(
+            "scale_drift",
+            (
+                "The scale factor moves steadily over the recording.",
+                "y_i = x_i (1 + d_i (order - 1/2)), order from 0 to 1",
+                "0.1 % over a bench run, practice",
+                "Repeat a few positions at the end, and take the positions in random order.",
+            ),
+            ("order",),
+            "mg/g",
+            1.0,
+            *_scale_with(_from_reference("order")),
         ),
-        ("order",),
-        "mg/g",
-        1.0,
-        *_scale_with(_from_reference("order")),
+        remedy="its scale moves: let it warm up, check its supply, or leave it out",
     ),
     _effect(
         "warm_up",

@@ -17,12 +17,14 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.triads import Triad
+from imucalib.core.effect import Response
+from imucalib.effects import catalogue
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.inspection.noise_file import read_noise
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: What every form of single IMUs loses of an array.
-_KEPT = ("gyro_delay", "gyro_g_sensitivity", "sensing_elements")
+_KEPT = ("gyro_g_sensitivity", "sensing_elements")
 
 
 @dataclass(frozen=True)
@@ -137,8 +139,21 @@ def _effect(calibration: Calibration, name: str, imu: str, size: int) -> Array:
 
 
 def late_of(calibration: Calibration) -> float:
-    """s by which all gyros are late against the accelerometers."""
-    return 1e-3 * float(_effect(calibration, "gyro_delay", "", 1)[0])
+    """s by which all gyros are late against the accelerometers: what a low-pass of either does is,
+    to the first order, a delay by its time constant."""
+    found = _common_delays().items()
+    return sum(sign * 1e-3 * float(_effect(calibration, name, "", 1)[0]) for name, sign in found)
+
+
+def _common_delays() -> dict[str, float]:
+    """Effects by which all gyros are late, and the sign: accelerometers that are late leave gyros
+    early."""
+    return {
+        name: 1.0 if effect.channel == "angular_rate" else -1.0
+        for name, effect in catalogue().items()
+        if isinstance(effect, Response) and effect.lagged and effect.shared
+        and "sample_age" not in effect.needs
+    }  # fmt: skip
 
 
 def _noise(calibration: Calibration, triad: Triad) -> dict[str, Any]:
@@ -166,7 +181,8 @@ def lost_to_filters(calibration: Calibration, program: str) -> tuple[str, ...]:
 
 
 def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[str, ...]:
-    """Effects that the form has no place for."""
+    """Effects that the form has no place for, beside a common delay (`late_of`)."""
+    kept = (*kept, *_common_delays())
     return tuple(
         f"{row['effect']}, {float(row['rms']):.3g} {row['unit']} rms in the motion that was "
         "calibrated"
@@ -177,7 +193,7 @@ def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[st
 
 def force_lost(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> float:
     """Largest rms, mg, of a force's effect that the form has no place for."""
-    rows = calibration.facts.get("not_undone", ())
+    kept, rows = (*kept, *_common_delays()), calibration.facts.get("not_undone", ())
     sizes = [float(r["rms"]) / MG for r in rows if r["unit"] == "m/s²" and r["effect"] not in kept]
     return max(sizes, default=0.0)
 

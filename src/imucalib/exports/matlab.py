@@ -60,8 +60,7 @@ def _of_array(calibration: Calibration) -> Made:
         f"r_covariance = {_matrix(covariance)};",
         f"gyro_delay = {late_of(calibration):.9g};",
     ]
-    kept = ("gyro_delay",)
-    return Made("\n".join(lines), lost_of(calibration, kept), force_lost(calibration, kept))
+    return Made("\n".join(lines), lost_of(calibration, ()), force_lost(calibration, ()))
 
 
 def _matrix(values: Array) -> str:

@@ -19,7 +19,7 @@ def openvins(calibration: Calibration, filename: str) -> Made:
     ov_msckf and its configurations). Raises as `imus_of`.
     """
     imus = imus_of(calibration, "OpenVINS")
-    kept = ("gyro_delay", "gyro_g_sensitivity")
+    kept = ("gyro_g_sensitivity",)
     lost = (
         *lost_to_filters(calibration, "OpenVINS"),
         *lost_of(calibration, kept),

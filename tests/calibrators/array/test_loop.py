@@ -224,6 +224,9 @@ def test_reports_carry_the_loop(clean: MotionLoop) -> None:
         told = array_findings(found)
         assert told.verdict == found.verdict
         assert [s.effect for s in told.steps] == [s.effect for s in found.steps]
+        assert [s.certain for s in told.steps] == [
+            s.certain and not found.suspected for s in found.steps
+        ]
         assert {s.name for s in told.scores} >= {"gyro_delay", "cubic"}
 
 

@@ -16,15 +16,6 @@ from imucalib.units import DEG
 
 _NOISY = 2.0  # times the others' noise
 _COUNTS = 0.5  # of an effect's typical size, from which it asks for something to be done
-#: What to do about an effect that one IMU alone has.
-_TO_DO = {
-    "flexing": "it gives way to the force: fasten it, or stiffen the board there",
-    "moved_by_rate": "it moves outwards with the rate: fasten it",
-    "gyro_scale_drift": "its gyro's scale moves: let it warm up, check its supply, or leave it out",
-    "scale_drift": "its scale moves: let it warm up, check its supply, or leave it out",
-    "accelerometer_delay": "it is read late: check its bus and its filter",
-    "gyro_delay_each": "its gyro is read late: check its bus and its filter",
-}
 
 
 def advice(loop: MotionLoop, rests: RestFit) -> tuple[str, ...]:
@@ -42,11 +33,12 @@ def advice(loop: MotionLoop, rests: RestFit) -> tuple[str, ...]:
 def _alone(loop: MotionLoop) -> Iterator[str]:
     for term in loop.final.found:
         effect, at, imu = term.name.partition("@")
+        remedy = term.effect.remedy
         typical = typical_of(term.effect, len(term.theta))
         counts = float(np.sqrt(np.mean((term.theta / typical) ** 2))) >= _COUNTS
-        if at and effect in _TO_DO and counts:
+        if at and remedy and counts:
             size = size_in_words(loop.final, term)
-            yield f"{imu} alone has {effect} ({size}): {_TO_DO[effect]}. It is corrected here."
+            yield f"{imu} alone has {effect} ({size}): {remedy}. It is corrected here."
 
 
 def _noisy(

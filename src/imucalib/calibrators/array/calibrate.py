@@ -23,6 +23,7 @@ from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_tak
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
 from imucalib.calibrators.array.estimate.size import frame_sd, gravity_sd, scale_by_turns
 from imucalib.calibrators.array.estimate.total import total_of
+from imucalib.calibrators.array.left_beside import held_against_left
 from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part, of_alike_gyros
 from imucalib.calibrators.array.log import ArrayLog, array_log, in_package_axes
 from imucalib.calibrators.array.loop.at_rest import with_rests
@@ -120,13 +121,13 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
 
 
 def _doubted(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:
-    """With the word of the rests on what was found in motion."""
+    """With the word of the rests, and of what is left, on what was found in motion."""
     segments, t = laid.segments, 0.5 * (laid.segments.start + laid.segments.stop)
     read, rate = (
         np.einsum("kij,nkj->nki", laid.board.rotations, values[:, laid.order])
         for values in (segments.mean, segments.rate)
     )
-    return held_against_rests(loop, rests.corrected(read, t), rate, t)
+    return held_against_left(held_against_rests(loop, rests.corrected(read, t), rate, t))
 
 
 def _laid(recording: Recording, request: ArrayRequest) -> _Laid:

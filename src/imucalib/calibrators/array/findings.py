@@ -110,6 +110,7 @@ def _step(step: Step, loop: MotionLoop) -> FoundStep:
         size=step.value,
         held_out=step.gains,
         curve=step.effect.removeprefix(CURVE) if step.curve else "",
+        certain=step.certain and not loop.suspected,
     )
 
 

@@ -51,6 +51,7 @@ EFFECTS = (
         tuple(Parameter(f"flexing_{'xyz'[i]}{'xyz'[j]}", "mm/g", 0.05, 10.0) for i, j in _PAIRS),
         _by_force,
         _by_force_dx,
+        remedy="it gives way to the force: fasten it, or stiffen the board there",
     ),
     Response(
         "moved_by_rate",
@@ -61,5 +62,6 @@ EFFECTS = (
         ("rate", "spin"),
         tuple(Parameter(f"moved_by_rate_{a}", "mm", 0.05, 10.0) for a in "xyz"),
         _by_rate,
+        remedy="it moves outwards with the rate: fasten it",
     ),
 )

@@ -64,6 +64,7 @@ EFFECTS = (
         three("gyro_scale_drift", "%", 0.2, 20.0),
         _scale_drift,
         channel="angular_rate",
+        remedy="its gyro's scale moves: let it warm up, check its supply, or leave it out",
     ),
     Response(
         "gyro_misalignment",

@@ -4,6 +4,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
+from imucalib.core.course import delayed
 from imucalib.core.effect import Response
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
@@ -44,6 +45,7 @@ EFFECTS = (
         _spin,
         channel="angular_rate",
         shared=True,
+        lagged=delayed,
     ),
     Response(
         "gyro_delay_each",
@@ -55,16 +57,20 @@ EFFECTS = (
         _one("gyro_own_delay", 0.3),
         _spin,
         channel="angular_rate",
+        lagged=delayed,
+        remedy="its gyro is read late: check its bus and its filter",
     ),
     Response(
         "accelerometer_delay",
         "Each accelerometer has its own delay.",
         "y_k(t) = a_k(t - τ_k)",
-        "sequential read-out, 0.1-1 ms; a low-pass of its own looks alike",
+        "sequential read-out, 0.1-1 ms",
         "Shake fast; a higher sample rate tells a delay from a low-pass.",
         ("jerk",),
         _one("accelerometer_delay", 0.3),
         _jerk,
+        lagged=delayed,
+        remedy="it is read late: check its bus and its filter",
     ),
     _Aged(
         "gyro_sample_age",
@@ -77,5 +83,6 @@ EFFECTS = (
         _age,
         channel="angular_rate",
         shared=True,
+        lagged=delayed,
     ),
 )

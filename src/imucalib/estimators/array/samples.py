@@ -119,6 +119,13 @@ def turning(rate: Array, spin: Array) -> Array:
     return np.asarray(square - trace + _skew(spin))
 
 
+def turning_slope(rate: Array, spin: Array, bend: Array) -> Array:
+    """(T, 3, 3) dW/dt, of bend d²ω/dt² (T, 3) rad/s³."""
+    mixed = rate[:, :, None] * spin[:, None]
+    trace = 2.0 * np.sum(rate * spin, axis=1)[:, None, None] * np.eye(3)
+    return np.asarray(mixed + mixed.transpose(0, 2, 1) - trace + _skew(bend))
+
+
 def _arms(rate: Array, r: Array) -> Array:
     """(T, K, 3, 9) derivative of s + W r by s, dω/dt and ω."""
     t, k = len(rate), len(r)

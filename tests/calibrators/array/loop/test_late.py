@@ -9,9 +9,9 @@ import pytest
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.catalogue import array_catalogue, twins_of
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
-from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, lateness
+from imucalib.calibrators.array.loop.terms import Term, columns_of, determined, lost, sensed
 from worlds.array_stories import closed, named
 from worlds.boards import made_board
 from worlds.odd_boards import PLAN, PLANTS, odd_log, shifted
@@ -40,11 +40,14 @@ def swung(t: Array) -> BoardMotion:
     rate, force = (np.sin(x * t)[:, None] * [1.0, -2.0, 0.5] for x in (w, f))
     spin, jerk = (x * np.cos(x * t)[:, None] * [1.0, -2.0, 0.5] for x in (w, f))
     every = (len(t), 2, 3)
-    return board_motion(
+    found = board_motion(
         imus=("imu0", "imu1"), rotations=np.tile(np.eye(3), (2, 1, 1)), t=t, order=t, rate=rate,
         spin=spin, force=np.broadcast_to(force[:, None], every),
         jerk=np.broadcast_to(jerk[:, None], every),
     )  # fmt: skip
+    beside = np.ones((len(t), 2), dtype=np.bool_)
+    beside[0, 0] = beside[-1, 1] = False
+    return found.coursed(beside)
 
 
 def term(name: str, delay: list[float]) -> Term:
@@ -52,44 +55,93 @@ def term(name: str, delay: list[float]) -> Term:
                 np.ones(len(delay)))  # fmt: skip
 
 
+T = np.arange(200) / 200.0
+
+
 def test_what_acts_on_a_late_reading_acts_on_what_was_then() -> None:
-    t = np.linspace(0.0, 1.0, 50)
-    here, late = swung(t), [0.0, 1.5]
-    own = term("gyro_delay_each", late)
-    both = lateness([own, term("accelerometer_delay", [0.5, 0.0])], here)
-    assert both is not None
-    np.testing.assert_allclose(both[0][0], [0.0, 1.5e-3], atol=1e-15)
-    np.testing.assert_allclose(both[1][0], [0.5e-3, 0.0], atol=1e-15)
-    bend = -((8.0 * np.pi) ** 2) * here.truth.turning.rate[:, 0]
-    sway = -((6.0 * np.pi) ** 2) * here.truth.force
-    then = here.late(both, bend, sway)
-    earlier = swung(t - 1.5e-3).truth.turning.rate[:, 1]
+    here, late = swung(T), [0.0, 1.5]
+    own, other = term("gyro_delay_each", late), term("accelerometer_delay", [0.5, 0.0])
+    np.testing.assert_allclose(own.lag(here)[0], [0.0, 1.5e-3], atol=1e-15)
+    np.testing.assert_allclose(other.lag(here)[0], [0.5e-3, 0.0], atol=1e-15)
+    then = sensed([own, other], here)
+    earlier = swung(T - 1.5e-3).truth.turning.rate[:, 1]
     # The third order is left: (8 π 1.5e-3)³ / 6 of the swing.
-    sensed = then.truth_of("angular_rate").turning.rate
-    np.testing.assert_allclose(sensed[:, 1], earlier, atol=2e-5)
-    np.testing.assert_allclose(sensed[:, 0], here.truth.turning.rate[:, 0], atol=1e-15)
+    turning = then.truth_of("angular_rate").turning.rate
+    # Of the first and the last only what lies to one side is known.
+    np.testing.assert_allclose(turning[1:-1, 1], earlier[1:-1], atol=2e-5)
+    np.testing.assert_allclose(turning[:, 0], here.truth.turning.rate[:, 0], atol=1e-15)
     felt = then.truth_of("acceleration").force
-    np.testing.assert_allclose(felt[:, 0], swung(t - 0.5e-3).truth.force[:, 0], atol=1e-6)
-    assert then.midway is not None
-    lost = own.reading(own.columns(then.midway))[:, 1]
-    np.testing.assert_allclose(here.truth.turning.rate[:, 1] + lost, earlier, atol=2e-5)
+    due = swung(T - 0.5e-3).truth.force[:, 0]
+    np.testing.assert_allclose(felt[1:-1, 0], due[1:-1], atol=1e-6)
+    less = lost([own, other], here)
+    np.testing.assert_allclose(here.truth.turning.rate - less[1], turning, atol=1e-12)
+    np.testing.assert_allclose(here.truth.force - less[0], felt, atol=1e-12)
     scale = columns_of(array_catalogue()["gyro_scale"], then).basis[1]
-    np.testing.assert_allclose(np.einsum("tii->ti", scale), 0.01 * earlier, atol=2e-7)
+    np.testing.assert_allclose(np.einsum("tii->ti", scale)[1:-1], 0.01 * earlier[1:-1], atol=2e-7)
 
 
-def test_no_delay_is_told_of_what_is_none() -> None:
-    here = swung(np.linspace(0.0, 1.0, 5))
-    assert lateness([term("gyro_scale", [1.0] * 6)], here) is None
+def test_two_delays_of_one_sensor_add_up() -> None:
+    both = [term("gyro_delay", [1.0]), term("gyro_delay_each", [0.0, 0.5])]
+    turning = sensed(both, swung(T)).truth_of("angular_rate").turning.rate
+    due = swung(T - 1.5e-3).truth.turning.rate
+    np.testing.assert_allclose(turning[1:-1, 1], due[1:-1, 1], atol=2e-5)
+
+
+@pytest.mark.parametrize("tau", [0.6, 4.0, 16.0])
+def test_a_low_pass_weakens_what_is_fast(tau: float) -> None:
+    """Against H = 1 / (1 + i ω τ) of each swing; the first samples have no past to be filtered."""
+    here = swung(T)
+    slow = [term("gyro_low_pass_each", [0.0, tau]), term("accelerometer_low_pass", [tau, 0.0])]
+    then = sensed(slow, here)
+    rate, force = then.truth_of("angular_rate").turning.rate, then.truth_of("acceleration").force
+    for found, hz in ((rate[:, 1], 4.0), (force[:, 0], 3.0)):
+        w = 2.0 * np.pi * hz
+        y = np.imag(np.exp(1j * w * T) / (1.0 + 1e-3j * w * tau))
+        late = T > 0.1
+        np.testing.assert_allclose(found[late, 1], -2.0 * y[late], atol=2e-4)
+    np.testing.assert_allclose(rate[:, 0], here.truth.turning.rate[:, 0], atol=1e-15)
+    np.testing.assert_allclose(force[:, 1], here.truth.force[:, 1], atol=1e-15)
+
+
+def test_no_low_pass_has_a_negative_time() -> None:
+    """What an estimate of nothing may be is an advance."""
+    found = sensed([term("gyro_low_pass", [-1.0])], swung(T)).truth_of("angular_rate").turning.rate
+    np.testing.assert_allclose(found[1:-1], swung(T + 1e-3).truth.turning.rate[1:-1], atol=2e-5)
+
+
+def test_no_lag_is_told_of_what_is_none() -> None:
+    here = swung(T[:5])
+    scale = term("gyro_scale", [1.0] * 6)
+    assert not scale.lag(here).any()
+    assert sensed([scale], here) is here
     one = replace(term("gyro_delay_each", [2.0]), only=1)
-    np.testing.assert_allclose(one.late(here), [[0.0, 2e-3]] * 5, atol=1e-15)
+    np.testing.assert_allclose(one.lag(here), [[0.0, 2e-3]] * 5, atol=1e-15)
 
 
-@pytest.mark.parametrize(("beside", "rank"), [("accelerometer_delay", 1), ("gyro_scale", 2)])
-def test_the_time_itself_is_nobodys(beside: str, rank: int) -> None:
-    """What all delays of both kinds of sensor share is no delay at all."""
+def test_one_of_twins_stands_in_the_search_for_all() -> None:
+    assert twins_of("accelerometer_delay@imu2") == ("accelerometer_low_pass@imu2",)
+    assert twins_of("accelerometer_low_pass@imu2") == ("accelerometer_delay@imu2",)
+    every = {"gyro_delay", "gyro_low_pass", "common_accelerometer_low_pass"}
+    assert {"gyro_delay", *twins_of("gyro_delay")} == every
+    assert {"gyro_low_pass", *twins_of("gyro_low_pass")} == every
+    assert not twins_of("gyro_scale@imu1")
+    assert not twins_of("curve of anything")
+
+
+@pytest.mark.parametrize(
+    ("name", "beside", "rank"),
+    [
+        ("gyro_delay_each", "accelerometer_delay", 1),
+        ("gyro_delay_each", "accelerometer_low_pass", 1),
+        ("gyro_delay_each", "gyro_scale", 2),
+        ("accelerometer_delay", "gyro_delay", 1),
+        ("accelerometer_delay", "gyro_sample_age", 2),
+    ],
+)
+def test_the_time_itself_is_nobodys(name: str, beside: str, rank: int) -> None:
+    """What all delays of both kinds of sensor share is no delay at all; a clock's beat has none."""
     other = term(beside, [0.0, 0.0])
-    effect = array_catalogue()["gyro_delay_each"]
-    found = determined("gyro_delay_each", effect, None, 1e4 * np.eye(2), [other])
+    found = determined(name, array_catalogue()[name], None, 1e4 * np.eye(2), [other])
     assert found.live.shape[1] == rank
     if rank == 1:
         assert abs(found.live.sum()) < 1e-12

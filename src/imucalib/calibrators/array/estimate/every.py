@@ -8,6 +8,7 @@ import numpy as np
 
 from imucalib.calibrators.array.loop.setup import Setup, every_sample, motion_at
 from imucalib.calibrators.array.loop.state import ArrayState, followed, settled
+from imucalib.calibrators.array.loop.terms import lagging
 from imucalib.calibrators.array.moving import Moving
 from imucalib.estimators.array.samples import Weights, fit_samples
 
@@ -45,4 +46,5 @@ def transferred(state: ArrayState, setup: Setup) -> ArrayState:
     weights = Weights(ones / state.noise[0].sigma ** 2, ones / state.noise[1].sigma ** 2)
     rate = np.median(setup.readings.rate, axis=1)
     sampled = fit_samples(setup.readings, weights, state.r, rate)
-    return replace(state, setup=setup, sampled=sampled, motion=motion_at(setup, sampled, None))
+    motion = motion_at(setup, sampled, None, courses=bool(lagging(state.terms)))
+    return replace(state, setup=setup, sampled=sampled, motion=motion)

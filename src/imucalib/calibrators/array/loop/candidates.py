@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Index
-from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.catalogue import array_catalogue, twins_of
 from imucalib.calibrators.array.loop.curves import CURVE, SENSOR, array_curves
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -44,10 +44,13 @@ class Candidates:
 def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
     """Everything that could be missing beside what is in the model or was rejected."""
     motion, taken = state.motion, {term.name for term in state.terms}
+    taken |= {twin for term in state.found for twin in twins_of(term.name)}
     blocks: list[Columns] = []
     entries: list[Entry] = []
     missing: dict[str, str] = {}
     for effect in array_catalogue().values():
+        if effect.twin and effect.twin not in rejected:
+            continue
         reason = effect.missing(motion.context)
         if reason:
             missing[effect.name] = reason

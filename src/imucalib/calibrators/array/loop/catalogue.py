@@ -25,6 +25,18 @@ def array_catalogue() -> dict[str, Response]:
     }
 
 
+def twins_of(name: str) -> tuple[str, ...]:
+    """Effects of the same IMUs whose columns are those of the named one: in a search one stands for
+    all, and a refit tells them apart."""
+    family, at, imu = name.partition("@")
+    effects = array_catalogue()
+    if family not in effects:
+        return ()
+    one = effects[family].twin or family
+    alike = (n for n, e in effects.items() if one in (n, e.twin) and n != family)
+    return tuple(f"{n}{at}{imu}" for n in alike)
+
+
 def sized(effect: Response) -> Response:
     """An effect at the size that the rests leave of it, tried on each IMU alone too: what one IMU
     does is not to be told of all."""

@@ -12,6 +12,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.core.context import Context
+from imucalib.core.course import delayed
 from imucalib.core.effect import Channel, Response
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
@@ -95,7 +96,7 @@ def _drifts(name: str) -> Response:
     equation = "y(t) = ω(t - τ), τ = Σ_k c_k √2 cos(π k order) / k, order from 0 to 1"
     return Response(
         name, "A gyro whose clock wanders.", equation, "the residual", "", each=each,
-        basis=basis, channel="angular_rate",
+        basis=basis, channel="angular_rate", lagged=delayed,
     )  # fmt: skip
 
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags
 from imucalib.core.context import Context
+from imucalib.core.course import Course, course_of
 from imucalib.core.effect import Channel
 from imucalib.core.truth import Motion, Truth
 
@@ -15,13 +16,13 @@ from imucalib.core.truth import Motion, Truth
 @dataclass(frozen=True)
 class BoardMotion:
     """The truth at T instants as K triads see it, and what is known beside it; of_gyros : the
-    same for gyros, where they or the accelerometers are late; midway : at half that time, where
-    what they lag behind by is what they lose in the whole of it"""
+    same for gyros, where they or the accelerometers lag; courses : of the rate and of the specific
+    force as they are, where sensors may lag"""
 
     truth: Truth
     context: Context
     of_gyros: Truth | None = None
-    midway: BoardMotion | None = None
+    courses: tuple[Course, Course] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -46,31 +47,27 @@ class BoardMotion:
         """With the (T, K) sawtooth ages of the gyros' readings, or without any."""
         rest = {k: v for k, v in self.context.covariates.items() if k != "sample_age"}
         known = rest if age is None else {**rest, "sample_age": age}
-        context = replace(self.context, covariates=known)
-        midway = None if self.midway is None else replace(self.midway, context=context)
-        return replace(self, context=context, midway=midway)
+        return replace(self, context=replace(self.context, covariates=known))
 
-    def late(self, late: tuple[Array, Array], bend: Array, sway: Array) -> BoardMotion:
-        """As late sensors sense it: all that acts on a reading acts on what was then.
+    def coursed(self, beside: Flags) -> BoardMotion:
+        """With the courses of rate and force, of which lagging sensors meet a part.
 
-        late : (T, K) s of gyros and of accelerometers; bend : (T, 3) d²ω/dt², rad/s³; sway :
-        (T, K, 3) second derivative of the forces, m/s⁴; both in board axes
+        beside : (T, 2) whether the sample before and the one after are neighbours
         """
-        attitude, shape = self.context.attitude, self.truth.shape
-        assert attitude is not None
-        bent, swayed = (
-            np.matmul(np.broadcast_to(x, shape)[:, :, None], attitude)[:, :, 0]
-            for x in (bend[:, None], sway)
+        turning, t = self.truth.turning, self.context["time"]
+        rate, force = (
+            course_of(value, slope, t, beside)
+            for value, slope in ((turning.rate, turning.spin), (self.truth.force, turning.jerk))
         )
-        whole, half = (
-            [
-                _earlier(self.truth, share * lag[..., None], bent, swayed) if lag.any()
-                else self.truth for lag in late
-            ]
-            for share in (1.0, 0.5)
-        )  # fmt: skip
-        midway = replace(self, of_gyros=half[0], truth=half[1])
-        return replace(self, of_gyros=whole[0], truth=whole[1], midway=midway)
+        return replace(self, courses=(rate, force))
+
+    def met(self, gyros: tuple[Course, Course], forces: tuple[Course, Course]) -> BoardMotion:
+        """Where gyros and accelerometers meet these courses of rate and force."""
+        of_gyros, truth = (
+            Truth(force.value, Motion(rate.value, rate.slope, force.slope))
+            for rate, force in (gyros, forces)
+        )
+        return replace(self, of_gyros=of_gyros, truth=truth)
 
     def truth_of(self, channel: Channel) -> Truth:
         """What the sensors of a kind are exposed to when they read."""
@@ -81,15 +78,6 @@ class BoardMotion:
     @property
     def age(self) -> Array | None:
         return self.context.covariates.get("sample_age")
-
-
-def _earlier(truth: Truth, by: Array, bend: Array, sway: Array) -> Truth:
-    """The truth `by` (T, K, 1) s before, to the second order; bend, sway : (T, K, 3) as in
-    `BoardMotion.late`, in each package's axes."""
-    turning = truth.turning
-    spin, jerk = turning.spin - by * bend, turning.jerk - by * sway
-    rate = turning.rate - 0.5 * by * (turning.spin + spin)
-    return Truth(truth.force - 0.5 * by * (turning.jerk + jerk), Motion(rate, spin, jerk))
 
 
 def board_motion(

@@ -11,7 +11,8 @@ from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.moving import Moving
-from imucalib.estimators.array.samples import Readings, Sampled
+from imucalib.core.course import bends_of, slope_of
+from imucalib.estimators.array.samples import Readings, Sampled, turning_slope
 
 _STRETCH = 16  # consecutive samples, so that neighbours are there for derivatives
 _BLOCK = 5.0  # s, parts of the motion that are held out together
@@ -145,27 +146,26 @@ def stretches(near: Index, samples: int) -> Index:
 
 
 def motion_at(
-    setup: Setup, sampled: Sampled, age: Array | None, late: tuple[Array, Array] | None = None
+    setup: Setup, sampled: Sampled, age: Array | None, *, courses: bool = False
 ) -> BoardMotion:
-    """The fitted motion as effects take it; its jerk by the fitted forces of the neighbours, zero
-    where a sample has none.
+    """The fitted motion as effects take it; its jerk by the motion of the neighbours, zero where a
+    sample has none. How the board turns is known with its derivative, the force amid the IMUs is
+    not: only there are differences all that there is.
 
-    late : (T, K) s by which gyros and accelerometers are late, as far as that is known
+    courses : whether sensors may lag behind it
     """
-    jerk, bend = np.zeros_like(sampled.force), np.zeros_like(sampled.spin)
-    sway = np.zeros_like(jerk)
-    middle = setup.inner[(setup.inner > 0) & (setup.inner < len(setup.t) - 1)]
-    step = setup.t[middle + 1] - setup.t[middle - 1]
-    beside = step < _NEAR * setup.interval
-    middle, step = middle[beside], step[beside, None, None]
-    before, after = sampled.force[middle - 1], sampled.force[middle + 1]
-    jerk[middle] = (after - before) / step
+    near = np.diff(setup.t) < 0.5 * _NEAR * setup.interval
+    beside = np.column_stack([np.append(False, near), np.append(near, False)])
+    bend, _ = bends_of(sampled.rate, sampled.spin, setup.t, beside)
+    amid = np.mean(sampled.r, axis=0)
+    common = slope_of(sampled.origin + sampled.turn @ amid, setup.t, beside)
+    turning = (
+        turning_slope(sampled.rate, sampled.spin, bend)
+        * np.any(beside, axis=1, keepdims=True)[..., None]
+    )
+    jerk = common[:, None] + (sampled.r - amid) @ turning.transpose(0, 2, 1)
     found = board_motion(
         imus=setup.imus, rotations=setup.board.rotations, t=setup.t, order=setup.order,
         rate=sampled.rate, spin=sampled.spin, force=sampled.force, jerk=jerk, age=age,
     )  # fmt: skip
-    if late is None:
-        return found
-    bend[middle] = (sampled.spin[middle + 1] - sampled.spin[middle - 1]) / step[..., 0]
-    sway[middle] = (after - 2.0 * sampled.force[middle] + before) / (0.5 * step) ** 2
-    return found.late(late, bend, sway)
+    return found.coursed(beside) if courses else found

@@ -15,7 +15,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
-from imucalib.calibrators.array.loop.terms import Term, lateness
+from imucalib.calibrators.array.loop.terms import Term, lagging, lost, sensed
 from imucalib.estimators.array.gram import beside_motion, gradient, gram
 from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, log_density, scaled
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
@@ -209,8 +209,9 @@ def moved_motion(
         )
         sampled = fit_samples(readings, weights, state.r, sampled)
         off = sampled.off
-    motion = motion_at(state.setup, sampled, state.motion.age, lateness(state.found, state.motion))
-    return replace(state, sampled=sampled, motion=motion)
+    courses = bool(lagging(state.terms))
+    motion = motion_at(state.setup, sampled, state.motion.age, courses=courses)
+    return replace(state, sampled=sampled, motion=sensed(state.terms, motion))
 
 
 def followed(state: ArrayState, rounds: int) -> ArrayState:
@@ -226,10 +227,15 @@ def corrected(state: ArrayState, base: Base | None = None) -> Readings:
     own = None if base is None else base.blocks[1:]
     acceleration = state.setup.readings.acceleration.copy()
     rate = state.setup.readings.rate.copy()
+    apart = lagging(state.terms) if state.motion.courses is not None else ()
+    if apart:
+        force, turned = lost(apart, state.motion)
+        acceleration += force
+        rate += turned
     for k, term in enumerate(state.terms):
+        if apart and term.effect.lagged:
+            continue
         columns = own[k] if own is not None else term.columns(state.motion)
-        if term.delays and state.motion.midway is not None:
-            columns = term.columns(state.motion.midway)
         target = rate if columns.gyro else acceleration
         target -= term.reading(columns)
     return Readings(acceleration, rate)

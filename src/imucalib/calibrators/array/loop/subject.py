@@ -15,21 +15,26 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.calibrators.array.loop.ages import Ages, ages_again, kept_ages
+from imucalib.calibrators.array.loop.catalogue import twins_of
 from imucalib.calibrators.array.loop.curves import CURVE
 from imucalib.calibrators.array.loop.earlier import Earlier
 from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residuals
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Search, search
 from imucalib.calibrators.array.loop.state import ArrayState, settled
-from imucalib.calibrators.array.loop.terms import Term
-from imucalib.calibrators.array.loop.worth import size_in_words, worth
+from imucalib.calibrators.array.loop.worth import (
+    best_of_twins,
+    refitted,
+    size_in_words,
+    told_apart,
+    why_not,
+    worth,
+)
 from imucalib.calibrators.array.moving import Moving
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings, Step, Unexplained
 from imucalib.loop.subject import Refused, Searched
 from imucalib.loop.thresholds import BOTH_HALVES, CURVES, KEEP, ONE_HALF, PATH
-
-_DIVERGED = "its refit did not converge"
 
 
 @dataclass(frozen=True)
@@ -105,24 +110,28 @@ class MotionSubject:
         reason = _not_held_out(gains)
         if reason:  # before the refit: it is what a search costs most
             return Refused(chosen.name, reason)
-        term = self.searched.term(chosen.name)
-        trial = _refitted(self.state, term, self.earlier)
-        if trial is None:
-            return Refused(chosen.name, _DIVERGED)
-        reason = _why_not(self.state, trial)
-        if not reason:
-            factor = shared_by_neighbours(trial, gyro=term.effect.channel == "angular_rate")
-            late = self.searched.by_chance(chosen, factor)
-            if late.p > self.rules.alpha:
-                reason = f"noise that neighbours share explains it as well (p {late.p:.2g})"
-        if reason:
-            return Refused(chosen.name, reason)
         left_out = self.left_out.union(rejected)
-        grown = replace(self._with(trial, chosen, gains), left_out=left_out)
-        return self._owing(grown, chosen, rejected)
+        tried = best_of_twins(
+            self.state, self.searched.term(chosen.name), self.earlier, left_out, self.rules.margin
+        )
+        if tried.state is None:
+            return Refused(chosen.name, tried.reason)
+        gyro = tried.state.terms[-1].effect.channel == "angular_rate"
+        factor = shared_by_neighbours(tried.state, gyro=gyro)
+        late = self.searched.by_chance(chosen, factor)
+        if late.p > self.rules.alpha:
+            reason = f"noise that neighbours share explains it as well (p {late.p:.2g})"
+            return Refused(chosen.name, reason)
+        left_out = left_out.union(*(twins_of(name) for name in rejected))
+        grown = self._with(tried.state, chosen, gains, tried.rivals)
+        return self._owing(replace(grown, left_out=left_out), chosen, rejected)
 
-    def _with(self, trial: ArrayState, chosen: Score, gains: tuple[float, float]) -> MotionSubject:
-        """With one step more, whose effect is the last term of the trial."""
+    def _with(
+        self, trial: ArrayState, chosen: Score, gains: tuple[float, float],
+        twins: tuple[str, ...] = (),
+    ) -> MotionSubject:  # fmt: skip
+        """With one step more, whose effect is the last term of the trial; twins : that would do as
+        well."""
         after = held_out_residuals(trial)
         near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
         curve = chosen.candidate.kind != "effect"
@@ -136,7 +145,7 @@ class MotionSubject:
             draws=chosen.draws,
             evidence=chosen.evidence,
             checked=self.residuals.against(after),
-            aliases=aliases,
+            aliases=(*twins, *aliases),
             value=size_in_words(trial, trial.terms[-1]),
             gains=gains,
             curve=curve,
@@ -185,15 +194,15 @@ class MotionSubject:
         term = replace(term, name=CURVE + term.name)
         if min(gains) <= 0.0:
             return None
-        trial = _refitted(self.state, term, self.earlier)
-        if trial is None or _why_not(self.state, trial):
+        trial = refitted(self.state, term, self.earlier)
+        if trial is None or why_not(self.state, trial):
             return None
         corrected = (*self.corrected, without_a_name(chosen))
         return replace(self._with(trial, chosen, gains), corrected=corrected)
 
     def eliminated(self) -> MotionSubject:
-        path = self
-        for step in self.steps[:-1]:
+        path = self._told_apart()
+        for step in path.steps[:-1]:
             term = next(t for t in path.state.terms if t.name == step.effect)
             if worth(path.state, term) >= KEEP:
                 continue
@@ -204,6 +213,24 @@ class MotionSubject:
                 steps=tuple(s for s in path.steps if s.effect != step.effect),
                 dropped=(*path.dropped, (step.effect, "made unnecessary by later effects")),
             )
+        return path
+
+    def _told_apart(self) -> MotionSubject:
+        """Every step but the last as the one of its twins that fits best beside all that was found
+        after it."""
+        path = self
+        for k, step in enumerate(self.steps[:-1]):
+            twins = [twin for twin in twins_of(step.effect) if twin not in self.left_out]
+            if not twins:
+                continue
+            state, name, rivals = told_apart(path.state, step.effect, twins, self.rules.margin)
+            term = next(t for t in state.terms if t.name == name)
+            others = (a for a in step.aliases if a not in {step.effect, *twins})
+            told = replace(
+                step, effect=name, value=size_in_words(state, term), aliases=(*rivals, *others)
+            )
+            steps = (*path.steps[:k], told, *path.steps[k + 1 :])
+            path = replace(path, state=state, steps=steps)
         return path
 
 
@@ -219,34 +246,7 @@ def without_a_name(s: Score) -> Unexplained:
     return Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
 
 
-def _refitted(state: ArrayState, term: Term, earlier: Earlier) -> ArrayState | None:
-    """The joint fit with one term more; None where it runs away, as few IMUs allow."""
-    try:
-        found = settled(earlier.begun(replace(state, terms=(*state.terms, term))), lost=True)
-    except np.linalg.LinAlgError:
-        return None
-    return earlier.kept(found) if found.converged else found
-
-
 def _not_held_out(gains: tuple[float, float]) -> str:
     if min(gains) < ONE_HALF or sum(gains) < BOTH_HALVES:
         return f"it does not hold out: {gains[0]:+.1f} and {gains[1]:+.1f} nats on the other half"
-    return ""
-
-
-def _why_not(before: ArrayState, after: ArrayState) -> str:
-    if len(after.terms[-1].value) == 0:
-        return "these data determine none of its parameters"
-    if not after.converged:
-        return _DIVERGED
-    term = after.terms[-1]
-    implausible = [
-        f"{p.name} = {v:.3g} {p.unit}"
-        for p, v in zip(term.parameters(after.setup.imus), term.theta, strict=True)
-        if abs(v) > p.plausible
-    ]
-    if implausible:
-        return f"implausible size ({', '.join(implausible)})"
-    if after.density <= before.density:
-        return "the joint fit is not better with it"
     return ""

@@ -11,6 +11,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.core.context import Context
+from imucalib.core.course import Course
 from imucalib.core.effect import Channel, Response
 from imucalib.core.eigen import eigen
 from imucalib.core.parameter import Parameter
@@ -62,16 +63,16 @@ class Term:
         """(T, K, 3) what it adds to the readings of its sensors."""
         return columns.at(self.theta)
 
-    @property
-    def delays(self) -> bool:
-        """Whether it says when sensors read."""
-        return _dates(self.effect)
+    def met(self, course: Course, motion: BoardMotion) -> Course:
+        """What its sensors meet of a course, by how much it lets them lag."""
+        by = self.lag(motion)[..., None]
+        return self.effect.lagged(course, by) if self.effect.lagged and by.any() else course
 
-    def late(self, motion: BoardMotion) -> Array:
-        """(T, K) s by which it delays the readings of its sensors: its answer to a change by one a
-        second; zero of what is no delay."""
+    def lag(self, motion: BoardMotion) -> Array:
+        """(T, K) s by which its sensors lag: its answer to a change by one a second; zero of what
+        does not say when they read."""
         late = np.zeros(motion.shape)
-        if not self.delays:
+        if self.effect.lagged is None:
             return late
         along = np.zeros(motion.truth.shape)
         along[..., 0] = 1.0
@@ -92,18 +93,40 @@ class Term:
         return replace(self, value=value, sd=sd)
 
 
-def lateness(terms: Sequence[Term], motion: BoardMotion) -> tuple[Array, Array] | None:
-    """(T, K) s by which gyros and accelerometers are late; None where no term says so."""
-    late = {"angular_rate": np.zeros(motion.shape), "acceleration": np.zeros(motion.shape)}
-    for term in terms:
-        if term.delays:
-            late[term.effect.channel] += term.late(motion)
-    gyro, force = late["angular_rate"], late["acceleration"]
-    return (gyro, force) if gyro.any() or force.any() else None
+def lagging(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Those that say when sensors read."""
+    return tuple(term for term in terms if term.effect.lagged is not None)
 
 
-def _dates(effect: Response) -> bool:
-    return all(p.unit == "ms" for p in effect.each)
+def sensed(terms: Sequence[Term], motion: BoardMotion) -> BoardMotion:
+    """The motion as lagging sensors meet it: all that acts on a reading acts on what they meet."""
+    late = lagging(terms)
+    if motion.courses is None or not late:
+        return motion
+    rate, force = motion.courses
+    met = {"angular_rate": (rate, force), "acceleration": (rate, force)}
+    for term in late:
+        channel = term.effect.channel
+        one, two = met[channel]
+        met[channel] = (term.met(one, motion), term.met(two, motion))
+    return motion.met(met["angular_rate"], met["acceleration"])
+
+
+def lost(terms: Sequence[Term], motion: BoardMotion) -> tuple[Array, Array]:
+    """(T, K, 3) in board axes: what lagging accelerometers and gyros read less than there is, where
+    the motion has its courses."""
+    assert motion.courses is not None
+    found = []
+    for channel, course in (
+        ("acceleration", motion.courses[1]),
+        ("angular_rate", motion.courses[0]),
+    ):
+        met = course
+        for term in lagging(terms):
+            if term.effect.channel == channel:
+                met = term.met(met, motion)
+        found.append(motion.context.in_common(course.value - met.value))
+    return found[0], found[1]
 
 
 def determined(
@@ -114,8 +137,9 @@ def determined(
     matrix : (p, p) Gram of its columns in typical sizes, with all else that is fitted taken out;
     beside : the terms that are
     """
-    if _dates(effect) and only is None and any(
-        _dates(t.effect) and t.only is None and t.effect.channel != effect.channel for t in beside
+    if effect.lagged and only is None and any(
+        t.only is None and not t.aged and t.effect.channel != effect.channel
+        for t in lagging(beside)
     ):  # fmt: skip
         # Delays of both kinds of sensor: what all share is the time itself, which none can show.
         apart = np.eye(len(matrix)) - 1.0 / len(matrix)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibrators.array.loop.catalogue import array_catalogue
+from imucalib.calibrators.array.loop.catalogue import array_catalogue, twins_of
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -54,7 +54,9 @@ def motion_plans(loop: MotionLoop, rng: np.random.Generator) -> tuple[MotionPlan
 def _of_step(loop: MotionLoop, step: Step, rng: np.random.Generator) -> MotionPlan | None:
     state = loop.final
     term = next((t for t in state.terms if t.name == step.effect), None)
-    rivals = [r for name in (step.effect, *step.aliases) if (r := _rival(state, name)) is not None]
+    # Twins have the same columns in every motion: how fast it is tells them apart, not which.
+    names = [n for n in (step.effect, *step.aliases) if n not in twins_of(step.effect)]
+    rivals = [r for name in names if (r := _rival(state, name)) is not None]
     if term is None or len(rivals) < 2 or rivals[0][0] != step.effect:
         return None
     without = replace(state, terms=tuple(t for t in state.terms if t is not term))

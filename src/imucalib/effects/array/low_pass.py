@@ -1,0 +1,121 @@
+"""Sensors behind a low-pass of the first order: late, and weaker the faster what they sense is."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.context import Context
+from imucalib.core.course import Course, delayed
+from imucalib.core.effect import Response
+from imucalib.core.parameter import Parameter
+from imucalib.core.truth import Truth
+
+_MS = 1e-3
+_SOURCE = "filters of 5 to 260 Hz in MPU-6050 data sheets: 0.6 to 30 ms"
+_IDENTIFY = "Shake and turn fast: a delay keeps what is fast, a low-pass weakens it."
+
+
+def _spin(truth: Truth, context: Context) -> Array:
+    return -_MS * truth.turning.spin[..., None]
+
+
+def _jerk(truth: Truth, context: Context) -> Array:
+    return -_MS * truth.turning.jerk[..., None]
+
+
+def _one(name: str, typical: float) -> tuple[Parameter, ...]:
+    return (Parameter(name, "ms", typical, 50.0, least=0.0),)
+
+
+def slowed(course: Course, lag: Array) -> Course:
+    """Behind low-passes of time constants `lag` (n, K, 1) s, of which the first counts: y = x - τ
+    dy/dt, and dy/dt is what the same low-pass leaves of dx/dt. None has a negative one; an estimate
+    of nothing may, and goes on as a delay."""
+    early = delayed(course, np.minimum(lag, 0.0))
+    slope = early.slope.copy()
+    for k in np.flatnonzero(lag[0] > 0.0):
+        slope[:, k] = _low_passed(course, int(k), float(lag[0, k, 0]))
+    return replace(early, value=early.value - np.maximum(lag, 0.0) * slope, slope=slope)
+
+
+def _low_passed(course: Course, k: int, tau: float) -> Array:
+    """(n, 3) z of z + τ dz/dt = dx/dt. Of the fourth order in the interval h: the slopes of z at
+    neighbours hold (z'₋ + 4 z' + z'₊) / 6 = (z₊ - z₋) / 2 h (`core/course`). A stretch of samples
+    begins where a slow course would be, dx/dt - τ d²x/dt², and ends by the trapezoidal rule."""
+    from scipy.linalg import solve_banded
+
+    x, t, (before, after) = course.slope[:, k], course.t, course.beside.T
+    inner, last, start = before & after, before & ~after, ~before & after
+    step = np.diff(t, prepend=t[0] - 1.0)  # where nothing is before, it is not used
+    own = np.where(inner, 4.0, np.where(last, 3.0, 6.0)) / 6.0
+    down = np.where(inner, 1.0, np.where(last, 3.0, 0.0)) / 6.0
+    up = inner / 6.0
+    ahead = tau / np.where(inner, 2.0 * step, np.inf)
+    behind = tau / np.where(last, step, np.inf)
+    known = own[:, None] * x + down[:, None] * np.roll(x, 1, axis=0)
+    known += up[:, None] * np.roll(x, -1, axis=0)
+    known[start] -= tau * course.bend[start, k]
+    bands = np.zeros((3, len(t)))  # above, on and below the diagonal, by columns
+    bands[0, 1:] = (up + ahead)[:-1]
+    bands[1] = own + behind
+    bands[2, :-1] = (down - ahead - behind)[1:]
+    return np.asarray(solve_banded((1, 1), bands, known))
+
+
+EFFECTS = (
+    Response(
+        "accelerometer_low_pass",
+        "Each accelerometer has its own low-pass of the first order.",
+        "y_k + τ_k dy_k/dt = a_k",
+        _SOURCE,
+        _IDENTIFY,
+        ("jerk",),
+        _one("accelerometer_time_constant", 0.3),
+        _jerk,
+        lagged=slowed,
+        twin="accelerometer_delay",
+        remedy="it is slower than the others: set its filter as theirs",
+    ),
+    Response(
+        "common_accelerometer_low_pass",
+        "All accelerometers have one low-pass of the first order that the gyros lack.",
+        "y + τ dy/dt = a, the same for all",
+        _SOURCE,
+        _IDENTIFY,
+        ("jerk",),
+        _one("common_time_constant", 1.0),
+        _jerk,
+        shared=True,
+        lagged=slowed,
+        twin="gyro_delay",
+    ),
+    Response(
+        "gyro_low_pass",
+        "All gyros have one low-pass of the first order that the accelerometers lack.",
+        "y + τ dy/dt = ω, the same for all",
+        _SOURCE,
+        _IDENTIFY,
+        ("spin",),
+        _one("gyro_time_constant", 1.0),
+        _spin,
+        channel="angular_rate",
+        shared=True,
+        lagged=slowed,
+        twin="gyro_delay",
+    ),
+    Response(
+        "gyro_low_pass_each",
+        "Each gyro has its own low-pass of the first order.",
+        "y_k + τ_k dy_k/dt = ω",
+        _SOURCE,
+        _IDENTIFY,
+        ("spin",),
+        _one("gyro_own_time_constant", 0.3),
+        _spin,
+        channel="angular_rate",
+        lagged=slowed,
+        twin="gyro_delay_each",
+        remedy="its gyro is slower than the others: set its filter as theirs",
+    ),
+)
