@@ -40,7 +40,7 @@ def test_one_page_and_the_whole() -> None:
         (("inspect", "wrist_day.csv.gz", "--rests"), "more rows: --full"),
         (("design", "paper_table_1.csv"), "Positions to add ─"),
         (("design", "--recommend", "24"), "24        -90.0        0.0"),
-        (("effects",), "common_accelerometer_scale  all accelerometers  rate"),
+        (("effects",), "All accelerometers, by what they need ─"),
         (("lab", "paper_table_1.csv", "--gravity", "9.8061", "--no-loop"), "Good to ─"),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, tuple) else "",

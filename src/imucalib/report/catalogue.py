@@ -49,23 +49,31 @@ def effect_dict(effect: Effect) -> dict[str, Any]:
 
 
 def catalogue_document(effects: Sequence[Effect], scans: Sequence[Family] = ()) -> Document:
-    """A table of many effects, with those of which the search finds a value too; or everything
-    about one."""
+    """Many effects, by what they act on and need, with those of which the search finds a value too;
+    or everything about one."""
     if len(effects) == 1:
         return Document(effects[0].name, Text(effects[0].sentence), (_one(effects[0]),))
-    rows = tuple((e.name, _acts_on(e), _needed(e)) for e in effects)
-    table = Table("", ("effect", "acts on", "needs"), rows, "lll")
+    alike: dict[str, dict[str, list[str]]] = {}
+    for effect in effects:
+        alike.setdefault(_acts_on(effect), {}).setdefault(_needed(effect), []).append(effect.name)
+    sections = tuple(
+        Section(
+            f"{what[0].upper()}{what[1:]}, by what they need",
+            (Facts(tuple((needs, ", ".join(names)) for needs, names in by.items())),),
+        )
+        for what, by in alike.items()
+    )
     named = ", ".join(f"{family.name}@" for family in scans)
     verdict = Text(
         f"{len(effects)} effects; `imucal effects NAME` tells one."
         + (f" With a value: {named}." if named else "")
     )
-    return Document("Effects", verdict, (Section("Catalogue", (table,)),))
+    return Document("Effects", verdict, sections)
 
 
 def _needed(effect: Effect) -> str:
     short = (_SHORT.get(name, name).replace("_", " ") for name in effect.needs)
-    return ", ".join(dict.fromkeys(short)) or "-"
+    return ", ".join(dict.fromkeys(short)) or "readings alone"
 
 
 def _sizes(effect: Effect) -> str:
