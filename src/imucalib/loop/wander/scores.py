@@ -110,7 +110,7 @@ def sure(draws: int, ways: int) -> float:
 
     ways : candidates and walks, multiplied
     """
-    return float(np.log(1e3 * draws * len(SIZES) * ways))
+    return float(np.log(1e3 * draws * len(SIZES) * max(ways, 1)))
 
 
 def usable_walks(bank: Bank, fitted: Level, *, same_tau: bool) -> tuple[int, ...]:
