@@ -127,6 +127,11 @@ class _Log:
         rate = np.repeat(w[:, None], k, axis=1)
         for name, theta in self.planted.items():
             effect = array_catalogue()[name]
+            if effect.lagged is not None and "age" not in " ".join(effect.needs):
+                one = rate if effect.channel == "angular_rate" else felt
+                late = _late(t, one, 1e-3 * theta, name) - one
+                one += late * self.moving[:, None, None]
+                continue
             term = Term(name, effect, None, np.eye(len(theta)), theta, np.ones(len(theta)))
             add = term.reading(term.columns(self.motion)) * self.moving[:, None, None]
             if effect.channel == "angular_rate":
@@ -216,11 +221,24 @@ def _shown(name: str) -> Array:
     return term.live / typical_of(term.effect, len(term.live))[:, None]
 
 
+def _late(t: Array, values: Array, tau: Array, name: str) -> Array:
+    """(n, K, 3) what sensors read of values (n, K, 3) that are late, or behind a low-pass of the
+    first order, by tau (1,) or (K,) s: x(t - τ), and y + τ dy/dt = x to the third order."""
+    from scipy.interpolate import make_interp_spline
+
+    course = make_interp_spline(t, values, k=5)
+    each = np.broadcast_to(tau, values.shape[1])
+    if "low_pass" in name:
+        return np.asarray(sum((-each[:, None]) ** k * course(t, k) for k in range(4)))
+    return np.stack([course(t - one)[:, k] for k, one in enumerate(each)], axis=1)
+
+
 def _drawn(name: str, size: float, rng: np.random.Generator) -> Array:
     """(p,) parameters of about that size, of random sign."""
     shown = _shown(name)
     many = rng.standard_normal(len(shown))
     z = shown @ (shown.T @ many) if len(shown) > 1 else np.sign(many)
+    z = np.abs(z) if "low_pass" in name else z  # no filter has a negative time
     return np.asarray(size * typical_of(array_catalogue()[name], len(shown)) * z)
 
 
