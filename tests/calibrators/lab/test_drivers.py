@@ -43,6 +43,7 @@ def test_what_follows_a_named_column_is_found_and_done_without(tmp_path: Path, k
     (step,) = json.loads((out / "report.json").read_text())["loop"]["steps"]
     assert step["effect"].startswith(f"follows@{kind}:supply_V:1")
     assert step["certain"]
+    assert "against column supply_V" in (out / "report.html").read_text()
     again = _run("check", out / "calibration.yaml", sheet)
     assert again.return_value in (None, 0), again.output
     assert "is taken as in the middle" not in again.output

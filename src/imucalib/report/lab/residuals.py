@@ -12,6 +12,8 @@ from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector, angles_of
+from imucalib.effects import known
+from imucalib.effects.covariate import COLUMN
 from imucalib.loop.held_out import Held, fitted
 from imucalib.report.document import Plot, Series
 from imucalib.report.sphere import sphere_map
@@ -73,9 +75,8 @@ def _plot(
     at = _suspects(run)
     if at.size:
         series.append(Series("wrong record", x[at], old[at], "rings"))
-    unit_of_x = {"row": "", "temperature": " (°C)"}.get(
-        name, " (g)" if len(name) == 1 else " (deg)"
-    )
+    other = " (g)" if len(name) == 1 else "" if name.startswith(COLUMN) else " (deg)"
+    unit_of_x = {"row": "", "temperature": " (°C)"}.get(name, other)
     return Plot(
         f"Error of {what} against {name}", f"{name}{unit_of_x}", f"error of {what} ({unit})",
         tuple(series), caption,
@@ -99,17 +100,24 @@ def _axes(run: LabRun) -> dict[str, Array]:
     if isinstance(data.reference, KnownVector):
         inclination, tool_face = angles_of(fitted(run.result.final).expected[:, 0])
         found |= {"inclination": inclination / DEG, "tool-face": np.mod(tool_face / DEG, 360.0)}
-    warm = data.context.covariates.get("temperature")
-    return found if warm is None else {**found, "temperature": warm}
+    beside = data.context.covariates
+    shown = (name for name in beside if name == "temperature" or name.startswith(COLUMN))
+    return found | {name: beside[name] for name in shown}
+
+
+def _driven(effect: str) -> tuple[str, ...]:
+    """What drives an effect; a column that it follows has its needs alone."""
+    own = known(effect) if effect.startswith("follows@") else None
+    return own.needs if own else tuple(d for word, d in _DRIVERS if word in effect)
 
 
 def _drivers(run: LabRun) -> tuple[str, ...]:
     """What drives the effects that were found, or what stays, first found first."""
     loop = run.result.loop
     effects = [s.effect for s in loop.steps] if loop else []
-    named = [d for e in effects for word, d in _DRIVERS if word in e]
+    named = [d for e in effects for d in _driven(e)]
     # A sensor's own curve acts on the axis: all three are shown.
-    own = [a for e in effects if not any(word in e for word, _ in _DRIVERS) for a in "xyz"]
+    own = [a for e in effects if not _driven(e) for a in "xyz"]
     left = [u.driver for u in loop.unexplained] if loop else []
     return tuple(dict.fromkeys((*named, *own, *left)))
 
