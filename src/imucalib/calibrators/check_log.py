@@ -65,7 +65,9 @@ def sensor_log(
     calibration: Calibration, files: LabFiles, noise: CheckNoise, asked: Asked
 ) -> tuple[list[Measured], tuple[str, ...]]:
     """The misfits of one accelerometer, and what was made of the log. Errors as of `lab`."""
-    table = positions_in(_with_drivers(calibration, files)) or positions_in(files)
+    drivers = _drivers(calibration)
+    known = replace(files, columns={**drivers, **files.columns})
+    table = (positions_in(known) if drivers else None) or positions_in(files)
     if table is not None:
         log = check_table(calibration, table, asked)
     else:
@@ -77,12 +79,11 @@ def sensor_log(
     return [Measured(misfits)], (*log.notes, *notes)
 
 
-def _with_drivers(calibration: Calibration, files: LabFiles) -> LabFiles:
-    """The columns too that the calibration follows, under the names that they had there."""
+def _drivers(calibration: Calibration) -> dict[str, str]:
+    """Role -> heading of the columns that the calibration follows, as they were called there."""
     needs = {name for effect in calibration.model()[0].effects for name in effect.needs}
     names = sorted(name.removeprefix(COLUMN) for name in needs if name.startswith(COLUMN))
-    drivers = {f"driver_{k}": name for k, name in enumerate(names)}
-    return replace(files, columns={**drivers, **files.columns})
+    return {f"driver_{k}": name for k, name in enumerate(names)}
 
 
 def array_log(

@@ -17,6 +17,8 @@ from imucalib.units import MG
 Drive = Callable[[Context], Array]
 
 
+#: mg/°C of a bias, twice the worst of data sheets.
+USUAL_PER_DEGC = 2.0
 #: Where the covariate's own zero is, a constant, so that a subset keeps the parameters' meaning.
 _REFERENCE = {"temperature": 25.0, "order": 0.5}
 
@@ -90,7 +92,7 @@ EFFECTS = (
         "mg/degC",
         0.5,
         bias_with(_from_reference("temperature")),
-        usual=2.0,
+        usual=USUAL_PER_DEGC,
     ),
     _effect(
         "temperature_scale",

@@ -3,7 +3,7 @@
 from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Family, Response
 from imucalib.core.parameter import Parameter
-from imucalib.effects.covariate import bias_with
+from imucalib.effects.covariate import USUAL_PER_DEGC, bias_with
 
 #: Hours by which a worn sensor may trail its thermometer.
 LAGS = ("0.5h", "1h", "1.5h", "2h", "3h")
@@ -13,10 +13,6 @@ ROWS = (2, 4, 8)
 
 PREFIX = "temperature_lag_"
 _ROWS = "rows"
-
-
-#: mg/°C, twice the worst of data sheets.
-USUAL = 2.0
 
 
 def covariate(value: str) -> str:
@@ -54,7 +50,9 @@ def thermal_lag(value: str) -> Effect:
         "0.5-3 h in a case on the wrist, minutes in a chamber, practice",
         "Record the temperature through several changes that last longer than the lag.",
         (name,),
-        each=tuple(Parameter(f"lag_{value}_{a}", "mg/degC", 0.5, 15.0, usual=USUAL) for a in "xyz"),
+        each=tuple(
+            Parameter(f"lag_{value}_{a}", "mg/degC", 0.5, 15.0, usual=USUAL_PER_DEGC) for a in "xyz"
+        ),
         basis=basis,
     )
 

@@ -90,6 +90,14 @@ class Contest:
         return float(np.log(1e3 * draws * len(self.tau) * max(len(self.blocks), 1)))
 
 
+def with_single(blocks: Sequence[Index], parts: Sequence[int]) -> tuple[list[Index], list[int]]:
+    """The blocks, and behind them the single columns of those (`parts`, by number) of which one
+    number may be all; and of each single column its block."""
+    several = [k for k in parts if len(blocks[k]) > 1]
+    single = [np.array([column]) for k in several for column in blocks[k]]
+    return [*blocks, *single], [k for k in several for _ in blocks[k]]
+
+
 def whole_or_one(nats: Array, owner: Sequence[int]) -> Array:
     """(k, n) nats of k blocks of which a single number may be all, as where one axis alone has an
     effect: most of the prior is the whole block's, the rest that of one of its columns, whichever.

@@ -23,6 +23,7 @@ from imucalib.estimators.contest import (
     best_of_null,
     directions,
     directions_of,
+    with_single,
 )
 
 _ROWS = 512  # observations that are worked on at a time
@@ -44,10 +45,8 @@ def gram_evidence(
     rest = residual - basis @ (basis.T @ residual)
     starts = np.cumsum([0] + [b.shape[1] for b in blocks])
     freedom, power = residual.size - basis.shape[1], float(rest @ rest)
-    indices = [np.arange(first, last) for first, last in pairwise(starts)]
-    several = [k for k in parts if len(indices[k]) > 1]
-    owner = [k for k in several for _ in indices[k]]
-    indices += [np.array([column]) for k in several for column in indices[k]]
+    whole = [np.arange(first, last) for first, last in pairwise(starts)]
+    indices, owner = with_single(whole, parts)
     if starts[-1] > freedom:
         return _wide_evidence(
             basis, rest, blocks=blocks, indices=indices, owner=owner, tau=tau, rng=rng,

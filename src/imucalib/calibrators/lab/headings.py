@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,12 +112,8 @@ def roles_of(headings: list[str], chosen: Mapping[str, str], where: str) -> dict
     return names
 
 
-def unused(cells: Mapping[str, Array | list[str]], used: Collection[str]) -> tuple[str, ...]:
-    """Headings of columns of numbers that nothing uses, but for constants and counts of rows."""
-
-    def says(values: Array | list[str]) -> bool:
-        if len(values) < 2 or not all(is_number(str(v)) for v in values):
-            return False
-        return bool(np.ptp(np.diff([float(v) for v in values])) > 0.0)
-
-    return tuple(name for name, values in cells.items() if name not in used and says(values))
+def says_something(cells: Array | list[str]) -> bool:
+    """Whether a column holds numbers, and neither a constant nor a count of the rows."""
+    if len(cells) < 2 or not all(is_number(str(cell)) for cell in cells):
+        return False
+    return bool(np.ptp(np.diff([float(cell) for cell in cells])) > 0.0)

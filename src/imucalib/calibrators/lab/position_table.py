@@ -8,7 +8,8 @@ Columns are found by name or given; every cell that is used must be a number. Ro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.atomic_file import replaced_atomically
-from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, unused
+from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, says_something
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.csv.dialect import is_number
 from imucalib.readers.csv.spreadsheet import is_spreadsheet, sheet_cells
@@ -47,7 +48,7 @@ class PositionTable:
     names : role -> heading; row : (n,) row numbers from 1; sha256 : of the file, of several of
     their sums; files : the sum of each of several
     sessions : names of the power-ups, which the column session counts from 0, in order
-    unused : headings of columns of numbers that take no part
+    others : the columns that take no part, as they stand in the file
     """
 
     columns: Mapping[str, Array]
@@ -59,7 +60,7 @@ class PositionTable:
     inclination_zero: str = ""
     sessions: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
-    unused: tuple[str, ...] = ()
+    others: Mapping[str, Array | list[str]] = field(default_factory=dict)
 
     def __contains__(self, role: object) -> bool:
         return role in self.columns
@@ -71,6 +72,11 @@ class PositionTable:
     def at(self, row: int) -> int:
         """Where a row of the file stands: elsewhere once the rows are in the order of time."""
         return int(np.flatnonzero(self.row == row)[0])
+
+    @cached_property
+    def unused(self) -> tuple[str, ...]:
+        """Headings of columns of numbers that take no part."""
+        return tuple(name for name, cells in self.others.items() if says_something(cells))
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -147,11 +153,11 @@ def read_position_table(
     stated = {role: bare(name) for role, name in names.items()}
     unit = {role: heading.unit for role, heading in stated.items() if heading.unit}
     zero = stated["inclination"].zero if "inclination" in stated else ""
-    count = len(next(iter(columns.values())))
-    row = np.arange(1, count + 1)
+    row = np.arange(1, len(next(iter(columns.values()))) + 1)
     return PositionTable(
         columns, names, unit, row, path=str(path), sha256=sha256_of(path), inclination_zero=zero,
-        sessions=sessions, unused=unused(cells, set(names.values())),
+        sessions=sessions,
+        others={name: values for name, values in cells.items() if name not in names.values()},
     )  # fmt: skip
 
 
@@ -247,10 +253,8 @@ def _directions(cells: Array | list[str], name: str, where: str) -> dict[str, Ar
 def write_position_table(table: PositionTable, path: Path, *, angles_only: bool = False) -> None:
     """Write a table as CSV, whole or not at all; `angles_only` leaves the readings out."""
     roles = [r for r in table.columns if not (angles_only and r in ("x", "y", "z"))]
-    heading = ",".join(table.names.get(role, role) for role in roles)
-    lines = [heading]
-    for k in range(table.n):
-        lines.append(",".join(f"{table.columns[role][k]:.10g}" for role in roles))
+    lines = [",".join(table.names.get(role, role) for role in roles)]
+    lines += [",".join(f"{table.columns[role][k]:.10g}" for role in roles) for k in range(table.n)]
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced_atomically(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

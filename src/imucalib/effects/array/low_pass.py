@@ -5,23 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
 from imucalib.core.course import Course, delayed
 from imucalib.core.effect import Response
 from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.effects.array.timing import by_jerk, by_spin
 
-_MS = 1e-3
 _SOURCE = "filters of 5 to 260 Hz in MPU-6050 data sheets: 0.6 to 30 ms"
 _IDENTIFY = "Shake and turn fast: a delay keeps what is fast, a low-pass weakens it."
-
-
-def _spin(truth: Truth, context: Context) -> Array:
-    return -_MS * truth.turning.spin[..., None]
-
-
-def _jerk(truth: Truth, context: Context) -> Array:
-    return -_MS * truth.turning.jerk[..., None]
 
 
 def _one(name: str, typical: float) -> tuple[Parameter, ...]:
@@ -72,7 +62,7 @@ EFFECTS = (
         _IDENTIFY,
         ("jerk",),
         _one("accelerometer_time_constant", 0.3),
-        _jerk,
+        by_jerk,
         lagged=slowed,
         twin="accelerometer_delay",
         remedy="it is slower than the others: set its filter as theirs",
@@ -85,7 +75,7 @@ EFFECTS = (
         _IDENTIFY,
         ("jerk",),
         _one("common_time_constant", 1.0),
-        _jerk,
+        by_jerk,
         shared=True,
         lagged=slowed,
         twin="gyro_delay",
@@ -98,7 +88,7 @@ EFFECTS = (
         _IDENTIFY,
         ("spin",),
         _one("gyro_time_constant", 1.0),
-        _spin,
+        by_spin,
         channel="angular_rate",
         shared=True,
         lagged=slowed,
@@ -112,7 +102,7 @@ EFFECTS = (
         _IDENTIFY,
         ("spin",),
         _one("gyro_own_time_constant", 0.3),
-        _spin,
+        by_spin,
         channel="angular_rate",
         lagged=slowed,
         twin="gyro_delay_each",

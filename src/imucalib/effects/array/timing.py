@@ -12,16 +12,18 @@ from imucalib.core.truth import Truth
 _MS = 1e-3
 
 
-def _spin(truth: Truth, context: Context) -> Array:
+def by_spin(truth: Truth, context: Context) -> Array:
+    """(n, K, 3, 1) rad/s that gyros which lag by 1 ms read less, to the first order."""
     return -_MS * truth.turning.spin[..., None]
 
 
-def _jerk(truth: Truth, context: Context) -> Array:
+def by_jerk(truth: Truth, context: Context) -> Array:
+    """(n, K, 3, 1) m/s² that accelerometers which lag by 1 ms read less, to the first order."""
     return -_MS * truth.turning.jerk[..., None]
 
 
 def _age(truth: Truth, context: Context) -> Array:
-    return np.asarray(_spin(truth, context) * context["sample_age"][:, :, None, None])
+    return np.asarray(by_spin(truth, context) * context["sample_age"][:, :, None, None])
 
 
 def _one(name: str, typical: float) -> tuple[Parameter, ...]:
@@ -42,7 +44,7 @@ EFFECTS = (
         "Turn fast, with strong angular acceleration.",
         ("spin",),
         _one("gyro_delay", 1.0),
-        _spin,
+        by_spin,
         channel="angular_rate",
         shared=True,
         lagged=delayed,
@@ -55,7 +57,7 @@ EFFECTS = (
         "Turn fast, with strong angular acceleration.",
         ("spin",),
         _one("gyro_own_delay", 0.3),
-        _spin,
+        by_spin,
         channel="angular_rate",
         lagged=delayed,
         remedy="its gyro is read late: check its bus and its filter",
@@ -68,7 +70,7 @@ EFFECTS = (
         "Shake fast; a higher sample rate tells a delay from a low-pass.",
         ("jerk",),
         _one("accelerometer_delay", 0.3),
-        _jerk,
+        by_jerk,
         lagged=delayed,
         remedy="it is read late: check its bus and its filter",
     ),

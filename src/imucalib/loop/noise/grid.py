@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.core.restricted import Covariances, restricted
-from imucalib.estimators.contest import whole_or_one
+from imucalib.estimators.contest import whole_or_one, with_single
 
 #: Sizes of a candidate, in its typical size, over which the evidence is maximised.
 TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
@@ -131,12 +131,9 @@ class EvidenceGrid:
         left = restricted(jacobian, settings)
         self._frame, self._freedom = left.frame, left.frame.shape[1]
         self._columns = left.frame.T @ np.column_stack(blocks)
-        widths = [b.shape[1] for b in blocks]
-        ends = np.cumsum(widths)
-        spans = [np.arange(end - m, end) for end, m in zip(ends, widths, strict=True)]
-        several = [k for k in parts if widths[k] > 1]
-        self._owner = [k for k in several for _ in spans[k]]
-        spans += [np.array([column]) for k in several for column in spans[k]]
+        starts = np.cumsum([0] + [b.shape[1] for b in blocks])
+        whole = [np.arange(first, last) for first, last in pairwise(starts)]
+        spans, self._owner = with_single(whole, parts)
         shrink = _COARSE if coarse else SHRINK
         points = _around(ratio, shrink if without is None else _COARSE, held)
         if without is not None:
