@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from imucalib.arrays import Array
+from imucalib.calibrators.lab.bench import raw_unit
+from imucalib.calibrators.lab.checks import observations_of, warmth_note
 from imucalib.calibrators.lab.headings import bare
 from imucalib.calibrators.lab.position_table import read_position_table
+from imucalib.calibrators.lab.request import LabRequest
 from imucalib.cli import cli
+from imucalib.core.references import unit_vector
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping
 from worlds.places import ROOT
@@ -105,3 +111,43 @@ def test_a_damaged_spreadsheet_is_refused(tmp_path: Path) -> None:
         path.write_bytes(data[:size])
         with pytest.raises(UnreadableInput):
             read_position_table(path)
+
+
+@pytest.mark.parametrize(
+    ("heading", "of"),
+    [
+        ("temperature_K", lambda c: c + 273.15),
+        ("Temperature (°F)", lambda c: 1.8 * c + 32.0),
+        ("temp_degF", lambda c: 1.8 * c + 32.0),
+        ("Temp [°C]", lambda c: c),
+        ("temperature", lambda c: c),
+    ],
+)
+def test_a_temperature_is_read_in_the_unit_of_its_heading(
+    heading: str, of: Callable[[Array], Array], tmp_path: Path
+) -> None:
+    celsius = np.linspace(18.0, 31.0, 12)
+    path = _warm_sheet(tmp_path / "t.csv", heading, of(celsius))
+    table = read_position_table(path)
+    raw = raw_unit(table, None, None)
+    context = observations_of(table, raw, LabRequest()).context
+    np.testing.assert_allclose(context["temperature"], celsius, atol=1e-3)
+    assert warmth_note(table) == (() if heading != "temperature" else (
+        "temperature: no unit is stated, taken as degC",))  # fmt: skip
+
+
+def test_a_temperature_that_celsius_cannot_be_is_no_guess(tmp_path: Path) -> None:
+    path = _warm_sheet(tmp_path / "t.csv", "temperature", np.linspace(291.0, 304.0, 12))
+    table = read_position_table(path)
+    with pytest.raises(UsageError, match="no unit is stated") as told:
+        observations_of(table, raw_unit(table, None, None), LabRequest())
+    assert "temperature_K" in told.value.remedy
+
+
+def _warm_sheet(path: Path, heading: str, warm: Array) -> Path:
+    i, t = np.repeat([0.0, 30.0, 60.0], 4), np.tile([0.0, 90.0, 180.0, 270.0], 3)
+    force = unit_vector(np.deg2rad(i), np.deg2rad(t))
+    rows = np.column_stack([i, t, 1000.0 * force, warm])
+    head = f"inclination,tool_face,x_mg,y_mg,z_mg,{heading}"
+    np.savetxt(path, rows, "%.6f", ",", header=head, comments="", encoding="utf-8")
+    return path

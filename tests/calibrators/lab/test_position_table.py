@@ -102,7 +102,7 @@ def test_angle_units_and_words_that_end_like_one(tmp_path: Path) -> None:
     assert table.unit == {"tool_face": "rad"}
     text = PLAIN.replace("z\n", "z,temp_degC,samples\n").replace("31\n", "31,20,5\n")
     table = read_position_table(_write(tmp_path, text.replace("209.5\n", "209.5,21,6\n")))
-    assert table.unit == {"temperature": "degc"}
+    assert table.unit == {"temperature": "degC"}
 
 
 def test_columns_that_take_no_part_are_told(tmp_path: Path) -> None:

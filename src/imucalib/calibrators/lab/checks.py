@@ -20,6 +20,8 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
 from imucalib.core.sessions import with_sessions
 from imucalib.errors import UsageError
+from imucalib.readers.conversion import Conversion, temperature
+from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG, MG
 
 #: A reading at rest differs from the others' size by a tenth at most, through bias and scale.
@@ -34,6 +36,7 @@ def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> 
 
 
 def _observations(table: PositionTable, raw: RawUnit, request: LabRequest) -> Observations:
+    table = _in_celsius(table)
     reading = table.raw() * raw.si
     sigma = request.settings.sigma or MG
     if request.reference == "norm":
@@ -71,6 +74,34 @@ def _in_degrees(table: PositionTable) -> PositionTable:
                 remedy="angles are in degrees, within two turns",
             )
     return replace(table, columns=columns)
+
+
+def _in_celsius(table: PositionTable) -> PositionTable:
+    """The temperature by the unit of its heading; refuse one without a unit that °C cannot be."""
+    made = _warmth(table)
+    if made is None:
+        return table
+    values = table.columns["temperature"]
+    if made.unit != "degC":
+        raise UsageError(
+            f"{values.min():g} to {values.max():g} is no temperature in °C, and no unit is stated",
+            where=f"{table.path}, column {table.names.get('temperature', 'temperature')}",
+            remedy="head it temperature_K or temperature_F, or otherwise if it is none",
+        )
+    return replace(table, columns={**table.columns, "temperature": made.apply(values)})
+
+
+def _warmth(table: PositionTable) -> Conversion | None:
+    if "temperature" not in table:
+        return None
+    stated = table.unit.get("temperature", "")
+    return temperature(FieldMapping(), stated, table.columns["temperature"], table.path)
+
+
+def warmth_note(table: PositionTable) -> tuple[str, ...]:
+    """How the temperature was read where the table does not say it."""
+    made = _warmth(table)
+    return (made.note,) if made is not None and made.note else ()
 
 
 def implausible_sizes(table: PositionTable, rows: Index) -> Index:

@@ -37,6 +37,12 @@ _UNIT = re.compile(
     r"(?:[_\s]*[\[(]\s*|[_\s]+|(?=°))(degrees|degree|deg|grad|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|"
     r"lsb|counts|s)\s*[\])]?$"
 )
+#: A temperature with its unit, which for any other quantity would mean another thing.
+_WARM = re.compile(
+    r"(temperature|temperatur|temp|t_sensor)[\s_\-.]*[\[(]?\s*(?:°\s*|deg(?:rees?)?[\s_]*)?"
+    r"(c|f|k|celsius|fahrenheit|kelvin)\s*[\])]?"
+)
+_SCALES = {"c": "degC", "f": "degF", "k": "K"}
 #: Roles of columns that may drive what is left: "driver", "driver_2" and so on.
 _DRIVER = re.compile(r"driver(_\d+)?")
 _SPELLINGS = {"degrees": "deg", "degree": "deg"}
@@ -62,6 +68,9 @@ class Heading:
 def bare(text: str) -> Heading:
     """The parts of a heading such as "Inclination (deg from vertical)"."""
     name, zero = text.strip().lower(), ""
+    warm = _WARM.fullmatch(name)
+    if warm:
+        return Heading(warm[1], _SCALES[warm[2][0]], "")
     found = _ZERO.search(name)
     if found:
         zero = "vertical" if found[1].startswith(_VERTICAL) else "horizontal"

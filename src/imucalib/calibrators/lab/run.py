@@ -25,6 +25,7 @@ from imucalib.calibrators.lab.checks import (
     kept_rows,
     observations_of,
     refuse_sizes,
+    warmth_note,
     with_train,
 )
 from imucalib.calibrators.lab.faults import Faults, doubts, look_for_faults, worthless
@@ -81,7 +82,7 @@ def run_lab(
     why = reasons(result, raw) + worthless(result, whole)
     outcome = _judged(
         result=result, raw=raw, request=request, provenance=provenance, undecided=undecided,
-        why=why, notes=(raw.sentence, *table.left_out, *faults.notes, *notes),
+        why=why, notes=(raw.sentence, *warmth_note(table), *table.left_out, *faults.notes, *notes),
     )  # fmt: skip
     sessions = sessions_of(result.final, table.sessions)
     details = lab_details(result, excluded, undecided, faults, sessions)
