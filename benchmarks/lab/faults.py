@@ -34,6 +34,7 @@ from imucalib.calibrators.lab.checks import (
     kept_rows,
     observations_of,
     refuse_sizes,
+    refuse_units,
 )
 from imucalib.calibrators.lab.faults import look_for_faults
 from imucalib.calibrators.lab.position_table import read_position_table
@@ -66,6 +67,7 @@ def told(path: Path, line: str = "") -> Told:
         table, lost = repaired(table, request.repairs, request.fixes, request.swap_angles)
         raw = raw_unit(table, request.unit, request.lsb_per_g)
         rows = kept_rows(table, (*request.exclude, *lost))
+        refuse_units(table, rows)
         refuse_sizes(table, implausible_sizes(table, rows), rows)
         whole = observations_of(table, raw, request)
         found = look_for_faults(table, raw, whole, rows, request)
@@ -92,7 +94,7 @@ def one(job: tuple[str, int]) -> Verdict:
     """Plant a slip of a kind, and see."""
     kind, seed = job
     rng = np.random.default_rng(seed)
-    ordered = kind in ("move", "shift", "late")
+    ordered = kind in ("move", "shift", "late", "setting", "part")
     names = sheets.LAYOUTS[:2] if ordered else sheets.LAYOUTS
     sheet = sheets.bench(
         seed,

@@ -14,7 +14,7 @@ from imucalib.effects import named
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.evidence_gram import gram_evidence
-from imucalib.loop.faults.angles import _apart
+from imucalib.loop.faults.angles import apart
 from imucalib.loop.faults.noise_grid import beside_rows
 from imucalib.loop.noise.shared import _without
 from imucalib.loop.record_errors import predict_record
@@ -106,5 +106,5 @@ def test_a_walk_is_taken_out_of_the_noise_alone() -> None:
 
 def test_tool_faces_are_apart_the_short_way_round() -> None:
     shown = np.array([350.0, 30.0, 190.0])
-    np.testing.assert_allclose(_apart(shown, 10.0, 1), [20.0, 20.0, 180.0])
-    np.testing.assert_allclose(_apart(np.array([-80.0]), 80.0, 0), [160.0])
+    np.testing.assert_allclose(apart(shown, 10.0, 1), [20.0, 20.0, 180.0])
+    np.testing.assert_allclose(apart(np.array([-80.0]), 80.0, 0), [160.0])

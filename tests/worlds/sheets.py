@@ -157,6 +157,36 @@ def cells_exchanged(sheet: Sheet, row: int, a: int, b: int) -> Sheet:
     return replace(sheet, reading=y, slip=Slip("cell", (row,), line))
 
 
+def digits_exchanged(sheet: Sheet, row: int, axis: int, at: int) -> Sheet:
+    """Digit `at` of a cell (from 0) and its right neighbour exchanged."""
+    y = sheet.reading.copy()
+    text = f"{y[row - 1, axis]:.10g}"
+    places = [k for k, letter in enumerate(text) if letter.isdigit()][at : at + 2]
+    letters = list(text)
+    letters[places[0]], letters[places[1]] = letters[places[1]], letters[places[0]]
+    y[row - 1, axis] = float("".join(letters))
+    return replace(sheet, reading=y, slip=Slip("cell", (row,), f"--fix {row}:{'xyz'[axis]}={text}"))
+
+
+def setting_mistyped(sheet: Sheet, first: int, last: int, column: str, by: float) -> Sheet:
+    """The angle that rows first to last share written wrong in all of them."""
+    dial = getattr(sheet, column).copy()
+    was = dial[first - 1]
+    dial[first - 1 : last] = was + by
+    rows = tuple(range(first, last + 1))
+    slip = Slip("setting", rows, f"--fix {first}-{last}:{column}={was:g}", was)
+    return replace(sheet, **{column: dial}, slip=slip)
+
+
+def part_turned(sheet: Sheet, first: int, order: tuple[int, ...], sign: tuple[int, ...]) -> Sheet:
+    """From row `first` on, column order[k] of the sheet is sign[k] times axis k."""
+    last = len(sheet.reading)
+    turned = axes(sheet, order, sign)
+    y = np.concatenate([sheet.reading[: first - 1], turned.reading[first - 1 :]])
+    line = turned.slip.line.replace("--axes=", f"--axes={first}-{last}:")
+    return replace(sheet, reading=y, slip=Slip("part", tuple(range(first, last + 1)), line))
+
+
 def moved(sheet: Sheet, at: int, to: int) -> Sheet:
     """The reading of row `to` was noted at row `at`, and those between one row farther."""
     order = np.arange(len(sheet.reading))
@@ -201,7 +231,7 @@ def other_sense(sheet: Sheet) -> Sheet:
     return replace(sheet, tool_face=t, slip=Slip("sense", (), "--toolface-sense counter-clockwise"))
 
 
-def axes(sheet: Sheet, order: tuple[int, int, int], sign: tuple[int, int, int]) -> Sheet:
+def axes(sheet: Sheet, order: tuple[int, ...], sign: tuple[int, ...]) -> Sheet:
     """Columns permuted and inverted: column order[k] of the sheet is sign[k] times axis k."""
     y = np.empty_like(sheet.reading)
     y[:, list(order)] = sheet.reading * np.array(sign)
@@ -251,6 +281,9 @@ def _any_cell(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None
         return cells_exchanged(sheet, row, a, b) if abs(y[a] - y[b]) > 30.0 else None
     if abs(y[a]) < 60.0:
         return None
+    if kind == "digits":
+        made = digits_exchanged(sheet, row, int(a), int(rng.integers(3)))
+        return made if abs(made.reading[row - 1, a] - y[a]) > 30.0 else None
     return cell(sheet, row, a, -1.0 if kind == "sign" else float(rng.choice([10.0, 0.1])))
 
 
@@ -270,6 +303,29 @@ def _any_axes(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None
     return axes(sheet, tuple(map(int, order)), tuple(map(int, sign)))
 
 
+def _any_setting(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None:
+    """A setting that neighbouring rows share off by 2 to 90 deg, where there are some that do."""
+    column = str(rng.choice(["inclination", "tool_face"]))
+    dial = getattr(sheet, column)
+    runs = np.split(np.arange(len(dial)), np.flatnonzero(np.diff(dial)) + 1)
+    run = runs[int(rng.integers(len(runs)))]
+    blind = column == "tool_face" and np.abs(sheet.inclination[run]).max() > 80.0
+    by = float(rng.choice([-1.0, 1.0]) * rng.choice([2, 5, 10, 20, 30, 90]))
+    if len(run) < 3 or 2 * len(run) > len(dial) or blind or (dial == dial[run[0]] + by).any():
+        return None
+    return setting_mistyped(sheet, int(run[0]) + 1, int(run[-1]) + 1, column, by)
+
+
+def _any_part(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None:
+    """Other axes from a row in the second half on, where they are other to see in each reading."""
+    n = len(sheet.reading)
+    first = int(rng.integers(n // 2 + 2, n - 2))
+    order, sign = tuple(map(int, rng.permutation(3))), tuple(map(int, rng.choice([-1, 1], 3)))
+    made = part_turned(sheet, first, order, sign)
+    moved_by = np.linalg.norm(made.reading - sheet.reading, axis=1)[first - 1 :]
+    return None if moved_by.min() < 100.0 else made
+
+
 def _any_late(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet | None:
     return angle_late(sheet, str(rng.choice(["inclination", "tool_face"])))
 
@@ -285,7 +341,8 @@ def slipped(sheet: Sheet, kind: str, rng: np.random.Generator) -> Sheet:
 _ANYWHERE = {
     "exchange": _any_rows, "move": _any_rows, "shift": _any_rows,
     "sign": _any_cell, "factor ten": _any_cell, "cells": _any_cell,
-    "angle": _any_angle, "axes": _any_axes, "late": _any_late,
+    "digits": _any_cell, "angle": _any_angle, "setting": _any_setting,
+    "axes": _any_axes, "part": _any_part, "late": _any_late,
 }  # fmt: skip
 WHOLE = {
     "vertical": from_vertical,

@@ -102,8 +102,8 @@ _OPTIONS = (
         "--fix",
         "fixes",
         multiple=True,
-        metavar="ROW:COLUMN=VALUE",
-        help="Repair one cell, in the table's unit.",
+        metavar="ROWS:COLUMN=VALUE",
+        help="Repair a cell, or a column in rows 9-16, in the table's unit.",
     ),
     click.option(
         "--swap", "swaps", multiple=True, metavar="ROW,ROW", help="Exchange two rows' readings."
@@ -122,7 +122,12 @@ _OPTIONS = (
         metavar="COLUMN[:ROWS]=STEP",
         help="Readings, inclination or tool_face belong one row down (1) or up (-1).",
     ),
-    click.option("--axes", help="Columns that are the sensor's x, y, z, for example -y,x,z."),
+    click.option(
+        "--axes",
+        multiple=True,
+        metavar="[ROWS:]X,Y,Z",
+        help="Columns that are the sensor's x, y, z, for example -y,x,z; of a part 17-32:-y,x,z.",
+    ),
     click.option("--angle-unit", type=click.Choice(["deg", "rad"]), help="Unit of the angles."),
     click.option(
         "--auto-exclude", is_flag=True, help="Leave out records that the search finds wrong."
@@ -157,7 +162,7 @@ def request_of(options: dict[str, Any]) -> LabRequest:
         gravity=shared.gravity,
         gravity_source=shared.gravity_source,
         reference=options["reference"],
-        fixes=tuple(_fix(text) for text in options["fixes"]),
+        fixes=tuple(fix for text in options["fixes"] for fix in _fixes(text)),
         repairs=repairs_of(
             options["swaps"],
             options["moves"],
@@ -225,14 +230,19 @@ def _population(options: dict[str, Any]) -> Population | None:
     return kind
 
 
-def _fix(text: str) -> tuple[int, str, float]:
-    row, colon, cell = text.partition(":")
+def _fixes(text: str) -> list[tuple[int, str, float]]:
+    rows, colon, cell = text.partition(":")
     role, sign, value = cell.partition("=")
     try:
         if not colon or not sign:
             raise ValueError
-        return int(row), role.strip(), float(value)
+        first, _, last = rows.partition("-")
+        every = range(int(first), int(last or first) + 1)
+        if not every:
+            raise ValueError
+        return [(row, role.strip(), float(value)) for row in every]
     except ValueError:
         raise click.BadParameter(
-            f"'{text}' is not ROW:COLUMN=VALUE, for example 10:y=-58593", param_hint="--fix"
+            f"'{text}' is not ROWS:COLUMN=VALUE, for example 10:y=-58593 or 9-16:inclination=30",
+            param_hint="--fix",
         ) from None

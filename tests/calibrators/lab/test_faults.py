@@ -136,7 +136,7 @@ def table() -> PositionTable:
 def test_what_the_options_do_to_rows(
     texts: tuple[tuple[str, ...], ...], column: str, values: list[float], lost: tuple[int, ...]
 ) -> None:
-    repairs = repairs_of(*texts, None, None)
+    repairs = repairs_of(*texts, (), None)
     changed, left = repaired(table(), repairs, (), False)
     assert changed.columns[column].tolist() == values
     assert left == lost
@@ -144,16 +144,26 @@ def test_what_the_options_do_to_rows(
 
 
 def test_axes_and_cells() -> None:
-    repairs = repairs_of((), (), (), "-z,x,y", "rad")
+    repairs = repairs_of((), (), (), ("-z,x,y",), "rad")
     changed, _ = repaired(table(), repairs, ((2, "tool_face", 7.0),), False)
     assert changed.raw()[1].tolist() == [-9.0, 2.0, 0.0]
     assert changed.columns["tool_face"][1] == 7.0
     assert changed.unit["inclination"] == "rad"
 
 
+def test_the_axes_of_a_part_are_those_of_the_whole_table_read_once_more() -> None:
+    repairs = repairs_of((), (), (), ("-z,x,y", "2-3:y,-x,z"), None)
+    whole = repaired(table(), repairs_of((), (), (), ("-z,x,y",), None), (), False)[0].raw()
+    changed = repaired(table(), repairs, (), False)[0].raw()
+    assert changed[[0, 3, 4]].tolist() == whole[[0, 3, 4]].tolist()
+    assert changed[1:3].tolist() == (whole[1:3][:, [1, 0, 2]] * [1.0, -1.0, 1.0]).tolist()
+    with pytest.raises(UsageError, match="once for the whole"):
+        repairs_of((), (), (), ("-z,x,y", "y,x,z"), None)
+
+
 def test_axes_over_axes_are_one_after_the_other() -> None:
     def read_as(before: PositionTable, axes: str) -> PositionTable:
-        return repaired(before, repairs_of((), (), (), axes, None), (), False)[0]
+        return repaired(before, repairs_of((), (), (), (axes,), None), (), False)[0]
 
     for over, under in product(("-z,x,-y", "x,-y,-z", "y,z,x"), ("z,-y,x", "-x,-z,y", "x,y,z")):
         at_once = _composed(over.split(","), tuple(under.split(",")))
@@ -170,11 +180,13 @@ def test_axes_over_axes_are_one_after_the_other() -> None:
         ((), ("readings:2-4=2",), None, "1 or -1"),
         ((), (), "x,y", "--axes"),
         ((), (), "x,x,z", "once each"),
+        ((), (), "3:y,x,z", "not ROWS"),
+        ((), (), "3-9:y,x,z", "no row 9"),
     ],
 )
 def test_lines_that_are_wrong_are_refused(
     swaps: tuple[str, ...], shifts: tuple[str, ...], axes: str | None, words: str
 ) -> None:
     with pytest.raises(UsageError, match=re.escape(words)):
-        repaired(table(), repairs_of(swaps, (), shifts, axes, None), (), False)
+        repaired(table(), repairs_of(swaps, (), shifts, (axes,) if axes else (), None), (), False)
     assert repaired(table(), Repairs(), (), False)[1] == ()

@@ -3,6 +3,8 @@ the limits by which a value, a converter or a column is told."""
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,12 +13,13 @@ from imucalib.core.known_direction import KnownDirection
 from imucalib.core.references import KnownVector
 from imucalib.loop import record_errors
 from imucalib.loop.faults import readings
-from imucalib.loop.faults.angles import _apart, _sense, rounded
+from imucalib.loop.faults.angles import _sense, apart, rounded
+from imucalib.loop.faults.cells import cells
 from imucalib.loop.faults.conventions import Meaning, as_meant, linear_misfit, nearest_axes
 from imucalib.loop.faults.converter import cut_off, mistaken_scale, step_of
 from imucalib.loop.faults.found import Fault, Hypothesis, with_rivals
 from imucalib.loop.faults.noise_grid import Base, Grid, base_of
-from imucalib.loop.faults.readings import _leading, blocks, cells, exchanges, records
+from imucalib.loop.faults.readings import blocks, exchanges, leading, records
 from imucalib.loop.faults.sheet import Sheet, slopes
 from worlds import sheets
 
@@ -70,6 +73,11 @@ def test_an_exchange_is_worth_what_the_exchanged_sheet_leaves() -> None:
     np.testing.assert_allclose(found[0].repaired.reading, plain)
 
 
+def _neighbours_exchanged(value: float) -> float:
+    text = f"{abs(value):.10g}"
+    return float(np.sign(value)) * float(text[1] + text[0] + text[2:])
+
+
 @pytest.mark.parametrize(
     ("slip", "words", "line"),
     [
@@ -79,6 +87,11 @@ def test_an_exchange_is_worth_what_the_exchanged_sheet_leaves() -> None:
         (lambda v: v[[1, 0, 2]], "x and y are exchanged", "--fix 8:x="),
         (lambda v: v[[0, 2, 1]], "y and z are exchanged", "--fix 8:y="),
         (lambda v: v[[2, 1, 0]], "x and z are exchanged", "--fix 8:x="),
+        (
+            lambda v: [v[0], _neighbours_exchanged(2.0 * v[1]) / 2.0, v[2]],
+            "digits",
+            "--fix 8:y=",
+        ),
     ],
 )
 def test_a_cell_is_worth_what_the_mended_sheet_leaves(slip, words: str, line: str) -> None:  # type: ignore[no-untyped-def]
@@ -91,8 +104,13 @@ def test_a_cell_is_worth_what_the_mended_sheet_leaves(slip, words: str, line: st
     shown = {t.split(":")[1][0]: float(t.split("=")[1]) for t in best.fault.line.split(" ")[1::2]}
     for axis, value in shown.items():  # in the sheet's own unit
         assert value == pytest.approx(2.0 * plain[7]["xyz".index(axis)])
+    tried = 12 * N + sum(
+        a != b
+        for v in 2.0 * base.sheet.reading.ravel()
+        for a, b in pairwise(f"0{abs(v):.10g}".replace(".", ""))
+    )
     for one in (best, *rest):
-        due = worth(base, one.repaired.reading) - np.log(N * 12)
+        due = worth(base, one.repaired.reading) - np.log(tried)
         assert one.fault.score == pytest.approx(due, rel=1e-9)
 
 
@@ -199,8 +217,8 @@ def test_the_likelihood_is_that_of_the_linear_bench(n: int) -> None:
 
 
 def test_only_what_is_sure_is_said_and_its_rivals_within_five_nats() -> None:
-    assert _leading(np.array([4.9, 1.0])).tolist() == []
-    assert _leading(np.array([5.1, 9.0, 12.1, 6.0, 7.2, 1.0])).tolist() == [2, 1, 4]
+    assert leading(np.array([4.9, 1.0])).tolist() == []
+    assert leading(np.array([5.1, 9.0, 12.1, 6.0, 7.2, 1.0])).tolist() == [2, 1, 4]
     made = sheet()
 
     def one(score: float, line: str) -> Hypothesis:
@@ -245,8 +263,8 @@ def test_a_step_is_that_of_nine_tenths_of_the_column() -> None:
 
 
 def test_tool_faces_are_apart_by_the_shorter_way() -> None:
-    assert _apart(np.array([350.0, 190.0]), 10.0, 1).tolist() == [20.0, 180.0]
-    assert _apart(np.array([350.0, 190.0]), 10.0, 0).tolist() == [340.0, 180.0]
+    assert apart(np.array([350.0, 190.0]), 10.0, 1).tolist() == [20.0, 180.0]
+    assert apart(np.array([350.0, 190.0]), 10.0, 0).tolist() == [340.0, 180.0]
     base = base_of(sheet())
     assert base is not None
     assert (_sense(base, 3, 0), _sense(base, 3, 1)) == (1.0, 1.0)
@@ -256,16 +274,20 @@ def test_a_converter_ends_where_three_readings_repeat_and_more_was_due() -> None
     rng = np.random.default_rng(0)
     truth = 1000.0 * sheets.direction(rng.uniform(-80, 80, 40), rng.uniform(0, 360, 40))
 
-    def of(at: float, *, known: bool, rows: int = 40) -> list[tuple[int, float]]:
-        reading = truth[:rows].copy()
+    def of(at: float, *, known: bool, rows: int = 40, step: float = 0.0) -> list[tuple[int, float]]:
+        reading = step * np.round(truth[:rows] / step) if step else truth[:rows].copy()
         reading[:, 1] = np.minimum(reading[:, 1], at)
         return [(c.axis, c.value) for c in cut_off(reading, truth[:rows] if known else None)]
 
     top = np.sort(truth[:, 1])[::-1]
     assert of(top[2] - 25.0, known=True) == [(1, top[2] - 25.0)]
+    assert of(top[2] - 1.0, known=True) == [(1, top[2] - 1.0)]  # nothing else repeats
+    rounded = 3.0 * np.round((top[2] - 1.0) / 3.0)
+    assert of(rounded, known=True, step=3.0) == []  # such readings repeat by themselves
     assert of(top[1] + 1e-6, known=True) == []  # one reading alone
     assert of(top[4] - 120.0, known=False) == [(1, top[4] - 120.0)]
-    assert of(np.median(truth[:10, 1]), known=True, rows=10) == []  # too few others
+    half = 300.0 * np.round(np.median(truth[:10, 1]) / 300.0)
+    assert of(half, known=True, rows=10, step=300.0) == []  # too few others
 
 
 @pytest.mark.parametrize("known", [True, False])

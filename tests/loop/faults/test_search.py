@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gates.bounds import at_most
-from imucalib.loop.faults.angles import _density, _dial, _others, rounded
+from imucalib.loop.faults.angles import _density, _others, dial_of, rounded
 from imucalib.loop.faults.conventions import misread_angles, nearest_axes
 from imucalib.loop.faults.converter import cut_off, mistaken_scale, step_of
 from imucalib.loop.faults.found import Fault
@@ -18,7 +18,11 @@ from worlds import sheets
 from worlds.places import SAMPLES
 
 TABLE_1 = SAMPLES / "paper_table_1.csv"
-ROWS = ("exchange", "angle", "sign", "factor ten", "cells", "move", "shift")
+ROWS = (
+    "exchange", "angle", "sign", "factor ten", "cells", "digits", "move", "shift", "setting",
+    "part",
+)  # fmt: skip
+IN_ORDER = ("move", "shift", "setting", "part")
 
 
 def inside(inclination: np.ndarray, tool_face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +81,7 @@ def bench(seed: int, ordered: bool = False) -> sheets.Sheet:
 @pytest.mark.parametrize("kind", ROWS)
 def test_a_slip_is_found_with_the_line_that_undoes_it(kind: str) -> None:
     for seed in range(2):
-        made = bench(seed, ordered=kind in ("move", "shift"))
+        made = bench(seed, ordered=kind in IN_ORDER)
         made = sheets.slipped(made, kind, np.random.default_rng(seed))
         (fault,) = told(made)
         assert made.slip.line in (fault.line, *fault.rivals), (seed, made.slip, fault)
@@ -226,7 +230,7 @@ def test_1024_counts_are_no_mg() -> None:
 
 def test_the_dial_shows_whole_degrees() -> None:
     """Tool-face a turn, from where the sheet begins; inclination to 90, of the vertical to 180."""
-    assert _dial(1, np.array([0.0, 350.0])).tolist() == [float(k) for k in range(360)]
-    assert _dial(1, np.array([-170.0, 90.0])).tolist() == [float(k) for k in range(-180, 180)]
-    assert _dial(0, np.array([-80.0, 90.0])).tolist() == [float(k) for k in range(-90, 91)]
-    assert _dial(0, np.array([10.0, 170.0])).tolist() == [float(k) for k in range(-90, 181)]
+    assert dial_of(1, np.array([0.0, 350.0])).tolist() == [float(k) for k in range(360)]
+    assert dial_of(1, np.array([-170.0, 90.0])).tolist() == [float(k) for k in range(-180, 180)]
+    assert dial_of(0, np.array([-80.0, 90.0])).tolist() == [float(k) for k in range(-90, 91)]
+    assert dial_of(0, np.array([10.0, 170.0])).tolist() == [float(k) for k in range(-90, 181)]

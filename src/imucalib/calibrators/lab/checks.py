@@ -20,12 +20,20 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.core.observations import Observations
 from imucalib.core.sessions import with_sessions
 from imucalib.errors import UsageError
+from imucalib.loop.faults.cells import transposed
 from imucalib.readers.conversion import Conversion, temperature
 from imucalib.recording.mapping import FieldMapping
-from imucalib.units import DEG, MG
+from imucalib.units import ACCELERATION_UNITS, DEG, MG
 
 #: A reading at rest differs from the others' size by a tenth at most, through bias and scale.
 _FAR = 0.35
+#: Readings this many times as large have another unit; a ratio of units is met to this share.
+_OTHER_UNIT, _SAME = 5.0, 0.1
+#: How near the others' size a repair brings a row: a factor ten, and digits, of which there are
+#: many pairs; and how many repairs are offered.
+_TENFOLD, _DIGITS, _REPAIRS = 0.1, 0.01, 3
+#: Slips of the pen that a sheet may hold by themselves.
+_SLIPS = 2
 
 
 def observations_of(table: PositionTable, raw: RawUnit, request: LabRequest) -> Observations:
@@ -130,19 +138,64 @@ def refuse_sizes(table: PositionTable, bad: Index, rows: Index) -> None:
     )
 
 
+def refuse_units(table: PositionTable, rows: Index) -> None:
+    """Raise UsageError where some rows read another size of gravity than the others, each alike:
+    two units in one column."""
+    size = np.linalg.norm(table.raw()[rows], axis=1)
+    order = np.argsort(size)
+    steps = size[order][1:] / np.maximum(size[order][:-1], 1e-300)
+    at = int(np.argmax(steps)) + 1
+    small, large = order[:at], order[at:]
+    few, many = sorted((small, large), key=len)
+    ratio = float(np.median(size[few]) / np.median(size[many]))
+    alike = all(np.ptp(size[part]) <= _FAR * np.median(size[part]) for part in (few, many))
+    rare = len(few) <= max(_SLIPS, rows.size // 8 if not _units_of(ratio) else 0)
+    if steps[at - 1] < _OTHER_UNIT or not alike or rare:
+        return
+    numbers = _ranges(table.row[rows[np.sort(few)]])
+    raise UsageError(
+        f"they read {ratio:.4g} times as much as the others{_units_of(ratio)}",
+        where=f"{table.path}, rows {numbers}",
+        remedy=f"write the columns x, y, z in one unit, or leave them out: --exclude {numbers}",
+    )
+
+
+def _ranges(row: Index) -> str:
+    """ "3,17-32": ascending numbers of rows as the options take them."""
+    runs = np.split(row, np.flatnonzero(np.diff(row) != 1) + 1)
+    return ",".join(f"{r[0]}-{r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs)
+
+
+def _units_of(ratio: float) -> str:
+    """The two units that a ratio of readings stands for."""
+    for few, one in ACCELERATION_UNITS.items():
+        for many, other in ACCELERATION_UNITS.items():
+            if abs(ratio * one / other - 1.0) < _SAME and few != many:
+                return f": {few} among {many}"
+    return ""
+
+
 def _repair(reading: Array, usual: float, row: int) -> str:
-    """Every one number that may be ten times too large or too small, the likeliest first: |a| alone
-    does not tell two axes of about one size apart."""
+    """Every one number that may be ten times too large or too small, or have two digits exchanged,
+    the likeliest first: |a| alone does not tell two axes of about one size apart."""
     found = list[tuple[float, str]]()
     for axis, name in enumerate("xyz"):
-        for factor, words in ((0.1, "large"), (10.0, "small")):
+        own = float(reading[axis])
+        slips = [(0.1 * own, f"{name} may be ten times too large")]
+        slips += [(10.0 * own, f"{name} may be ten times too small")]
+        tens = [value for value, _ in slips]
+        slips += [
+            (value, f"two digits of {name} may be exchanged")
+            for value in transposed(own)
+            if not np.isclose(value, tens).any()
+        ]
+        for value, words in slips:
             changed = reading.copy()
-            changed[axis] *= factor
+            changed[axis] = value
             off = abs(float(np.linalg.norm(changed)) / usual - 1.0)
-            if off < 0.1:
-                line = f"--fix {row}:{name}={float(changed[axis]):.10g}"
-                found.append((off, f"{name} may be ten times too {words}: {line}, "))
-    return "or ".join(words for _, words in sorted(found))
+            if off < (_DIGITS if "digits" in words else _TENFOLD):
+                found.append((off, f"{words}: --fix {row}:{name}={value:.10g}, "))
+    return "or ".join(words for _, words in sorted(found)[:_REPAIRS])
 
 
 def kept_rows(table: PositionTable, exclude: tuple[int, ...]) -> Index:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from imucalib.loop.faults.converter import CutOff, cut_off, mistaken_scale, step
 from imucalib.loop.faults.found import Fault
 from imucalib.loop.faults.search import row_faults
 from imucalib.loop.faults.sheet import Sheet, in_order
+from imucalib.loop.found import FitLoop
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
 
@@ -44,11 +45,35 @@ class Faults:
         alone = ("cell", "angle") if auto_exclude else ("cell",)
         return any(fault.kind not in alone for fault in self.slips)
 
+    def confirmed(self, loop: FitLoop | None) -> Faults:
+        """Without the single cells in which a search, which knew more of sensor and bench than the
+        linear map, found nothing wrong."""
+        if loop is None:
+            return self
+        wrong = {record.where for record in loop.records}
+        slips = (f for f in self.slips if f.kind != "cell" or f"row {f.rows[0]}" in wrong)
+        return replace(self, slips=tuple(slips))
+
     def undecided(self, records: tuple[RecordError, ...]) -> tuple[str, ...]:
         """Sentences for what the search's own records do not say already."""
         said = {r.where for r in records}
         slips = (f for f in self.slips if f.kind != "cell" or f"row {f.rows[0]}" not in said)
         return (*(f.sentence for f in slips), *self.questions)
+
+    def naming(self, records: tuple[RecordError, ...], si: float) -> tuple[RecordError, ...]:
+        """The search's records, with the slip and the repair where only the sheet's own digits
+        showed them; si : m/s² a unit of the sheet"""
+        cells = {f"row {f.rows[0]}": f for f in self.slips if f.kind == "cell"}
+        return tuple(
+            replace(
+                record,
+                likely=cells[record.where].what.partition(": ")[2],
+                fix=tuple((axis, value * si) for axis, value in cells[record.where].cells),
+            )
+            if record.where in cells and not record.fix
+            else record
+            for record in records
+        )
 
 
 def sheet_of(
@@ -125,9 +150,10 @@ def look_for_faults(
         if not request.keep_angles:
             raise UsageError(sentence, where=table.path, remedy=f"{line}; --keep-angles to insist")
         questions += (f"{sentence}; decide with {line}",)
-    questions += axes_questions(sheet, request)
     unit = tuple(DEG if table.unit.get(r) == "rad" else 1.0 for r in ("inclination", "tool_face"))
     slips = row_faults(sheet, table.raw(), (unit[0], unit[1]))
+    if not any(slip.kind == "axes" for slip in slips):  # of a part: the whole's say nothing
+        questions += axes_questions(sheet, request)
     return Faults(slips, questions, () if sheet.ordered else _order_note(table, rows))
 
 

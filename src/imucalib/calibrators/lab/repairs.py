@@ -1,7 +1,7 @@
 """Repairs of a position table as the user states them: the lines that `imucal lab` proposes.
 
-They are applied in a fixed order: angle columns exchanged, unit of angles, axes, shifts, moves,
-exchanges, cells. Rows keep their numbers.
+They are applied in a fixed order: angle columns exchanged, unit of angles, axes (of the whole
+table, then of parts), shifts, moves, exchanges, cells. Rows keep their numbers.
 """
 
 from __future__ import annotations
@@ -32,29 +32,41 @@ class Shift:
 
 
 @dataclass(frozen=True)
+class Part:
+    """Rows first to last, and the columns that are the sensor's x, y, z in them."""
+
+    first: int
+    last: int
+    axes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Repairs:
     """swaps : pairs of rows whose readings are exchanged; moves : (row, row to which its reading
     belongs); axes : the columns that are the sensor's x, y, z, as ("-y", "x", "z"), () for as they
-    stand; radians : the angle columns are in rad. Rows count from 1."""
+    stand; radians : the angle columns are in rad; parts : where the axes are others. Rows count
+    from 1."""
 
     swaps: tuple[tuple[int, int], ...] = ()
     moves: tuple[tuple[int, int], ...] = ()
     shifts: tuple[Shift, ...] = ()
     axes: tuple[str, ...] = ()
     radians: bool = False
+    parts: tuple[Part, ...] = ()
 
 
 def repairs_of(
-    swaps: tuple[str, ...], moves: tuple[str, ...], shifts: tuple[str, ...], axes: str | None,
-    angle_unit: str | None,
+    swaps: tuple[str, ...], moves: tuple[str, ...], shifts: tuple[str, ...],
+    axes: tuple[str, ...], angle_unit: str | None,
 ) -> Repairs:  # fmt: skip
     """Repairs from the texts of the options. Raises UsageError with an example."""
     return Repairs(
         tuple(_pair(text, "--swap") for text in swaps),
         tuple(_pair(text, "--move") for text in moves),
         tuple(_shift(text) for text in shifts),
-        _axes(axes) if axes else (),
+        _whole_axes([text for text in axes if ":" not in text]),
         angle_unit == "rad",
+        tuple(_part(text) for text in axes if ":" in text),
     )
 
 
@@ -81,6 +93,24 @@ def _shift(text: str) -> Shift:
     return Shift(what, first, last, int(step))
 
 
+def _whole_axes(texts: list[str]) -> tuple[str, ...]:
+    if len(texts) > 1:
+        raise UsageError(
+            f"--axes {' and '.join(texts)}: once for the whole table",
+            remedy="name the rows of a part: --axes=17-32:-y,x,z",
+        )
+    return _axes(texts[0]) if texts else ()
+
+
+def _part(text: str) -> Part:
+    rows, _, axes = text.partition(":")
+    try:
+        first, last = (int(part) for part in rows.split("-"))
+    except ValueError:
+        raise UsageError(f"--axes {text}: not ROWS:x,y,z", remedy="--axes=17-32:-y,x,z") from None
+    return Part(first, last, _axes(axes))
+
+
 def _axes(text: str) -> tuple[str, ...]:
     parts = tuple(part.strip().removeprefix("+") for part in text.split(","))
     if sorted(part.removeprefix("-") for part in parts) != ["x", "y", "z"]:
@@ -100,12 +130,10 @@ def repaired(
     if repairs.radians:
         table = replace(table, unit={**table.unit, **dict.fromkeys(_ANGLES, "rad")})
     if repairs.axes:
-        raw = {a: table.columns[a] for a in "xyz"}
-        turned = {
-            a: (-1.0 if part.startswith("-") else 1.0) * raw[part.removeprefix("-")]
-            for a, part in zip("xyz", repairs.axes, strict=True)
-        }
-        table = replace(table, columns={**table.columns, **turned})
+        table = _turned(table, np.arange(table.n), repairs.axes)
+    for part in repairs.parts:
+        ends = _rows(table, (part.first, part.last), "--axes")
+        table = _turned(table, np.arange(min(ends), max(ends) + 1), part.axes)
     lost: list[int] = []
     for shift in repairs.shifts:
         first, last = (shift.first, shift.last) if shift.first else (table.row[0], table.row[-1])
@@ -125,6 +153,16 @@ def repaired(
         order[[a, b]] = order[[b, a]]
         table = _reordered(table, order, "readings")
     return corrected_cells(table, fixes), tuple(lost)
+
+
+def _turned(table: PositionTable, rows: Index, axes: tuple[str, ...]) -> PositionTable:
+    """Some rows with other columns as the sensor's x, y, z."""
+    turned = {}
+    for axis, part in zip("xyz", axes, strict=True):
+        turned[axis] = table.columns[axis].copy()
+        sign = -1.0 if part.startswith("-") else 1.0
+        turned[axis][rows] = sign * table.columns[part.removeprefix("-")][rows]
+    return replace(table, columns={**table.columns, **turned})
 
 
 def _rows(table: PositionTable, rows: tuple[int, int], option: str) -> tuple[int, int]:

@@ -25,6 +25,7 @@ from imucalib.calibrators.lab.checks import (
     kept_rows,
     observations_of,
     refuse_sizes,
+    refuse_units,
     warmth_note,
     with_train,
 )
@@ -68,12 +69,16 @@ def run_lab(
     rows, excluded = _kept(table, request, lost)
     faults = look_for_faults(table, raw, whole, rows, request)
     result = _first(whole, rows, request, faults)
+    faults = faults.confirmed(result.loop)
     bad = _wrong_rows(result, faults, rows, table) if request.auto_exclude else {}
     if bad:
         excluded += tuple(bad.values())
         rows = np.setdiff1d(rows, list(bad))
-        faults = look_for_faults(table, raw, whole, rows, request)
         result = _calibrated(whole, rows, request)
+        faults = look_for_faults(table, raw, whole, rows, request).confirmed(result.loop)
+    if result.loop is not None:
+        named = faults.naming(result.loop.records, raw.si)
+        result = replace(result, loop=replace(result.loop, records=named))
     undecided = _undecided(result, faults, raw) or doubts(result, raw, request)
     undecided += not_of_its_kind(
         result.strange, "calibrate it alone, in 24 positions or more, without --fleet"
@@ -179,6 +184,7 @@ def _kept(
 ) -> tuple[Index, tuple[str, ...]]:
     """The rows that were not excluded and have a plausible size, and what was left out."""
     rows = kept_rows(table, (*request.exclude, *lost))
+    refuse_units(table, rows)
     far = implausible_sizes(table, rows)
     if not request.auto_exclude:
         refuse_sizes(table, far, rows)

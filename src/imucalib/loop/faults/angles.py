@@ -68,18 +68,18 @@ def angles(base: Base, unit: tuple[float, float] = (1.0, 1.0)) -> list[Hypothesi
 def _typed(base: Base, others: _Others, row: int, column: int, unit: float) -> Hypothesis | None:
     sheet = base.sheet
     own = float((sheet.inclination, sheet.tool_face)[column][row])
-    dial = _dial(column, (sheet.inclination, sheet.tool_face)[column])
+    dial = dial_of(column, (sheet.inclination, sheet.tool_face)[column])
     paid = np.log(len(dial)) + np.log(2.0 * sheet.n)
     if others.most - base.as_it_stands - paid <= ENOUGH:
         return None  # not even a value that fits without any misfit
-    off = _apart(dial, own, column)
+    off = apart(dial, own, column)
     p = _density(base, others, row, column, np.append(dial, own))
     as_set = max(float(p[-1]), base.as_it_stands)
     best = int(np.argmax(np.where(off >= _NEAREST, p[:-1], -np.inf)))
     if p[best] - as_set - paid <= ENOUGH:
         return None  # a row that was set again, at the sheet's value, says as much
     value, sd, top = _refined(base, others, row, column, float(dial[best]))
-    if _apart(np.array([value]), own, column)[0] < _NEAREST:
+    if apart(np.array([value]), own, column)[0] < _NEAREST:
         return None
     score = top - base.as_it_stands - paid
     shown = rounded(value, sd, np.delete((sheet.inclination, sheet.tool_face)[column], row))
@@ -105,7 +105,7 @@ def _with_angle(base: Base, row: int, column: int, value: float) -> Sheet:
     return replace(sheet, **{name: dial, f"{name}_setting": groups})
 
 
-def _dial(column: int, set_to: Array) -> Array:
+def dial_of(column: int, set_to: Array) -> Array:
     """Whole degrees that the dial shows: a turn of tool-face, 270 degrees of inclination."""
     if column:
         low = -180.0 if set_to.min() < 0.0 else 0.0
@@ -113,7 +113,7 @@ def _dial(column: int, set_to: Array) -> Array:
     return np.arange(-90.0, 91.0) if set_to.max() <= 95.0 else np.arange(-90.0, 181.0)
 
 
-def _apart(value: Array, own: float, column: int) -> Array:
+def apart(value: Array, own: float, column: int) -> Array:
     away = np.abs(value - own)
     return np.abs(np.mod(away + 180.0, 360.0) - 180.0) if column else away
 

@@ -57,7 +57,7 @@ def misread_angles(sheet: Sheet) -> Misread | None:
     for meaning in tried:
         other = as_meant(sheet, meaning)
         misfit = np.inf if other is None else linear_misfit(other, whole=meaning != Meaning())
-        left[meaning] = max(misfit, _BENCH)
+        left[meaning] = max(misfit, BENCH)
     plain = left[Meaning()]
     best = min(tried, key=lambda m: (round(left[m], 6), sum(map(bool, m))))
     if best == Meaning() or not np.isfinite(plain):
@@ -70,7 +70,7 @@ def misread_angles(sheet: Sheet) -> Misread | None:
 
 
 #: Misfit (mg rms) below which a linear map says nothing; how much better another meaning must fit.
-_BENCH, _FAR_BETTER = 2.0, 1.0 / 3.0
+BENCH, _FAR_BETTER = 2.0, 1.0 / 3.0
 
 
 def as_meant(sheet: Sheet, meaning: Meaning) -> Sheet | None:

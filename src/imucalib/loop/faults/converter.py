@@ -32,7 +32,8 @@ def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
     ends of all axes have one range where their sizes are the same.
 
     truth : (n, 3) mg, known positions, whose linear map must lie beyond the value; without, |a| of
-    those rows must fall short of the others'. Rounded readings on a ring repeat too.
+    those rows must fall short of the others'. Rounded readings on a ring repeat too; where nothing
+    else repeats, the readings are finer than that, and no shortfall is asked for.
     """
     ends = [_end(reading, axis, side) for axis in range(3) for side in (-1.0, 1.0)]
     found: list[CutOff] = []
@@ -46,7 +47,8 @@ def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
         rest = np.setdiff1d(np.arange(len(reading)), rows)
         size = np.linalg.norm(reading, axis=1)
         short = float(np.median(size[rest]) - np.median(size[rows])) if rest.size else 0.0
-        if (short if truth is None else _beyond(reading, truth, alike, rest)) > _BEYOND:
+        due = short if truth is None else _beyond(reading, truth, alike, rest)
+        if due > _BEYOND or not _repeats(reading, alike):
             found.append(end)
     return tuple(found)
 
@@ -54,6 +56,16 @@ def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
 def _end(reading: Array, axis: int, side: float) -> CutOff:
     column = side * reading[:, axis]
     return CutOff(axis, side * float(column.max()), np.flatnonzero(column == column.max()))
+
+
+def _repeats(reading: Array, ends: list[CutOff]) -> bool:
+    """Whether any value of an axis stands in two rows, but at the ends that it is cut off at."""
+    for axis in range(3):
+        cut = [end.rows for end in ends if end.axis == axis]
+        rest = np.delete(reading[:, axis], np.concatenate(cut)) if cut else reading[:, axis]
+        if len(np.unique(rest)) < len(rest):
+            return True
+    return False
 
 
 def _beyond(reading: Array, truth: Array, ends: list[CutOff], rest: Index) -> float:

@@ -7,7 +7,9 @@ from typing import Literal
 
 from imucalib.loop.faults.sheet import Sheet
 
-Kind = Literal["exchange", "move", "shift", "cell", "angle", "convention", "record"]
+Kind = Literal[
+    "exchange", "move", "shift", "cell", "angle", "setting", "axes", "convention", "record"
+]
 
 #: Nats beyond the sheet as it stands, the number of hypotheses of the class paid: below, nothing is
 #: said. Hypotheses that are not farther apart than this are named together.
@@ -21,6 +23,7 @@ class Fault:
     what : the sentence; rows : numbers of the sheet's rows that it touches, none for the whole
     score : nats beyond the sheet as it stands; line : options of `imucal lab` that repair it
     rivals : lines that explain the sheet as well, within 5 nats
+    cells : of a wrong cell, each column and the value that it should hold, in the sheet's unit
     """
 
     kind: Kind
@@ -29,6 +32,7 @@ class Fault:
     score: float
     line: str
     rivals: tuple[str, ...] = ()
+    cells: tuple[tuple[str, float], ...] = ()
 
     @property
     def sentence(self) -> str:

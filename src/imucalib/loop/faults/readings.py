@@ -1,4 +1,4 @@
-"""Readings in the wrong place: two rows exchanged, one moved, a block shifted, one cell misread.
+"""Readings in the wrong place: two rows exchanged, one moved, a block shifted, one from nowhere.
 
 Every such change D of the readings is exact: RSS' = RSS + 2 D'g + D'P D at each point of noise.
 """
@@ -28,13 +28,13 @@ def exchanges(base: Base) -> list[Hypothesis]:
     sheet, n = base.sheet, base.sheet.n
     p, q = np.triu_indices(n, 1)
     d = sheet.reading[q] - sheet.reading[p]
-    P, g = _blocks(base)
+    P, g = by_rows(base)
     both = P[:, p, p] + P[:, q, q] - P[:, p, q] - P[:, q, p]
     rss = base.rss[:, None] + 2.0 * np.einsum("hi,Ghi->Gh", d, g[:, p] - g[:, q])
     rss += np.einsum("hi,Ghij,hj->Gh", d, both, d)
     score = base.best(rss) - base.as_it_stands - np.log(len(p))
     found = []
-    for k in _leading(score):
+    for k in leading(score):
         order = np.arange(n)
         order[[p[k], q[k]]] = order[[q[k], p[k]]]
         rows = (int(sheet.row[p[k]]), int(sheet.row[q[k]]))
@@ -44,73 +44,27 @@ def exchanges(base: Base) -> list[Hypothesis]:
     return found
 
 
-def _cell_slips() -> list[tuple[str, Index, Array]]:
-    """Sentence, which cell of the row stands for which, and factor of each."""
-    found = []
-    for axis, name in enumerate("xyz"):
-        for value, words in (
-            (-1.0, f"{name} lost its sign"),
-            (0.1, f"{name} is ten times too large"),
-            (10.0, f"{name} is ten times too small"),
-        ):
-            factor = np.ones(3)
-            factor[axis] = value
-            found.append((words, np.arange(3), factor))
-    for order, pair in (((1, 0, 2), "x and y"), ((2, 1, 0), "x and z"), ((0, 2, 1), "y and z")):
-        found.append((f"{pair} are exchanged", np.array(order), np.ones(3)))
-    return found
-
-
-_SLIPS = _cell_slips()
-
-
-def cells(base: Base, si: Array) -> list[Hypothesis]:
-    """One cell with the wrong sign or ten times too large or small, or two of a row exchanged.
-
-    si : (n, 3) the readings as the sheet has them, for the line to paste
-    """
-    reading, n = base.sheet.reading, base.sheet.n
-    d = np.stack([reading[:, order] * factor - reading for _, order, factor in _SLIPS], axis=1)
-    P, g = _blocks(base)
-    own = P[:, np.arange(n), np.arange(n)]
-    rss = base.rss[:, None, None] + 2.0 * np.einsum("nhi,Gni->Gnh", d, g)
-    rss += np.einsum("nhi,Gnij,nhj->Gnh", d, own, d)
-    score = base.best(rss) - base.as_it_stands - np.log(n * len(_SLIPS))
-    score = np.where(base.sheet.copied()[:, None], -np.inf, score).ravel()
-    found = []
-    for k in _leading(score):
-        row, slip = divmod(int(k), len(_SLIPS))
-        changed = reading.copy()
-        changed[row] += d[row, slip]
-        words, order, factor = _SLIPS[slip]
-        shown = si[row, order] * factor
-        number = int(base.sheet.row[row])
-        line = " ".join(
-            f"--fix {number}:{a}={v:.10g}"
-            for a, v, w in zip("xyz", shown, si[row], strict=True)
-            if v != w
-        )
-        fault = Fault("cell", f"row {number}: {words}", (number,), float(score[k]), line)
-        found.append(Hypothesis(fault, base.sheet.with_reading(changed)))
-    return found
-
-
 def records(base: Base) -> list[Hypothesis]:
-    """A reading that belongs nowhere: its row integrated out, the reading Cauchy about what the
-    others predict. It proposes nothing; it keeps slips from being claimed for it."""
+    """A reading that belongs nowhere. It proposes nothing; it keeps slips from being claimed."""
+    score, found = strays(base), []
+    for k in leading(score)[:1]:
+        row = int(base.sheet.row[k])
+        fault = Fault("record", f"row {row}: wrong", (row,), float(score[k]), f"--exclude {row}")
+        rest = np.delete(np.arange(base.sheet.n), k)
+        found.append(Hypothesis(fault, base.sheet.take(rest)))
+    return found
+
+
+def strays(base: Base) -> Array:
+    """(n,) nats for each row's reading to belong nowhere: the row integrated out, the reading
+    Cauchy about what the others predict."""
     n = base.sheet.n
-    P, g = _blocks(base)
+    P, g = by_rows(base)
     own = P[:, np.arange(n), np.arange(n)]
     off = np.asarray(np.linalg.solve(own, g[..., None])[..., 0], np.float64)
     rss = base.rss[:, None] - np.einsum("Gni,Gni->Gn", off, g)
     each = base.each(rss * base.dof / max(base.dof - 3.0, 1.0))
-    score = (each - _stray(off)).max(axis=0) - base.as_it_stands - np.log(n)
-    found = []
-    for k in _leading(score)[:1]:
-        row = int(base.sheet.row[k])
-        fault = Fault("record", f"row {row}: wrong", (row,), float(score[k]), f"--exclude {row}")
-        found.append(Hypothesis(fault, base.sheet.take(np.delete(np.arange(n), k))))
-    return found
+    return np.asarray((each - _stray(off)).max(axis=0) - base.as_it_stands - np.log(n))
 
 
 def _stray(away: Array) -> Array:
@@ -150,7 +104,7 @@ def blocks(base: Base) -> list[Hypothesis]:
     short = np.argsort(-score)[:_SHORT_LIST]
     score = _scores(base, tried, short, np.arange(len(base.c))) - base.as_it_stands
     score -= np.log(len(tried.lost))
-    return [_block(base, tried, int(short[k]), float(score[k])) for k in _leading(score)]
+    return [_block(base, tried, int(short[k]), float(score[k])) for k in leading(score)]
 
 
 def _scores(base: Base, tried: _Blocks, which: Index, points: Index) -> Array:
@@ -225,14 +179,14 @@ def _block(base: Base, tried: _Blocks, k: int, score: float) -> Hypothesis:
     return Hypothesis(fault, sheet.with_reading(reading).take(left))
 
 
-def _blocks(base: Base) -> tuple[Array, Array]:
+def by_rows(base: Base) -> tuple[Array, Array]:
     """P as (G, n, n, 3, 3) and g as (G, n, 3)."""
     n = base.sheet.n
     P = base.P.reshape(-1, n, 3, n, 3).transpose(0, 1, 3, 2, 4)
     return P, base.g.reshape(-1, n, 3)
 
 
-def _leading(score: Array) -> Index:
+def leading(score: Array) -> Index:
     """Those that could be said, and their rivals, best first."""
     best = float(score.max(initial=-np.inf))
     if best <= ENOUGH:

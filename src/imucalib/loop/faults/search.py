@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from imucalib.arrays import Array
 from imucalib.loop.faults.angles import angles
+from imucalib.loop.faults.axes import other_axes
+from imucalib.loop.faults.cells import cells
 from imucalib.loop.faults.found import ENOUGH, Fault, with_rivals
 from imucalib.loop.faults.noise_grid import base_of
-from imucalib.loop.faults.readings import blocks, cells, exchanges, records
+from imucalib.loop.faults.readings import blocks, exchanges, records
+from imucalib.loop.faults.setting import settings
 from imucalib.loop.faults.sheet import Sheet
 
 #: A sheet with more slips than this is better written anew.
@@ -34,6 +37,7 @@ def row_faults(
             break
         own = cell[sheet.place]
         every = [*exchanges(base), *cells(base, own), *blocks(base), *angles(base, unit)]
+        every += [*other_axes(base), *settings(base, unit)]
         best, stray = with_rivals(every), with_rivals(records(base))
         if stray and (best is None or stray.fault.score > best.fault.score + ENOUGH):
             sheet = stray.repaired
