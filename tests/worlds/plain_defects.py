@@ -65,6 +65,8 @@ DIALS: dict[str, tuple[int, Angle]] = {
     "inclination_scale": (1, lambda c, p: (p[0] * c.inclination / 90, 0 * c.order)),
     "inclination_eccentricity": (
         2, lambda c, p: (p[0] * sin(c.inclination) + p[1] * (1 - cos(c.inclination)), 0 * c.order)),
+    "inclination_wobble": (
+        2, lambda c, p: (p[0] * sin(c.tool_face) + p[1] * cos(c.tool_face), 0 * c.order)),
     "inclination_backlash": (1, lambda c, p: (p[0] * c.approach_i, 0 * c.order)),
     "tool_face_eccentricity": (
         2, lambda c, p: (0 * c.order, p[0] * sin(c.tool_face) + p[1] * cos(c.tool_face))),

@@ -1,4 +1,4 @@
-"""The inclination axis of the bench: zero, gain, eccentricity, backlash.
+"""The inclination axis of the bench: zero, gain, eccentricity, wobble, backlash.
 
 All turn the truth about the inclination axis, which lies at (cos t, -sin t, 0) in the tool's frame
 at tool-face t, whatever the inclination: turns of one axis commute, so they add.
@@ -67,6 +67,24 @@ EFFECTS = (
             _about(
                 lambda context: np.sin(context["inclination"]),
                 lambda context: 1.0 - np.cos(context["inclination"]),
+            ),
+        ),
+    ),
+    Rotation(
+        "inclination_wobble",
+        "The rotary axis wobbles: the tool tips up and down once a turn.",
+        "i = i_dial + a sin t + b cos t",
+        "0.06-0.11 deg for 50-100 µm on a seat of 50 mm",
+        "Turn the tool-face in equal steps over the full circle at three inclinations.",
+        ("inclination", "tool_face"),
+        named=(
+            Parameter("inclination_wobble_sin", "deg", 0.1, 5.0),
+            Parameter("inclination_wobble_cos", "deg", 0.1, 5.0),
+        ),
+        turns=(
+            _about(
+                lambda context: np.sin(context["tool_face"]),
+                lambda context: np.cos(context["tool_face"]),
             ),
         ),
     ),

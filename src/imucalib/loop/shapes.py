@@ -22,7 +22,7 @@ from imucalib.loop.thresholds import MARGIN, NEAR
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _ANGLES = ("tool_face", "inclination")
-_FINER = 9
+_FINER, _HARMONICS = 9, 12
 _SAME = 0.01  # λ sin(angle) of two ways to write one function
 
 
@@ -124,7 +124,9 @@ def _driver(fit: Fit, what: str, against: str) -> Array:
 
 def _sines(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
     if against == "tool_face":
-        yield from ((360.0 / k,) for k in range(1, 13))
+        # Beyond half of the settings a harmonic reads as a slower one: that one is the simpler.
+        most = min(_HARMONICS, max(1, len(np.unique(np.round(np.mod(u, 360.0), 6))) // 2))
+        yield from ((360.0 / k,) for k in range(1, most + 1))
         return
     span = float(np.ptp(u))
     shortest = max(4.0 * span / u.size, span / 16.0)

@@ -76,9 +76,7 @@ def run_lab(
         rows = np.setdiff1d(rows, list(bad))
         result = _calibrated(whole, rows, request)
         faults = look_for_faults(table, raw, whole, rows, request).confirmed(result.loop)
-    if result.loop is not None:
-        named = faults.naming(result.loop.records, raw.si)
-        result = replace(result, loop=replace(result.loop, records=named))
+    result = _named(result, faults, raw)
     undecided = _undecided(result, faults, raw) or doubts(result, raw, request)
     undecided += not_of_its_kind(
         result.strange, "calibrate it alone, in 24 positions or more, without --fleet"
@@ -103,6 +101,14 @@ def run_lab(
         faults=faults,
         sessions=sessions,
     )
+
+
+def _named(result: LabResult, faults: Faults, raw: RawUnit) -> LabResult:
+    """The result, its records named by the slips that only the sheet's own digits show."""
+    if result.loop is None:
+        return result
+    records = faults.naming(result.loop.records, raw.si)
+    return replace(result, loop=replace(result.loop, records=records))
 
 
 def _wrong_rows(
