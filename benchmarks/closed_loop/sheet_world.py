@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 EFFECTS = (
     "temperature_bias", "temperature_scale", "bias_drift", "scale_drift", "warm_up", "bias_step",
     "hysteresis", "quadratic", "cubic", "asymmetry", "cross_axis", "inclination_zero",
-    "inclination_scale", "inclination_eccentricity", "inclination_backlash",
+    "inclination_scale", "inclination_eccentricity", "inclination_wobble", "inclination_backlash",
     "tool_face_eccentricity", "tool_face_ellipticity", "tool_face_backlash", "base_tilt_across",
     "axis_non_orthogonality",
 )  # fmt: skip

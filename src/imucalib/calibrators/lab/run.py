@@ -81,26 +81,19 @@ def run_lab(
     undecided += not_of_its_kind(
         result.strange, "calibrate it alone, in 24 positions or more, without --fleet"
     )
-    provenance = _provenance(table, raw, request, mapping or dict(table.names), gaps)
-    why = reasons(result, raw) + worthless(result, whole)
     outcome = _judged(
-        result=result, raw=raw, request=request, provenance=provenance, undecided=undecided,
-        why=why, notes=(raw.sentence, *warmth_note(table), *table.left_out, *faults.notes, *notes),
+        result=result, raw=raw, request=request,
+        provenance=_provenance(table, raw, request, mapping or dict(table.names), gaps),
+        undecided=undecided, why=reasons(result, raw) + worthless(result, whole),
+        notes=(raw.sentence, *warmth_note(table), *table.left_out, *faults.notes, *notes),
     )  # fmt: skip
     sessions = sessions_of(result.final, table.sessions)
     details = lab_details(result, excluded, undecided, faults, sessions)
     return LabRun(
-        outcome=outcome,
-        calibration=lab_calibration(outcome, result, raw, request, details),
-        details=details,
-        result=result,
-        table=table,
-        raw=raw,
-        request=request,
-        excluded=excluded,
-        faults=faults,
-        sessions=sessions,
-    )
+        outcome=outcome, calibration=lab_calibration(outcome, result, raw, request, details),
+        details=details, result=result, table=table, raw=raw, request=request, excluded=excluded,
+        faults=faults, sessions=sessions,
+    )  # fmt: skip
 
 
 def _named(result: LabResult, faults: Faults, raw: RawUnit) -> LabResult:
