@@ -22,7 +22,7 @@ from imucalib.core.references import KnownVector
 from imucalib.effects import named
 from imucalib.estimators.least_squares import fit
 from imucalib.loop.candidates import record_candidates
-from imucalib.loop.noise.axes import with_noisy_axes
+from imucalib.loop.noise.axes import doubtful_axes, with_noisy_axes
 from imucalib.units import MG, STANDARD_GRAVITY
 from worlds.plain_bench import Bench, Plan
 
@@ -120,3 +120,13 @@ def test_a_noisy_axis_is_no_claim(tmp_path: Path, seed: int) -> None:
     assert run.result.loop.verdict == "nothing missing"
     assert not run.result.loop.records
     assert run.calibration.facts["noise"]["reading_each_mg"][2] == pytest.approx(3.0, rel=0.4)
+
+
+@pytest.mark.parametrize(("times", "told"), [(2.0, 0), (8.0, 1)])
+def test_an_axis_far_noisier_than_any_chip_s_is_told(
+    times: float, told: int, tmp_path: Path
+) -> None:
+    found = with_noisy_axes(fitted(noisier(tmp_path / "s.csv", 4, (1.0, times, 1.0))))
+    doubts = doubtful_axes(found, 0.01)
+    assert len(doubts) == told
+    assert all(d.name.startswith("y scatters by ") for d in doubts)

@@ -14,11 +14,15 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
+from imucalib.loop.found import Unexplained
 from imucalib.loop.noise.component import estimated, refitted
 from imucalib.loop.thresholds import AXIS_NATS, AXIS_NUMBERS
+from imucalib.units import MG
 
 _FEWEST = 12  # observations from which the scatter of an axis is worth a number
 _NAMES = ("noise of x", "noise of y", "noise of z")
+#: How far one axis may scatter beyond the quietest: by data sheets those of a chip differ by 2.
+_BEYOND = 3.0
 _LIKELY = 1.5  # standard deviations of the score from which an estimate is worth its cost
 #: Start of the estimate: share of the noise of all axes that is left to the others, and the excess.
 _STARTS = ((0.6, 1.0),)
@@ -45,6 +49,34 @@ def with_noisy_axes(fit: Fit) -> Fit:
         if worth > most:
             most, chosen = worth, (data, one.noise)
     return found if chosen is None else refitted(found, *chosen)
+
+
+def doubtful_axes(fit: Fit, alpha: float) -> tuple[Unexplained, ...]:
+    """Axes that scatter beyond doubt more than `_BEYOND` times the quietest: a channel that is out
+    of order, or a response finer than the readings are dense, scatters so alike."""
+    from scipy.special import fdtrc
+
+    quiet = fit.noise.factor * float(np.median(fit.at.sigma))
+    spread = np.diagonal(fit.noise_covariance)
+    found = []
+    for k, shared in enumerate(fit.observations.shared, fit.at.free):
+        if (
+            shared.name not in _NAMES
+            or k + 1 >= len(spread)
+            or not (spread[[0, k + 1]] > 0.0).all()
+        ):
+            continue
+        loud = math.hypot(quiet, fit.noise.sd[k])
+        ratio = (loud / (_BEYOND * quiet)) ** 2
+        p = float(fdtrc(0.5 / spread[k + 1], 0.5 / spread[0], ratio))
+        if p < alpha:
+            name = (
+                f"{shared.name[-1]} scatters by {loud / MG:.2g} mg, the quietest axis by "
+                f"{quiet / MG:.2g} mg: a channel out of order, or a response finer than these "
+                "readings; repeated positions tell"
+            )
+            found.append(Unexplained(name, "", "noise", p, 0.0, 0.0))
+    return tuple(found)
 
 
 def _likely(fit: Fit) -> list[tuple[int, ...]]:

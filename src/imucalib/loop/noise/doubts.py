@@ -10,6 +10,7 @@ from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings, Unexplained
+from imucalib.loop.noise.axes import doubtful_axes
 from imucalib.loop.noise.settings import doubtful_dials, strongest
 from imucalib.loop.noise.shared import shared_evidence
 from imucalib.units import MG
@@ -45,6 +46,7 @@ def noise_doubts(
     if rules.declared and (p := beyond_declared(fit)) < rules.noise_alpha:
         name = f"scatter {fit.noise.factor:.2g} times the declared noise"
         found.append(Unexplained(name, "", "noise", p, 0.0, 1.0 - fit.noise.factor**-2.0))
+    found += doubtful_axes(fit, rules.noise_alpha)
     found += doubtful_dials(fit, scores, rules.noise_alpha)
     if (p := heavy_tails(fit, rng, round(2.0 / rules.noise_alpha))) < rules.noise_alpha:
         found.append(Unexplained("heavy tails", "", "noise", p, 0.0, 0.0))
