@@ -122,11 +122,12 @@ def test_a_noisy_axis_is_no_claim(tmp_path: Path, seed: int) -> None:
     assert run.calibration.facts["noise"]["reading_each_mg"][2] == pytest.approx(3.0, rel=0.4)
 
 
+@pytest.mark.parametrize("rows", [40, 60])
 @pytest.mark.parametrize(("times", "told"), [(2.0, 0), (8.0, 1)])
 def test_an_axis_far_noisier_than_any_chip_s_is_told(
-    times: float, told: int, tmp_path: Path
+    times: float, told: int, rows: int, tmp_path: Path
 ) -> None:
-    found = with_noisy_axes(fitted(noisier(tmp_path / "s.csv", 4, (1.0, times, 1.0))))
+    found = with_noisy_axes(fitted(noisier(tmp_path / "s.csv", 4, (1.0, times, 1.0), rows)))
     doubts = doubtful_axes(found, 0.01)
     assert len(doubts) == told
     assert all(d.name.startswith("y scatters by ") for d in doubts)

@@ -109,7 +109,7 @@ def _undecided(p: float, done: int, alpha: float) -> bool:
     """Whether more draws could change which side of alpha p is on."""
     if done < _PARTS[1]:
         return p - 3.0 * float(np.sqrt(p * (1.0 - p) / done)) < alpha
-    return 1.5 / (done + 1) < p < 4.0 * alpha
+    return p > 1.5 / (done + 1) and abs(p - alpha) < 3.0 * (alpha * (1.0 - alpha) / done) ** 0.5
 
 
 def _score_few(

@@ -23,6 +23,8 @@ _FEWEST = 12  # observations from which the scatter of an axis is worth a number
 _NAMES = ("noise of x", "noise of y", "noise of z")
 #: How far one axis may scatter beyond the quietest: by data sheets those of a chip differ by 2.
 _BEYOND = 3.0
+#: Numbers up to which axes are compared at all: it costs their square.
+_LONGEST = 1500
 _LIKELY = 1.5  # standard deviations of the score from which an estimate is worth its cost
 #: Start of the estimate: share of the noise of all axes that is left to the others, and the excess.
 _STARTS = ((0.6, 1.0),)
@@ -56,27 +58,51 @@ def doubtful_axes(fit: Fit, alpha: float) -> tuple[Unexplained, ...]:
     of order, or a response finer than the readings are dense, scatters so alike."""
     from scipy.special import fdtrc
 
+    compared = _modelled(fit) or _by_power(fit)
+    return tuple(
+        Unexplained(
+            f"{axis} scatters by {loud / MG:.2g} mg, the quietest axis by {quiet / MG:.2g} mg: a "
+            "channel out of order, or a response finer than these readings; repeated positions "
+            "tell",
+            "", "noise", p, 0.0, 0.0,
+        )
+        for axis, loud, quiet, dof in compared
+        if (p := float(fdtrc(*dof, (loud / (_BEYOND * quiet)) ** 2))) < alpha
+    )  # fmt: skip
+
+
+#: Of an axis: its name, its scatter and the quietest's (m/s²), and the degrees of freedom of both.
+_Compared = tuple[str, float, float, tuple[float, float]]
+
+
+def _modelled(fit: Fit) -> list[_Compared]:
+    """The axes whose excess is part of the noise."""
     quiet = fit.noise.factor * float(np.median(fit.at.sigma))
     spread = np.diagonal(fit.noise_covariance)
     found = []
     for k, shared in enumerate(fit.observations.shared, fit.at.free):
-        if (
-            shared.name not in _NAMES
-            or k + 1 >= len(spread)
-            or not (spread[[0, k + 1]] > 0.0).all()
-        ):
-            continue
-        loud = math.hypot(quiet, fit.noise.sd[k])
-        ratio = (loud / (_BEYOND * quiet)) ** 2
-        p = float(fdtrc(0.5 / spread[k + 1], 0.5 / spread[0], ratio))
-        if p < alpha:
-            name = (
-                f"{shared.name[-1]} scatters by {loud / MG:.2g} mg, the quietest axis by "
-                f"{quiet / MG:.2g} mg: a channel out of order, or a response finer than these "
-                "readings; repeated positions tell"
-            )
-            found.append(Unexplained(name, "", "noise", p, 0.0, 0.0))
-    return tuple(found)
+        known = k + 1 < len(spread) and (spread[[0, k + 1]] > 0.0).all()
+        if shared.name in _NAMES and known:
+            loud = math.hypot(quiet, fit.noise.sd[k])
+            dof = (0.5 / float(spread[k + 1]), 0.5 / float(spread[0]))
+            found.append((shared.name[-1], loud, quiet, dof))
+    return found
+
+
+def _by_power(fit: Fit) -> list[_Compared]:
+    """Every axis of a sheet too long for an excess of its own, by what it leaves of the noise."""
+    size = fit.at.residual.size
+    if size != 3 * fit.observations.n or not AXIS_NUMBERS < size <= _LONGEST:
+        return []
+    power, expected, spread = _powers(fit)
+    ratio, dof = power / expected, 2.0 * (expected / spread) ** 2
+    quiet = int(np.argmin(ratio))
+    sizes = fit.noise.factor * float(np.median(fit.at.sigma)) * np.sqrt(ratio)
+    return [
+        ("xyz"[a], float(sizes[a]), float(sizes[quiet]), (float(dof[a]), float(dof[quiet])))
+        for a in range(3)
+        if a != quiet and ratio[quiet] > 0.0
+    ]
 
 
 def _likely(fit: Fit) -> list[tuple[int, ...]]:
@@ -91,6 +117,12 @@ def _likely(fit: Fit) -> list[tuple[int, ...]]:
 def _beyond(fit: Fit) -> Array:
     """(3,) how far the power of each axis lies above what the noise of all explains, in standard
     deviations: the score of its excess at none (Rao 1948)."""
+    power, expected, spread = _powers(fit)
+    return np.asarray((power - expected) / spread)
+
+
+def _powers(fit: Fit) -> tuple[Array, Array, Array]:
+    """The power of each axis (3,), what the noise of all explains of it, and the sd of that."""
     white, q = fit.white_basis()
     inverse = white(np.eye(fit.at.residual.size))
     outside = inverse - q @ (q.T @ inverse)
@@ -98,7 +130,7 @@ def _beyond(fit: Fit) -> Array:
     power = np.square(outside.T @ white(fit.at.residual) / fit.noise.factor).reshape(-1, 3)
     expected = np.einsum("nini->i", projector)
     spread = np.sqrt(2.0 * np.einsum("nimi,nimi->i", projector, projector))
-    return np.asarray((power.sum(axis=0) - expected) / spread)
+    return power.sum(axis=0), np.asarray(expected), np.asarray(spread)
 
 
 def _excess(data: Observations, axis: int) -> SharedNoise:

@@ -46,9 +46,10 @@ def noise_doubts(
     if rules.declared and (p := beyond_declared(fit)) < rules.noise_alpha:
         name = f"scatter {fit.noise.factor:.2g} times the declared noise"
         found.append(Unexplained(name, "", "noise", p, 0.0, 1.0 - fit.noise.factor**-2.0))
-    found += doubtful_axes(fit, rules.noise_alpha)
-    found += doubtful_dials(fit, scores, rules.noise_alpha)
-    if (p := heavy_tails(fit, rng, round(2.0 / rules.noise_alpha))) < rules.noise_alpha:
+    axes = doubtful_axes(fit, rules.noise_alpha)
+    found += [*axes, *doubtful_dials(fit, scores, rules.noise_alpha)]
+    tails = 1.0 if axes else heavy_tails(fit, rng, round(2.0 / rules.noise_alpha))
+    if (p := tails) < rules.noise_alpha:  # a mixture of axes has heavy tails
         found.append(Unexplained("heavy tails", "", "noise", p, 0.0, 0.0))
     return tuple(found)
 
