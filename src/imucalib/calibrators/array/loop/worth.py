@@ -140,7 +140,7 @@ def best_of_twins(
         fits = _twins(trial, term.name, twins)
     else:
         fits = {twin: refitted(state, _as_twin(term, twin), earlier) for twin in twins}
-    fits[term.name] = trial
+    fits[term.name] = trial if trial is None or not twins else _as_near(trial)
     sound = {n: s for n, s in fits.items() if s is not None and not why_not(state, s)}
     if not sound:
         return Tried(None, reason)
@@ -155,7 +155,7 @@ def told_apart(
     name, and those that would do as well, or whose fit is lost."""
     fits = _twins(state, name, twins)
     sound = {n: s for n, s in fits.items() if s is not None and s.converged}
-    sound = {n: s for n, s in sound.items() if not _implausible(s, n)} | {name: state}
+    sound = {n: s for n, s in sound.items() if not _implausible(s, n)} | {name: _as_near(state)}
     best, rivals = _nearest(sound, margin)
     return sound[best], best, (*rivals, *_open(fits))
 
@@ -170,6 +170,12 @@ def _twins(state: ArrayState, name: str, twins: Sequence[str]) -> dict[str, Arra
         if not _implausible(start, twin):
             found[twin] = _settled(start, shaped=False)
     return found
+
+
+def _as_near(state: ArrayState) -> ArrayState:
+    """A fit as near its end as those of its twins: the way that is left was worth five nats."""
+    nearer = _settled(state, shaped=False)
+    return nearer if nearer is not None and nearer.converged else state
 
 
 def _open(fits: Mapping[str, ArrayState | None]) -> tuple[str, ...]:
