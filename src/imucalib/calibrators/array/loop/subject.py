@@ -22,8 +22,8 @@ from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residua
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Search, search
 from imucalib.calibrators.array.loop.state import ArrayState, settled
-from imucalib.calibrators.array.loop.twins.shared_lag import with_shared_first
 from imucalib.calibrators.array.loop.twins.refits import told_apart
+from imucalib.calibrators.array.loop.twins.shared_lag import with_shared_first
 from imucalib.calibrators.array.loop.worth import (
     not_held_out,
     refitted,
