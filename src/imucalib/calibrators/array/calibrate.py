@@ -127,7 +127,8 @@ def _doubted(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:
         np.einsum("kij,nkj->nki", laid.board.rotations, values[:, laid.order])
         for values in (segments.mean, segments.rate)
     )
-    return held_against_left(held_against_rests(loop, rests.corrected(read, t), rate, t))
+    loop = held_against_rests(loop, rests.corrected(read, t), rate, t)
+    return held_against_left(loop, (rests.noise, rests.gyro_noise))
 
 
 def _laid(recording: Recording, request: ArrayRequest) -> _Laid:

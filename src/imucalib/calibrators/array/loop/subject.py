@@ -42,7 +42,8 @@ from imucalib.loop.thresholds import CURVES, KEEP, PATH
 class MotionSubject:
     """Where the search stands. debt : nats that effects still have to explain because a curve
     explained them, since `safe`; taken : how many effects tried to; left_out : what is not tried,
-    by the user's wish or because it was refused before this state; matched : curves that effects
+    by the user's wish or because it was refused before this state; lost : twins of what was taken
+    whose fits are lost, with its nats; matched : curves that effects
     took the place of, and the path before; corrected : structure without a name that a curve takes
     out; clocks : whether the gyros' clocks may be looked for again; over : whether effects were put
     back, which ends the search for them"""
@@ -55,6 +56,7 @@ class MotionSubject:
     left_out: frozenset[str]
     ages: Ages | None
     earlier: Earlier
+    lost: tuple[tuple[str, float], ...] = ()
     steps: tuple[Step, ...] = ()
     dropped: tuple[tuple[str, str], ...] = ()
     debt: float = 0.0
@@ -123,7 +125,9 @@ class MotionSubject:
         left_out = left_out.union(*(twins_of(name) for name in rejected))
         gains = self.searched.held_out(chosen.name)
         grown = self._with(tried.state, chosen, gains, tried.rivals)
-        return self._owing(replace(grown, left_out=left_out), chosen, rejected)
+        lost = ((name, chosen.evidence) for name in tried.lost)
+        grown = replace(grown, left_out=left_out, lost=(*self.lost, *lost))
+        return self._owing(grown, chosen, rejected)
 
     def _with(
         self, trial: ArrayState, chosen: Score, gains: tuple[float, float],
@@ -144,12 +148,16 @@ class MotionSubject:
             draws=chosen.draws,
             evidence=chosen.evidence,
             checked=self.residuals.against(after),
-            aliases=(*twins, *aliases),
+            aliases=(*twins, *aliases, *self._would_leave(chosen.evidence)),
             value=size_in_words(trial, trial.terms[-1]),
             gains=gains,
             curve=curve,
         )
         return replace(self, state=trial, residuals=after, steps=(*self.steps, step))
+
+    def _would_leave(self, nats: float) -> tuple[str, ...]:
+        """What a smaller effect could be of twins whose fits are lost: nothing is known of it."""
+        return tuple(f"what {name} would leave" for name, own in self.lost if own > nats)
 
     def _owing(
         self, grown: MotionSubject, chosen: Score, rejected: Collection[str]

@@ -21,11 +21,12 @@ from imucalib.calibrators.array.loop.worth import (
 @dataclass(frozen=True)
 class Tried:
     """A refit with one term more, or why there is none; rivals : twins that would do as well, or
-    whose own refit is lost."""
+    whose own refit is lost; lost : those of the latter"""
 
     state: ArrayState | None
     reason: str = ""
     rivals: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
 
 
 def best_of_twins(
@@ -47,7 +48,8 @@ def best_of_twins(
     if not sound:
         return Tried(None, reason)
     best, rivals = nearest(sound, margin)
-    return Tried(sound[best], "", (*rivals, *open_twins(fits)))
+    lost = open_twins(fits)
+    return Tried(sound[best], "", (*rivals, *lost), lost)
 
 
 def told_apart(
