@@ -35,10 +35,10 @@ def told(
     factor, rest = np.ones(8), np.ones(8)
     if noisy:
         factor[IMUS.index(noisy)], rest[IMUS.index(noisy)] = 5.0, still
-    noise = SimpleNamespace(factor=np.ones(8)), SimpleNamespace(factor=factor)
-    final = SimpleNamespace(found=(term,), noise=noise, setup=SimpleNamespace(imus=IMUS))
+    final = SimpleNamespace(found=(term,), setup=SimpleNamespace(imus=IMUS))
     loop = Found((step,), (left,), final)
-    doubted = held_against_left(loop, (np.ones(8), rest)).steps[0]  # type: ignore[arg-type]
+    off, at_rest = (np.ones(8), factor), (np.ones(8), rest)
+    doubted = held_against_left(loop, off, at_rest).steps[0]  # type: ignore[arg-type]
     assert doubted.certain == (not doubted.aliases)
     return doubted.aliases
 

@@ -25,13 +25,15 @@ _TIME, _FOLLOWS_TIME = "time", ("order", "time")
 _MOSTLY = 0.5
 
 
-def held_against_left(loop: MotionLoop, still: tuple[Array, Array]) -> MotionLoop:
+def held_against_left(
+    loop: MotionLoop, off: tuple[Array, Array], still: tuple[Array, Array]
+) -> MotionLoop:
     """The loop with doubts where what drives an effect drives something that is left too, or where
     more is left than it explains: it stays corrected, and is not certain.
 
-    still : (K,) noise of accelerometers and gyros at rest
+    off : (K,) residuals of accelerometers and gyros in motion; still : (K,) their noise at rest
     """
-    terms, shaken = {term.name: term for term in loop.final.found}, _shaken(loop, still)
+    terms, shaken = {term.name: term for term in loop.final.found}, _shaken(loop, off, still)
     steps = []
     for step in loop.steps:
         term = terms.get(step.effect)
@@ -40,15 +42,15 @@ def held_against_left(loop: MotionLoop, still: tuple[Array, Array]) -> MotionLoo
     return replace(loop, steps=tuple(steps))
 
 
-def _shaken(loop: MotionLoop, still: tuple[Array, Array]) -> set[str]:
+def _shaken(loop: MotionLoop, off: tuple[Array, Array], still: tuple[Array, Array]) -> set[str]:
     """IMUs that are noisier than the others in motion, by either sensor, and not so at rest: more
     happens to them than noise. What turns or moves a chip is seen by both of its sensors."""
     found = set()
-    for noise, rest in zip(loop.final.noise, still, strict=True):
+    for moving, rest in zip(off, still, strict=True):
         found |= {
             imu
             for k, imu in enumerate(loop.final.setup.imus)
-            if _times(noise.factor, k) > NOISY * max(_times(rest, k), 0.5)
+            if _times(moving, k) > NOISY * max(_times(rest, k), 0.5)
         }
     return found
 

@@ -48,7 +48,7 @@ def residual_in_motion(
     loop: MotionLoop | None, state: ArrayState | None, final: ArrayPositions, moving: Moving
 ) -> Residual:
     """Held out where there is such motion; else of the fit; else of the sampler and the gyros."""
-    each = None if state is None else _each(state)
+    each = None if state is None else residual_of_each(state)
     imus = () if state is None else state.setup.imus
     if loop is not None and loop.gained is not None:
         after = loop.gained.after
@@ -62,8 +62,8 @@ def residual_in_motion(
     return Residual(final.noise, scatter, False)
 
 
-def _each(state: ArrayState) -> tuple[Array, Array]:
-    """(K,) of each IMU: m/s² and rad/s."""
+def residual_of_each(state: ArrayState) -> tuple[Array, Array]:
+    """(K,) m/s² and rad/s: 1.4826 times the median absolute deviation of each IMU in motion."""
     one, two = (
         NORMAL_MAD * np.median(np.abs(off.swapaxes(0, 1).reshape(off.shape[1], -1)), axis=1)
         for off in _whole(state)
