@@ -31,7 +31,9 @@ def told(
     family = array_catalogue()[effect.partition("@")[0]]
     step = Step(effect, 0.002, 499, 90.0, (), ())
     own = np.ones(len(family.each) * (1 if family.shared or "@" in effect else 8))
-    term = SimpleNamespace(name=effect, effect=family, theta=own if theta is None else theta)
+    only = IMUS.index(effect.partition("@")[2]) if "@" in effect else None
+    values = own if theta is None else theta
+    term = SimpleNamespace(name=effect, effect=family, theta=values, only=only)
     factor, rest = np.ones(8), np.ones(8)
     if noisy:
         factor[IMUS.index(noisy)], rest[IMUS.index(noisy)] = 5.0, still

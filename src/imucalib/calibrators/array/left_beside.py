@@ -37,7 +37,7 @@ def held_against_left(
     steps = []
     for step in loop.steps:
         term = terms.get(step.effect)
-        words = "" if term is None else _beside(step, term, loop, shaken)
+        words = "" if term is None or step.curve else _beside(step, term, loop, shaken)
         steps.append(replace(step, aliases=(*step.aliases, words)) if words else step)
     return replace(loop, steps=tuple(steps))
 
@@ -65,7 +65,7 @@ def _beside(step: Step, term: Term, loop: MotionLoop, shaken: set[str]) -> str:
     gyro = term.effect.channel == "angular_rate"
     left = {u.driver for u in loop.unexplained if u.name.startswith("gyro") == gyro}
     imu = _its_imu(term, loop)
-    if imu and (imu in shaken or (imu in left and "@" in term.name)):
+    if imu and (imu in shaken or (term.only is not None and imu in left)):
         return f"something else of {imu}"
     if _TIME in left and any(name in _FOLLOWS_TIME for name in term.effect.needs):
         return "something else that follows time"
@@ -76,10 +76,11 @@ def _beside(step: Step, term: Term, loop: MotionLoop, shaken: set[str]) -> str:
 
 def _its_imu(term: Term, loop: MotionLoop) -> str:
     """The IMU that alone has an effect, or has most of it."""
-    imu = term.name.partition("@")[2]
-    if imu or term.effect.shared:
-        return imu
     imus = loop.final.setup.imus
+    if term.only is not None:
+        return imus[term.only]
+    if term.effect.shared:
+        return ""
     size = (term.theta / typical_of(term.effect, len(term.theta))).reshape(len(imus), -1)
     power = np.sum(size**2, axis=1)
     most = int(np.argmax(power))

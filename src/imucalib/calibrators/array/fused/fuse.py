@@ -98,7 +98,10 @@ def fuse(
     """
     start = start_of(instrument, stretch)
     late = instrument.beyond.late(stretch.t, None if age is None else np.nan_to_num(age))
-    task = _Task(instrument, stretch, start, noise, age, late, tied)
+    task = _Task(
+        instrument=instrument, stretch=stretch, start=start, noise=noise, age=age, late=late,
+        tied=tied,
+    )  # fmt: skip
     one = np.ones((*stretch.rate.shape[:2], 1))
     state = _State(start.force, start.gyro, start.rate_live, (one, one))
     for turn in range(rounds):
