@@ -16,6 +16,7 @@ from imucalib.calibrators.array.loop.worth import (
     settled_or_lost,
     why_not,
 )
+from imucalib.estimators.array.noise import log_density
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,9 @@ def best_of_twins(
         fits = _twins(trial, term.name, twins)
     else:
         fits = {twin: refitted(state, _as_twin(term, twin), earlier) for twin in twins}
-    fits[term.name] = trial if trial is None or not twins else _as_near(trial)
+    fits[term.name] = trial
+    if trial is not None and twins:
+        fits[term.name] = _as_near(trial)
     sound = {n: s for n, s in fits.items() if s is not None and not why_not(state, s)}
     if not sound:
         return Tried(None, reason)
@@ -77,7 +80,7 @@ def _twins(state: ArrayState, name: str, twins: Sequence[str]) -> dict[str, Arra
 
 
 def _as_near(state: ArrayState) -> ArrayState:
-    """A fit as near its end as those of its twins: the way that is left was worth five nats."""
+    """A fit as near its end as those of its twins: the way that was left was worth five nats."""
     nearer = settled_or_lost(state, shaped=False)
     return nearer if nearer is not None and nearer.converged else state
 
@@ -97,8 +100,21 @@ def _as_twin(term: Term, twin: str) -> Term:
 def nearest(fits: Mapping[str, ArrayState], margin: float) -> tuple[str, tuple[str, ...]]:
     """The name of the best fit of twins, and of those that do as well; where the one that a search
     has for all is among these, it stays."""
-    bar = max(s.density for s in fits.values()) - margin
-    near = sorted((n for n, s in fits.items() if s.density > bar), key=lambda n: -fits[n].density)
+    nats = {name: _nats(state, name) for name, state in fits.items()}
+    bar = max(nats.values()) - margin
+    near = sorted((n for n in fits if nats[n] > bar), key=lambda n: -nats[n])
     plain = [n for n in near if not array_catalogue()[n.partition("@")[0]].twin]
     best = (plain or near)[0]
     return best, tuple(n for n in near if n != best)
+
+
+def _nats(state: ArrayState, name: str) -> float:
+    """What a fit is worth beside those of its twins. A lag of single sensors shows against others
+    of their kind: what neighbours' noise brings into dω/dt, other for each twin, is in the other
+    kind's residuals, and was worth 36 nats for the wrong one."""
+    effect = array_catalogue()[name.partition("@")[0]]
+    if effect.shared:
+        return state.density
+    a, g, speed = state.squares()
+    gyro = effect.channel == "angular_rate"
+    return float(log_density(state.noise[gyro], g if gyro else a, speed).sum())
