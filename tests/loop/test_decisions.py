@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from imucalib.calibrators.array.loop import subject
-from imucalib.calibrators.array.loop.worth import why_not
+from imucalib.calibrators.array.loop.subject import MotionSubject
+from imucalib.calibrators.array.loop.worth import not_held_out, why_not
 from imucalib.core.balance import Noise
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations
@@ -178,7 +178,7 @@ def test_both_halves_of_a_motion_must_agree(
     gains: tuple[float, float], density: float, value: float, reason: str
 ) -> None:
     """Neither loses three nats, nor both together one."""
-    found = subject._not_held_out(gains) or why_not(
+    found = not_held_out(gains) or why_not(
         trial(1.0),
         trial(density, value),  # type: ignore[arg-type]
     )
@@ -570,11 +570,11 @@ class At:
     density: float
 
 
-def path(density: float, **more: object) -> subject.MotionSubject:
+def path(density: float, **more: object) -> MotionSubject:
     state = At(density)
     made: dict[str, object] = dict.fromkeys(("residuals", "moving", "rng", "ages", "earlier"))
     made.update(rules=LoopSettings(margin=3.0), left_out=frozenset())
-    return subject.MotionSubject(state=state, **{**made, **more})  # type: ignore[arg-type]
+    return MotionSubject(state=state, **{**made, **more})  # type: ignore[arg-type]
 
 
 def test_effects_owe_what_a_leading_curve_has_explained() -> None:

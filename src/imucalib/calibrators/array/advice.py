@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.calibrators.array.estimate.left import NOISY
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.terms import typical_of
 from imucalib.calibrators.array.loop.worth import size_in_words
@@ -14,7 +15,6 @@ from imucalib.calibrators.array.rests import RestFit
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.units import DEG
 
-_NOISY = 2.0  # times the others' noise
 _COUNTS = 0.5  # of an effect's typical size, from which it asks for something to be done
 
 
@@ -47,7 +47,7 @@ def _noisy(
     """noise : in motion; still : (K,), at rest; unit : its size in SI, and its name"""
     for k, imu in enumerate(imus):
         times = float(noise.factor[k] / np.median(np.delete(noise.factor, k)))
-        if times < _NOISY:
+        if times < NOISY:
             continue
         own = float(still[k] / np.median(np.delete(still, k)))
         cause = (

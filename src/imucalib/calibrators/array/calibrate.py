@@ -20,6 +20,7 @@ from imucalib.calibrators.array.drawing.streams import (
 from imucalib.calibrators.array.estimate.corrected import restated
 from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
 from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
+from imucalib.calibrators.array.estimate.left import residual_of_each
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
 from imucalib.calibrators.array.estimate.size import frame_sd, gravity_sd, scale_by_turns
 from imucalib.calibrators.array.estimate.total import total_of
@@ -127,7 +128,8 @@ def _doubted(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:
         np.einsum("kij,nkj->nki", laid.board.rotations, values[:, laid.order])
         for values in (segments.mean, segments.rate)
     )
-    return held_against_left(held_against_rests(loop, rests.corrected(read, t), rate, t))
+    loop = held_against_rests(loop, rests.corrected(read, t), rate, t)
+    return held_against_left(loop, residual_of_each(loop.final), (rests.noise, rests.gyro_noise))
 
 
 def _laid(recording: Recording, request: ArrayRequest) -> _Laid:

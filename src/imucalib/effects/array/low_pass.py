@@ -1,11 +1,12 @@
 """Sensors behind a low-pass of the first order: late, and weaker the faster what they sense is."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.course import Course, delayed
+from imucalib.core.course import Course
 from imucalib.core.effect import Response
 from imucalib.core.parameter import Parameter
 from imucalib.effects.array.timing import by_jerk, by_spin
@@ -14,19 +15,30 @@ _SOURCE = "filters of 5 to 260 Hz in MPU-6050 data sheets: 0.6 to 30 ms"
 _IDENTIFY = "Shake and turn fast: a delay keeps what is fast, a low-pass weakens it."
 
 
-def _one(name: str, typical: float) -> tuple[Parameter, ...]:
-    return (Parameter(name, "ms", typical, 50.0, least=0.0),)
+def _one(name: str, typical: float, least: float = -math.inf) -> tuple[Parameter, ...]:
+    return (Parameter(name, "ms", typical, 50.0, least=least),)
 
 
 def slowed(course: Course, lag: Array) -> Course:
-    """Behind low-passes of time constants `lag` (n, K, 1) s, of which the first counts: y = x - τ
-    dy/dt, and dy/dt is what the same low-pass leaves of dx/dt. None has a negative one; an estimate
-    of nothing may, and goes on as a delay."""
-    early = delayed(course, np.minimum(lag, 0.0))
-    slope = early.slope.copy()
-    for k in np.flatnonzero(lag[0] > 0.0):
-        slope[:, k] = _low_passed(course, int(k), float(lag[0, k, 0]))
-    return replace(early, value=early.value - np.maximum(lag, 0.0) * slope, slope=slope)
+    """Behind low-passes of time constants `lag` (n, K, 1) s, of which the first counts, against a
+    course that has passed one itself: a negative lag is that of a quicker sensor.
+
+    No filter has a negative time, so that the course has passed one of c = -min(lag), or of none.
+    y = (1 + c d/dt) / (1 + (τ + c) d/dt) x = x - τ z, z what a low-pass of τ + c leaves of dx/dt.
+    """
+    tau = lag[0, :, 0]
+    own = max(0.0, -float(tau.min()))
+    value, slope = course.value.copy(), course.slope.copy()
+    for k in np.flatnonzero(tau):
+        total = tau[k] + own
+        if total > 0.0:
+            z = _low_passed(course, int(k), float(total))
+            changed = (own * course.slope[:, k] + tau[k] * z) / total
+        else:
+            z, changed = course.slope[:, k], course.slope[:, k] + own * course.plain[:, k]
+        value[:, k] -= tau[k] * z
+        slope[:, k] = changed
+    return replace(course, value=value, slope=slope)
 
 
 def _low_passed(course: Course, k: int, tau: float) -> Array:
@@ -65,7 +77,7 @@ EFFECTS = (
         by_jerk,
         lagged=slowed,
         twin="accelerometer_delay",
-        remedy="it is slower than the others: set its filter as theirs",
+        remedy="its filter is not that of the others: set it as theirs",
     ),
     Response(
         "common_accelerometer_low_pass",
@@ -74,7 +86,7 @@ EFFECTS = (
         _SOURCE,
         _IDENTIFY,
         ("jerk",),
-        _one("common_time_constant", 1.0),
+        _one("common_time_constant", 1.0, 0.0),
         by_jerk,
         shared=True,
         lagged=slowed,
@@ -87,7 +99,7 @@ EFFECTS = (
         _SOURCE,
         _IDENTIFY,
         ("spin",),
-        _one("gyro_time_constant", 1.0),
+        _one("gyro_time_constant", 1.0, 0.0),
         by_spin,
         channel="angular_rate",
         shared=True,
@@ -106,6 +118,6 @@ EFFECTS = (
         channel="angular_rate",
         lagged=slowed,
         twin="gyro_delay_each",
-        remedy="its gyro is slower than the others: set its filter as theirs",
+        remedy="its gyro's filter is not that of the others: set it as theirs",
     ),
 )

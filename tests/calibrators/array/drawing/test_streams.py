@@ -68,3 +68,13 @@ def test_a_late_chip_is_told(log: ArrayLog, late: int, kind: str) -> None:
         refuse_streams(found, BOARD.imus, log.interval)
     assert caught.value.exit_code == 4
     assert np.count_nonzero(found.shift) == 1
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "rate"])
+def test_a_slow_filter_is_not_told_as_a_late_sample(log: ArrayLog, kind: str) -> None:
+    """8 ms at 100 Hz: one sample later it is far more alike the others, and not as they are."""
+    values = getattr(log, kind).copy()
+    kept = np.exp(-log.interval / 8e-3)
+    for before, row in zip(values[:-1, 5], values[1:, 5], strict=True):
+        row[:] = kept * before + (1.0 - kept) * row
+    assert not streams(replace(log, **{kind: values})).shift.any()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -75,3 +76,32 @@ def test_noise_at_rest_is_not_left() -> None:
     quiet = what_is_left(Residual(plan.sigma, 0.0, False), run.rests, None, Accepted())
     assert quiet[0].value < 1.5  # of 4 mg, all noise
     assert quiet[1].value == 0.0
+
+
+@pytest.mark.parametrize(
+    ("noisy", "at_rest", "told"),
+    [(1.2, 0.04, ["accelerometer of imu2 in motion"]),
+     (1.2, 1.2, ["accelerometer of imu2 in motion"]),
+     (0.3, 0.04, [])],
+)  # fmt: skip
+def test_one_imu_of_eight_that_leaves_more_than_is_accepted_is_told(
+    noisy: float, at_rest: float, told: list[str]
+) -> None:
+    """m/s². No median over all shows it; 0.3 m/s² are within the 50 mg that are accepted."""
+    off, still = np.full(8, 0.04), np.full(8, 0.04)
+    off[2], still[2] = noisy, at_rest
+    gyro = np.full(8, 0.2 * DEG)
+    residual = Residual(0.04, 0.2 * DEG, True, (off, gyro), BOARD.imus)
+    rests = SimpleNamespace(noise=still, gyro_noise=gyro)
+    left = what_is_left(residual, rests, None, Accepted())  # type: ignore[arg-type]
+    assert [one.name for one in left if one.beyond] == told
+    assert [one.name for one in left[2:]] == told
+    if told:
+        assert left[2].value == pytest.approx(1e3 * 1.2 / 9.80665, rel=1e-2)
+
+
+def test_alike_noise_of_all_is_told_of_all() -> None:
+    residual = Residual(1.2, 0.0, True, (np.full(8, 1.2), np.zeros(8)), BOARD.imus)
+    rests = SimpleNamespace(noise=np.full(8, 0.04), gyro_noise=np.zeros(8))
+    left = what_is_left(residual, rests, None, Accepted())  # type: ignore[arg-type]
+    assert [one.name for one in left if one.beyond] == ["accelerometers in motion"]

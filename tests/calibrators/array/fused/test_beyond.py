@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -111,3 +112,29 @@ def test_a_bend_that_the_rests_found_is_beside_gains_that_stand_without_it() -> 
     whole = np.einsum("kij,tkj->tki", TURN, MG * np.abs(own) * [2.0, -1.0, 0.5])
     np.testing.assert_allclose(added(resting)[0], whole, atol=2e-3)
     assert np.abs(added(moving)[0] - whole).max() > 5e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "answer"),
+    [("gyro_low_pass", lambda x: 1.0 / (1.0 + x)), ("gyro_delay", lambda x: np.exp(-x))],
+)
+def test_lags_over_time_are_not_those_of_the_first_order(
+    name: str, answer: Callable[[complex], complex]
+) -> None:
+    """A tone of 4 Hz, 4 ms: the second order is 1 % of it, and half of that for a delay."""
+    t, pace = 0.01 * np.arange(400), 2.0j * np.pi * 4.0
+    tone = np.exp(pace * t)[:, None] * np.array([12.0, 0.0, 5.0])
+    zero = np.zeros((400, 2, 3))
+    beside = np.stack([np.arange(400) > 0, np.arange(400) < 399], axis=1)
+    motion = board_motion(
+        imus=("a", "b"), rotations=TURN, t=t, order=np.full(400, 0.5), rate=tone.imag,
+        spin=(pace * tone).imag, force=zero, jerk=zero,
+    ).coursed(beside)  # fmt: skip
+    made = beyond(block(name, 4.0))
+    late = made.late(t, None)
+    assert late is not None
+    read = (answer(4e-3 * pace) * tone).imag[:, None]
+    first = tone.imag[:, None] + np.matmul(late, (pace * tone).imag[:, None, :, None])[..., 0]
+    inner = slice(20, -20)
+    assert np.abs(first - read)[inner].max() > 0.05
+    assert np.abs(first + made.added(motion)[1] - read)[inner].max() < 0.004

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.loop import worth
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop
+from imucalib.calibrators.array.loop.twins.refits import nearest, open_twins
 from worlds.array_stories import closed
-from worlds.boards import made_board
-from worlds.odd_boards import PLAN, Plant, odd_log, slow
+from worlds.boards import Array, made_board
+from worlds.odd_boards import PLAN, Moved, Plant, Planted, odd_log, plain, shifted, slow
 
 BOARD = read_board("mimu4444_corners")
 ONE = frozenset({2})
@@ -41,6 +42,48 @@ def test_it_is_told_as_that_and_by_its_time(
     assert abs(term.theta[0] - 4.0) < 4.0 * found.final.sd_of(term)[0]
 
 
+def _made(plant: Plant) -> MotionLoop:
+    rng = np.random.default_rng(1)
+    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
+    return closed(odd_log(parts, plant, PLAN, rng, often=10).recording, 400)
+
+
+def test_few_with_both_sensors_slow_are_low_passes_against_what_is_slow_itself() -> None:
+    """What the board says is half way between: five of the times against it are negative."""
+    found = _made(slow(force=4e-3, rate=4e-3, imus=frozenset({0, 1, 2})))
+    steps = {s.effect: s for s in found.steps}
+    for name in ("accelerometer_low_pass", "gyro_low_pass_each"):
+        assert steps[name].certain
+    assert not any("delay" in name for name in steps)
+    theta = next(t.theta for t in found.final.found if t.name == "accelerometer_low_pass")
+    assert np.ptp(theta) == pytest.approx(4.0, rel=0.02)
+    assert theta.min() < -1.0
+
+
+def test_all_gyros_late_beside_one_slow_accelerometer_are_no_delay_of_every_accelerometer() -> None:
+    def plant(m: Moved, r: Array, k: int) -> Planted:
+        one = slow(force=4e-3, imus=ONE)(m, r, k)
+        return Planted(one.felt, shifted(m.t, one.rate, 2e-3))
+
+    steps = {s.effect: s for s in _made(plant).steps}
+    assert steps.keys() - OTHERS <= {"gyro_delay", "gyro_low_pass", "accelerometer_low_pass@imu2"}
+    assert len(steps.keys() - OTHERS) == 2
+    assert "accelerometer_low_pass@imu2" in steps
+
+
+def test_small_lags_are_doubtful_between_a_delay_and_a_low_pass() -> None:
+    """0.02 ms about the mean of all: a low-pass and a delay differ by 1e-4 deg/s."""
+    late = 2e-5 * np.array([1.0, -1.0, 0.5, -0.5, 1.0, -1.0, 0.7, -0.7])
+
+    def plant(m: Moved, r: Array, k: int) -> Planted:
+        one = plain(m, r, k)
+        return Planted(one.felt, shifted(m.t, one.rate, late[k]))
+
+    step = next(s for s in _made(plant).steps if "each" in s.effect)
+    assert {step.effect, *step.aliases} >= {"gyro_delay_each", "gyro_low_pass_each"}
+    assert not step.certain
+
+
 DELAY, LOW_PASS, OF_ALL = "gyro_delay", "gyro_low_pass", "common_accelerometer_low_pass"
 
 
@@ -57,9 +100,9 @@ def test_twins_that_are_three_nats_apart_are_told_apart(
     nats: dict[str, float], best: str, rivals: tuple[str, ...]
 ) -> None:
     fits = {name: SimpleNamespace(density=value) for name, value in nats.items()}
-    assert worth._nearest(fits, 3.0) == (best, rivals)  # type: ignore[arg-type]
+    assert nearest(fits, 3.0) == (best, rivals)  # type: ignore[arg-type]
 
 
 def test_a_twin_whose_fit_is_lost_is_not_ruled_out() -> None:
     fits = {DELAY: SimpleNamespace(converged=True), LOW_PASS: SimpleNamespace(converged=False)}
-    assert worth._open({**fits, OF_ALL: None}) == (LOW_PASS, OF_ALL)  # type: ignore[arg-type]
+    assert open_twins({**fits, OF_ALL: None}) == (LOW_PASS, OF_ALL)  # type: ignore[arg-type]

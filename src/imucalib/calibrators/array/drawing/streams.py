@@ -15,6 +15,9 @@ _TOLD = 0.002  # share of samples from which lost or repeated ones are told
 _FROZEN = 0.5  # share of repeated readings in motion from which a sensor does not serve
 _FAR = 8  # samples by which a sensor may be late or early
 _BETTER = 0.5  # of the misfit at no shift, that a shift must leave at most
+#: Times what sensors of its kind leave at their best shifts, up to which one that is late by a
+#: single sample is late, and not slow or late by a part of one.
+_ALIKE = 2.0
 _FEWEST, _MOST = 100, 1500  # moving samples that are looked at
 
 
@@ -46,9 +49,11 @@ def streams(log: ArrayLog) -> Streams:
 def _shifts(log: ArrayLog, moving: Flags) -> Array:
     """(K, 2) samples by which each sensor is late: where a shift makes it far more alike what the
     others of its kind say, by least squares (forces of a rigid board are affine in the place; with
-    few IMUs the products of the rate and its change stand for those that are missing)."""
+    few IMUs the products of the rate and its change stand for those that are missing). Late by one
+    sample is what becomes as alike as the others are: a slow filter, or a lag of a part of one,
+    does not, and is the loop's to name."""
     count = log.rate.shape[1]
-    found = np.zeros((count, 2))
+    found, least = np.zeros((count, 2)), np.full((count, 2), np.inf)
     rows = np.flatnonzero(moving[_FAR:-_FAR]) + _FAR
     if len(rows) < _FEWEST or count < 2:
         return found
@@ -68,9 +73,11 @@ def _shifts(log: ArrayLog, moving: Flags) -> Array:
             left = seen - told @ np.linalg.lstsq(told, seen, rcond=None)[0]
             misfit = np.median(np.abs(left.reshape(len(rows), len(lags), 3)), axis=(0, 2))
             best = int(np.argmin(misfit))
+            least[k, kind] = misfit[best]
             if misfit[best] < _BETTER * misfit[_FAR]:
                 found[k, kind] = lags[best]
-    return found
+    slow = (np.abs(found) == 1.0) & (least > _ALIKE * np.median(least, axis=0))
+    return np.where(slow, 0.0, found)
 
 
 def stream_notes(found: Streams, imus: tuple[str, ...]) -> tuple[str, ...]:

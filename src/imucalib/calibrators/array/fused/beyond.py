@@ -17,7 +17,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.array.linear_part import slope_at_rest
 from imucalib.calibrators.array.loop.at_rest import AT_REST
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
-from imucalib.calibrators.array.loop.terms import Term
+from imucalib.calibrators.array.loop.terms import Term, lost
 from imucalib.core.context import MOTION
 from imucalib.core.effect import Response
 from imucalib.effects import known
@@ -42,6 +42,11 @@ class _Part:
     def late(self) -> bool:
         """Whether it adds dω/dt to a gyro's rate, and nothing else."""
         return self.gyro and set(self.term.effect.needs) <= {"spin", _AGE}
+
+    @property
+    def lags(self) -> bool:
+        """Whether it says when its sensors read, by what a motion over time holds."""
+        return self.term.effect.lagged is not None and not self.term.aged
 
     def added(self, motion: BoardMotion) -> Array:
         """(T, K, 3) in board axes."""
@@ -78,12 +83,22 @@ class Beyond:
     def needs_jerk(self) -> bool:
         return any("jerk" in part.term.effect.needs for part in self.parts)
 
+    @property
+    def lags(self) -> bool:
+        """Whether sensors lag by more than their clocks' ages."""
+        return any(part.lags for part in self.parts)
+
     def added(self, motion: BoardMotion) -> tuple[Array, Array]:
         """(T, K, 3) m/s² and rad/s that corrected readings still hold, in board axes; without what
-        `late` tells."""
+        `late` tells. Lags are whole where the motion has its courses, else to the first order."""
         found = [np.zeros((*motion.shape, 3)) for _ in range(2)]
+        lagging = [p.term for p in self.parts if p.lags and motion.courses is not None]
+        if lagging:
+            found = [-one for one in lost(lagging, motion)]
         for part in self.parts:
-            if not part.late:
+            if part.late and part.lags and lagging:
+                found[1] -= part.added(motion)
+            elif not part.late and not (part.lags and lagging):
                 found[part.gyro] += part.added(motion)
         one, two = (
             np.matmul(a.transpose(1, 0, 2), back.transpose(0, 2, 1)).transpose(1, 0, 2)

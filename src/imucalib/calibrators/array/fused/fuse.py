@@ -18,8 +18,11 @@ from imucalib.calibrators.array.fused.noise import ChipNoise
 from imucalib.calibrators.array.fused.start import Start, inside, outside, start_of
 from imucalib.calibrators.array.fused.stretch import Stretch, along
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
+from imucalib.core.course import slope_of
+from imucalib.core.truth import Motion
 from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion, precision_of
 
+_SHORT = 4  # samples from which on lags are undone by the course of the motion
 _SLOW = 1.5  # median intervals between samples from which on they are no neighbours
 
 
@@ -58,6 +61,7 @@ class _Task:
     noise: tuple[ChipNoise, ChipNoise]
     age: Array | None
     late: Array | None
+    tied: bool
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,10 @@ def fuse(
     """
     start = start_of(instrument, stretch)
     late = instrument.beyond.late(stretch.t, None if age is None else np.nan_to_num(age))
-    task = _Task(instrument, stretch, start, noise, age, late)
+    task = _Task(
+        instrument=instrument, stretch=stretch, start=start, noise=noise, age=age, late=late,
+        tied=tied,
+    )  # fmt: skip
     one = np.ones((*stretch.rate.shape[:2], 1))
     state = _State(start.force, start.gyro, start.rate_live, (one, one))
     for turn in range(rounds):
@@ -189,9 +196,12 @@ def _shares(
 def _without_effects(task: _Task, motion: FusedMotion) -> tuple[Array, Array]:
     """Corrected readings (T, K, 3) less what the effects beyond the linear parts add."""
     start, beyond = task.start, task.instrument.beyond
-    if all(part.late for part in beyond.parts):
+    if all(part.late and not part.lags for part in beyond.parts):
         return start.force, start.gyro
-    force, gyro = beyond.added(_seen(task.instrument, task.stretch.t, motion))
+    seen = _seen(task.instrument, task.stretch.t, motion)
+    if task.tied and beyond.lags and len(task.stretch.t) > _SHORT:
+        seen = _over_time(seen)
+    force, gyro = beyond.added(seen)
     return start.force - force, start.gyro - gyro
 
 
@@ -208,6 +218,17 @@ def _seen(instrument: Instrument, t: Array, motion: FusedMotion) -> BoardMotion:
         imus=instrument.imus, rotations=instrument.beyond.rotations, t=t,
         order=np.full(len(t), 0.5), rate=motion.rate, spin=motion.spin, force=felt, jerk=jerk,
     )  # fmt: skip
+
+
+def _over_time(seen: BoardMotion) -> BoardMotion:
+    """The motion with its courses, of which lagging sensors meet a part."""
+    t, turning = seen.context["time"], seen.truth.turning
+    step = np.diff(t)
+    near = step < _SLOW * np.median(step)
+    beside = np.stack([np.append(False, near), np.append(near, False)], axis=1)
+    jerk = slope_of(seen.truth.force, t, beside)
+    turning = Motion(turning.rate, turning.spin, jerk)
+    return replace(seen, truth=replace(seen.truth, motion=turning)).coursed(beside)
 
 
 def _residuals(task: _Task, motion: FusedMotion, force: Array, gyro: Array) -> tuple[Array, Array]:

@@ -22,11 +22,12 @@ from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residua
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Search, search
 from imucalib.calibrators.array.loop.state import ArrayState, settled
+from imucalib.calibrators.array.loop.twins.refits import told_apart
+from imucalib.calibrators.array.loop.twins.shared_lag import with_shared_first
 from imucalib.calibrators.array.loop.worth import (
-    best_of_twins,
+    not_held_out,
     refitted,
     size_in_words,
-    told_apart,
     why_not,
     worth,
 )
@@ -34,14 +35,15 @@ from imucalib.calibrators.array.moving import Moving
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings, Step, Unexplained
 from imucalib.loop.subject import Refused, Searched
-from imucalib.loop.thresholds import BOTH_HALVES, CURVES, KEEP, ONE_HALF, PATH
+from imucalib.loop.thresholds import CURVES, KEEP, PATH
 
 
 @dataclass(frozen=True)
 class MotionSubject:
     """Where the search stands. debt : nats that effects still have to explain because a curve
     explained them, since `safe`; taken : how many effects tried to; left_out : what is not tried,
-    by the user's wish or because it was refused before this state; matched : curves that effects
+    by the user's wish or because it was refused before this state; lost : twins of what was taken
+    whose fits are lost, with its nats; matched : curves that effects
     took the place of, and the path before; corrected : structure without a name that a curve takes
     out; clocks : whether the gyros' clocks may be looked for again; over : whether effects were put
     back, which ends the search for them"""
@@ -54,6 +56,7 @@ class MotionSubject:
     left_out: frozenset[str]
     ages: Ages | None
     earlier: Earlier
+    lost: tuple[tuple[str, float], ...] = ()
     steps: tuple[Step, ...] = ()
     dropped: tuple[tuple[str, str], ...] = ()
     debt: float = 0.0
@@ -106,14 +109,11 @@ class MotionSubject:
     def tried(
         self, found: Searched, chosen: Score, rejected: Collection[str]
     ) -> MotionSubject | Refused:
-        gains = self.searched.held_out(chosen.name)
-        reason = _not_held_out(gains)
+        reason = not_held_out(self.searched.held_out(chosen.name))
         if reason:  # before the refit: it is what a search costs most
             return Refused(chosen.name, reason)
         left_out = self.left_out.union(rejected)
-        tried = best_of_twins(
-            self.state, self.searched.term(chosen.name), self.earlier, left_out, self.rules.margin
-        )
+        chosen, tried = with_shared_first(self.searched, chosen, self.earlier, left_out, self.rules)
         if tried.state is None:
             return Refused(chosen.name, tried.reason)
         gyro = tried.state.terms[-1].effect.channel == "angular_rate"
@@ -123,8 +123,11 @@ class MotionSubject:
             reason = f"noise that neighbours share explains it as well (p {late.p:.2g})"
             return Refused(chosen.name, reason)
         left_out = left_out.union(*(twins_of(name) for name in rejected))
+        gains = self.searched.held_out(chosen.name)
         grown = self._with(tried.state, chosen, gains, tried.rivals)
-        return self._owing(replace(grown, left_out=left_out), chosen, rejected)
+        lost = ((name, chosen.evidence) for name in tried.lost)
+        grown = replace(grown, left_out=left_out, lost=(*self.lost, *lost))
+        return self._owing(grown, chosen, rejected)
 
     def _with(
         self, trial: ArrayState, chosen: Score, gains: tuple[float, float],
@@ -145,12 +148,16 @@ class MotionSubject:
             draws=chosen.draws,
             evidence=chosen.evidence,
             checked=self.residuals.against(after),
-            aliases=(*twins, *aliases),
+            aliases=(*twins, *aliases, *self._would_leave(chosen.evidence)),
             value=size_in_words(trial, trial.terms[-1]),
             gains=gains,
             curve=curve,
         )
         return replace(self, state=trial, residuals=after, steps=(*self.steps, step))
+
+    def _would_leave(self, nats: float) -> tuple[str, ...]:
+        """What a smaller effect could be of twins whose fits are lost: nothing is known of it."""
+        return tuple(f"what {name} would leave" for name, own in self.lost if own > nats)
 
     def _owing(
         self, grown: MotionSubject, chosen: Score, rejected: Collection[str]
@@ -244,9 +251,3 @@ def _matched_in_vain(path: MotionSubject, alpha: float) -> MotionSubject | None:
 
 def without_a_name(s: Score) -> Unexplained:
     return Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
-
-
-def _not_held_out(gains: tuple[float, float]) -> str:
-    if min(gains) < ONE_HALF or sum(gains) < BOTH_HALVES:
-        return f"it does not hold out: {gains[0]:+.1f} and {gains[1]:+.1f} nats on the other half"
-    return ""

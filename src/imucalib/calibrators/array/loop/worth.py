@@ -1,16 +1,14 @@
-"""How large a term of the array's model is, what it is worth, what one more would be, and refits
+"""How large a term of the array's model is, what it is worth, what one more would be, and a refit
 with it."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.candidates import Entry, typical_columns
-from imucalib.calibrators.array.loop.catalogue import array_catalogue, twins_of
 from imucalib.calibrators.array.loop.earlier import Earlier
 from imucalib.calibrators.array.loop.setup import looked_at
 from imucalib.calibrators.array.loop.state import ArrayState, settled
@@ -18,10 +16,11 @@ from imucalib.calibrators.array.loop.terms import Term
 from imucalib.core.eigen import eigen
 from imucalib.estimators.array.gram import gram
 from imucalib.estimators.array.reduced import Alone, alone, reduced
+from imucalib.loop.thresholds import BOTH_HALVES, ONE_HALF
 from imucalib.significant_digits import plus_minus
 
 _SURE = 3.0  # standard deviations beyond which a value is not the least that is believed
-_DIVERGED = "its refit did not converge"
+DIVERGED = "its refit did not converge"
 TAU = 10.0 ** np.arange(-3.0, 1.1, 0.5)
 _APART = 0.2  # share of a curve's direction that the base must leave
 
@@ -116,68 +115,7 @@ def _most_likely(found: Alone) -> Array:
     return np.asarray(vectors @ (shrunk[np.argmax(evidence)] * seen))
 
 
-@dataclass(frozen=True)
-class Tried:
-    """A refit with one term more, or why there is none; rivals : twins that would do as well, or
-    whose own refit is lost."""
-
-    state: ArrayState | None
-    reason: str = ""
-    rivals: tuple[str, ...] = ()
-
-
-def best_of_twins(
-    state: ArrayState, term: Term, earlier: Earlier, left_out: Collection[str], margin: float
-) -> Tried:
-    """The joint fit with one term more, or with the twin of it that fits better.
-
-    left_out : effects that are not tried; margin : nats up to which another twin would do as well
-    """
-    twins = [twin for twin in twins_of(term.name) if twin not in left_out]
-    trial = refitted(state, term, earlier)
-    reason = _DIVERGED if trial is None else why_not(state, trial)
-    if trial is not None and trial.converged:
-        fits = _twins(trial, term.name, twins)
-    else:
-        fits = {twin: refitted(state, _as_twin(term, twin), earlier) for twin in twins}
-    fits[term.name] = trial
-    sound = {n: s for n, s in fits.items() if s is not None and not why_not(state, s)}
-    if not sound:
-        return Tried(None, reason)
-    best, rivals = _nearest(sound, margin)
-    return Tried(sound[best], "", (*rivals, *_open(fits)))
-
-
-def told_apart(
-    state: ArrayState, name: str, twins: Sequence[str], margin: float
-) -> tuple[ArrayState, str, tuple[str, ...]]:
-    """Of a joint fit, the term of this name or its twin that fits better: the fit with it, its
-    name, and those that would do as well, or whose fit is lost."""
-    fits = _twins(state, name, twins)
-    sound = {n: s for n, s in fits.items() if s is not None and s.converged}
-    sound = {n: s for n, s in sound.items() if not _implausible(s, n)} | {name: state}
-    best, rivals = _nearest(sound, margin)
-    return sound[best], best, (*rivals, *_open(fits))
-
-
-def _twins(state: ArrayState, name: str, twins: Sequence[str]) -> dict[str, ArrayState | None]:
-    """Joint fits with twins in the place of a term, begun at its values; not where these are none
-    that the twin could have."""
-    found: dict[str, ArrayState | None] = {}
-    for twin in twins:
-        terms = (_as_twin(t, twin) if t.name == name else t for t in state.terms)
-        start = replace(state, terms=tuple(terms))
-        if not _implausible(start, twin):
-            found[twin] = _settled(start, shaped=False)
-    return found
-
-
-def _open(fits: Mapping[str, ArrayState | None]) -> tuple[str, ...]:
-    """Twins whose fit was lost: nothing is known against them."""
-    return tuple(n for n, s in fits.items() if s is None or not s.converged)
-
-
-def _settled(state: ArrayState, *, shaped: bool = True) -> ArrayState | None:
+def settled_or_lost(state: ArrayState, *, shaped: bool = True) -> ArrayState | None:
     """The joint fit; None where it runs away, as few IMUs allow."""
     try:
         return settled(state, shaped=shaped, lost=True)
@@ -185,26 +123,9 @@ def _settled(state: ArrayState, *, shaped: bool = True) -> ArrayState | None:
         return None
 
 
-def _as_twin(term: Term, twin: str) -> Term:
-    """With the effect of a twin: where one kind of sensor lags, the other leads."""
-    effect = array_catalogue()[twin.partition("@")[0]]
-    sign = 1.0 if effect.channel == term.effect.channel else -1.0
-    return replace(term, name=twin, effect=effect, value=sign * term.value)
-
-
-def _nearest(fits: Mapping[str, ArrayState], margin: float) -> tuple[str, tuple[str, ...]]:
-    """The name of the best fit of twins, and of those that do as well; where the one that a search
-    has for all is among these, it stays."""
-    bar = max(s.density for s in fits.values()) - margin
-    near = sorted((n for n, s in fits.items() if s.density > bar), key=lambda n: -fits[n].density)
-    plain = [n for n in near if not array_catalogue()[n.partition("@")[0]].twin]
-    best = (plain or near)[0]
-    return best, tuple(n for n in near if n != best)
-
-
 def refitted(state: ArrayState, term: Term, earlier: Earlier) -> ArrayState | None:
     """The joint fit with one term more; None where it runs away."""
-    found = _settled(earlier.begun(replace(state, terms=(*state.terms, term))))
+    found = settled_or_lost(earlier.begun(replace(state, terms=(*state.terms, term))))
     return earlier.kept(found) if found is not None and found.converged else found
 
 
@@ -212,16 +133,16 @@ def why_not(before: ArrayState, after: ArrayState) -> str:
     if len(after.terms[-1].value) == 0:
         return "these data determine none of its parameters"
     if not after.converged:
-        return _DIVERGED
-    implausible = _implausible(after, after.terms[-1].name)
-    if implausible:
-        return f"implausible size ({', '.join(implausible)})"
+        return DIVERGED
+    found = implausible(after, after.terms[-1].name)
+    if found:
+        return f"implausible size ({', '.join(found)})"
     if after.density <= before.density:
         return "the joint fit is not better with it"
     return ""
 
 
-def _implausible(state: ArrayState, name: str) -> list[str]:
+def implausible(state: ArrayState, name: str) -> list[str]:
     """Sizes of a term that are not believed, in words."""
     term = next(t for t in state.terms if t.name == name)
     parameters, reach = term.parameters(state.setup.imus), _SURE * state.sd_of(term)
@@ -230,3 +151,10 @@ def _implausible(state: ArrayState, name: str) -> list[str]:
         for p, v, r in zip(parameters, term.theta, reach, strict=True)
         if abs(v) > p.plausible or v + r < p.least
     ]
+
+
+def not_held_out(gains: tuple[float, float]) -> str:
+    """Why the halves of the motion contradict what gains so many nats in each, or nothing."""
+    if min(gains) < ONE_HALF or sum(gains) < BOTH_HALVES:
+        return f"it does not hold out: {gains[0]:+.1f} and {gains[1]:+.1f} nats on the other half"
+    return ""

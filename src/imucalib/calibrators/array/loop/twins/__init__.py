@@ -1,0 +1,1 @@
+"""Lags that look alike."""
