@@ -18,18 +18,21 @@ from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained, Wander
 from imucalib.loop.held_out import Held
 from imucalib.loop.separation.worn import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
+from imucalib.loop.wander.beside.changes import beside_changes
 from imucalib.loop.wander.choice import Refused, Rules, Search, search
 from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
+from imucalib.loop.wander.left.courses import courses
+from imucalib.loop.wander.left.strongest import strongest
+from imucalib.loop.wander.left.swing import swings
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
-from imucalib.loop.wander.slow import beside_scale_steps, beside_slow_walks, beside_the_day
+from imucalib.loop.wander.slow import beside_slow_walks, beside_the_day
 from imucalib.loop.wander.sums import sums_of
-from imucalib.loop.wander.swing import swings
 from imucalib.loop.wander.words import (
     beside_others,
     looked_like,
@@ -182,7 +185,8 @@ def _left(
 ) -> tuple[Unexplained, ...]:  # fmt: skip
     """Structure that the search could not name: of axes, and what wanders beside all that it did
     name."""
-    open_end = (*swings(found.problem, found.search), *unexplained(_wander(last)))
+    ways = [*swings(found.problem, found.search), *courses(found.problem, found.search)]
+    open_end = (*strongest(found.search, ways), *unexplained(_wander(last)))
     if not asked.probes:
         return open_end
     probed = left_over(
@@ -228,7 +232,7 @@ def _told(
             final = fitted(final.model, final.observations, last, final.theta, precision)
     steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
     steps = beside_the_day(problem, found.search, steps)
-    steps = beside_scale_steps(problem, found.search, steps)
+    steps = beside_changes(problem, found.search, steps)
     steps = beside_slow_walks(problem, found.search, steps)
     loop = FitLoop(
         base=problem.fit,

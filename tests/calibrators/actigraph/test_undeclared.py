@@ -1,0 +1,98 @@
+"""Effects that nobody listed: no name is certain beside them, and they are told as something.
+
+The recordings come from plain numpy, the equations written anew (`benchmarks/closed_loop`).
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from worlds.places import ROOT
+
+#: (direction (n, 3), °C from 25 (n,), share of time from -1/2 (n,), draws (3, 3)) -> (n, 3) mg
+Planted = Callable[[Any, Any, Any, Any], Any]
+
+
+@pytest.fixture(scope="module")
+def worn() -> Iterator[ModuleType]:
+    folder = str(ROOT / "benchmarks" / "closed_loop")
+    sys.path.insert(0, folder)
+    yield importlib.import_module("worn_walk")
+    sys.path.remove(folder)
+
+
+@pytest.fixture
+def loop_of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """(planted, λ, seed, noise) -> the loop of a recording with it."""
+
+    def found(planted: Planted, aim: float, seed: int, noise: str = "white") -> Any:
+        draws = np.random.default_rng((seed, 9)).standard_normal((3, 3))
+        one = lambda x, t, u, c: np.linalg.norm(c) * planted(x, t, u, draws)  # noqa: E731
+        monkeypatch.setitem(worn.EFFECTS, "planted", one)
+        return worn.Case(noise, "planted", aim, seed).solved(ActigraphRequest()).loop
+
+    return found
+
+
+def tilted(x: Any, c: Any) -> Any:
+    """Angles between the axes: y takes x, z takes x and y."""
+    return np.stack([0.0 * x[:, 0], c[0] * x[:, 0], c[1] * x[:, 0] + c[2] * x[:, 1]], axis=1)
+
+
+def late(u: Any) -> Any:
+    return (u > 0.07)[:, None]
+
+
+CHANGES: dict[str, Planted] = {
+    "scale": lambda x, t, u, c: late(u) * c[0] * x,
+    "bias and scale": lambda x, t, u, c: late(u) * (c[0] + c[1] * x),
+    "bias, scale and axes": lambda x, t, u, c: late(u) * (c[0] + c[1] * x + tilted(x, c[2])),
+    "what the bias makes of the warmth": lambda x, t, u, c: late(u) * c[0] * (t[:, None] - 2.0),
+}
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_changes_at_a_moment_is_no_certain_step_of_the_bias(
+    loop_of: Callable[..., Any], change: str, seed: int
+) -> None:
+    loop = loop_of(CHANGES[change], 30.0, seed)
+    assert loop.verdict != "nothing missing"
+    assert not any(step.certain for step in loop.steps if step.effect.startswith("bias_step@"))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_step_of_the_bias_alone_stays_certain(loop_of: Callable[..., Any], seed: int) -> None:
+    loop = loop_of(lambda x, t, u, c: late(u) * c[0], 30.0, seed)
+    assert [step.effect.partition("@")[0] for step in loop.steps] == ["bias_step"]
+    assert loop.steps[0].certain
+    assert loop.unexplained == ()
+
+
+LEFT: dict[str, tuple[Planted, str]] = {
+    "axes": (lambda x, t, u, c: late(u) * tilted(x, c[0]), "the angle between the axes jumps"),
+    "warmth": (
+        lambda x, t, u, c: c[0] * x * (t[:, None] - 5.0) ** 2,
+        "the scale follows the temperature in a way of its own",
+    ),
+    "bend": (lambda x, t, u, c: c[0] * x * u[:, None] ** 2, "the scale moves with time"),
+}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("structure", LEFT)
+def test_what_follows_a_driver_unlisted_is_told(
+    loop_of: Callable[..., Any], structure: str, seed: int
+) -> None:
+    planted, words = LEFT[structure]
+    loop = loop_of(planted, 30.0, seed)
+    assert any(u.name.startswith(words) for u in loop.unexplained)
+    assert not any(step.certain for step in loop.steps)
