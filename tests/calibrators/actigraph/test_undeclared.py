@@ -96,3 +96,20 @@ def test_what_follows_a_driver_unlisted_is_told(
     loop = loop_of(planted, 30.0, seed)
     assert any(u.name.startswith(words) for u in loop.unexplained)
     assert not any(step.certain for step in loop.steps)
+
+
+def behind_play(warm: Any, width: float) -> Any:
+    """°C, moved only at the ends of a play."""
+    at, found = warm[0], []
+    for value in warm:
+        at = min(max(at, value - width / 2.0), value + width / 2.0)
+        found.append(at)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("width", [2.0, 3.5, 5.0])
+def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width: float) -> None:
+    loop = loop_of(lambda x, t, u, c: c[0] * behind_play(t, width)[:, None], 30.0, 5)
+    assert loop.steps[0].effect.startswith("thermal_hysteresis@")
+    certain = {s.effect.partition("@")[0] for s in loop.steps if s.certain}
+    assert certain <= {"thermal_hysteresis", "temperature_bias"}
