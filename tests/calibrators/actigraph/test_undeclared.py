@@ -31,13 +31,16 @@ def worn() -> Iterator[ModuleType]:
 
 @pytest.fixture
 def loop_of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """(planted, λ, seed, noise) -> the loop of a recording with it."""
+    """(planted, λ or 0 for its own size, seed, noise) -> the loop of a recording with it."""
 
     def found(planted: Planted, aim: float, seed: int, noise: str = "white") -> Any:
         draws = np.random.default_rng((seed, 9)).standard_normal((3, 3))
-        one = lambda x, t, u, c: np.linalg.norm(c) * planted(x, t, u, draws)  # noqa: E731
+
+        def one(x: Any, t: Any, u: Any, c: Any) -> Any:
+            return (np.linalg.norm(c) if aim else 1.0) * planted(x, t, u, draws)
+
         monkeypatch.setitem(worn.EFFECTS, "planted", one)
-        return worn.Case(noise, "planted", aim, seed).solved(ActigraphRequest()).loop
+        return worn.Case(noise, "planted", aim or 1.0, seed).solved(ActigraphRequest()).loop
 
     return found
 
@@ -113,3 +116,46 @@ def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width:
     assert loop.steps[0].effect.startswith("thermal_hysteresis@")
     certain = {s.effect.partition("@")[0] for s in loop.steps if s.certain}
     assert certain <= {"thermal_hysteresis", "temperature_bias"}
+
+
+def at_night(u: Any) -> Any:
+    """(n, 1) of six days that begin at midnight: whether it is between 22 h and 6 h."""
+    hour = 24.0 * (6.0 * (u + 0.5) % 1.0)
+    return ((hour > 22.0) | (hour < 6.0))[:, None]
+
+
+COURSES: dict[str, tuple[Planted, str]] = {
+    "a bend": (lambda x, t, u, c: c[0] * x * u[:, None] ** 3, "scale_drift"),
+    "a night's bias": (lambda x, t, u, c: c[0] * at_night(u), "time_of_day"),
+    "a night's scale": (lambda x, t, u, c: c[0] * x * at_night(u), "scale_by_time_of_day"),
+}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("course", COURSES)
+def test_another_course_of_its_driver_takes_certainty_from_a_name(
+    loop_of: Callable[..., Any], course: str, seed: int
+) -> None:
+    planted, name = COURSES[course]
+    loop = loop_of(planted, 40.0, seed)
+    assert loop.verdict != "nothing missing"
+    assert name not in {step.effect for step in loop.steps if step.certain}
+
+
+STRAIGHT: dict[str, Planted] = {
+    "scale_drift": lambda x, t, u, c: c[0] * x * u[:, None],
+    "time_of_day": lambda x, t, u, c: c[0] * np.sin(12.0 * np.pi * u)[:, None],
+}
+
+
+@pytest.mark.parametrize("name", STRAIGHT)
+def test_the_course_of_a_name_itself_stays_certain(loop_of: Callable[..., Any], name: str) -> None:
+    loop = loop_of(STRAIGHT[name], 30.0, 2)
+    assert [step.effect for step in loop.steps if step.certain] == [name]
+
+
+def test_what_no_data_sheet_tells_is_not_certain(loop_of: Callable[..., Any]) -> None:
+    """4 mg/°C of a bias is twice what twice the worst sensor has."""
+    loop = loop_of(lambda x, t, u, c: t[:, None] * np.array([4.0, -3.5, 3.0]), 0.0, 1)
+    assert [step.effect for step in loop.steps] == ["temperature_bias"]
+    assert "unlisted_effect" in loop.steps[0].aliases

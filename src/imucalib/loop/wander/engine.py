@@ -18,7 +18,7 @@ from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained, Wander
 from imucalib.loop.held_out import Held
 from imucalib.loop.separation.worn import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
-from imucalib.loop.wander.beside.changes import beside_changes
+from imucalib.loop.wander.beside.every import beside_all
 from imucalib.loop.wander.choice import Refused, Rules, Search, search
 from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
@@ -31,10 +31,8 @@ from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
-from imucalib.loop.wander.slow import beside_slow_walks, beside_the_day
 from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import (
-    beside_others,
     looked_like,
     scores_of,
     steps_of,
@@ -230,10 +228,8 @@ def _told(
     if found.search.taken:
         with suppress(NotConverged):  # else it stays as it is, which has an inverse
             final = fitted(final.model, final.observations, last, final.theta, precision)
-    steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
-    steps = beside_the_day(problem, found.search, steps)
-    steps = beside_changes(problem, found.search, steps)
-    steps = beside_slow_walks(problem, found.search, steps)
+    steps = steps_of(problem, found.search, found.chances)
+    steps = beside_all(problem, found.search, steps, final)
     loop = FitLoop(
         base=problem.fit,
         final=final,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.loop.wander.beside.courses import waves
 from imucalib.loop.wander.beside.parts import driven
 from imucalib.loop.wander.choice import Search
 from imucalib.loop.wander.left.strongest import Way
@@ -30,11 +31,11 @@ def courses(problem: Problem, found: Search) -> list[Way]:
     ways = _jumps(parts, time)
     for word in _IN_TIME:
         if word in parts:
-            drive = driven(parts[word], _waves(time))
+            drive = driven(parts[word], waves(time, _TERMS))
             ways.append(Way(f"the {_WORDS[word]} moves with time", "time", "course", drive))
     context = problem.small.observations.context
     if "temperature" in context:
-        drives = _waves(context["temperature"])
+        drives = waves(context["temperature"], _TERMS)
         for word, columns in parts.items():
             words = f"the {_WORDS[word]} follows the temperature in a way of its own"
             ways.append(Way(words, "temperature", "course", driven(columns, drives)))
@@ -52,10 +53,3 @@ def _jumps(parts: dict[str, Array], time: Array) -> list[Way]:
             every = np.column_stack([driven(parts["bias"], late), *own.values()])
             ways.append(Way(f"more than the bias {where}", "time", "jump", every))
     return ways
-
-
-def _waves(values: Array) -> Array:
-    """(n, k) cosines over the range of a covariate."""
-    unit = (values - values.min()) / max(float(np.ptp(values)), 1e-300)
-    k = np.arange(1, _TERMS + 1)
-    return np.asarray(np.sqrt(2.0) * np.cos(np.pi * k * unit[:, None]) / k)
