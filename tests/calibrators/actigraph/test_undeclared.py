@@ -159,3 +159,14 @@ def test_what_no_data_sheet_tells_is_not_certain(loop_of: Callable[..., Any]) ->
     loop = loop_of(lambda x, t, u, c: t[:, None] * np.array([4.0, -3.5, 3.0]), 0.0, 1)
     assert [step.effect for step in loop.steps] == ["temperature_bias"]
     assert "unlisted_effect" in loop.steps[0].aliases
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_axis_that_scatters_far_more_is_told(loop_of: Callable[..., Any], axis: int) -> None:
+    def noise(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return 4.0 * np.random.default_rng(axis).standard_normal((len(x), 1)) * np.eye(3)[axis]
+
+    told = [u.name for u in loop_of(noise, 0.0, 1).unexplained]
+    assert [name.split(",")[0] for name in told] == [f"noise of {'xyz'[axis]}"]
+    even = loop_of(lambda x, t, u, c: 0.7 * noise(x, t, u, c) @ np.ones((3, 3)), 0.0, 1)
+    assert even.unexplained == ()

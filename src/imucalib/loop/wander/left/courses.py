@@ -50,6 +50,7 @@ def _jumps(parts: dict[str, Array], time: Array) -> list[Way]:
         own = {word: driven(parts[word], late) for word in _IN_TIME if word in parts}
         ways += [Way(f"the {_WORDS[w]} {where}", "time", "jump", x) for w, x in own.items()]
         if len(own) == len(_IN_TIME) and "bias" in parts:
-            every = np.column_stack([driven(parts["bias"], late), *own.values()])
-            ways.append(Way(f"more than the bias {where}", "time", "jump", every))
+            bias = driven(parts["bias"], late)
+            every = np.column_stack([bias, *own.values()])
+            ways.append(Way(f"more than the bias {where}", "time", "jump", every, bias))
     return ways

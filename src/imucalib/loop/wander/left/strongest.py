@@ -15,6 +15,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.found import Unexplained
+from imucalib.loop.thresholds import MARGIN
 from imucalib.loop.wander.choice import Search
 from imucalib.loop.wander.likelihood import Terms, levels
 from imucalib.loop.wander.scores import SIZES, beside
@@ -28,12 +29,14 @@ _CHANCE = 1e-3
 @dataclass(frozen=True)
 class Way:
     """words : what is told; driver, kind : as `Unexplained` has them; columns : (n, c) in units of
-    a run's scatter, about one in the mean"""
+    a run's scatter, about one in the mean; within : those of them that a search has tried, which it
+    must lead"""
 
     words: str
     driver: str
     kind: str
     columns: Array
+    within: Array | None = None
 
 
 def strongest(found: Search, ways: Sequence[Way]) -> tuple[Unexplained, ...]:
@@ -45,16 +48,20 @@ def strongest(found: Search, ways: Sequence[Way]) -> tuple[Unexplained, ...]:
     blocks = [way.columns for way in ways]
     bar = float(np.log(len(ways) * len(SIZES) * len(walks) / _CHANCE))
     first = _beside_own(found, blocks)
-    best = int(np.argmax(first))
-    if first[best] < bar:
+    while True:
+        best = int(np.argmax(first))
+        if first[best] < bar:
+            return ()
+        way = ways[best]
+        lead = _lead(found, walks, way.columns)
+        if way.within is None or lead >= _lead(found, walks, way.within) + MARGIN:
+            break
+        first[[one.within is not None for one in ways]] = -np.inf  # others of it are no more
+    if lead < bar:
         return ()
-    nats = _lead(found, walks, blocks[best])
-    if nats < bar:
-        return ()
-    chance = _CHANCE * float(np.exp(bar - nats))
-    share = 1.0 - float(np.exp(-2.0 * nats / bank.course.time.size))
-    way = ways[best]
-    return (Unexplained(way.words, way.driver, way.kind, chance, nats, share),)
+    chance = _CHANCE * float(np.exp(bar - lead))
+    share = 1.0 - float(np.exp(-2.0 * lead / bank.course.time.size))
+    return (Unexplained(way.words, way.driver, way.kind, chance, lead, share),)
 
 
 def _beside_own(found: Search, blocks: list[Array]) -> Array:
