@@ -10,10 +10,11 @@ import pytest
 
 from imucalib.loop.found import Step
 from imucalib.loop.wander.bank import bank_of
+from imucalib.loop.wander.beside.changes import beside_changes
 from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Level, Terms
 from imucalib.loop.wander.scores import Entry, Scored
-from imucalib.loop.wander.slow import beside_scale_steps, beside_slow_walks, lead
+from imucalib.loop.wander.slow import beside_slow_walks, lead
 from imucalib.loop.wander.walk import Course, Walk, drawn
 
 SPAN, ROWS = 86400.0, 150
@@ -41,7 +42,9 @@ def as_found(bank: Any, terms: Terms, taken: tuple[Any, ...]) -> tuple[Any, Any]
         model=SimpleNamespace(slices=lambda _: slices), parameters=[SimpleNamespace(typical=0.001)],
         observations=SimpleNamespace(context=None),
     )  # fmt: skip
-    problem = SimpleNamespace(fit=fit, terms=terms, noise=SimpleNamespace(scatter=1.0))
+    small = SimpleNamespace(observations=SimpleNamespace(context={}))
+    noise = SimpleNamespace(scatter=1.0)
+    problem = SimpleNamespace(fit=fit, small=small, terms=terms, noise=noise)
     level = Level(0, 0.0, 1.0, 1)
     return problem, Search(bank, terms, level, taken, (), (), ())
 
@@ -99,7 +102,7 @@ STEP = Step("scale_drift", 0.01, 99, 20.0, (), ())
 )
 def test_a_scale_that_jumps_is_no_certain_drift_of_it(data: Any, rival: str) -> None:
     bank, terms, taken = scaled(data)
-    found = beside_scale_steps(*as_found(bank, terms, (taken,)), (STEP,))
+    found = beside_changes(*as_found(bank, terms, (taken,)), (STEP,))
     assert [name.partition("@")[0] for name in found[0].aliases] == ([rival] if rival else [])
 
 
@@ -112,7 +115,7 @@ def test_a_scale_that_wanders_slowly_is_no_certain_drift_of_it() -> None:
 def test_where_time_drives_nothing_no_scale_is_held_to_jump() -> None:
     bank, terms, taken = scaled(lambda t, up: 12.0 * up * (t - 0.5))
     other = SimpleNamespace(found=SimpleNamespace(entry=Entry("cubic", "", "shape", np.array([2]))))
-    assert beside_scale_steps(*as_found(bank, terms, (other,)), (STEP,)) == (STEP,)
+    assert beside_changes(*as_found(bank, terms, (other,)), (STEP,)) == (STEP,)
     nothing = as_found(bank, terms, (taken,))
     nothing[0].fit.model = SimpleNamespace(slices=lambda _: {})
-    assert beside_scale_steps(*nothing, (STEP,)) == (STEP,)
+    assert beside_changes(*nothing, (STEP,)) == (STEP,)

@@ -70,7 +70,7 @@ def apply_to_recording(
     if not again:
         refuse_second(recording, channel.triad)
     ready = correction or Correction(calibration, use)
-    if history is None and ready.lags:
+    if history is None and ready.remembered:
         history = thermal_history([recording], channel.triad)
     thermometer = thermometer or thermometer_of(recording, channel.triad)
     corrected = ready(recording, channel, history, thermometer)
@@ -129,7 +129,7 @@ def correct_file(
         return at_once()
     notes: dict[str, None] = {}
     history, ready = None, None if calibration.triads else Correction(calibration, use)
-    if ready is not None and ready.lags:
+    if ready is not None and ready.remembered:
         history = _history(blocks(source, mapping, strict=strict), triad)
 
     def corrected_blocks() -> Iterator[Recording]:

@@ -20,10 +20,11 @@ from imucalib.core.context import Context
 from imucalib.core.effect import Effect
 from imucalib.core.model import Model
 from imucalib.core.truth import Truth
-from imucalib.effects.thermal_lag import PREFIX, counts_rows, hours_of
+from imucalib.effects.thermal_lag import PREFIX, counts_rows
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.thermal_history import ThermalHistory, temperature_at
+from imucalib.rests.thermal_memory import is_remembered, remembered
 from imucalib.units import MG, STANDARD_GRAVITY
 
 Spans = Mapping[str, tuple[float, float]]
@@ -58,10 +59,9 @@ class Correction:
         self._held: dict[str, None] = {}
 
     @property
-    def lags(self) -> dict[str, float]:
-        """The lagged temperatures that are needed, with their hours."""
-        names = [n for n in self.needs - self._by_rows if n.startswith(PREFIX)]
-        return {name: hours_of(name.removeprefix(PREFIX)) for name in names}
+    def remembered(self) -> tuple[str, ...]:
+        """Covariates that are needed of the temperature's past."""
+        return tuple(sorted(filter(is_remembered, self.needs)))
 
     @property
     def warm(self) -> bool:
@@ -134,7 +134,7 @@ class Correction:
             if self._by_rows:
                 self._held[_AS_WARM] = None
         if history is not None:
-            known |= {name: history.lagged(h, channel.t) for name, h in self.lags.items()}
+            known |= {name: remembered(history, name, channel.t) for name in self.remembered}
         for name in _RANGED:
             if name in self.needs and name in known:
                 self._count(name, known[name])

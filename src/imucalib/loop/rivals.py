@@ -113,7 +113,12 @@ def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tup
     """What would do as well and has no name: a bias that wanders slowly, unless the effect leads it
     by `margin` nats; and whatever else where its size is beyond what data sheets tell."""
     walk = lead_over_a_walk(before, chosen.evidence) < margin
-    part = after.model.slices(after.observations.context).get(chosen.name, slice(0))
-    sure = np.abs(after.theta[part]) - _SURE * after.sd[part]
-    usual = np.array([p.usual for p in after.parameters[part]])
-    return (WANDERING,) * walk + (UNLISTED,) * bool(np.any(sure > usual))
+    return (WANDERING,) * walk + (UNLISTED,) * beyond_usual(after, chosen.name)
+
+
+def beyond_usual(fit: Fit, name: str) -> bool:
+    """Whether an effect of a fit is surely larger than data sheets let one expect."""
+    part = fit.model.slices(fit.observations.context).get(name, slice(0))
+    sure = np.abs(fit.theta[part]) - _SURE * fit.sd[part]
+    usual = np.array([p.usual for p in fit.parameters[part]])
+    return bool(np.any(sure > usual))

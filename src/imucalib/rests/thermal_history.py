@@ -1,6 +1,6 @@
-"""The temperature over a recording, at any time, and what an exponential lag makes of it.
+"""The temperature over a recording, at any time, and what a lag or a play makes of it.
 
-For the lag it is kept as means of ten seconds, which a week has sixty thousand of: the lag of a
+For these it is kept as means of ten seconds, which a week has sixty thousand of: the lag of a
 whole recording costs the same memory however the recording is read.
 """
 
@@ -36,6 +36,25 @@ class ThermalHistory:
         values = np.interp(grid, t, self.values)
         share = 1.0 - np.exp(-step / (3600.0 * hours))
         return np.asarray(np.interp(at, grid, _trailing(values, share)))
+
+    def behind_play(self, width: float, at: Array) -> Array:
+        """Temperature (°C) behind a play of a width (°C), in the middle of it at the start, at
+        times (s)."""
+        return np.asarray(np.interp(at, self.time, _with_play(self.values, width)))
+
+
+def _with_play(values: Array, width: float) -> Array:
+    """p_k = p_{k-1} held to x_k ± width / 2. To hold to one range after another is to hold to one:
+    the ranges of 1, 2, 4, ... steps come from those of half as many."""
+    low, high = values - 0.5 * width, values + 0.5 * width
+    low[:1] = high[:1] = values[:1]
+    step = 1
+    while step < values.size:
+        before = low[:-step], high[:-step]
+        first, last = (np.clip(x, low[step:], high[step:]) for x in before)
+        low, high = np.append(low[:step], first), np.append(high[:step], last)
+        step *= 2
+    return low
 
 
 def _trailing(values: Array, share: float) -> Array:

@@ -93,6 +93,11 @@ def _open_ends(loop: FitLoop, *, warm: bool) -> list[str]:
             "The error moves with time and no temperature was recorded: export the temperature "
             "channel too, or calibrate in parts with --every 1d."
         )
+    elif any(u.kind == "jump" for u in in_time):
+        found.append(
+            "Something changes at one moment: calibrate what lies before it and after it in parts, "
+            "with --every, and look for a knock, a restart or another sensor there."
+        )
     elif any(u.kind == "swing" for u in in_time):
         found.append(
             "What swings has a cause with that period: note what goes on and off beside the "

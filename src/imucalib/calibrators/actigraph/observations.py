@@ -11,9 +11,9 @@ from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
-from imucalib.effects.thermal_lag import LAGS, covariate, hours_of
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.rests.thermal_history import history_of
+from imucalib.rests.thermal_memory import REMEMBERED, remembered
 from imucalib.units import MG
 
 _DAY = 86400.0
@@ -61,7 +61,7 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     if warm is not None and np.ptp(runs.temperature) >= _LEAST_WARMTH:  # False for NaN
         found["temperature"] = runs.temperature
         history = history_of(warm)
-        found |= {covariate(v): history.lagged(hours_of(v), runs.time) for v in LAGS}
+        found |= {name: remembered(history, name, runs.time) for name in REMEMBERED}
     return found
 
 

@@ -16,9 +16,9 @@ from imucalib.calibrators.actigraph.simulation import (
     temperature_at,
 )
 from imucalib.core.context import Context
-from imucalib.effects.thermal_lag import LAGS, covariate, hours_of
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.thermal_history import ThermalHistory, history_of
+from imucalib.rests.thermal_memory import REMEMBERED, remembered
 from imucalib.units import MG
 
 _DAY, _POSTURE, _HOUR = 86400.0, 120.0, 3600.0  # s
@@ -45,7 +45,7 @@ class _World:
         }
         if self.plan.temperature:
             found["temperature"] = self.temperature(t)
-            found |= {covariate(v): self.history.lagged(hours_of(v), t) for v in LAGS}
+            found |= {name: remembered(self.history, name, t) for name in REMEMBERED}
         return Context(t.size, found)
 
     def temperature(self, t: Array) -> Array:

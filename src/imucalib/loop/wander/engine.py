@@ -18,20 +18,22 @@ from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained, Wander
 from imucalib.loop.held_out import Held
 from imucalib.loop.separation.worn import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
+from imucalib.loop.wander.beside.every import beside_all
 from imucalib.loop.wander.choice import Refused, Rules, Search, search
 from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
+from imucalib.loop.wander.left.axes import noisy_axis
+from imucalib.loop.wander.left.courses import courses
+from imucalib.loop.wander.left.strongest import strongest
+from imucalib.loop.wander.left.swing import swings
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
-from imucalib.loop.wander.slow import beside_scale_steps, beside_slow_walks, beside_the_day
 from imucalib.loop.wander.sums import sums_of
-from imucalib.loop.wander.swing import swings
 from imucalib.loop.wander.words import (
-    beside_others,
     looked_like,
     scores_of,
     steps_of,
@@ -178,18 +180,20 @@ def _undoable(found: _Pass) -> tuple[_Pass, Fit, Array]:
 
 def _left(
     found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked,
-    rng: np.random.Generator,
+    rng: np.random.Generator, *, refused: tuple[Unexplained, ...],
 ) -> tuple[Unexplained, ...]:  # fmt: skip
     """Structure that the search could not name: of axes, and what wanders beside all that it did
-    name."""
-    open_end = (*swings(found.problem, found.search), *unexplained(_wander(last)))
-    if not asked.probes:
-        return open_end
-    probed = left_over(
-        final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),
-        draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
-    )  # fmt: skip
-    return (*probed, *open_end)
+    name. What one axis has to itself looks like its noise, which is told beside nothing else."""
+    ways = [*swings(found.problem, found.search), *courses(found.problem, found.search)]
+    told, wanders = (*refused, *strongest(found.search, ways)), unexplained(_wander(last))
+    if asked.probes:
+        probed = left_over(
+            final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),
+            draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
+        )  # fmt: skip
+        told = (*refused, *probed, *told[len(refused) :])
+    noise = () if told else noisy_axis(final, last, asked.known)
+    return (*told, *noise, *wanders)
 
 
 def _refused(found: _Pass, steps: Sequence[Step]) -> tuple[Unexplained, ...]:
@@ -226,10 +230,8 @@ def _told(
     if found.search.taken:
         with suppress(NotConverged):  # else it stays as it is, which has an inverse
             final = fitted(final.model, final.observations, last, final.theta, precision)
-    steps = beside_others(problem, found.search, steps_of(problem, found.search, found.chances))
-    steps = beside_the_day(problem, found.search, steps)
-    steps = beside_scale_steps(problem, found.search, steps)
-    steps = beside_slow_walks(problem, found.search, steps)
+    steps = steps_of(problem, found.search, found.chances)
+    steps = beside_all(problem, found.search, steps, final)
     loop = FitLoop(
         base=problem.fit,
         final=final,
@@ -239,7 +241,7 @@ def _told(
         ambiguous=ambiguities(problem, found.search, steps),
         sums=sums_of(problem, found.level, problem.fit),
         rejected=tuple((r.name, r.reason) for r in found.search.refused),
-        unexplained=(*_refused(found, steps), *_left(found, final, last, folds, asked, rng)),
+        unexplained=_left(found, final, last, folds, asked, rng, refused=_refused(found, steps)),
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
         first_scores=scores_of(problem, first, found.chances[0], bars[0]),
         missing=problem.missing,

@@ -47,12 +47,13 @@ def kind_of(effect: Effect) -> str:
 @dataclass(frozen=True)
 class Entry:
     """A candidate: columns : where they are in the bank; family : the scan that it is a value of;
-    kind : what drives it."""
+    kind : what drives it; wide : whether it holds all that it is held against"""
 
     name: str
     family: str
     kind: str
     columns: Index
+    wide: bool = False
 
     @property
     def timed(self) -> bool:
@@ -67,7 +68,8 @@ class Entry:
     @property
     def free(self) -> bool:
         """Whether it may have any form: of an axis, of the posture, of the temperature."""
-        return self.kind in ("curve", "posture") or self.name.startswith("curve@")
+        named = self.kind in ("curve", "posture") or self.name.startswith("curve@")
+        return named or self.wide
 
 
 @dataclass(frozen=True)

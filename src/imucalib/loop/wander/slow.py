@@ -38,8 +38,6 @@ from imucalib.units import MG, STANDARD_GRAVITY
 #: Memories of a slow walk in recordings, and its variances over a run's, as fine as the search's.
 _TAU, _RHO = (0.5, 2.0), (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
 _OF_SCALE = "wandering_scale"
-#: Parts of the recording between which a jump of the scale is held against what was taken.
-_JUMPS = 32
 _CLOCK, _DAY, _HARMONICS = "time_of_day", 86400.0, 2
 
 
@@ -109,15 +107,6 @@ def beside_the_day(problem: Problem, found: Search, steps: Sequence[Step]) -> tu
     return _beside(problem, found, steps, _swings(problem))
 
 
-def beside_scale_steps(problem: Problem, found: Search, steps: Sequence[Step]) -> tuple[Step, ...]:
-    """The steps; where time drives one, with those that a jump of the scale explains as well: it
-    is a drift of the scale for three quarters of its power, and a search has none."""
-    if not any(taken.found.entry.timed for taken in found.taken):
-        return tuple(steps)
-    rivals = _scale_steps(problem, found.bank)
-    return _beside(problem, found, steps, rivals) if rivals else tuple(steps)
-
-
 def _beside(
     problem: Problem, found: Search, steps: Sequence[Step], rivals: Mapping[str, Array]
 ) -> tuple[Step, ...]:
@@ -130,15 +119,6 @@ def _beside(
         start += at.size
     bank = bank.plus(np.concatenate(list(rivals.values()), axis=1))
     return with_rivals(problem, replace(found, bank=bank), steps, entries)
-
-
-def _scale_steps(problem: Problem, bank: Bank) -> dict[str, Array]:
-    """Columns (n, 3) of a jump of the scale (1 mg/g) by its time."""
-    time, columns = bank.course.time, _scale_columns(problem, bank)
-    if not columns.size:
-        return {}
-    every = np.quantile(time, np.arange(1, _JUMPS) / _JUMPS)
-    return {f"scale_step@{t:.0f}s": columns * (time >= t)[:, None] for t in every}
 
 
 def _scale_columns(problem: Problem, bank: Bank) -> Array:

@@ -133,8 +133,8 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
     A curve of an axis is no rival of a name: it contains every shape of it. What else may have any
     form is one by its evidence alone, for its angle to what it contains is none; beside another
     free function also where it does as well on blocks left out, for the evidence of both hangs on
-    how rough a curve may be. What the size of gravity alone shows as a part of the effect is always
-    one.
+    how rough a curve may be. What holds the effect and more has to lead it. What the size of
+    gravity alone shows as a part of the effect is always one.
     """
     own = taken.found
     white = bank.white[own.walk]
@@ -150,7 +150,7 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
             alike = own.entry.free and entry.name in taken.alike
         else:
             alike = _apart(white, bank.data, terms, own, rival) < _APART
-        if rival.evidence >= near or alike:
+        if rival.evidence >= (own.evidence if entry.wide else near) or alike:
             out.append(entry.name)
     parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
     return tuple(_best_of_each_scan([*out, *parts]))

@@ -1,0 +1,1 @@
+"""What could stand in the place of a name that a search has taken, and is no candidate of it."""

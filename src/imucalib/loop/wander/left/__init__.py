@@ -1,0 +1,1 @@
+"""Structure that is left beside all that a search took, told and not corrected."""

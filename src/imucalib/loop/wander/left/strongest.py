@@ -1,0 +1,88 @@
+"""The strongest of many ways in which something could still be missing beside what was taken.
+
+    lead = max over walks of L(with its columns) - max over walks, slower ones too, of L
+
+No data need be drawn. The odds of one way, size and walk have mean one where nothing is missing,
+so that the chance of any lead is at most exp(-lead) times their number (Markov's inequality).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.loop.found import Unexplained
+from imucalib.loop.thresholds import MARGIN
+from imucalib.loop.wander.choice import Search
+from imucalib.loop.wander.likelihood import Terms, levels
+from imucalib.loop.wander.scores import SIZES, beside
+from imucalib.loop.wander.slow import slower, through
+from imucalib.loop.wander.walk import Walk
+
+#: Chance up to which it is told, as in `scores.sure`: no noise is just a walk of those tried.
+_CHANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Way:
+    """words : what is told; driver, kind : as `Unexplained` has them; columns : (n, c) in units of
+    a run's scatter, about one in the mean; within : those of them that a search has tried, which it
+    must lead"""
+
+    words: str
+    driver: str
+    kind: str
+    columns: Array
+    within: Array | None = None
+
+
+def strongest(found: Search, ways: Sequence[Way]) -> tuple[Unexplained, ...]:
+    """The likeliest way beside all that was taken, where its chance is a thousandth at most."""
+    if not ways:
+        return ()
+    bank = found.bank
+    walks = (*bank.walks, *slower(bank))
+    blocks = [way.columns for way in ways]
+    bar = float(np.log(len(ways) * len(SIZES) * len(walks) / _CHANCE))
+    first = _beside_own(found, blocks)
+    while True:
+        best = int(np.argmax(first))
+        if first[best] < bar:
+            return ()
+        way = ways[best]
+        lead = _lead(found, walks, way.columns)
+        if way.within is None or lead >= _lead(found, walks, way.within) + MARGIN:
+            break
+        first[[one.within is not None for one in ways]] = -np.inf  # others of it are no more
+    if lead < bar:
+        return ()
+    chance = _CHANCE * float(np.exp(bar - lead))
+    share = 1.0 - float(np.exp(-2.0 * lead / bank.course.time.size))
+    return (Unexplained(way.words, way.driver, way.kind, chance, lead, share),)
+
+
+def _beside_own(found: Search, blocks: list[Array]) -> Array:
+    """(blocks,) nats that each gains under the noise as it is, or where that is white."""
+    bank, terms = found.bank, found.terms
+    every = [bank.walks[k] for k in sorted({0, found.level.walk})]
+    one = through(bank, tuple(every), np.append(terms.columns, bank.data))
+    own = Terms(np.arange(terms.columns.size), terms.precision, terms.base)
+    keep = np.ones(1, dtype=bool)
+    nats = np.array([level.nats for level in levels(one, own, keep)])
+    gains = [beside(one, own, keep, k, blocks, SIZES).max(axis=1) for k in range(len(every))]
+    return np.asarray(np.max(nats[:, None] + gains, axis=0) - nats.max())
+
+
+def _lead(found: Search, walks: tuple[Walk, ...], block: Array) -> float:
+    """Nats by which it leads every walk without it, whatever the walk beside it."""
+    bank, terms = found.bank.plus(block), found.terms
+    at = np.arange(bank.columns.shape[1] - block.shape[1], bank.columns.shape[1])
+    one = through(bank, walks, np.concatenate([terms.columns, at, [bank.data]]))
+    p, keep = terms.columns.size, np.ones(1, dtype=bool)
+    without = Terms(np.arange(p), terms.precision, terms.base)
+    each = (levels(one, without.plus(p + np.arange(at.size), size), keep) for size in SIZES)
+    most = max(level.nats for every in each for level in every)
+    return most - max(level.nats for level in levels(one, without, keep))

@@ -1,0 +1,172 @@
+"""Effects that nobody listed: no name is certain beside them, and they are told as something.
+
+The recordings come from plain numpy, the equations written anew (`benchmarks/closed_loop`).
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucalib.calibrators.actigraph.request import ActigraphRequest
+from worlds.places import ROOT
+
+#: (direction (n, 3), °C from 25 (n,), share of time from -1/2 (n,), draws (3, 3)) -> (n, 3) mg
+Planted = Callable[[Any, Any, Any, Any], Any]
+
+
+@pytest.fixture(scope="module")
+def worn() -> Iterator[ModuleType]:
+    folder = str(ROOT / "benchmarks" / "closed_loop")
+    sys.path.insert(0, folder)
+    yield importlib.import_module("worn_walk")
+    sys.path.remove(folder)
+
+
+@pytest.fixture
+def loop_of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """(planted, λ or 0 for its own size, seed, noise) -> the loop of a recording with it."""
+
+    def found(planted: Planted, aim: float, seed: int, noise: str = "white") -> Any:
+        draws = np.random.default_rng((seed, 9)).standard_normal((3, 3))
+
+        def one(x: Any, t: Any, u: Any, c: Any) -> Any:
+            return (np.linalg.norm(c) if aim else 1.0) * planted(x, t, u, draws)
+
+        monkeypatch.setitem(worn.EFFECTS, "planted", one)
+        return worn.Case(noise, "planted", aim or 1.0, seed).solved(ActigraphRequest()).loop
+
+    return found
+
+
+def tilted(x: Any, c: Any) -> Any:
+    """Angles between the axes: y takes x, z takes x and y."""
+    return np.stack([0.0 * x[:, 0], c[0] * x[:, 0], c[1] * x[:, 0] + c[2] * x[:, 1]], axis=1)
+
+
+def late(u: Any) -> Any:
+    return (u > 0.07)[:, None]
+
+
+CHANGES: dict[str, Planted] = {
+    "scale": lambda x, t, u, c: late(u) * c[0] * x,
+    "bias and scale": lambda x, t, u, c: late(u) * (c[0] + c[1] * x),
+    "bias, scale and axes": lambda x, t, u, c: late(u) * (c[0] + c[1] * x + tilted(x, c[2])),
+    "what the bias makes of the warmth": lambda x, t, u, c: late(u) * c[0] * (t[:, None] - 2.0),
+}
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_changes_at_a_moment_is_no_certain_step_of_the_bias(
+    loop_of: Callable[..., Any], change: str, seed: int
+) -> None:
+    loop = loop_of(CHANGES[change], 30.0, seed)
+    assert loop.verdict != "nothing missing"
+    assert not any(step.certain for step in loop.steps if step.effect.startswith("bias_step@"))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_step_of_the_bias_alone_stays_certain(loop_of: Callable[..., Any], seed: int) -> None:
+    loop = loop_of(lambda x, t, u, c: late(u) * c[0], 30.0, seed)
+    assert [step.effect.partition("@")[0] for step in loop.steps] == ["bias_step"]
+    assert loop.steps[0].certain
+    assert loop.unexplained == ()
+
+
+LEFT: dict[str, tuple[Planted, str]] = {
+    "axes": (lambda x, t, u, c: late(u) * tilted(x, c[0]), "the angle between the axes jumps"),
+    "warmth": (
+        lambda x, t, u, c: c[0] * x * (t[:, None] - 5.0) ** 2,
+        "the scale follows the temperature in a way of its own",
+    ),
+    "bend": (lambda x, t, u, c: c[0] * x * u[:, None] ** 2, "the scale moves with time"),
+}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("structure", LEFT)
+def test_what_follows_a_driver_unlisted_is_told(
+    loop_of: Callable[..., Any], structure: str, seed: int
+) -> None:
+    planted, words = LEFT[structure]
+    loop = loop_of(planted, 30.0, seed)
+    assert any(u.name.startswith(words) for u in loop.unexplained)
+    assert not any(step.certain for step in loop.steps)
+
+
+def behind_play(warm: Any, width: float) -> Any:
+    """°C, moved only at the ends of a play."""
+    at, found = warm[0], []
+    for value in warm:
+        at = min(max(at, value - width / 2.0), value + width / 2.0)
+        found.append(at)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("width", [2.0, 3.5, 5.0])
+def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width: float) -> None:
+    loop = loop_of(lambda x, t, u, c: c[0] * behind_play(t, width)[:, None], 30.0, 5)
+    assert loop.steps[0].effect.startswith("thermal_hysteresis@")
+    certain = {s.effect.partition("@")[0] for s in loop.steps if s.certain}
+    assert certain <= {"thermal_hysteresis", "temperature_bias"}
+
+
+def at_night(u: Any) -> Any:
+    """(n, 1) of six days that begin at midnight: whether it is between 22 h and 6 h."""
+    hour = 24.0 * (6.0 * (u + 0.5) % 1.0)
+    return ((hour > 22.0) | (hour < 6.0))[:, None]
+
+
+COURSES: dict[str, tuple[Planted, str]] = {
+    "a bend": (lambda x, t, u, c: c[0] * x * u[:, None] ** 3, "scale_drift"),
+    "a night's bias": (lambda x, t, u, c: c[0] * at_night(u), "time_of_day"),
+    "a night's scale": (lambda x, t, u, c: c[0] * x * at_night(u), "scale_by_time_of_day"),
+}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("course", COURSES)
+def test_another_course_of_its_driver_takes_certainty_from_a_name(
+    loop_of: Callable[..., Any], course: str, seed: int
+) -> None:
+    planted, name = COURSES[course]
+    loop = loop_of(planted, 40.0, seed)
+    assert loop.verdict != "nothing missing"
+    assert name not in {step.effect for step in loop.steps if step.certain}
+
+
+STRAIGHT: dict[str, Planted] = {
+    "scale_drift": lambda x, t, u, c: c[0] * x * u[:, None],
+    "time_of_day": lambda x, t, u, c: c[0] * np.sin(12.0 * np.pi * u)[:, None],
+}
+
+
+@pytest.mark.parametrize("name", STRAIGHT)
+def test_the_course_of_a_name_itself_stays_certain(loop_of: Callable[..., Any], name: str) -> None:
+    loop = loop_of(STRAIGHT[name], 30.0, 2)
+    assert [step.effect for step in loop.steps if step.certain] == [name]
+
+
+def test_what_no_data_sheet_tells_is_not_certain(loop_of: Callable[..., Any]) -> None:
+    """4 mg/°C of a bias is twice what twice the worst sensor has."""
+    loop = loop_of(lambda x, t, u, c: t[:, None] * np.array([4.0, -3.5, 3.0]), 0.0, 1)
+    assert [step.effect for step in loop.steps] == ["temperature_bias"]
+    assert "unlisted_effect" in loop.steps[0].aliases
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_axis_that_scatters_far_more_is_told(loop_of: Callable[..., Any], axis: int) -> None:
+    def noise(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return 4.0 * np.random.default_rng(axis).standard_normal((len(x), 1)) * np.eye(3)[axis]
+
+    told = [u.name for u in loop_of(noise, 0.0, 1).unexplained]
+    assert [name.split(",")[0] for name in told] == [f"noise of {'xyz'[axis]}"]
+    even = loop_of(lambda x, t, u, c: 0.7 * noise(x, t, u, c) @ np.ones((3, 3)), 0.0, 1)
+    assert even.unexplained == ()
