@@ -226,6 +226,26 @@ def test_a_cycle_swings_with_its_period_in_rows() -> None:
     assert family.values(Context(19, {k: v[:19] for k, v in dials.items()})) == ()
 
 
+def test_a_cycle_is_counted_in_seconds_where_rows_stand_at_an_uneven_pace() -> None:
+    """With a clock at an uneven pace up to eight swings in ten rows: quick ones pass for no slow
+    ones; at an even pace the rows say as much."""
+    rng = np.random.default_rng(3)
+    theta, force = rng.normal(size=6), rng.normal(size=(40, 3))
+    time = np.cumsum(rng.uniform(60.0, 180.0, 40))
+    known_here = {"record": np.arange(40.0), "tool_face": np.zeros(40), "time": time}
+    phase = 2 * np.pi * time[:, None] / 222.0
+    expected = 1e-3 * (theta[:3] * np.cos(phase) + theta[3:] * np.sin(phase))
+    got = added("cycle@222s", theta, force, Context(40, known_here))
+    np.testing.assert_allclose(got, expected, atol=1e-12)
+    family = families()["cycle"]
+    tried = [float(v.removesuffix("s")) for v in family.values(Context(40, known_here))]
+    np.testing.assert_allclose(np.ptp(time) / np.array(tried), np.arange(1.5, 32.0, 0.5), rtol=1e-3)
+    near = family.nearby(Context(40, known_here), "222s")
+    assert min(abs(float(v.removesuffix("s")) - 222.0) for v in near) < 0.1
+    even = known_here | {"time": 60.0 * np.arange(40.0)}
+    assert all(v.endswith("rows") for v in family.values(Context(40, even)))
+
+
 def test_a_step_in_time_is_tried_between_twelve_readings_and_twelve() -> None:
     """Forty readings a minute apart: from behind the 12th to before the 29th."""
     tried = families()["bias_step"].values(Context(40, {"time": 60.0 * np.arange(40)}))

@@ -11,7 +11,7 @@ from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.units import MG
 
-_ROWS = "rows"
+_ROWS, _SECONDS = "rows", "s"
 _PER_MILLE = 1e-3  # mg/g
 #: Rows of a table from which on more than one swing can be told from all else.
 _FEWEST = 20
@@ -19,6 +19,9 @@ _FEWEST = 20
 #: steps of half a swing a table, between which a wave keeps nine tenths of its amplitude.
 _SLOWEST, _QUICKEST, _STEP = 1.5, 0.4, 0.5
 _FINER = 5
+#: Spread of the steps of time, relative, from which a pace is uneven; and how many swings a row can
+#: be told then, where an even pace takes a quick one for a slow one.
+_PACE, _UNEVEN = 0.2, 0.8
 
 
 def _waves(angle: Array) -> Array:
@@ -52,39 +55,62 @@ def _sizes(name: str, unit: str, typical: float, plausible: float) -> tuple[Para
 
 
 def cycle(value: str) -> Effect:
-    """The swing with a period of so many rows of a table, "7.3rows"; ValueError otherwise."""
-    rows = float(value.removesuffix(_ROWS))
-    if not value.endswith(_ROWS) or not rows > 0.0:
-        raise ValueError(f"no period in rows: {value}")
+    """The swing with a period of so many rows of a table, "7.3rows", or of so many seconds by its
+    clock, "220s"; ValueError otherwise."""
+    driver, unit = _driver_of(value)
+    period = float(value.removesuffix(unit))
+    if not period > 0.0:
+        raise ValueError(f"no period: {value}")
+    words = f"{period:g} rows" if unit == _ROWS else f"{period:g} s"
+    phase = "(row - 1)" if unit == _ROWS else "time"
     return Response(
         f"cycle@{value}",
-        f"The bias swings with a period of {rows:g} rows.",
-        "y_i = x_i + c_i cos(φ) + s_i sin(φ),  φ = 2π (row - 1) / period",
+        f"The bias swings with a period of {words}.",
+        f"y_i = x_i + c_i cos(φ) + s_i sin(φ),  φ = 2π {phase} / period",
         "heating or a pump that goes on and off beside a bench, practice",
         "Repeat one position at an uneven pace, and note the time and the temperature.",
-        ("record", "tool_face"),
+        (driver, "tool_face"),
         each=_sizes(f"cycle_{value}", "mg", 1.0, 50.0),
-        basis=_bias(lambda context: 2.0 * np.pi * context["record"] / rows),
+        basis=_bias(lambda context: 2.0 * np.pi * context[driver] / period),
         # Of the room and not of the sensor: no recording has its phase.
         stage="fixture",
     )
 
 
-def _periods(swings: Array, rows: int) -> tuple[str, ...]:
-    return tuple(f"{rows / s:.4g}{_ROWS}" for s in swings)
+def _driver_of(value: str) -> tuple[str, str]:
+    """What a period is counted in, and its unit."""
+    for driver, unit in (("record", _ROWS), ("time", _SECONDS)):
+        if value.endswith(unit) and value.removesuffix(unit)[-1:].isdigit():
+            return driver, unit
+    raise ValueError(f"no period in rows or seconds: {value}")
+
+
+def _periods(swings: Array, span: float, unit: str) -> tuple[str, ...]:
+    return tuple(f"{span / s:.4g}{unit}" for s in swings)
 
 
 def _values(context: Context) -> tuple[str, ...]:
     if context.n < _FEWEST or "record" not in context or "tool_face" not in context:
         return ()
-    rows = _rows(context)
-    return _periods(np.arange(_SLOWEST, _QUICKEST * rows, _STEP), rows)
+    span, unit = _span(context)
+    most = (_QUICKEST if unit == _ROWS else _UNEVEN) * _rows(context)
+    return _periods(np.arange(_SLOWEST, most, _STEP), span, unit)
 
 
 def _nearby(context: Context, value: str) -> tuple[str, ...]:
-    rows = _rows(context)
-    swings = rows / float(value.removesuffix(_ROWS))
-    return _periods(swings + _STEP * np.linspace(-1.0, 1.0, 2 * _FINER + 1), rows)
+    _, unit = _driver_of(value)
+    span = float(_rows(context)) if unit == _ROWS else float(np.ptp(context["time"]))
+    swings = span / float(value.removesuffix(unit))
+    return _periods(swings + _STEP * np.linspace(-1.0, 1.0, 2 * _FINER + 1), span, unit)
+
+
+def _span(context: Context) -> tuple[float, str]:
+    """How long the table is, by its clock where its rows stand at an uneven pace."""
+    if "time" in context:
+        steps = np.diff(np.sort(context["time"]))
+        if steps.size and np.std(steps) > _PACE * np.mean(steps) > 0.0:
+            return float(np.ptp(context["time"])), _SECONDS
+    return float(_rows(context)), _ROWS
 
 
 def _rows(context: Context) -> int:

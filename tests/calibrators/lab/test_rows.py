@@ -197,7 +197,7 @@ def test_a_size_is_implausible_beyond_a_third_on_either_side() -> None:
     ("reading", "words", "fix"),
     [
         ([30.0, 8000.0, 599.0], "8 times", "y may be ten times too large: --fix 2:y=800, "),
-        ([30.0, 80.0, 599.0], "0.61 times", "y may be ten times too small: --fix 2:y=800, "),
+        ([30.0, 80.0, 600.0], "0.61 times", "y may be ten times too small: --fix 2:y=800, "),
         ([30.0, 95.0, 20.0], "0.1 times", "y may be ten times too small: --fix 2:y=950, "),
         (
             [-75.0, 76.0, 640.0],

@@ -31,7 +31,7 @@ _FAR = 0.35
 _OTHER_UNIT, _SAME = 5.0, 0.1
 #: How near the others' size a repair brings a row: a factor ten, and digits, of which there are
 #: many pairs; and how many repairs are offered.
-_TENFOLD, _DIGITS, _REPAIRS = 0.1, 0.01, 3
+_TENFOLD, _DIGITS, _REPAIRS = 0.1, 0.04, 3
 #: Slips of the pen that a sheet may hold by themselves.
 _SLIPS = 2
 

@@ -152,7 +152,7 @@ def look_for_faults(
         questions += (f"{sentence}; decide with {line}",)
     unit = tuple(DEG if table.unit.get(r) == "rad" else 1.0 for r in ("inclination", "tool_face"))
     slips = row_faults(sheet, table.raw(), (unit[0], unit[1]))
-    if not any(slip.kind == "axes" for slip in slips):  # of a part: the whole's say nothing
+    if not any(slip.kind in ("axes", "setting") for slip in slips):  # the whole's say nothing then
         questions += axes_questions(sheet, request)
     return Faults(slips, questions, () if sheet.ordered else _order_note(table, rows))
 

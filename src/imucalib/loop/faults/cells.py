@@ -14,13 +14,15 @@ from itertools import pairwise
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.loop.faults.found import ENOUGH, Fault, Hypothesis
+from imucalib.loop.faults.found import Fault, Hypothesis
 from imucalib.loop.faults.noise_grid import Base
 from imucalib.loop.faults.readings import by_rows, leading, strays
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 #: Significant figures of a cell of which two neighbours may have changed places.
 _FIGURES = 10
+#: Nats by which exchanged digits must explain a reading better than that it strays: seven to one.
+_BEYOND_STRAY = 2.0
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def cells(base: Base, si: Array) -> list[Hypothesis]:
     score = base.best(rss) - base.as_it_stands - np.log(len(tried))
     # Of so many values one lies near any stray reading: it must say more than that it strays.
     any_value = np.array([slip.digits for slip in tried])
-    score[any_value & (score < strays(base)[row] + ENOUGH)] = -np.inf
+    score[any_value & (score < strays(base)[row] + _BEYOND_STRAY)] = -np.inf
     return [_told(base, si, tried[k], float(score[k])) for k in leading(score)]
 
 
