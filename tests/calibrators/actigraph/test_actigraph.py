@@ -204,8 +204,8 @@ def test_scans_know_their_members_by_name() -> None:
     scans = {"bias_step", "slip", "thermal_lag", "cycle", "converter", "curve", "posture", "shape",
              "follows", "thermal_hysteresis"}  # fmt: skip
     assert set(families()) == scans
-    wrong = ("bias_step@later", "converter@w", "thermal_lag@", "cycle@7h", "cycle@-2rows", "cycle@rows",
-             "follows@bias:1:2", "thermal_hysteresis@2", "thermal_hysteresis@0C",
+    wrong = ("bias_step@later", "converter@w", "thermal_lag@", "cycle@7h", "cycle@-2rows",
+             "cycle@rows", "follows@bias:1:2", "thermal_hysteresis@2", "thermal_hysteresis@0C",
              "thermal_hysteresis@C")  # fmt: skip
     for name in (*wrong, "nothing@1s"):
         assert known(name) is None
