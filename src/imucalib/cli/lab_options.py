@@ -230,6 +230,14 @@ def _population(options: dict[str, Any]) -> Population | None:
     return kind
 
 
+def _face(value: str) -> dict[str, float]:
+    """The columns that stand for a face such as +x or -z."""
+    sign, axis = value.strip()[:1], value.strip()[1:]
+    if sign not in ("+", "-") or axis not in ("x", "y", "z"):
+        raise ValueError
+    return {f"u{a}": float(f"{sign}1") if a == axis else 0.0 for a in "xyz"}
+
+
 def _fixes(text: str) -> list[tuple[int, str, float]]:
     rows, colon, cell = text.partition(":")
     role, sign, value = cell.partition("=")
@@ -240,9 +248,11 @@ def _fixes(text: str) -> list[tuple[int, str, float]]:
         every = range(int(first), int(last or first) + 1)
         if not every:
             raise ValueError
-        return [(row, role.strip(), float(value)) for row in every]
+        cells = _face(value) if role.strip() == "face" else {role.strip(): float(value)}
+        return [(row, name, number) for row in every for name, number in cells.items()]
     except ValueError:
         raise click.BadParameter(
-            f"'{text}' is not ROWS:COLUMN=VALUE, for example 10:y=-58593 or 9-16:inclination=30",
+            f"'{text}' is not ROWS:COLUMN=VALUE, for example 10:y=-58593, 9-16:inclination=30 or "
+            "8:face=+x",
             param_hint="--fix",
         ) from None

@@ -23,6 +23,7 @@ from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
+from imucalib.loop.faults.directions import wrong_directions
 from imucalib.loop.found import LoopSettings
 
 TRUTH = {
@@ -138,22 +139,41 @@ def test_a_lost_sign_is_found(seed: int) -> None:
     axis = "xyz"[row % 3]
     columns = {role: values.copy() for role, values in table.columns.items()}
     columns[axis][row] *= -1.0
-    run = calibrated(replace(table, columns=columns))
-    (record,) = run.result.loop.records if run.result.loop else ()
-    assert (record.where, record.channel, record.likely) == (
-        f"row {row + 1}", axis, f"lost sign of {axis}"
-    )  # fmt: skip
-    assert f"--fix {row + 1}:{axis}={table.columns[axis][row]:.6g}"[:-2] in run.outcome.undecided[0]
+    (fault,) = calibrated(replace(table, columns=columns)).faults.slips
+    assert fault.what == "row 9: the sheet says face +x where the reading fits face +z"
+    assert fault.line == "--fix 9:face=+z"
 
 
-def test_a_wrong_face_is_named() -> None:
-    table = six_faces(3, 2)
-    columns = {role: values.copy() for role, values in table.columns.items()}
-    columns["ux"][8], columns["uz"][8] = 1.0, 0.0  # +z, written down as +x
-    run = calibrated(replace(table, columns=columns))
-    (record,) = run.result.loop.records if run.result.loop else ()
-    assert record.where == "row 9"
-    assert record.likely == "direction: the record fits face +z"
+def test_exchanged_faces_are_named_and_the_lines_mend_them(tmp_path: Path) -> None:
+    """Two rows exchanged and a third under a wrong face: the fit alone did not settle."""
+    faces = list(FACES * 4)
+    faces[7], faces[8], faces[13] = faces[8], faces[7], "-z"
+    path = _written(tmp_path, 4, tuple(faces))
+    lines = ("--swap", "8,9", "--fix", "14:face=+y")
+    told = run("lab", path, "--reference", "direction", "-o", tmp_path / "a", "--draws", 19)
+    words = f"{told.output} {told.exception}"
+    assert all(" ".join(pair) in words for pair in (lines[:2], lines[2:]))
+    mended = run("lab", path, "--reference", "direction", "-o", tmp_path / "b", "-q", *lines)
+    assert mended.return_value == 0, mended.output
+
+
+def test_directions_that_are_no_faces_are_named_by_their_numbers() -> None:
+    rng = np.random.default_rng(8)
+    direction = rng.standard_normal((20, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    raw = readings(direction, rng)
+    said = direction.copy()
+    said[4] = direction[11]
+    (fault,) = wrong_directions(raw[:10], said[:10], np.arange(10)) or (None,)
+    assert fault is None  # where it stood is no direction of the table
+    said = np.vstack([direction, direction])
+    said[4] = direction[11]
+    (fault,) = wrong_directions(np.vstack([raw, raw]), said, np.arange(1, 41))
+    assert fault.line == " ".join(
+        f"--fix 5:{axis}={value:.10g}"
+        for axis, value in zip(("ux", "uy", "uz"), direction[4], strict=True)
+    )
+    assert wrong_directions(raw, direction, np.arange(20)) == ()
 
 
 def test_any_directions_do() -> None:
@@ -191,7 +211,7 @@ def _written(folder: Path, repeats: int = 2, faces: tuple[str, ...] = FACES) -> 
     raw = six_faces(1, repeats).raw()
     lines = ["face,x_mg,y_mg,z_mg"]
     for k, row in enumerate(raw):
-        lines.append(",".join([faces[k % 6], *(f"{v:.4f}" for v in row)]))
+        lines.append(",".join([faces[k % len(faces)], *(f"{v:.4f}" for v in row)]))
     path = folder / "six.csv"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

@@ -14,10 +14,12 @@ from imucalib.calibrators.lab.errors import setting_noise
 from imucalib.calibrators.lab.misread import axes_questions, misread_words
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
+from imucalib.core.known_direction import KnownDirection
 from imucalib.core.observations import Observations
 from imucalib.errors import UsageError
 from imucalib.loop.faults.conventions import misread_angles
 from imucalib.loop.faults.converter import CutOff, cut_off, mistaken_scale, step_of
+from imucalib.loop.faults.directions import wrong_directions
 from imucalib.loop.faults.found import Fault
 from imucalib.loop.faults.search import row_faults
 from imucalib.loop.faults.sheet import Sheet, in_order
@@ -137,7 +139,8 @@ def look_for_faults(
     else (`keep_angles` makes it a question) and UnreadableInput where the axes are mirrored."""
     reading = whole.reading[rows, 0] / MG
     if request.reference != "vector":
-        return Faults((), _converter_questions(cut_off(reading), table, rows))
+        questions = _converter_questions(cut_off(reading), table, rows)
+        return Faults(_of_directions(whole, rows, table), questions)
     conventions = request.settings.conventions
     sheet = sheet_of(table, whole, rows, conventions, request.gravity)
     questions = _converter_questions(cut_off(reading, sheet.truth()), table, rows)
@@ -155,6 +158,16 @@ def look_for_faults(
     if not any(slip.kind in ("axes", "setting") for slip in slips):  # the whole's say nothing then
         questions += axes_questions(sheet, request)
     return Faults(slips, questions, () if sheet.ordered else _order_note(table, rows))
+
+
+def _of_directions(whole: Observations, rows: Index, table: PositionTable) -> tuple[Fault, ...]:
+    """Rows of a table without dials whose reading belongs to another of its directions."""
+    reference = whole.reference
+    if not isinstance(reference, KnownDirection):
+        return ()
+    return wrong_directions(
+        whole.reading[rows, 0] / MG, reference.direction[rows], table.row[rows].astype(np.intp)
+    )
 
 
 def _converter_questions(

@@ -16,6 +16,8 @@ from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.errors import UsageError
 
 _ANGLES = ("inclination", "tool_face")
+#: What was set and not read: it stays where it stands when readings move.
+_SET = (*_ANGLES, "ux", "uy", "uz")
 
 
 @dataclass(frozen=True)
@@ -178,7 +180,7 @@ def _reordered(table: PositionTable, order: Index, what: str) -> PositionTable:
     moves = {
         role: values[order]
         for role, values in table.columns.items()
-        if (role == what if what != "readings" else not role.startswith(_ANGLES))
+        if (role == what if what != "readings" else not role.startswith(_SET))
     }
     if not moves:
         raise UsageError(
