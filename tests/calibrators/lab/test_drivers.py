@@ -57,6 +57,17 @@ def test_what_follows_a_named_column_is_found_and_done_without(tmp_path: Path, k
     assert "11.5 to 12.5" in told
 
 
+def test_a_heading_with_a_colon_is_found_again(tmp_path: Path) -> None:
+    sheet = _sheet(tmp_path / "sheet.csv", 3.0, "bias")
+    text = sheet.read_text().replace("supply_V", "supply: V")
+    sheet.write_text(text)
+    for heading in ("supply: V", "supply  V"):
+        table = read_position_table(sheet, {"driver": heading})
+        assert table.names["driver"] == "supply: V"
+    with pytest.raises(UsageError, match="no column is called"):
+        read_position_table(sheet, {"driver": "supply V"})
+
+
 def test_a_column_that_nobody_names_takes_no_part_and_is_told(tmp_path: Path) -> None:
     run = _run("lab", _sheet(tmp_path / "sheet.csv", 0.0, "bias"), "-o", tmp_path / "out")
     assert "columns that take no part: supply_V (--columns driver=supply_V" in run.stderr

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.calibrators.lab.headings import is_driver
+from imucalib.calibrators.lab.headings import driver_name, is_driver
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.core.context import Context
 from imucalib.core.known_direction import KnownDirection
@@ -205,7 +205,7 @@ def _covariates(table: PositionTable, reading: Array) -> dict[str, Array]:
     }
     found |= {name: table.columns[role] for name, role in optional.items() if role in table}
     for role in filter(is_driver, table.columns):
-        found[COLUMN + table.names[role].strip().replace(":", " ")] = table.columns[role]
+        found[COLUMN + driver_name(table.names[role])] = table.columns[role]
     return found | _late_temperatures(table)
 
 

@@ -91,16 +91,24 @@ def is_driver(role: str) -> bool:
     return _DRIVER.fullmatch(role) is not None
 
 
+def driver_name(heading: str) -> str:
+    """A driver's heading as names of effects hold it, whose parts colons separate."""
+    return heading.strip().replace(":", " ")
+
+
 def roles_of(headings: list[str], chosen: Mapping[str, str], where: str) -> dict[str, str]:
     """Role -> heading: those chosen, then those found by name.
 
     Raises UnreadableInput where several fit and UsageError for what is not there.
     """
     names: dict[str, str] = {}
-    for role, heading in chosen.items():
+    for role, called in chosen.items():
+        heading = called
         if role not in ROLES and not is_driver(role):
             remedy = f"use: {', '.join(ROLES)}, driver, driver_2"
             raise UsageError(f"unknown column role '{role}'", remedy=remedy)
+        if heading not in headings and is_driver(role):  # as a calibration names it
+            heading = next((h for h in headings if driver_name(h) == heading), heading)
         if heading not in headings:
             remedy = f"there are: {', '.join(headings)}"
             raise UsageError(f"no column is called '{heading}'", where=where, remedy=remedy)
