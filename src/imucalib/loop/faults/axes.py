@@ -15,7 +15,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.loop.faults.conventions import nearest_axes
-from imucalib.loop.faults.found import Fault, Hypothesis
+from imucalib.loop.faults.found import ENOUGH, Fault, Hypothesis
 from imucalib.loop.faults.noise_grid import Base
 from imucalib.loop.faults.readings import by_rows, leading
 from imucalib.loop.faults.sheet import Sheet
@@ -36,8 +36,12 @@ def other_axes(base: Base) -> list[Hypothesis]:
     if not sheet.ordered or sheet.n < 2 * _LEAST:
         return []
     at = np.arange(_LEAST, sheet.n - _LEAST + 1)
-    rss = _corners(base, np.stack([sheet.reading[:, order] * sign for order, sign in _AXES]))
-    score = base.best(rss[:, :, at]) - base.as_it_stands - np.log(2.0 * len(_AXES) * len(at))
+    paid = float(np.log(2.0 * len(_AXES) * len(at)))
+    turned = np.stack([sheet.reading[:, order] * sign for order, sign in _AXES])
+    few = base.at(base.few)
+    if (few.best(_corners(few, turned)[:, :, at]) - few.as_it_stands - paid).max() <= ENOUGH:
+        return []
+    score = base.best(_corners(base, turned)[:, :, at]) - base.as_it_stands - paid
     found = []
     for k in leading(score.ravel()):
         which, start = divmod(int(k), len(at))

@@ -10,12 +10,12 @@ readings only y'Py changes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.loop.faults.sheet import Sheet, slopes
 
 #: Scatter of a setting (deg), size of what else may be (deg), noise (mg): scales of Cauchy-like
@@ -25,6 +25,7 @@ SCATTER, BESIDE, NOISE = 0.3, 1.0, 10.0
 _SETTING = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 _SHARE = (0.0, 0.5, 5.0)
 _COARSE = (0.03, 0.3)
+_FEW = (0.03, 0.3, 3.0)
 #: Rows up to which the whole grid is affordable (0.15 CPU s at 32 rows).
 _FULL_GRID = 48
 #: Squares of the response, mg/g² for one degree of everything else.
@@ -97,6 +98,25 @@ class Base:
     @property
     def as_it_stands(self) -> float:
         return float(self.best(self.rss))
+
+    @property
+    def few(self) -> Index:
+        """Points with as much scatter of both axes, on which many hypotheses are looked at first"""
+        grid = self.grid
+        return np.flatnonzero(
+            np.isin(grid.inclination, _FEW)
+            & (grid.inclination == grid.tool_face)
+            & (grid.share > 0.0)
+        )
+
+    def at(self, points: Index) -> Base:
+        """The same at some points of the grid only."""
+        grid = self.grid
+        some = Grid(grid.inclination[points], grid.tool_face[points], grid.share[points])
+        return replace(
+            self, grid=some, P=self.P[points], g=self.g[points], rss=self.rss[points],
+            c=self.c[points],
+        )  # fmt: skip
 
 
 def base_of(sheet: Sheet) -> Base | None:

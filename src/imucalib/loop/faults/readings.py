@@ -95,12 +95,7 @@ def blocks(base: Base) -> list[Hypothesis]:
     tried = _orders(sheet.n, sheet.beside()) if sheet.ordered else None
     if tried is None:
         return []
-    few = np.flatnonzero(
-        np.isin(base.grid.inclination, (0.03, 0.3, 3.0))
-        & (base.grid.inclination == base.grid.tool_face)
-        & (base.grid.share > 0.0)
-    )
-    score = _scores(base, tried, np.arange(len(tried.lost)), few)
+    score = _scores(base, tried, np.arange(len(tried.lost)), base.few)
     short = np.argsort(-score)[:_SHORT_LIST]
     score = _scores(base, tried, short, np.arange(len(base.c))) - base.as_it_stands
     score -= np.log(len(tried.lost))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.references import unit_vector
 from imucalib.loop.faults.angles import apart, dial_of, rounded
 from imucalib.loop.faults.conventions import BENCH
 from imucalib.loop.faults.found import ENOUGH, Fault, Hypothesis
@@ -84,13 +85,15 @@ def _reset(sheet: Sheet, rows: Index, column: int) -> _Reset | None:
 
 def _misfits(sheet: Sheet, rows: Index, column: int, dial: Array) -> Array:
     """(d,) sums of squares that the plain linear map leaves, mg², with rows at each value."""
-    found = np.empty(len(dial))
-    for k, value in enumerate(dial):
-        other = _set_to(sheet, rows, column, float(value))
-        design = np.column_stack([other.truth(), np.ones(sheet.n)])
-        q, _ = np.linalg.qr(design)
-        found[k] = float(np.sum((sheet.reading - q @ (q.T @ sheet.reading)) ** 2))
-    return found
+    both = [np.tile(a[rows], len(dial)) for a in (sheet.inclination, sheet.tool_face)]
+    both[column] = np.repeat(dial, len(rows))
+    truth = sheet.gravity * unit_vector(*sheet.inside(both[0], both[1]))
+    plain = np.column_stack([sheet.truth(), np.ones(sheet.n)])
+    design = np.broadcast_to(plain, (len(dial), *plain.shape)).copy()
+    design[:, rows, :3] = truth.reshape(len(dial), len(rows), 3)
+    q = np.linalg.qr(design)[0]
+    rest = sheet.reading - q @ (q.swapaxes(1, 2) @ sheet.reading)
+    return np.asarray(np.sum(rest**2, axis=(1, 2)))
 
 
 def _set_to(sheet: Sheet, rows: Index, column: int, value: float) -> Sheet:
