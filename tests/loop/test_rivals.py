@@ -10,10 +10,11 @@ import pytest
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
+from imucalib.core.context import Context
 from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.loop.evidence import Candidate, Score
-from imucalib.loop.rivals import UNLISTED, _curve_beside
+from imucalib.loop.rivals import UNLISTED, _curve_beside, keeps_step
 
 
 def _score(name: str, kind: str, nats: float, curve: str = "") -> Score:
@@ -88,3 +89,26 @@ def test_what_settles_after_each_setting_is_nothing_certain(tmp_path: Path, seed
     assert step.effect.startswith("thermal_lag")
     assert not step.certain
     assert UNLISTED in step.aliases  # 3 mg/°C: no data sheet has it
+
+
+@pytest.mark.parametrize(("period", "same"), [(8.0, True), (8.0 / 3.0, True), (7.3, False)])
+def test_a_swing_in_step_with_the_tool_face_may_be_the_tool_face(period: float, same: bool) -> None:
+    """Rings of eight: a swing of eight rows is one turn of the tool-face, of 8/3 its third part."""
+    turns = np.deg2rad(np.tile(np.arange(0.0, 360.0, 45.0), 7))
+    context = Context(56, {"record": np.arange(56.0), "tool_face": turns})
+    swing = known(f"cycle@{period:.6g}rows")
+    assert swing is not None
+    assert keeps_step(context, swing) is same
+
+
+def test_a_swing_in_step_with_the_temperature_may_be_the_temperature() -> None:
+    """Its change runs a quarter of a swing ahead of it."""
+    rng = np.random.default_rng(3)
+    dials = {"record": np.arange(40.0), "tool_face": rng.uniform(0.0, 6.2, 40)}
+    warm = 25.0 + 5.0 * np.sin(2.0 * np.pi * np.arange(40.0) / 24.0)
+    swing, other = known("cycle@24rows"), known("cycle@9rows")
+    assert swing is not None
+    assert other is not None
+    assert keeps_step(Context(40, dials | {"temperature": warm}), swing)
+    assert not keeps_step(Context(40, dials | {"temperature": warm}), other)
+    assert not keeps_step(Context(40, dials), swing)

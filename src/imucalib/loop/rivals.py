@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucalib.arrays import Array
+from imucalib.core.context import Context
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.effects import known
@@ -25,6 +27,10 @@ from imucalib.loop.thresholds import APART, CURVE_TERMS, MARGIN
 #: What stands beside a name of a size that no data sheet tells: another effect, of nobody's list.
 UNLISTED = "unlisted_effect"
 _SURE = 2.0  # standard errors
+#: What says where the sensor points; harmonics of the tool-face that tell the phase of a swing, and
+#: the share of its power from which they do.
+_POSITION = ("response", "inclination", "tool_face", "previous_x", "previous_y", "previous_z")
+_SWING, _HARMONICS, _IN_STEP = "cycle@", 6, 0.8
 #: Covariates by which time drives an effect.
 _TIME = ("order", "record", "sweep", "time", "time_of_day")
 
@@ -111,9 +117,64 @@ def _driver(covariate: str) -> str:
 
 def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tuple[str, ...]:
     """What would do as well and has no name: a bias that wanders slowly, unless the effect leads it
-    by `margin` nats; and whatever else where its size is beyond what data sheets tell."""
+    by `margin` nats; and whatever else where its size is beyond what data sheets tell, where the
+    model holds a form of the same driver that has no cause, or where a swing keeps step."""
     walk = lead_over_a_walk(before, chosen.evidence) < margin
-    return (WANDERING,) * walk + (UNLISTED,) * beyond_usual(after, chosen.name)
+    effect = known(chosen.name)
+    alike = effect is not None and (
+        _course(effect.needs) in _of_forms(before.model.names)
+        or _swings_in_step(before, chosen.name)
+    )
+    other = alike or beyond_usual(after, chosen.name)
+    return (WANDERING,) * walk + (UNLISTED,) * other
+
+
+def _course(needs: tuple[str, ...]) -> str:
+    """What an effect follows: time first, then the temperature, else where the sensor points."""
+    drivers = {_driver(name) for name in needs}
+    timed = "order" in drivers
+    other = drivers - set(_POSITION) - {"order"}
+    return "order" if timed else min(other) if other else "position"
+
+
+def _of_forms(names: tuple[str, ...]) -> set[str]:
+    """What the forms and curves of a model follow, whose cause nobody knows."""
+    parts = [n.partition("@")[2].split(":") for n in names if n.startswith(("shape@", "curve@"))]
+    return {_course(() if what == "response" else (against,)) for what, against, *_ in parts}
+
+
+def _swings_in_step(before: Fit, name: str) -> bool:
+    """Whether a swing, or one that it stands beside, keeps step with what else may cause it."""
+    if not name.startswith(_SWING):
+        return False
+    swings = [name, *(n for n in before.model.names if n.startswith(_SWING))]
+    effects = [effect for n in swings if (effect := known(n)) is not None]
+    return any(keeps_step(before.observations.context, effect) for effect in effects)
+
+
+def keeps_step(context: Context, swing: Effect) -> bool:
+    """Whether the phase of a swing is told by the tool-face, or by the temperature and its change:
+    then either may be its cause."""
+    angle = (
+        2.0 * np.pi * context[swing.needs[0]] / float(swing.name.partition("@")[2].strip("rows"))
+    )
+    wave = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    t = context["tool_face"]
+    turns = min(_HARMONICS, max(1, len(np.unique(np.round(np.mod(t, 2.0 * np.pi), 6))) // 2))
+    columns = [f(k * t) for k in range(1, turns + 1) for f in (np.cos, np.sin)]
+    if "temperature" in context and np.ptp(context["temperature"]) > 0.0:
+        warm = context["temperature"] - context["temperature"].mean()
+        return max(_told(wave, columns), _told(wave, [warm, warm**2, np.gradient(warm)])) > _IN_STEP
+    return _told(wave, columns) > _IN_STEP
+
+
+def _told(wave: Array, columns: list[Array]) -> float:
+    """Share of a wave's power that columns and a constant explain, adjusted for their number."""
+    design = np.linalg.qr(np.column_stack([np.ones(len(wave)), *columns]))[0]
+    centred = wave - wave.mean(axis=0)
+    rest = centred - design @ (design.T @ centred)
+    left = max(len(wave) - design.shape[1], 1) / (len(wave) - 1)
+    return float(1.0 - np.sum(rest**2) / np.sum(centred**2) / left)
 
 
 def beyond_usual(fit: Fit, name: str) -> bool:
