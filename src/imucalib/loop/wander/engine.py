@@ -24,6 +24,7 @@ from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.left.axes import noisy_axis
 from imucalib.loop.wander.left.courses import courses
+from imucalib.loop.wander.left.stretch import stretches
 from imucalib.loop.wander.left.strongest import strongest
 from imucalib.loop.wander.left.swing import swings
 from imucalib.loop.wander.likelihood import Level, Terms, levels
@@ -185,7 +186,9 @@ def _left(
     """Structure that the search could not name: of axes, and what wanders beside all that it did
     name. What one axis has to itself looks like its noise, which is told beside nothing else."""
     ways = [*swings(found.problem, found.search), *courses(found.problem, found.search)]
-    told, wanders = (*refused, *strongest(found.search, ways)), unexplained(_wander(last))
+    lasting = stretches(found.problem, found.search)
+    told = (*refused, *strongest(found.search, ways, lasting))
+    wanders = unexplained(_wander(last))
     if asked.probes:
         probed = left_over(
             final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),

@@ -30,23 +30,30 @@ _CHANCE = 1e-3
 class Way:
     """words : what is told; driver, kind : as `Unexplained` has them; columns : (n, c) in units of
     a run's scatter, about one in the mean; within : those of them that a search has tried, which it
-    must lead"""
+    must lead; among : how many it was chosen from by the data"""
 
     words: str
     driver: str
     kind: str
     columns: Array
     within: Array | None = None
+    among: int = 1
 
 
-def strongest(found: Search, ways: Sequence[Way]) -> tuple[Unexplained, ...]:
-    """The likeliest way beside all that was taken, where its chance is a thousandth at most."""
+def strongest(found: Search, *groups: Sequence[Way]) -> tuple[Unexplained, ...]:
+    """The likeliest way of all groups beside all that was taken, where its chance among those of
+    its group is a thousandth at most."""
+    told = [one for ways in groups for one in _of_group(found, ways)]
+    return tuple(sorted(told, key=lambda one: -one.evidence)[:1])
+
+
+def _of_group(found: Search, ways: Sequence[Way]) -> tuple[Unexplained, ...]:
     if not ways:
         return ()
     bank = found.bank
     walks = (*bank.walks, *slower(bank))
     blocks = [way.columns for way in ways]
-    bar = float(np.log(len(ways) * len(SIZES) * len(walks) / _CHANCE))
+    bar = float(np.log(sum(way.among for way in ways) * len(SIZES) * len(walks) / _CHANCE))
     first = _beside_own(found, blocks)
     while True:
         best = int(np.argmax(first))
