@@ -22,7 +22,7 @@ from imucalib.loop.wander.beside.every import beside_all
 from imucalib.loop.wander.choice import Refused, Rules, Search, search
 from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
-from imucalib.loop.wander.left.axes import noisy_axis
+from imucalib.loop.wander.left.axes import or_noise
 from imucalib.loop.wander.left.courses import courses
 from imucalib.loop.wander.left.stretch import stretches
 from imucalib.loop.wander.left.strongest import strongest
@@ -187,16 +187,15 @@ def _left(
     name. What one axis has to itself looks like its noise, which is told beside nothing else."""
     ways = [*swings(found.problem, found.search), *courses(found.problem, found.search)]
     lasting = stretches(found.problem, found.search)
-    told = (*refused, *strongest(found.search, ways, lasting))
-    wanders = unexplained(_wander(last))
+    told, probed = strongest(found.search, ways, lasting), tuple[Unexplained, ...]()
     if asked.probes:
         probed = left_over(
             final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),
             draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
         )  # fmt: skip
-        told = (*refused, *probed, *told[len(refused) :])
-    noise = () if told else noisy_axis(final, last, asked.known)
-    return (*told, *noise, *wanders)
+    if not (refused or probed):
+        told = or_noise(told, final, last, asked.known)
+    return (*refused, *probed, *told, *unexplained(_wander(last)))
 
 
 def _refused(found: _Pass, steps: Sequence[Step]) -> tuple[Unexplained, ...]:
