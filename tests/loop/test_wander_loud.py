@@ -17,8 +17,8 @@ def test_a_while_is_found_with_its_size(times: float) -> None:
     left[100:150] *= times
     found = stretch_of(left, np.ones(ROWS))
     assert found is not None
-    assert found.rows.start == pytest.approx(100, abs=12)
-    assert found.rows.stop == pytest.approx(150, abs=12)
+    assert found.rows.start == pytest.approx(100, abs=6)
+    assert found.rows.stop == pytest.approx(150, abs=6)
     assert found.times == pytest.approx(times, rel=0.35)
     assert found.nats > 10.0
     assert found.factor[120] == pytest.approx(found.times**2)

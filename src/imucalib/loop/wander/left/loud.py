@@ -30,8 +30,9 @@ _LOUD = 3.0
 
 @dataclass(frozen=True)
 class Stretch:
-    """rows : the stretch; times : its scatter over that of the other runs; nats : that it gains,
-    the number of stretches taken off; factor : (n,) variance of each run over that of the others"""
+    """rows : the stretch; times : its scatter over that of the other runs; nats : that it
+    gains, less the log of how many were tried; factor : (n,) variance of each run over that of the
+    others"""
 
     rows: slice
     times: float
@@ -45,19 +46,35 @@ def stretch_of(left: Array, variance: Array) -> Stretch | None:
     if n < 4 * _FEWEST:
         return None
     each = left[:, None] ** 2 / variance[:, None] / (TAILS * _WIDE**2)
-    nats = -0.5 * (TAILS + 1.0) * np.log1p(each) - np.log(_WIDE)
-    sums = np.vstack([np.zeros(_WIDE.size), np.cumsum(nats, axis=0)])
+    every = -0.5 * (TAILS + 1.0) * np.log1p(each) - np.log(_WIDE)
+    sums = np.vstack([np.zeros(_WIDE.size), np.cumsum(every, axis=0)])
     start, stop = _all(n)
-    inside = sums[stop] - sums[start]
-    total = inside.max(axis=1) + (sums[-1] - inside).max(axis=1)
-    best = int(np.argmax(total))
-    own, others = inside[best], sums[-1] - inside[best]
-    times = float(_WIDE[np.argmax(own)] / _WIDE[np.argmax(others)])
-    rows = slice(int(start[best]), int(stop[best]))
+    best = int(np.argmax(_nats(sums, start, stop)))
+    first, last = _ends(sums, int(start[best]), int(stop[best]))
+    rows, own = slice(first, last), sums[last] - sums[first]
+    times = float(_WIDE[np.argmax(own)] / _WIDE[np.argmax(sums[-1] - own)])
     factor = np.ones(n)
     factor[rows] = times**2
-    gain = float(total[best] - sums[-1].max() - np.log(start.size))
+    nats = float(_nats(sums, np.array([first]), np.array([last]))[0])
+    gain = nats - float(sums[-1].max() + np.log(start.size))
     return Stretch(rows, times, gain, factor)
+
+
+def _nats(sums: Array, start: Index, stop: Index) -> Array:
+    """(k,) of the rows start to stop (exclusive) with a size of their own."""
+    inside = sums[stop] - sums[start]
+    return np.asarray(inside.max(axis=1) + (sums[-1] - inside).max(axis=1))
+
+
+def _ends(sums: Array, first: int, last: int) -> tuple[int, int]:
+    """The likeliest ends near those of a stretch."""
+    for _ in range(2):
+        reach = (last - first) // 2
+        near = np.arange(max(first - reach, 0), min(first + reach, last - _FEWEST) + 1)
+        first = int(near[np.argmax(_nats(sums, near, np.full_like(near, last)))])
+        near = np.arange(max(last - reach, first + _FEWEST), min(last + reach, len(sums) - 1) + 1)
+        last = int(near[np.argmax(_nats(sums, np.full_like(near, first), near))])
+    return first, last
 
 
 def _all(n: int) -> tuple[Index, Index]:
