@@ -205,8 +205,7 @@ def _refuse_two_ranges(scanned: Scan) -> None:
         f"gravity is {before:.3g} g before {w.start[change.row] / 3600.0:.2f} h and {after:.3g} g "
         "from there on: the range or the unit changes",
         where=scanned.path,
-        remedy="export the recording in two files at that moment, each with its own scale, or "
-        "with one scale for all",
+        remedy="export it in two files at that moment, each with its own scale, or one for all",
     )
 
 
