@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from imucalib.recording.recording import Channel, Gap
-from imucalib.rests import candidates, edges, levels, refused, runs, stillness
+from imucalib.rests import candidates, edges, levels, refused, stillness
 from imucalib.rests.candidates import Seen
 from imucalib.rests.drift import (
     Noise,
@@ -23,6 +23,7 @@ from imucalib.rests.drift import (
 )
 from imucalib.rests.grouping import Group, groups_of
 from imucalib.rests.levels import Kinds, steady_windows
+from imucalib.rests.postures import postures_begin
 from imucalib.rests.refused import Candidate
 from imucalib.rests.runs import Scan, grouped
 from imucalib.rests.samples import Samples
@@ -475,15 +476,15 @@ def test_windows_are_taken_by_what_overlaps_them() -> None:
 def test_a_posture_ends_at_twenty_milli_g_or_thirty_from_its_start() -> None:
     w = windows(level(9))
     w.mean[3:, 0] += 19.0 * MG
-    assert runs._starts(w, np.arange(9)).tolist() == [0]
+    assert postures_begin(w, np.arange(9)).tolist() == [0]
     w.mean[3:, 0] += 2.0 * MG
-    assert runs._starts(w, np.arange(9)).tolist() == [0, 3]
+    assert postures_begin(w, np.arange(9)).tolist() == [0, 3]
     slow = windows(level(9))
     slow.mean[:, 0] += 8.0 * MG * np.arange(9)
-    assert runs._starts(slow, np.arange(9)).tolist() == [0, 4, 8]
-    assert runs._starts(windows(level(9)), np.array([0, 1, 3, 4])).tolist() == [0, 2]
+    assert postures_begin(slow, np.arange(9)).tolist() == [0, 4, 8]
+    assert postures_begin(windows(level(9)), np.array([0, 1, 3, 4])).tolist() == [0, 2]
     parted = replace(windows(level(9)), run=np.arange(9) // 5)
-    assert runs._starts(parted, np.arange(9)).tolist() == [0, 5]
+    assert postures_begin(parted, np.arange(9)).tolist() == [0, 5]
 
 
 def scanned(w: Windows, warm: Windows | None = None) -> Scan:

@@ -14,8 +14,10 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.postures import postures_begin
 from imucalib.rests.ranges import two_ranges
 from imucalib.rests.stillness import Sensor, StillSettings, still_windows
+from imucalib.rests.stuck import limits, stuck, without
 from imucalib.rests.tails import TailBuilder, overlapping, with_tails
 from imucalib.rests.windows import WindowBuilder, Windows, in_order
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -26,8 +28,6 @@ WORN = StillSettings(
     window=10.0, shortest=5.0, trim=0, variance_ratio=2.25, range_ratio=12.0, sway=3.3 * MG,
     quietest=0.05,
 )  # fmt: skip
-_CHANGE = 20.0 * MG  # between neighbouring windows of one posture, at most
-_REACH = 30.0 * MG  # between any window of a run and its first
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,7 @@ class PostureRuns:
     temperature : (n,) °C, or NaN; window_noise : m/s², scatter of one window's norm in its run
     still, total : windows that are still, and all; noise : (3,) m/s², of one sample at rest
     resolution : (3,) m/s², the smallest step between samples, 0 where it is not known
+    faults : in words, axes that are stuck or at their limit at rest
     """
 
     mean: Array
@@ -78,6 +79,7 @@ class PostureRuns:
     noise: Array
     notes: tuple[str, ...] = ()
     resolution: Array = field(default_factory=lambda: np.zeros(3))
+    faults: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -174,16 +176,22 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
     w = scanned.windows
     _refuse_two_ranges(scanned)
     sensor = Sensor(scanned.triad, "acceleration", scanned.rate, w, settings.quietest)
+    dead = stuck(sensor)
+    live = np.flatnonzero(~dead.windows)
+    if not live.size:
+        raise Undetermined("; ".join(dead.words), where=scanned.path)
+    sensor = without(sensor, dead)
     still, notes = still_windows(sensor, settings)
-    chosen = np.flatnonzero(still)
+    chosen = live[still]
     chosen = np.setdiff1d(chosen, overlapping(w, chosen))
     if not chosen.size:
         raise Undetermined(
-            "no window of the recording is still" + (f" ({'; '.join(notes)})" if notes else ""),
+            "; ".join(["no window of the recording is still", *notes, *dead.words]),
             where=scanned.path,
             remedy="wear it through a night; `imucal inspect` shows the noise",
         )
-    return grouped(scanned, chosen, sensor.noise, tuple(notes))
+    runs = grouped(scanned, chosen, sensor.noise, tuple(notes))
+    return replace(runs, faults=(*dead.words, *limits(sensor, settings)))
 
 
 def _refuse_two_ranges(scanned: Scan) -> None:
@@ -197,8 +205,7 @@ def _refuse_two_ranges(scanned: Scan) -> None:
         f"gravity is {before:.3g} g before {w.start[change.row] / 3600.0:.2f} h and {after:.3g} g "
         "from there on: the range or the unit changes",
         where=scanned.path,
-        remedy="export the recording in two files at that moment, each with its own scale, or "
-        "with one scale for all",
+        remedy="export it in two files at that moment, each with its own scale, or one for all",
     )
 
 
@@ -212,7 +219,7 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
             where=scanned.path,
             remedy="give --unit; counts of activity per epoch cannot be calibrated",
         )
-    starts = _starts(w, chosen)
+    starts = postures_begin(w, chosen)
     count = np.diff(np.append(starts, chosen.size)).astype(np.intp)
     middle = 0.5 * (w.start + w.stop)[chosen]
 
@@ -241,19 +248,3 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
         notes=notes,
         resolution=np.where(np.isfinite(w.finest), w.finest, 0.0),
     )
-
-
-def _starts(w: Windows, chosen: Index) -> Index:
-    """Positions in `chosen` where a run begins: a gap, a jump, or too far from its start."""
-    reading = w.mean[chosen]
-    apart = (np.diff(chosen) > 1) | (np.diff(w.run[chosen]) != 0)
-    apart |= np.linalg.norm(np.diff(reading, axis=0), axis=1) > _CHANGE
-    starts = np.concatenate([[0], np.flatnonzero(apart) + 1])
-    while True:
-        owner = np.repeat(starts, np.diff(np.append(starts, chosen.size)))
-        far = np.linalg.norm(reading - reading[owner], axis=1) > _REACH
-        if not far.any():
-            return starts.astype(np.intp)
-        # The first far window of each run begins a new one.
-        first = np.unique(owner[far], return_index=True)[1]
-        starts = np.union1d(starts, np.flatnonzero(far)[first])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Index
 from imucalib.recording.recording import Channel, Gap, Pending
 
-_COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
+COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
 _CACHE = 1 << 19  # bytes that are worked on at a time
 _ROOM = 1 << 19  # windows that there is room for at first: two months of ten seconds
 _EVERY = 8  # one in so many pieces is looked at for the resolution
@@ -108,7 +108,7 @@ class WindowBuilder:
         )
 
     def _keep(self, part: Windows) -> None:
-        self._table.extend(np.column_stack([getattr(part, name) for name in _COLUMNS]))
+        self._table.extend(np.column_stack([getattr(part, name) for name in COLUMNS]))
         before = self._finest
         self._finest = part.finest if before is None else np.minimum(before, part.finest)
 
@@ -187,7 +187,7 @@ def in_order(windows: Windows) -> tuple[Windows, int]:
     keep = windows.start > before
     if keep.all():
         return windows, 0
-    return replace(windows, **{n: getattr(windows, n)[keep] for n in _COLUMNS}), int((~keep).sum())
+    return replace(windows, **{n: getattr(windows, n)[keep] for n in COLUMNS}), int((~keep).sum())
 
 
 def window_statistics(

@@ -129,7 +129,8 @@ def test_a_wandering_bias_is_in_what_is_stated() -> None:
         result = solved(week, seed)
         assert result.loop is not None
         assert not result.loop.steps
-        assert result.loop.unexplained[0].driver == "order"
+        # It stays the same for two hours each, of which the clearest may be told as a while.
+        assert "order" in {told.driver for told in result.loop.unexplained}
         assert result.loop.wander is not None
         assert 0.9 < result.loop.wander.size < 2.5
         truth = np.concatenate([week.plan.sensor[name] for name in result.base.model.names])

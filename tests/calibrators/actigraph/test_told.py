@@ -81,6 +81,16 @@ def test_a_runs_noise_is_that_of_its_windows_beside_a_milli_g() -> None:
     assert data.label[1] == "run at 0 d 01:00"
 
 
+def test_blocks_of_time_hold_a_third_of_the_runs_at_most() -> None:
+    """Two hours on the wrist and two days in a drawer are held out in equal numbers of runs."""
+    short = np.append(200.0 * np.arange(35), 172800.0)
+    runs = runs_of(36, time=short, windows=np.full(36, 3))
+    scanned = scan_of(np.array([5.0, 172800.0]), None, rate=100.0, seconds=172800.0)
+    assert observations_of(runs, scanned, G).group.tolist() == [k // 3 for k in range(36)]
+    few = runs_of(6, time=short[[0, 1, 2, 3, 4, 35]])
+    assert observations_of(few, scanned, G).group.tolist() == [0, 0, 0, 0, 0, 11]
+
+
 def test_a_step_is_an_error_only_where_noise_does_not_average_it_out() -> None:
     """Step / √12 of an axis whose noise is below half a step."""
     coarse = runs_of(noise=np.array([1.9, 2.1, 2.1]) * MG, resolution=np.full(3, 4.0 * MG))

@@ -170,3 +170,33 @@ def test_an_axis_that_scatters_far_more_is_told(loop_of: Callable[..., Any], axi
     assert [name.split(",")[0] for name in told] == [f"noise of {'xyz'[axis]}"]
     even = loop_of(lambda x, t, u, c: 0.7 * noise(x, t, u, c) @ np.ones((3, 3)), 0.0, 1)
     assert even.unexplained == ()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_what_lasts_for_a_while_is_told_with_its_moment(
+    loop_of: Callable[..., Any], axis: int
+) -> None:
+    """2 % of the scale of one axis for 4 % of six days, from the 36th hour on."""
+
+    def passing(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return 20.0 * x * np.eye(3)[axis] * ((u >= -0.25) & (u < -0.21))[:, None]
+
+    loop = loop_of(passing, 0.0, 3)
+    assert loop.verdict == "unexplained"
+    words = next(u.name for u in loop.unexplained if u.kind == "stretch").split()
+    assert float(words[words.index("after") - 2]) == pytest.approx(36.0, abs=2.5)
+    assert 2.0 < float(words[words.index("for") + 1]) < 9.0
+
+
+def test_a_while_of_larger_scatter_is_no_axis_and_no_other_sensor(
+    loop_of: Callable[..., Any],
+) -> None:
+    """Each run of eight hours has an error of its own, as with a loose strap."""
+
+    def loose(x: Any, t: Any, u: Any, c: Any) -> Any:
+        inside = (np.abs(u - 0.1) < 0.03)[:, None]
+        return 8.0 * inside * np.random.default_rng(5).standard_normal((len(x), 3))
+
+    (told,) = loop_of(loose, 0.0, 2).unexplained
+    assert told.name.startswith("noise of a run, some ")
+    assert told.kind == "stretch"

@@ -20,6 +20,20 @@ from imucalib.units import MG
 _GOOD, _WELL_KNOWN = 10.0, 1.0
 #: Drivers that are the time of the recording.
 _IN_TIME = ("order", "time", "time_of_day")
+#: What to do about what moves with time, by its kind, or where no temperature was recorded, the
+#: most telling first.
+_TOLD = {
+    "stretch": "Something is different for a while: find out what happened to the sensor then, "
+    "leave that time out of the file, and calibrate the rest.",
+    "cold": "The error moves with time and no temperature was recorded: export the temperature "
+    "channel too, or calibrate in parts with --every 1d.",
+    "jump": "Something changes at one moment: calibrate what lies before it and after it in parts, "
+    "with --every, and look for a knock, a restart or another sensor there.",
+    "swing": "What swings has a cause with that period: note what goes on and off beside the "
+    "sensor, and when.",
+    "probe": "The error moves with time, in too few stretches to prove a cause: --every 6h shows "
+    "which parts differ, a longer recording whether it comes back.",
+}
 
 
 def reasons(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
@@ -86,32 +100,15 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
 
 def _open_ends(loop: FitLoop, *, warm: bool) -> list[str]:
     """What to do about what the search left open; warm : whether a temperature was recorded."""
-    found = []
-    in_time = [u for u in loop.unexplained if u.driver in _IN_TIME]
-    if in_time and not warm:
-        found.append(
-            "The error moves with time and no temperature was recorded: export the temperature "
-            "channel too, or calibrate in parts with --every 1d."
-        )
-    elif any(u.kind == "jump" for u in in_time):
-        found.append(
-            "Something changes at one moment: calibrate what lies before it and after it in parts, "
-            "with --every, and look for a knock, a restart or another sensor there."
-        )
-    elif any(u.kind == "swing" for u in in_time):
-        found.append(
-            "What swings has a cause with that period: note what goes on and off beside the "
-            "sensor, and when."
-        )
-    elif any(u.kind == "probe" for u in in_time):
-        found.append(
-            "The error moves with time, in too few stretches to prove a cause: --every 6h shows "
-            "which parts differ, a longer recording whether it comes back."
-        )
+    kinds = {u.kind for u in loop.unexplained if u.driver in _IN_TIME}
+    if kinds and not warm:
+        kinds.add("cold")
+    kind = next((kind for kind in _TOLD if kind in kinds), "")
+    found = [_TOLD[kind]] if kind else []
     if loop.steps and loop.steps[0].aliases:
-        first = loop.steps[0]
+        step = loop.steps[0]
         found.append(
-            f"{first.effect} cannot be told from {', '.join(map(in_words, first.aliases))}: "
+            f"{step.effect} cannot be told from {', '.join(map(in_words, step.aliases))}: "
             "both correct this recording alike; a longer one, with more postures, separates them."
         )
     return found

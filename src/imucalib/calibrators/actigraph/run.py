@@ -123,7 +123,10 @@ def _judged(
         provenance=provenance(scanned, request),
         findings=_findings(result.loop, request),
         quality=quality_of(result.final),
-        reasons=(*((exchange.words,) if exchange else ()), *reasons(result, coverage)),
+        reasons=(
+            *((exchange.words,) if exchange else ()), *result.runs.faults,
+            *reasons(result, coverage),
+        ),
         advice=advice(result, coverage),
         limits=limits_of(result, request.limits),
         notes=(*scanned.notes, *result.runs.notes, *declined),

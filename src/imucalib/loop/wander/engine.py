@@ -22,8 +22,9 @@ from imucalib.loop.wander.beside.every import beside_all
 from imucalib.loop.wander.choice import Refused, Rules, Search, search
 from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
-from imucalib.loop.wander.left.axes import noisy_axis
+from imucalib.loop.wander.left.axes import or_noise
 from imucalib.loop.wander.left.courses import courses
+from imucalib.loop.wander.left.stretch import stretches
 from imucalib.loop.wander.left.strongest import strongest
 from imucalib.loop.wander.left.swing import swings
 from imucalib.loop.wander.likelihood import Level, Terms, levels
@@ -185,15 +186,16 @@ def _left(
     """Structure that the search could not name: of axes, and what wanders beside all that it did
     name. What one axis has to itself looks like its noise, which is told beside nothing else."""
     ways = [*swings(found.problem, found.search), *courses(found.problem, found.search)]
-    told, wanders = (*refused, *strongest(found.search, ways)), unexplained(_wander(last))
+    lasting = stretches(found.problem, found.search)
+    told, probed = strongest(found.search, ways, lasting), tuple[Unexplained, ...]()
     if asked.probes:
         probed = left_over(
             final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),
             draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
         )  # fmt: skip
-        told = (*refused, *probed, *told[len(refused) :])
-    noise = () if told else noisy_axis(final, last, asked.known)
-    return (*told, *noise, *wanders)
+    if not (refused or probed):
+        told = or_noise(told, final, last, asked.known)
+    return (*refused, *probed, *told, *unexplained(_wander(last)))
 
 
 def _refused(found: _Pass, steps: Sequence[Step]) -> tuple[Unexplained, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
-from imucalib.estimators.contest import best_evidence, directions
+from imucalib.estimators.contest import best_evidence, directions_of
 from imucalib.loop.wander.bank import Bank, Mask
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import ROOM
@@ -215,13 +215,16 @@ def beside(
     base = bank.white[walk][rows]
     x, y, z = base[:, terms.columns], base[:, bank.data], white[0][rows]
     precise = x.T @ x + np.diag(terms.precision)
-    solved = np.linalg.solve(precise, x.T @ np.column_stack([z, y]))
-    gram = z.T @ z - (x.T @ z).T @ solved[:, :-1]
-    along = z.T @ y - (x.T @ z).T @ solved[:, -1]
+    shared = x.T @ z
+    solved = np.linalg.solve(precise, np.column_stack([shared, x.T @ y]))
+    along = z.T @ y - shared.T @ solved[:, -1]
     power = np.array([float(y @ y - (x.T @ y) @ solved[:, -1])])
     ends = np.cumsum([0] + [columns.shape[1] for columns in blocks])
-    entries = [np.arange(a, b) for a, b in pairwise(ends)]
-    size, turns = directions(gram, entries)
+    entries = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    # Of each block alone: what one has with another takes no part, and most of the time.
+    size, turns = directions_of(
+        [z[:, e].T @ z[:, e] - shared[:, e].T @ solved[:, e] for e in entries]
+    )
     own = np.concatenate([t.T @ along[e] for e, t in zip(entries, turns, strict=True)]) ** 2
     freedom = int(rows.sum()) - terms.base
     every = (np.array([size_]) for size_ in sizes)

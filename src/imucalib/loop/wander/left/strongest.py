@@ -30,24 +30,40 @@ _CHANCE = 1e-3
 class Way:
     """words : what is told; driver, kind : as `Unexplained` has them; columns : (n, c) in units of
     a run's scatter, about one in the mean; within : those of them that a search has tried, which it
-    must lead"""
+    must lead; among : how many it was chosen from by the data"""
 
     words: str
     driver: str
     kind: str
     columns: Array
     within: Array | None = None
+    among: int = 1
 
 
-def strongest(found: Search, ways: Sequence[Way]) -> tuple[Unexplained, ...]:
-    """The likeliest way beside all that was taken, where its chance is a thousandth at most."""
+def strongest(found: Search, *groups: Sequence[Way]) -> tuple[Unexplained, ...]:
+    """The likeliest way of all groups beside all that was taken, where its chance among those of
+    its group is a thousandth at most."""
+    ways = [way for group in groups for way in group]
+    if not ways:
+        return ()
+    ends = np.cumsum([len(group) for group in groups])[:-1]
+    first = np.split(_beside_own(found, [way.columns for way in ways]), ends)
+    told = [
+        one
+        for group, own in zip(groups, first, strict=True)
+        for one in _of_group(found, group, own)
+    ]
+    return tuple(sorted(told, key=lambda one: -one.evidence)[:1])
+
+
+def _of_group(found: Search, ways: Sequence[Way], first: Array) -> tuple[Unexplained, ...]:
+    """first : (ways,) nats that each gains under the noise as it is, or where that is white"""
     if not ways:
         return ()
     bank = found.bank
     walks = (*bank.walks, *slower(bank))
-    blocks = [way.columns for way in ways]
-    bar = float(np.log(len(ways) * len(SIZES) * len(walks) / _CHANCE))
-    first = _beside_own(found, blocks)
+    tried = sum(way.among for way in ways) * len(SIZES) * len(walks)
+    bar = float(np.log(tried / _CHANCE))
     while True:
         best = int(np.argmax(first))
         if first[best] < bar:

@@ -1,0 +1,118 @@
+"""Axes whose reading stands still where a live one could not: dead, held, or at a limit.
+
+An axis that repeats one number passes for the quietest rest there is. Two things tell it from a
+live one. Noise of σ steps leaves a sample within one step with the chance erf(1 / (2√2 σ)), which a
+stretch of n samples has to the n-th power. And gravity that moves on the other axes, with the
+jolts that this takes, moves every axis by more than one step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Flags, Index
+from imucalib.rests.stillness import Sensor, StillSettings, allowed, every
+from imucalib.rests.windows import COLUMNS, Windows
+from imucalib.units import STANDARD_GRAVITY
+
+#: Chance up to which noise has not done it: e^-60, for samples of a filter are not independent.
+_NATS = 60.0
+#: Noise in steps from which the resolution shows it.
+_SHOWN = 0.5
+#: Seconds at least, and share of gravity by which another axis moves meanwhile.
+_SECONDS, _MOVED = 60.0, 0.2
+#: Share of gravity from which on a limit is beyond every rest, whatever the bias.
+_BEYOND = 1.1
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """windows : (m,) in which an axis is stuck, or was within a window; words : of each axis"""
+
+    windows: Flags
+    words: tuple[str, ...] = ()
+
+
+def stuck(sensor: Sensor) -> Stuck:
+    """Stretches of windows in which an axis repeats one number while it should not. At the end of
+    the recording's own range that is clipping, see `limits`."""
+    w = sensor.windows
+    found = np.zeros(w.start.size, dtype=np.bool_)
+    constant = w.high == w.low
+    frozen = every(constant)
+    words = []
+    for axis in np.flatnonzero((constant & ~frozen[:, None]).any(axis=0)):
+        dead = _dead(sensor, int(axis), constant[:, axis], frozen)
+        if dead.any():
+            words.append(_words(w, int(axis), dead, sensor.rate))
+            found |= dead
+    beside = np.append(False, found[:-1]) | np.append(found[1:], False)
+    return Stuck(found | beside, tuple(words))
+
+
+def _dead(sensor: Sensor, axis: int, constant: Flags, frozen: Flags) -> Flags:
+    """frozen : (m,) windows in which all axes stand still, as asleep"""
+    w, value = sensor.windows, sensor.windows.high[:, axis]
+    joined = constant[1:] & constant[:-1] & (value[1:] == value[:-1])
+    starts = np.flatnonzero(np.append(True, ~joined)).astype(np.intp)
+    count = np.diff(starts, append=constant.size)
+    dead = _moved(w, axis, starts) & (count * w.samples >= _SECONDS * sensor.rate)
+    step, noise = float(sensor.step[axis]), float(sensor.noise[axis])
+    if step > 0.0 and noise >= _SHOWN * step:
+        stays = math.log(math.erf(0.5 * step / (math.sqrt(2.0) * noise)))
+        alone = np.add.reduceat((~frozen).astype(np.float64), starts) * w.samples
+        ends = (value == value.max()) | (value == w.low[:, axis].min())
+        dead |= (-alone * stays > _NATS) & ~ends[starts]
+    return np.asarray(constant & np.repeat(dead, count))
+
+
+def _moved(w: Windows, axis: int, starts: Index) -> Flags:
+    """Whether another axis moves far within each stretch."""
+    others = [k for k in range(w.high.shape[1]) if k != axis]
+    top, bottom = w.high[:, others], w.low[:, others]
+    reach = np.maximum.reduceat(top, starts) - np.minimum.reduceat(bottom, starts)
+    return np.asarray(reach.max(axis=1) > _MOVED * STANDARD_GRAVITY)
+
+
+def _words(w: Windows, axis: int, dead: Flags, rate: float) -> str:
+    values = np.unique(w.high[dead, axis])
+    seconds = float(dead.sum()) * w.samples / rate
+    long = f"{seconds / 3600.0:.2g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.2g} min"
+    value = f"{values[0] / STANDARD_GRAVITY:.3g} g" if values.size == 1 else "one number"
+    first = float(w.start[int(np.argmax(dead))]) / 3600.0
+    return (
+        f"{'xyz'[axis]} repeats {value} for {long} from {first:.2f} h on, while it should move: "
+        "stuck, or at a limit; left out of the rests"
+    )
+
+
+def without(sensor: Sensor, dead: Stuck) -> Sensor:
+    """The sensor with the windows in which no axis is stuck."""
+    if not dead.windows.any():
+        return sensor
+    live, w = ~dead.windows, sensor.windows
+    kept = {name: getattr(w, name)[live] for name in COLUMNS}
+    return replace(sensor, windows=replace(w, **kept))
+
+
+def limits(sensor: Sensor, settings: StillSettings) -> tuple[str, ...]:
+    """Axes that stand at the end of their range at rest, in words."""
+    w, found = sensor.windows, []
+    if not sensor.fine:
+        return ()
+    constant = w.high == w.low
+    quiet = every(w.variance <= settings.variance_ratio * allowed(sensor, settings) ** 2)
+    single = constant & ~every(constant)[:, None] & quiet[:, None]
+    for axis, name in enumerate("xyz"[: constant.shape[1]]):
+        for value, word in ((w.high[:, axis].max(), "above"), (w.low[:, axis].min(), "below")):
+            size = float(value) / STANDARD_GRAVITY
+            at = int((single[:, axis] & (w.high[:, axis] == value)).sum())
+            if at and abs(size) < _BEYOND:
+                found.append(
+                    f"{name} reads nothing {word} {size:.3g} g: {at} windows at rest stand at "
+                    "that limit and are left out; what lies beyond it no calibration brings back"
+                )
+    return tuple(found)
