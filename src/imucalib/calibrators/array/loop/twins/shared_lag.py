@@ -40,10 +40,8 @@ def with_shared_first(
     own = refits(chosen.name)
     if own.state is None:
         return chosen, own
-    taken = {t.name for t in lagging(own.state.terms)}.union(left_out)
-    first = next(
-        (s for s in found.passing(rules.alpha) if s.name in _common() and s.name not in taken), None
-    )
+    asked = _common().difference(left_out, (t.name for t in lagging(own.state.terms)))
+    first = next((s for s in found.passing(rules.alpha) if s.name in asked), None)
     if first is None:
         return chosen, own
     gain = _gain(found, own.state, first.name)
