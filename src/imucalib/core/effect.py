@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Literal, Protocol
 
 import numpy as np
@@ -140,7 +141,7 @@ class Response(Described):
 
     def of_each(self, triads: Sequence[str]) -> tuple[Parameter, ...]:
         """The parameters of some triads, each named after its triad, in the columns' order."""
-        return tuple(replace(p, name=f"{triad}.{p.name}") for triad in triads for p in self.each)
+        return _of_each(self.each, tuple(triads))
 
     def act(self, theta: Array, truth: Truth, context: Context) -> Action:
         basis = self.basis(truth, context)
@@ -160,6 +161,12 @@ class Response(Described):
         if slope is not None:
             d_x = np.asarray(np.einsum("nkimj,km->nkij", slope, table))
         return Action(np.asarray(np.einsum("nkim,km->nki", basis, table)), columns, d_x)
+
+
+@lru_cache(maxsize=512)
+def _of_each(each: tuple[Parameter, ...], triads: tuple[str, ...]) -> tuple[Parameter, ...]:
+    """Made once: a search asks for those of its candidates at every fit."""
+    return tuple(replace(p, name=f"{triad}.{p.name}") for triad in triads for p in each)
 
 
 def _side_by_side(basis: Array) -> Array:

@@ -158,11 +158,11 @@ def _of_one_kind(
         along[mine], along[common] = seen[:width], along[common] + seen[width:]
         arms = root[:, 6:] if gyro else np.matmul(sampled.arms[rows, triad], root)
         arms = arms * weight[:, triad, None, None]
-        for out, part in ((taken.six, arms[:, :, :6]), (taken.three, arms[:, :, 6:])):
+        lost = np.matmul((arms[:, :, 6:] if gyro else arms).transpose(0, 2, 1), x)
+        for out, part in ((taken.six, lost[:, :-3]), (taken.three, lost[:, -3:])):
             if out is not None:
-                lost = np.matmul(part.transpose(0, 2, 1), x)
-                out[:, :, mine] = lost[:, :, :width]
-                out[:, :, common] += lost[:, :, width:]
+                out[:, :, mine] = part[:, :, :width]
+                out[:, :, common] += part[:, :, width:]
         taken.residual[...] += np.einsum("tij,ti->tj", arms, off[:, triad])
     return _Kind(products, along, float(np.sum(off * off)))
 

@@ -102,10 +102,12 @@ def inverse_root(inner: Array) -> Array:
 def _half(unit: Array) -> Array:
     """(b, q) with half halfᵀ the inverse of a matrix of unit diagonal, its open directions left
     out."""
+    from scipy.linalg.lapack import dtrtri
+
     try:
         lower = np.linalg.cholesky(unit)
         if float(np.diag(lower).min(initial=1.0)) > 1e-4:
-            return np.asarray(np.linalg.inv(lower).T)
+            return np.asarray(dtrtri(lower, lower=1)[0].T)
     except np.linalg.LinAlgError:
         pass
     values, vectors = eigen(unit)

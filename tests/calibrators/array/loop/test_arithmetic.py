@@ -281,5 +281,5 @@ def test_a_simulated_log_rests_and_twists_as_planned() -> None:
 def test_a_term_of_which_the_data_determine_nothing_moves_in_silence() -> None:
     effect = array_catalogue()["gyro_delay_each"]
     term = determined("gyro_delay_each", effect, None, np.zeros((8, 8)))
-    moved = term.moved(np.zeros(0), np.zeros((0, 0)))
+    moved = term.moved(np.zeros(0), np.zeros(0))
     assert moved.value.shape == moved.sd.shape == (0,)

@@ -18,8 +18,12 @@ _WITHIN = ("non_orthogonality",)
 
 def array_catalogue() -> dict[str, Response]:
     """Every effect of the catalogue that acts on a sensor and is linear in its parameters."""
+    return {name: sized(effect) for name, effect in _linear().items()}
+
+
+def _linear() -> dict[str, Response]:
     return {
-        name: sized(effect)
+        name: effect
         for name, effect in catalogue().items()
         if isinstance(effect, Response) and name not in _WITHIN
     }
@@ -29,7 +33,7 @@ def twins_of(name: str) -> tuple[str, ...]:
     """Effects of the same IMUs whose columns are those of the named one: in a search one stands for
     all, and a refit tells them apart."""
     family, at, imu = name.partition("@")
-    effects = array_catalogue()
+    effects = _linear()
     if family not in effects:
         return ()
     one = effects[family].twin or family

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -35,12 +36,10 @@ class BoardMotion:
         assert attitude is not None
         t, k, _, m = basis.shape
         out = np.empty((k, t, 3, m))
-        # Mountings are mostly signed permutations: of nine products three are not zero.
-        for triad, i in np.ndindex(k, 3):
-            first, *others = np.flatnonzero(attitude[triad, i])
-            np.multiply(basis[:, triad, first], attitude[triad, i, first], out=out[triad, :, i])
-            for j in others:
-                out[triad, :, i] += attitude[triad, i, j] * basis[:, triad, j]
+        for (triad, i), ((first, own), *others) in _products(attitude.shape, attitude.tobytes()):
+            np.multiply(basis[:, triad, first], own, out=out[triad, :, i])
+            for j, share in others:
+                out[triad, :, i] += share * basis[:, triad, j]
         return out
 
     def aged(self, age: Array | None) -> BoardMotion:
@@ -78,6 +77,19 @@ class BoardMotion:
     @property
     def age(self) -> Array | None:
         return self.context.covariates.get("sample_age")
+
+
+@lru_cache(maxsize=8)
+def _products(
+    shape: tuple[int, ...], attitude: bytes
+) -> tuple[tuple[tuple[int, ...], list[tuple[int, float]]], ...]:
+    """Of each row of each triad's attitude its place and the columns that are not zero, with what
+    they hold. Mountings are mostly signed permutations: of nine products three are left."""
+    whole = np.frombuffer(attitude).reshape(shape)
+    return tuple(
+        (at, [(int(j), float(whole[at][j])) for j in np.flatnonzero(whole[at])])
+        for at in np.ndindex(shape[:2])
+    )
 
 
 def board_motion(

@@ -18,6 +18,7 @@ from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.terms import Term, lagging, lost, sensed
 from imucalib.estimators.array.gram import beside_motion, gradient, gram
 from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, log_density, scaled
+from imucalib.estimators.array.reduced import inverse_root
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 
 #: Newton steps at most, those before which the matrix is made again in any case, and the squared
@@ -147,16 +148,16 @@ def _climbed(state: ArrayState, close: float) -> ArrayState:
             matrix = base.free(gram(state.sampled, base.blocks, state.setup.inner)).matrix
         along = base.along(gradient(state.sampled, base.blocks, state.setup.inner))
         inner = matrix + np.diag(base.prior)
-        covariance = np.asarray(np.linalg.inv(inner), np.float64)
         pull = along - base.pull
         # Weights that follow residuals answer less than they say, so a step goes farther.
         step = np.linalg.solve(share * matrix + np.diag(base.prior), pull)
         if not float(np.abs(step[: state.positions]).max()) < _RUNAWAY * state.setup.board.prior_sd:
             break
+        variance = np.sum(inverse_root(inner) ** 2, axis=1)
         # Weights go by the residuals after the step, not by those that led to it.
         change = beside_motion(state.sampled, base.reading(step, off.rate.shape), slice(None))
         off = state.sampled.off.less(change)
-        state = _with_scale(_moved(state, step, covariance), off)
+        state = _with_scale(_moved(state, step, variance), off)
         moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
         square = float(step @ inner @ step)
         converged = square < close and float(np.abs(moved).max()) < _STALE
@@ -179,14 +180,14 @@ def _measured(state: ArrayState) -> ArrayState:
     return state.measured(covariance, density)
 
 
-def _moved(state: ArrayState, step: Array, covariance: Array) -> ArrayState:
+def _moved(state: ArrayState, step: Array, variance: Array) -> ArrayState:
     at = state.positions
     r = state.r.copy()
     r[1:] += step[:at].reshape(-1, 3)
     terms = []
     for term in state.terms:
         part = slice(at, at + len(term.value))
-        terms.append(term.moved(step[part], covariance[part, part]))
+        terms.append(term.moved(step[part], variance[part]))
         at = part.stop
     return replace(state, r=r, terms=tuple(terms))
 

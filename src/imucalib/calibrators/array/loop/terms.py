@@ -83,12 +83,13 @@ class Term:
         late[:, some] = -np.sum(basis[:, some] * each, axis=2)
         return late
 
-    def moved(self, step: Array, covariance: Array) -> Term:
-        """After a step of its coordinates; the size of a found effect is learned along."""
+    def moved(self, step: Array, variance: Array) -> Term:
+        """After a step of its coordinates, of variance (q,); the size of a found effect is learned
+        along."""
         value = self.value + step
         sd = self.sd
         if self.found and value.size:
-            size = np.sqrt(np.mean(value**2 + np.diag(covariance)))
+            size = np.sqrt(np.mean(value**2 + variance))
             sd = np.full_like(self.sd, np.clip(size, SMALLEST, LARGEST))
         return replace(self, value=value, sd=sd)
 

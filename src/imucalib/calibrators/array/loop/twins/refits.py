@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from imucalib.calibrators.array.loop.catalogue import array_catalogue, twins_of
 from imucalib.calibrators.array.loop.earlier import Earlier
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -46,7 +48,7 @@ def best_of_twins(
         fits = {twin: refitted(state, _as_twin(term, twin), earlier) for twin in twins}
     fits[term.name] = trial
     if trial is not None and twins:
-        fits[term.name] = _as_near(trial)
+        fits[term.name] = _as_near(trial, term.name, fits, margin)
     sound = {n: s for n, s in fits.items() if s is not None and not why_not(state, s)}
     if not sound:
         return Tried(None, reason)
@@ -62,7 +64,8 @@ def told_apart(
     name, and those that would do as well, or whose fit is lost."""
     fits = _twins(state, name, twins)
     sound = {n: s for n, s in fits.items() if s is not None and s.converged}
-    sound = {n: s for n, s in sound.items() if not implausible(s, n)} | {name: _as_near(state)}
+    sound = {n: s for n, s in sound.items() if not implausible(s, n)}
+    sound[name] = _as_near(state, name, sound, margin)
     best, rivals = nearest(sound, margin)
     return sound[best], best, (*rivals, *open_twins(fits))
 
@@ -79,8 +82,14 @@ def _twins(state: ArrayState, name: str, twins: Sequence[str]) -> dict[str, Arra
     return found
 
 
-def _as_near(state: ArrayState) -> ArrayState:
-    """A fit as near its end as those of its twins: the way that was left was worth five nats."""
+def _as_near(
+    state: ArrayState, name: str, fits: Mapping[str, ArrayState | None], margin: float
+) -> ArrayState:
+    """A fit as near its end as those of its twins: the way that was left was worth five nats. Where
+    it leads already, the way would only add to that."""
+    others = [_nats(s, n) for n, s in fits.items() if s is not None and s.converged and n != name]
+    if _nats(state, name) > max(others, default=-np.inf) + margin:
+        return state
     nearer = settled_or_lost(state, shaped=False)
     return nearer if nearer is not None and nearer.converged else state
 

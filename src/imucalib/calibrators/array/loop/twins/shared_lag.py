@@ -38,12 +38,10 @@ def with_shared_first(
         return best_of_twins(found.state, found.term(name), earlier, left_out, rules.margin)
 
     own = refits(chosen.name)
-    if own.state is None:
-        return chosen, own
-    taken = {t.name for t in lagging(own.state.terms)}.union(left_out)
-    first = next(
-        (s for s in found.passing(rules.alpha) if s.name in _common() and s.name not in taken), None
-    )
+    if own.state is None or not _of_each(own.state.terms[-1]):
+        return chosen, own  # before chance is drawn: what passes is asked for nothing else
+    asked = _common().difference(left_out, (t.name for t in lagging(own.state.terms)))
+    first = next((s for s in found.passing(rules.alpha) if s.name in asked), None)
     if first is None:
         return chosen, own
     gain = _gain(found, own.state, first.name)
@@ -63,6 +61,11 @@ def _common() -> set[str]:
         for name, effect in array_catalogue().items()
         if effect.lagged and effect.shared and not effect.twin and effect.needs == ("spin",)
     }
+
+
+def _of_each(term: Term) -> bool:
+    """Whether it is a lag of each sensor, as one that all share may seem beside a few."""
+    return term.effect.lagged is not None and not term.effect.shared and term.only is None
 
 
 def _gain(found: Search, fitted: ArrayState, common: str) -> float:
@@ -90,8 +93,6 @@ def _parts(found: Search, fitted: ArrayState, common: str) -> tuple[Term, Term] 
     """The lag that most share as a term of all, and what is left as one of one IMU or of each; None
     where most do not share one."""
     term = fitted.terms[-1]
-    if term.effect.lagged is None or term.effect.shared or term.only is not None:
-        return None
     theta, sd = term.theta, fitted.sd_of(term)
     middle = float(np.median(theta))
     few = np.flatnonzero(np.abs(theta - middle) > _ALIKE * abs(middle))
