@@ -23,6 +23,7 @@ from imucalib.core.truth import Motion
 from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion, precision_of
 
 _SHORT = 4  # samples from which on lags are undone by the course of the motion
+_GOES_ON = 0.5  # correlation of neighbours from which on a correction is motion
 _SLOW = 1.5  # median intervals between samples from which on they are no neighbours
 
 
@@ -199,10 +200,20 @@ def _without_effects(task: _Task, motion: FusedMotion) -> tuple[Array, Array]:
     if all(part.late and not part.lags for part in beyond.parts):
         return start.force, start.gyro
     seen = _seen(task.instrument, task.stretch.t, motion)
-    if task.tied and beyond.lags and len(task.stretch.t) > _SHORT:
-        seen = _over_time(seen)
     force, gyro = beyond.added(seen)
+    if task.tied and beyond.lags and len(task.stretch.t) > _SHORT:
+        whole = beyond.added(_over_time(seen))
+        force, gyro = _where_smooth(force, whole[0]), _where_smooth(gyro, whole[1])
     return start.force - force, start.gyro - gyro
+
+
+def _where_smooth(first: Array, whole: Array) -> Array:
+    """Lags undone whole where what that adds to the first order, (T, K, 3), goes on from sample to
+    sample: what does not is the noise of a second derivative."""
+    more = whole - first
+    power = float(np.sum(more**2))
+    goes_on = power > 0.0 and float(np.sum(more[1:] * more[:-1])) > _GOES_ON * power
+    return whole if goes_on else first
 
 
 def _seen(instrument: Instrument, t: Array, motion: FusedMotion) -> BoardMotion:
