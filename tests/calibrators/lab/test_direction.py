@@ -139,6 +139,18 @@ def test_a_lost_sign_is_found(seed: int) -> None:
     axis = "xyz"[row % 3]
     columns = {role: values.copy() for role, values in table.columns.items()}
     columns[axis][row] *= -1.0
+    run = calibrated(replace(table, columns=columns))
+    (record,) = run.result.loop.records if run.result.loop else ()
+    assert (record.where, record.channel, record.likely) == (
+        f"row {row + 1}", axis, f"lost sign of {axis}"
+    )  # fmt: skip
+    assert f"--fix {row + 1}:{axis}={table.columns[axis][row]:.6g}"[:-2] in run.outcome.undecided[0]
+
+
+def test_a_wrong_face_is_named() -> None:
+    table = six_faces(3, 2)
+    columns = {role: values.copy() for role, values in table.columns.items()}
+    columns["ux"][8], columns["uz"][8] = 1.0, 0.0  # +z, written down as +x
     (fault,) = calibrated(replace(table, columns=columns)).faults.slips
     assert fault.what == "row 9: the sheet says face +x where the reading fits face +z"
     assert fault.line == "--fix 9:face=+z"

@@ -30,6 +30,8 @@ from imucalib.units import DEG, MG
 #: Scatter of a bench's settings (deg) beyond which rows or angles are wrong, and how far held-out
 #: errors must lie below the raw readings' for a calibration to be worth its name.
 SCATTER, WORTH = 3.0, 0.9
+#: Nats from which a wrong cell is told whatever a search says.
+SURE = 30.0
 
 
 @dataclass(frozen=True)
@@ -48,12 +50,16 @@ class Faults:
         return any(fault.kind not in alone for fault in self.slips)
 
     def confirmed(self, loop: FitLoop | None) -> Faults:
-        """Without the single cells in which a search, which knew more of sensor and bench than the
-        linear map, found nothing wrong."""
-        if loop is None:
+        """Without the single cells in which a search found nothing wrong beside the effects that it
+        took: beside a dial with play a small reading seems to have lost its sign."""
+        if loop is None or not loop.steps:
             return self
         wrong = {record.where for record in loop.records}
-        slips = (f for f in self.slips if f.kind != "cell" or f"row {f.rows[0]}" in wrong)
+        slips = (
+            f
+            for f in self.slips
+            if f.kind != "cell" or f.score > SURE or f"row {f.rows[0]}" in wrong
+        )
         return replace(self, slips=tuple(slips))
 
     def undecided(self, records: tuple[RecordError, ...]) -> tuple[str, ...]:

@@ -41,7 +41,7 @@ def wrong_directions(reading: Array, direction: Array, row: Index) -> tuple[Faul
         if twin is not None and twin not in told:
             told.add(int(twin))
             found.append(_exchanged(int(row[k]), int(row[twin]), float(worth[k] + worth[twin])))
-        else:
+        elif not _same(every[fits[k]], -direction[k]):  # a lost sign as well, which others tell
             found.append(_noted(int(row[k]), direction[k], every[fits[k]], float(worth[k])))
     return tuple(found)
 
