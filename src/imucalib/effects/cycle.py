@@ -62,19 +62,25 @@ def cycle(value: str) -> Effect:
     if not period > 0.0:
         raise ValueError(f"no period: {value}")
     words = f"{period:g} rows" if unit == _ROWS else f"{period:g} s"
-    phase = "(row - 1)" if unit == _ROWS else "time"
+    counted = "(row - 1)" if unit == _ROWS else "time"
     return Response(
         f"cycle@{value}",
         f"The bias swings with a period of {words}.",
-        f"y_i = x_i + c_i cos(φ) + s_i sin(φ),  φ = 2π {phase} / period",
+        f"y_i = x_i + c_i cos(φ) + s_i sin(φ),  φ = 2π {counted} / period",
         "heating or a pump that goes on and off beside a bench, practice",
         "Repeat one position at an uneven pace, and note the time and the temperature.",
         (driver, "tool_face"),
         each=_sizes(f"cycle_{value}", "mg", 1.0, 50.0),
-        basis=_bias(lambda context: 2.0 * np.pi * context[driver] / period),
+        basis=_bias(lambda context: phase_of(value, context)),
         # Of the room and not of the sensor: no recording has its phase.
         stage="fixture",
     )
+
+
+def phase_of(value: str, context: Context) -> Array:
+    """(n,) rad of the swing "7.3rows" or "220s"; ValueError otherwise."""
+    driver, unit = _driver_of(value)
+    return np.asarray(2.0 * np.pi * context[driver] / float(value.removesuffix(unit)))
 
 
 def _driver_of(value: str) -> tuple[str, str]:

@@ -5,9 +5,7 @@ The recordings come from plain numpy, the equations written anew (`benchmarks/cl
 
 from __future__ import annotations
 
-import importlib
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
@@ -15,18 +13,9 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from worlds.places import ROOT
 
 #: (direction (n, 3), °C from 25 (n,), share of time from -1/2 (n,), draws (3, 3)) -> (n, 3) mg
 Planted = Callable[[Any, Any, Any, Any], Any]
-
-
-@pytest.fixture(scope="module")
-def worn() -> Iterator[ModuleType]:
-    folder = str(ROOT / "benchmarks" / "closed_loop")
-    sys.path.insert(0, folder)
-    yield importlib.import_module("worn_walk")
-    sys.path.remove(folder)
 
 
 @pytest.fixture

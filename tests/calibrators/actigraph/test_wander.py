@@ -5,9 +5,6 @@ The recordings come from plain numpy, the equations written anew (`benchmarks/cl
 
 from __future__ import annotations
 
-import importlib
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from types import ModuleType
@@ -20,17 +17,8 @@ from gates.bounds import at_most
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.loop.found import LoopSettings
 from imucalib.loop.wander import engine
-from worlds.places import ROOT
 
 WANTED = ActigraphRequest()
-
-
-@pytest.fixture(scope="module")
-def worn() -> Iterator[ModuleType]:
-    folder = str(ROOT / "benchmarks" / "closed_loop")
-    sys.path.insert(0, folder)
-    yield importlib.import_module("worn_walk")
-    sys.path.remove(folder)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from itertools import permutations, product
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.loop.faults.conventions import nearest_axes
+from imucalib.loop.faults.conventions import axes_text, nearest_axes
 from imucalib.loop.faults.found import ENOUGH, Fault, Hypothesis
 from imucalib.loop.faults.noise_grid import Base
 from imucalib.loop.faults.readings import by_rows, leading
@@ -96,7 +96,7 @@ def _turned(sheet: Sheet, which: int, start: int, score: float) -> Hypothesis:
     straight = [(axes := nearest_axes(one)) is not None and axes.straight for one in mended]
     best = straight.index(True) if True in straight else 0
     rows, order, sign = parts[best]
-    text = ",".join("-" * int(s < 0) + "xyz"[k] for k, s in zip(order, sign, strict=True))
+    text = axes_text(order, sign)
     first, last = int(sheet.row[rows[0]]), int(sheet.row[rows[-1]])
     what = f"rows {first} to {last}: their x, y, z are the others' {text}"
     touched = tuple(int(row) for row in sheet.row[rows])

@@ -7,6 +7,7 @@ shows them, for the map takes any; the signed permutation nearest to it does.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import NamedTuple
@@ -103,6 +104,12 @@ def linear_misfit(sheet: Sheet, *, whole: bool = True) -> float:
     return float(np.sqrt(np.sum(rest**2) / (sheet.n - 4)))
 
 
+def axes_text(source: Iterable[int], sign: Iterable[float]) -> str:
+    """ "-y,x,z": the columns (from 0) and signs of x, y and z."""
+    signs = ("-" if s < 0 else "" for s in sign)
+    return ",".join(s + "xyz"[k] for s, k in zip(signs, source, strict=True))
+
+
 @dataclass(frozen=True)
 class Axes:
     """The sensor's axes in the tool's frame: the signed permutation nearest to the linear map.
@@ -123,8 +130,7 @@ class Axes:
     @property
     def text(self) -> str:
         """ "-y,x,z": what the columns would have to be."""
-        signs = ("-" if s < 0 else "" for s in self.sign)
-        return ",".join(s + "xyz"[k] for s, k in zip(signs, self.source, strict=True))
+        return axes_text(self.source, self.sign)
 
 
 def nearest_axes(sheet: Sheet) -> Axes | None:

@@ -13,7 +13,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.fused.doubt import of_the_calibration
 from imucalib.calibrators.array.fused.instrument import Instrument
-from imucalib.calibrators.array.fused.neighbours import spin_by_neighbours
+from imucalib.calibrators.array.fused.neighbours import near_next, spin_by_neighbours
 from imucalib.calibrators.array.fused.noise import ChipNoise
 from imucalib.calibrators.array.fused.start import Start, inside, outside, start_of
 from imucalib.calibrators.array.fused.stretch import Stretch, along
@@ -24,7 +24,6 @@ from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion, 
 
 _SHORT = 4  # samples from which on lags are undone by the course of the motion
 _GOES_ON = 0.5  # correlation of neighbours from which on a correction is motion
-_SLOW = 1.5  # median intervals between samples from which on they are no neighbours
 
 
 @dataclass(frozen=True)
@@ -221,8 +220,7 @@ def _seen(instrument: Instrument, t: Array, motion: FusedMotion) -> BoardMotion:
     felt = motion.felt(instrument.r)
     jerk = np.zeros_like(felt)
     if instrument.beyond.needs_jerk and len(t) > 2:
-        step = np.diff(t)
-        usual = step < _SLOW * np.median(step)
+        usual = near_next(t)
         slope = (felt[2:] - felt[:-2]) / (t[2:] - t[:-2])[:, None, None]
         jerk[1:-1] = np.where((usual[1:] & usual[:-1])[:, None, None], slope, 0.0)
     return board_motion(
@@ -234,8 +232,7 @@ def _seen(instrument: Instrument, t: Array, motion: FusedMotion) -> BoardMotion:
 def _over_time(seen: BoardMotion) -> BoardMotion:
     """The motion with its courses, of which lagging sensors meet a part."""
     t, turning = seen.context["time"], seen.truth.turning
-    step = np.diff(t)
-    near = step < _SLOW * np.median(step)
+    near = near_next(t)
     beside = np.stack([np.append(False, near), np.append(near, False)], axis=1)
     jerk = slope_of(seen.truth.force, t, beside)
     turning = Motion(turning.rate, turning.spin, jerk)

@@ -14,6 +14,7 @@ from scipy.ndimage import uniform_filter1d
 from imucalib.arrays import Array, Flags
 from imucalib.estimators.array.fusion import FusedMotion
 
+_LOST = 1.5  # median intervals between samples from which on they are no neighbours
 _SLOW = 0.3  # share of the usual interval by which neighbours may be off
 #: Samples over which the error of the difference is judged; and over which, where third differences
 #: are hardly more than noise: what noise leaves of the squares of a few is not zero.
@@ -24,6 +25,12 @@ _FEW, _QUIET = 9, (27, 81)
 _HARDLY, _MOST = 2.0, 2.9
 _JUDGED = 25  # samples over which the accelerometers may contradict it
 _ODD = 2.5  # times what noise explains, from which they do
+
+
+def near_next(t: Array) -> Flags:
+    """(T - 1,) whether a sample and the next are neighbours, none being lost between them."""
+    step = np.diff(t)
+    return np.asarray(step < _LOST * np.median(step))
 
 
 def spin_by_neighbours(

@@ -10,13 +10,16 @@ with T(s) the sum over all runs and W(s) that over the stretch.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.loop.found import Unexplained
 from imucalib.loop.thresholds import AXIS_NATS
+from imucalib.loop.wander.left.spans import tried, with_ends
 
 TAILS = 4.0
 #: Sizes about the first guess that are tried.
@@ -48,14 +51,15 @@ def stretch_of(left: Array, variance: Array) -> Stretch | None:
     each = left[:, None] ** 2 / variance[:, None] / (TAILS * _WIDE**2)
     every = -0.5 * (TAILS + 1.0) * np.log1p(each) - np.log(_WIDE)
     sums = np.vstack([np.zeros(_WIDE.size), np.cumsum(every, axis=0)])
-    start, stop = _all(n)
-    best = int(np.argmax(_nats(sums, start, stop)))
-    first, last = _ends(sums, int(start[best]), int(stop[best]))
+    nats_of = partial(_nats, sums)
+    start, stop = tried(n, _lengths(n), _STARTS)
+    best = int(np.argmax(nats_of(start, stop)))
+    first, last = with_ends(nats_of, n, int(start[best]), int(stop[best]), _FEWEST)
     rows, own = slice(first, last), sums[last] - sums[first]
     times = float(_WIDE[np.argmax(own)] / _WIDE[np.argmax(sums[-1] - own)])
     factor = np.ones(n)
     factor[rows] = times**2
-    nats = float(_nats(sums, np.array([first]), np.array([last]))[0])
+    nats = float(nats_of(np.array([first]), np.array([last]))[0])
     gain = nats - float(sums[-1].max() + np.log(start.size))
     return Stretch(rows, times, gain, factor)
 
@@ -66,26 +70,11 @@ def _nats(sums: Array, start: Index, stop: Index) -> Array:
     return np.asarray(inside.max(axis=1) + (sums[-1] - inside).max(axis=1))
 
 
-def _ends(sums: Array, first: int, last: int) -> tuple[int, int]:
-    """The likeliest ends near those of a stretch."""
-    for _ in range(2):
-        reach = (last - first) // 2
-        near = np.arange(max(first - reach, 0), min(first + reach, last - _FEWEST) + 1)
-        first = int(near[np.argmax(_nats(sums, near, np.full_like(near, last)))])
-        near = np.arange(max(last - reach, first + _FEWEST), min(last + reach, len(sums) - 1) + 1)
-        last = int(near[np.argmax(_nats(sums, np.full_like(near, first), near))])
-    return first, last
-
-
-def _all(n: int) -> tuple[Index, Index]:
-    """Starts and stops (exclusive) of the stretches that are tried."""
-    starts, stops, length = list[Index](), list[Index](), float(_FEWEST)
+def _lengths(n: int) -> Iterator[int]:
+    length = float(_FEWEST)
     while length <= n - _FEWEST:
-        at = np.arange(0, n - int(length) + 1, max(int(length) // _STARTS, 1), dtype=np.intp)
-        starts.append(at)
-        stops.append(at + int(length))
+        yield int(length)
         length *= _RATIO
-    return np.concatenate(starts), np.concatenate(stops)
 
 
 def in_words(found: Stretch, time: Array) -> tuple[Unexplained, ...]:

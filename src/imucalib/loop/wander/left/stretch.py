@@ -19,6 +19,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.loop.wander.choice import Search
+from imucalib.loop.wander.left.spans import tried, with_ends
 from imucalib.loop.wander.left.strongest import Way
 from imucalib.loop.wander.left.swing import even_parts
 from imucalib.loop.wander.problem import Problem
@@ -97,21 +98,9 @@ def _sums(columns: Array, rest: Array) -> _Sums:
 def _likeliest(sums: _Sums) -> slice:
     """The likeliest stretch, its ends then found to the run."""
     n = len(sums.along) - 1
-    starts, stops = list[Index](), list[Index]()
-    for length in _lengths(n):
-        at = np.arange(0, n - length + 1, max(length // _STARTS, 1), dtype=np.intp)
-        starts.append(at)
-        stops.append(at + length)
-    start, stop = np.concatenate(starts), np.concatenate(stops)
+    start, stop = tried(n, _lengths(n), _STARTS)
     best = int(np.argmax(sums.nats(start, stop)))
-    a, b = int(start[best]), int(stop[best])
-    for _ in range(2):
-        reach = max((b - a) // 2, 2)
-        near = np.arange(max(a - reach, 0), min(a + reach, b - _FEWEST) + 1, dtype=np.intp)
-        a = int(near[np.argmax(sums.nats(near, np.full_like(near, b)))])
-        near = np.arange(max(b - reach, a + _FEWEST), min(b + reach, n) + 1, dtype=np.intp)
-        b = int(near[np.argmax(sums.nats(np.full_like(near, a), near))])
-    return slice(a, b)
+    return slice(*with_ends(sums.nats, n, int(start[best]), int(stop[best]), _FEWEST))
 
 
 def _lengths(n: int) -> list[int]:
