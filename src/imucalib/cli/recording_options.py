@@ -36,7 +36,7 @@ _OPTIONS = (
     click.option("--rate", type=float, help="Recording: samples a second, without time stamps."),
     click.option("--axis-map", help='Recording: axes, for example "x,-y,z".'),
     click.option("--preset", help="Recording: named mapping (actigraph, axivity, euroc, ...)."),
-    click.option("--acc-offset", help="Recording: accelerometer counts at zero."),
+    click.option("--acc-offset", help="Accelerometer counts at zero g."),
     click.option("--skip", type=int, help="CSV: lines before the header or the first row."),
     click.option("--decimal", help="CSV: decimal mark, . or ,"),
     click.option("--max-chunk", type=int, help="MCAP: bytes that one packed chunk may unpack to."),

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from imucalib.inspection.inspection import ChannelFacts, Inspection
+from imucalib.readers.zero_g import zero_g
 from imucalib.rests.refused import refusals
 from imucalib.units import STANDARD_GRAVITY
 
@@ -48,11 +49,7 @@ def _advice(found: Inspection) -> Iterator[tuple[str, str]]:
     accelerometers = _of(found, "acceleration")
     counts = [f for f in accelerometers if f.unit != "m/s2"]
     if counts:
-        norm = counts[0].norm_at_rest
-        scale = f"{norm:.0f}" if math.isfinite(norm) else "N"
-        why = "with --unit counts: counts a g by the data sheet"
-        why += "; the norm at rest is that many counts" if math.isfinite(norm) else ""
-        yield f"--lsb {scale}", why
+        yield _scale(counts[0], found)
     if any(f.unit == "m/s2" and _is_off(f) for f in accelerometers):
         yield "--unit UNIT", "m/s2, g, mg, ug or counts, if the unit above is wrong"
     if any(f.unit == "counts" for f in _of(found, "angular_rate")):
@@ -64,6 +61,18 @@ def _advice(found: Inspection) -> Iterator[tuple[str, str]]:
     if len(accelerometers) > 1:
         yield "--triad NAME", "apply corrects one sensor, named as above"
     yield "--save-mapping FILE", "keeps this reading; --mapping FILE repeats it"
+
+
+def _scale(counts: ChannelFacts, found: Inspection) -> tuple[str, str]:
+    """Options that give an accelerometer in counts its scale."""
+    why, norm = "with --unit counts: counts a g by the data sheet", counts.norm_at_rest
+    if found.still is not None and counts.triad in found.still.triads:
+        away = zero_g(found.still.mean[:, found.still.triads.index(counts.triad)])
+        if away is not None:
+            return "--acc-offset", f"{away.sentence}; try {away.option}"
+    if not math.isfinite(norm):
+        return "--lsb N", why
+    return f"--lsb {norm:.0f}", f"{why}; the norm at rest is that many counts"
 
 
 def _of(found: Inspection, quantity: str) -> list[ChannelFacts]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from imucalib import units
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.zero_g import zero_g
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping, parse_axis_map
 
 COUNTS = "counts"
@@ -58,8 +59,8 @@ class Conversion:
         return np.abs(self.axes.apply(values))
 
 
-def norms_at_rest(pieces: Sequence[Array], window: int) -> Array:
-    """Norms of the window means of the quietest tenth of all windows.
+def readings_at_rest(pieces: Sequence[Array], window: int) -> Array:
+    """(k, 3) window means of the quietest tenth of all windows.
 
     pieces : arrays (n, 3) of consecutive raw samples; window : samples. Constant windows (idle or
     dead sensor) and windows with a missing value say nothing about gravity and are left out.
@@ -76,15 +77,15 @@ def norms_at_rest(pieces: Sequence[Array], window: int) -> Array:
             means.append(windows.mean(axis=1))
             spreads.append(windows.std(axis=1).sum(axis=1))
     if not means:
-        return np.empty(0)
+        return np.empty((0, 3))
     mean, spread = np.concatenate(means), np.concatenate(spreads)
     usable = np.isfinite(spread) & (np.any(mean != 0.0, axis=1))
     alive = usable & (spread > 0.0)
     usable = alive if alive.any() else usable
     mean, spread = mean[usable], spread[usable]
     quietest = np.argsort(spread)[: max(1, int(_STILL_SHARE * spread.size))]
-    norms: Array = np.linalg.norm(mean[quietest], axis=1)
-    return norms
+    rest: Array = mean[quietest]
+    return rest
 
 
 @dataclass(frozen=True)
@@ -105,14 +106,19 @@ def acceleration(
 ) -> Conversion:
     """Conversion of raw acceleration to m/s².
 
-    source : what the file states, or just its unit; rest : raw norms at rest, from
-    `norms_at_rest`, used to find the unit and to refuse a wrong one, whoever states it. Raises
+    source : what the file states, or just its unit; rest : (k, 3) raw readings at rest, from
+    `readings_at_rest`, used to find the unit and to refuse a wrong one, whoever states it. Raises
     UnreadableInput when no unit fits, UsageError for an unknown one.
     """
     source = Source(source) if isinstance(source, str) else source
     axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
     unit = units.canonical(mapping.acc_unit or source.unit)
+    away = None if mapping.acc_offset else zero_g(rest)
+    if away is not None and (unit != COUNTS or mapping.lsb_per_g):
+        remedy = f"{away.option} counts them from there; the data sheet may know better"
+        raise UnreadableInput(away.sentence, where=where, remedy=remedy)
+    rest = np.linalg.norm(rest - offset, axis=1)
     if mapping.lsb_per_g and unit in ("", COUNTS):
         scale = units.STANDARD_GRAVITY / _per_axis(mapping.lsb_per_g, "lsb_per_g", 1.0)
         return Conversion("m/s2", COUNTS, scale, offset, axes, "acceleration from counts per g")

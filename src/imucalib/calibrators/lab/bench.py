@@ -19,6 +19,7 @@ from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.effects.covariate import COLUMN
 from imucalib.effects.thermal_lag import ROWS, covariate, in_rows
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.zero_g import zero_g
 from imucalib.rests.thermal_history import ThermalHistory
 from imucalib.units import (
     ACCELERATION_UNITS,
@@ -58,6 +59,7 @@ def raw_unit(table: PositionTable, unit: str | None, lsb_per_g: float | None) ->
         return _plausible(
             table, RawUnit(name, ACCELERATION_UNITS[name], f"unit {name}, by the heading")
         )
+    _refuse_offset(table)
     found = detect_acceleration_unit(np.linalg.norm(table.raw(), axis=1), table.path)
     return RawUnit(found.unit, ACCELERATION_UNITS[found.unit], found.sentence)
 
@@ -65,12 +67,19 @@ def raw_unit(table: PositionTable, unit: str | None, lsb_per_g: float | None) ->
 def _plausible(table: PositionTable, unit: RawUnit) -> RawUnit:
     norm = float(np.median(np.linalg.norm(table.raw(), axis=1))) * unit.si / STANDARD_GRAVITY
     if not 0.5 < norm < 1.5:
+        _refuse_offset(table)
         raise UnreadableInput(
             f"at rest the norm would be {norm:.4g} g with {unit.sentence}",
             where=table.path,
             remedy="check --unit and --lsb; a still accelerometer reads about 1 g",
         )
     return unit
+
+
+def _refuse_offset(table: PositionTable) -> None:
+    away = zero_g(table.raw())
+    if away is not None:
+        raise UnreadableInput(away.sentence, where=table.path, remedy=f"add {away.option}")
 
 
 def corrected_cells(

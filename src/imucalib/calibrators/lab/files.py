@@ -96,6 +96,8 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
         need_direction=request.reference == "direction",
         mapping=files.mapping if files.recording is None else None,
     )
+    if need_raw and files.mapping.acc_offset:
+        table = _counted_from(files.mapping.acc_offset, table)
     stated, zero = table.inclination_zero, request.settings.conventions.inclination_zero
     if request.reference == "vector" and stated and stated != zero:
         raise UsageError(
@@ -107,9 +109,17 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
     return table
 
 
+def _counted_from(zero: tuple[float, ...], table: PositionTable) -> PositionTable:
+    """The table's readings without what they show at zero g, one number or one an axis."""
+    if len(zero) not in (1, 3):
+        raise UsageError("--acc-offset needs one value, or one an axis", where=table.path)
+    less = dict(zip("xyz", np.broadcast_to(zero, 3), strict=True))
+    return replace(table, columns={k: v - less.get(k, 0.0) for k, v in table.columns.items()})
+
+
 def positions_in(files: LabFiles) -> PositionTable | None:
     """The table of positions that a file is, or None where it is a recording in time."""
-    of_both = {"acc_unit", "lsb_per_g", "skip", "decimal", "delimiter"}
+    of_both = {"acc_unit", "lsb_per_g", "acc_offset", "skip", "decimal", "delimiter"}
     if not files.mapping.to_dict().keys() <= of_both:
         return None
     for direction in (True, False):

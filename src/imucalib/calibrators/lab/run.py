@@ -65,6 +65,8 @@ def run_lab(
     """Calibrate a position table. Errors as in `calibrate`; UsageError for swapped angles."""
     table, lost = repaired(table, request.repairs, request.fixes, request.swap_angles)
     raw = raw_unit(table, request.unit, request.lsb_per_g)
+    if mapping is not None:
+        raw = replace(raw, sentence="m/s², as the recording was read")
     whole = observations_of(table, raw, request)
     rows, excluded = _kept(table, request, lost)
     faults = look_for_faults(table, raw, whole, rows, request)

@@ -182,7 +182,7 @@ def _signal(
         rate, threshold = (1.0 / steps.step, steps.threshold) if steps else (rate, threshold)
     if vector.quantity == "acceleration":
         window = max(3, round(_REST_SECONDS * rate))
-        rest = conversion.norms_at_rest([v[k] for v, k in zip(raw, known, strict=True)], window)
+        rest = conversion.readings_at_rest([v[k] for v, k in zip(raw, known, strict=True)], window)
         whole = all((v[k] == np.rint(v[k])).all() for v, k in zip(raw, known, strict=True))
         source = conversion.Source(vector.unit, device.scales, whole)
         how = conversion.acceleration(mapping, source, rest, f"{where}: {vector.triad}")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.conversion import acceleration, norms_at_rest
+from imucalib.readers.conversion import acceleration, readings_at_rest
 from imucalib.readers.devices.actigraph_archive import (
     Loss,
     facts_of,
@@ -72,7 +72,7 @@ class Gt3xReader:
             notes: list[str] = []
             if origin is None or conversion is None:
                 origin = seconds[0].stamp
-                rest = norms_at_rest([counts], round(rate))
+                rest = readings_at_rest([counts], round(rate))
                 conversion = acceleration(mapping, "g", rest, str(path))
                 serial = info.get("Serial Number", "of unknown number")
                 notes.append(f"ActiGraph {serial}, {rate:g} Hz, {scale:g} counts a g")

@@ -20,7 +20,7 @@ from imucalib.readers.conversion import (
     Conversion,
     acceleration,
     angular_rate,
-    norms_at_rest,
+    readings_at_rest,
     temperature,
 )
 from imucalib.readers.source import sha256_of
@@ -126,7 +126,7 @@ class _Units:
 
 
 def _units(packets: Packets, rate: float, mapping: FieldMapping, where: str) -> _Units:
-    acc = acceleration(mapping, "g", norms_at_rest([packets.acc], max(3, round(rate))), where)
+    acc = acceleration(mapping, "g", readings_at_rest([packets.acc], max(3, round(rate))), where)
     gyro = angular_rate(mapping, "deg/s", where)
     warm = temperature(mapping, "degC", packets.warm, where)
     return _Units(rate, acc, gyro, warm, tuple(c.note for c in (acc, gyro, warm) if c.note))

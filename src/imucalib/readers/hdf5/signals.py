@@ -157,7 +157,7 @@ def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
     where = f"{file.where}: {found.parts[0].path}"
     if found.quantity == "acceleration":
         window = max(3, round(_REST_SECONDS * rate))
-        rest = conversion.norms_at_rest([v[g] for v, g in zip(looks, good, strict=True)], window)
+        rest = conversion.readings_at_rest([v[g] for v, g in zip(looks, good, strict=True)], window)
         how = conversion.acceleration(mapping, found.unit, rest, where)
     elif found.quantity == "angular_rate":
         how = conversion.angular_rate(mapping, found.unit, where)

@@ -189,7 +189,7 @@ def _conversion(
     if quantity == "acc":
         window = int(np.clip(0.5e9 / period, 16, 1024)) if period else 16
         return conversion.acceleration(
-            mapping, stated, conversion.norms_at_rest(pieces, window), where
+            mapping, stated, conversion.readings_at_rest(pieces, window), where
         )
     if quantity == "gyro":
         return conversion.angular_rate(mapping, stated, where)
