@@ -44,9 +44,9 @@ class ZeroG:
 def zero_g(rest: Array) -> ZeroG | None:
     """The sphere that readings at rest (n, 3) lie on, where its centre is further from zero than
     gravity is large; None where they tell no sphere, or one about zero."""
-    middle, scale = rest.mean(axis=0), float(rest.std()) if len(rest) >= _FEWEST else 0.0
-    if not scale:
+    if len(rest) < _FEWEST or not np.ptp(rest):
         return None
+    middle, scale = rest.mean(axis=0), float(rest.std())
     own = (rest - middle) / scale
     terms = np.column_stack([2.0 * own, np.ones(len(own))])
     (*shift, rest_of_it), *_ = np.linalg.lstsq(terms, (own**2).sum(axis=1))
