@@ -46,7 +46,16 @@ def test_a_recording_from_an_offset_is_refused_with_the_options_that_read_it(
     assert "counted from an offset" in told
     line = told.split("offset. ")[1].split(" counts them")[0]
     assert line.startswith("--unit counts --lsb 40")
-    run = ["lab", str(log), "--reference", "norm", "-o", str(tmp_path / "out"), *line.split()]
+    run = [
+        "lab",
+        str(log),
+        "--reference",
+        "norm",
+        "-o",
+        str(tmp_path / "out"),
+        "--full",
+        *line.split(),
+    ]
     read = CliRunner().invoke(root, run)
     assert read.exit_code == 0, read.stderr
     assert "as the recording was read" in " ".join(read.stdout.split())
