@@ -44,7 +44,7 @@ def test_a_recording_from_an_offset_is_refused_with_the_options_that_read_it(
     assert isinstance(refused.exception, UnreadableInput)
     told = str(refused.exception)
     assert "counted from an offset" in told
-    line = told.split("offset. ")[1].split(" counts them")[0]
+    line = told.split("offset. ")[1].split(" counts them", maxsplit=1)[0]
     assert line.startswith("--unit counts --lsb 40")
     run = [
         "lab",
