@@ -542,7 +542,7 @@ def test_real_actigraph_export_reads_as_its_header_says() -> None:
 
 @needs_data
 def test_real_counts_are_never_taken_for_a_unit() -> None:
-    with pytest.raises(UnreadableInput, match="around 331.*, 332.*, 323.*counted from an offset"):
+    with pytest.raises(UnreadableInput, match=r"around 331.*, 332.*, 323.*counted from an offset"):
         readers.read(DATA / "xsens_mti" / "xsens_acc.txt")
 
 
