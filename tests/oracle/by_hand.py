@@ -107,10 +107,21 @@ def _squares_across(p: Array, k: Known) -> Array:
     return k["x"] + np.stack([p[0] * (y - z), p[1] * (z - x), p[2] * (x - y)], axis=-1)
 
 
+def _tilted(p: Array, k: Known) -> Array:
+    yx, zx, zy, xy, xz, yz = p[:, None] * (k["T"] - 25.0)
+    x, y, z = k["x"].T
+    return np.stack([x + xy * y + xz * z, y + yx * x + yz * z, z + zx * x + zy * y], axis=-1)
+
+
 BY_HAND: dict[str, tuple[str, Callable[[Array, Known], Array]]] = {
     "product_across": ("y_i = x_i + C_i x_j x_k,  i, j, k in cyclic order", _product_across),
     "squares_across": (
         "y_i = x_i + D_i (x_j² - x_k²),  i, j, k in cyclic order", _squares_across),
+    "temperature_non_orthogonality": (
+        "y_y = x_y + c_yx x_x (T - 25 °C);  y_z = x_z + (c_zx x_x + c_zy x_y) (T - 25 °C)",
+        lambda p, k: _tilted(np.append(p, np.zeros(3)), k)),
+    "temperature_misalignment": (
+        "y_i = x_i + (c_ij x_j + c_ik x_k) (T - 25 °C)", _tilted),
     "common_accelerometer_scale": (
         "y = (1 + s) a, the same for all", lambda p, k: (1 + p[0]) * k["a"]),
     "common_accelerometer_bias": ("y = a + b, the same for all", lambda p, k: k["a"] + p),

@@ -103,6 +103,22 @@ def cross_axis(x: Array, c: C, p: Array) -> Array:
     return np.stack([a * (xy * b + xz * d), b * (yx * a + yz * d), d * (zx * a + zy * b)], axis=1)
 
 
+def tilted(x: Array, p: Array) -> Array:
+    """Of each axis what it sees of the others, the lower triangle first."""
+    yx, zx, zy, xy, xz, yz = p
+    a, b, d = x.T
+    return np.stack([xy * b + xz * d, yx * a + yz * d, zx * a + zy * b], axis=1)
+
+
+def behind_play(warm: Array, width: float) -> Array:
+    """°C of what follows the temperature only where it pushes at either end of a play."""
+    found, now = [], warm[0]
+    for value in warm:
+        now = min(max(now, value - width / 2), value + width / 2)
+        found.append(now)
+    return np.array(found)
+
+
 def beyond(x: Array, limit: float) -> Array:
     return np.maximum(np.abs(x) - limit, 0.0) / (1.0 - limit)
 
@@ -111,6 +127,10 @@ def beyond(x: Array, limit: float) -> Array:
 SENSOR: dict[str, tuple[int, Force]] = {
     "temperature_bias": (3, lambda x, c, p: p * (c.temperature - 25)[:, None]),
     "temperature_scale": (3, lambda x, c, p: p * x * (c.temperature - 25)[:, None]),
+    "temperature_non_orthogonality": (
+        3, lambda x, c, p: tilted(x, np.append(p, np.zeros(3))) * (c.temperature - 25)[:, None]),
+    "temperature_misalignment": (
+        6, lambda x, c, p: tilted(x, p) * (c.temperature - 25)[:, None]),
     "bias_drift": (3, lambda x, c, p: p * (c.order - 0.5)[:, None]),
     "scale_drift": (3, lambda x, c, p: p * x * (c.order - 0.5)[:, None]),
     "warm_up": (3, lambda x, c, p: p * np.exp(-4 * c.order)[:, None]),
@@ -126,6 +146,10 @@ SENSOR: dict[str, tuple[int, Force]] = {
     # What no catalogue holds.
     "local_sine": (1, lambda x, c, p: p[0] * np.sin(2 * np.pi * x / 0.4 + c.phase)),
     "thermal_lag": (1, lambda x, c, p: p[0] * c.v * (c.late - 25)[:, None]),
+    "thermal_play": (1, lambda x, c, p: (
+        p[0] * c.v * (behind_play(c.temperature, 6.0) - 25)[:, None])),
+    "thermal_creep": (1, lambda x, c, p: (
+        p[0] * c.v * np.cumsum(c.temperature - c.temperature.mean())[:, None])),
     "swing": (1, lambda x, c, p: p[0] * c.v * np.sin(2 * np.pi * c.row / 7.3)[:, None]),
     "random_walk": (1, lambda x, c, p: p[0] * c.walk),
     "shock": (1, lambda x, c, p: p[0] * c.v * (

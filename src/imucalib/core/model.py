@@ -18,6 +18,8 @@ from imucalib.errors import NotConverged
 
 _ORDER = {"fixture": 0, "mounting": 1, "sensor": 2}
 _SAME = np.eye(3)
+#: Rounds of Newton's method, and as many that close in on a jump; m/s², about 20 mg, the largest.
+_ROUNDS, _JUMP = 30, 0.2
 
 
 @dataclass(frozen=True)
@@ -108,26 +110,39 @@ class Model:
         """The specific force (n, K, 3) in the tool's frame that gives these readings.
 
         Undoes the sensor effects by Newton's method on each sample and then the mounting; the
-        fixture is not undone, since it belongs to the bench. Raises NotConverged.
+        fixture is not undone, since it belongs to the bench. Where the response jumps, no force may
+        give a reading: the force at the jump is the answer. Raises NotConverged.
         """
-        slices = self.slices(context)
-        sensor = [e for e in self.effects if e.stage == "sensor"]
-        x = reading.copy()
-        for _ in range(30):
-            predicted, response = x.copy(), np.broadcast_to(_SAME, (*x.shape, 3)).copy()
-            for effect in sensor:
-                action = effect.act(theta[slices[effect.name]], Truth(x), context)
-                predicted += action.delta
-                response += action.d_x
-            step = np.linalg.solve(response, (reading - predicted)[..., None])[..., 0]
+        x, short = reading.copy(), 1.0
+        for turn in range(2 * _ROUNDS):
+            predicted, response = self._sensed(theta, x, context)
+            missed = reading - predicted
+            # Newton's method leaps to and fro across a jump, ever shorter steps close in on it.
+            short *= 1.0 if turn < _ROUNDS else 0.5
+            step = short * np.linalg.solve(response, missed[..., None])[..., 0]
             x = x + step
             if np.abs(step).max(initial=0.0) <= 1e-12 * max(np.abs(x).max(initial=0.0), 1.0):
                 break
-        else:
+        if not np.abs(missed).max(initial=0.0) < _JUMP:
             raise NotConverged(
                 "the sensor effects cannot be inverted at these readings",
                 remedy="they lie outside the range in which the calibration holds",
             )
+        return self._unmounted(theta, x, context)
+
+    def _sensed(self, theta: Array, x: Array, context: Context) -> tuple[Array, Array]:
+        """Readings (n, K, 3) of specific force x in the sensor's frame, and their slopes."""
+        slices = self.slices(context)
+        reading, response = x.copy(), np.broadcast_to(_SAME, (*x.shape, 3)).copy()
+        for effect in self.effects:
+            if effect.stage == "sensor":
+                action = effect.act(theta[slices[effect.name]], Truth(x), context)
+                reading += action.delta
+                response += action.d_x
+        return reading, response
+
+    def _unmounted(self, theta: Array, x: Array, context: Context) -> Array:
+        slices = self.slices(context)
         for effect in reversed(self.effects):
             if effect.stage == "mounting":
                 turn = _SAME + effect.act(theta[slices[effect.name]], Truth(x), context).d_x

@@ -1,29 +1,65 @@
-"""Angles between the sensing axes: the lower triangle, so that x keeps its direction."""
+"""Angles between the sensing axes: the lower triangle, so that x keeps its direction; and their
+change with the temperature."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Response
+from imucalib.core.effect import Basis, Response
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 
 #: (axis that reads, axis that leaks in): y sees x, z sees x, z sees y.
 _PAIRS = ((1, 0), (2, 0), (2, 1))
+#: The same and their mirror images: where directions are known, a turn of the triad shows too.
+_ALL = (*_PAIRS, *((leaks, reads) for reads, leaks in _PAIRS))
 
 
-def _basis(truth: Truth, context: Context) -> Array:
-    out = np.zeros((*truth.shape, 3))
-    for column, (reads, leaks) in enumerate(_PAIRS):
-        out[..., reads, column] = truth.force[..., leaks]
-    return out
+def _leaks(pairs: Sequence[tuple[int, int]]) -> tuple[Basis, Basis]:
+    def basis(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, len(pairs)))
+        for column, (reads, leaks) in enumerate(pairs):
+            out[..., reads, column] = truth.force[..., leaks]
+        return out
+
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, len(pairs), 3))
+        for column, (reads, leaks) in enumerate(pairs):
+            out[..., reads, column, leaks] = 1.0
+        return out
+
+    return basis, basis_dx
 
 
-def _basis_dx(truth: Truth, context: Context) -> Array:
-    out = np.zeros((*truth.shape, 3, 3))
-    for column, (reads, leaks) in enumerate(_PAIRS):
-        out[..., reads, column, leaks] = 1.0
-    return out
+def _warm(pairs: Sequence[tuple[int, int]]) -> tuple[Basis, Basis]:
+    """The same, of a milliradian at 1 °C beyond 25 °C."""
+
+    def times(basis: Basis) -> Basis:
+        def of(truth: Truth, context: Context) -> Array:
+            one = basis(truth, context)
+            warmth = 1e-3 * (context["temperature"] - 25.0)
+            return np.asarray(one * warmth.reshape(-1, *[1] * (one.ndim - 1)))
+
+        return of
+
+    basis, basis_dx = _leaks(pairs)
+    return times(basis), times(basis_dx)
+
+
+def _with_temperature(pairs: Sequence[tuple[int, int]], name: str) -> tuple[Parameter, ...]:
+    return tuple(
+        Parameter(f"{name}_{'xyz'[r]}{'xyz'[s]}", "mg/g/degC", 0.2, 6.0, usual=0.8)
+        for r, s in pairs
+    )
+
+
+_SOURCE = "package stress; taken as a scale's change, as no data sheet states it"
+_IDENTIFY = "Record the temperature; repeat directions between the axes at two temperatures."
+_COLUMNS, _SLOPES = _leaks(_PAIRS)
+_WARM, _WARM_SLOPES = _warm(_PAIRS)
+_TURNED, _TURNED_SLOPES = _warm(_ALL)
 
 
 EFFECTS = (
@@ -34,7 +70,30 @@ EFFECTS = (
         "paper 002 eq. (1), K lower triangular; paper 004 eq. (4) by angles",
         "Hold the sensor in directions between its axes, in all octants.",
         each=tuple(Parameter(f"cross_{'xyz'[r]}{'xyz'[s]}", "1", 0.02, 0.3) for r, s in _PAIRS),
-        basis=_basis,
-        basis_dx=_basis_dx,
+        basis=_COLUMNS,
+        basis_dx=_SLOPES,
+    ),
+    Response(
+        "temperature_non_orthogonality",
+        "The angles between the sensing axes follow the temperature.",
+        "y_y = x_y + c_yx x_x (T - 25 °C);  y_z = x_z + (c_zx x_x + c_zy x_y) (T - 25 °C)",
+        _SOURCE,
+        _IDENTIFY,
+        ("temperature",),
+        each=_with_temperature(_PAIRS, "temperature_cross"),
+        basis=_WARM,
+        basis_dx=_WARM_SLOPES,
+    ),
+    Response(
+        "temperature_misalignment",
+        "Each sensing axis tilts with the temperature, towards both others.",
+        "y_i = x_i + (c_ij x_j + c_ik x_k) (T - 25 °C)",
+        _SOURCE,
+        _IDENTIFY,
+        # Directions that are known; the norm of a reading does not show the turn in it.
+        ("temperature", "inclination"),
+        each=_with_temperature(_ALL, "temperature_tilt"),
+        basis=_TURNED,
+        basis_dx=_TURNED_SLOPES,
     ),
 )

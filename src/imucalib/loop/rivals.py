@@ -6,6 +6,7 @@ evidence, and the spread of the rivals in their interval (Hoeting et al. 1999, e
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from imucalib.core.context import Context
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.effects import known
+from imucalib.effects.thermal_lag import PREFIX, covariate
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.evidence import Candidate, Score, apart, score
 from imucalib.loop.found import FitLoop, LoopSettings, Step
@@ -32,6 +34,7 @@ _SURE = 2.0  # standard errors
 _POSITION = ("response", "inclination", "tool_face", "previous_x", "previous_y", "previous_z")
 _SWING, _HARMONICS, _IN_STEP = "cycle@", 6, 0.8
 #: Covariates by which time drives an effect.
+_NUMBER = re.compile(r"[0-9.]+(?=[a-z])")
 _TIME = ("order", "record", "sweep", "time", "time_of_day")
 
 
@@ -118,12 +121,14 @@ def _driver(covariate: str) -> str:
 def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tuple[str, ...]:
     """What would do as well and has no name: a bias that wanders slowly, unless the effect leads it
     by `margin` nats; and whatever else where its size is beyond what data sheets tell, where the
-    model holds a form of the same driver that has no cause, or where a swing keeps step."""
+    model holds a form of the same driver that has no cause, where a swing keeps step, or where a
+    lag is the longest that was tried."""
     walk = lead_over_a_walk(before, chosen.evidence) < margin
     effect = known(chosen.name)
     alike = effect is not None and (
         _course(effect.needs) in _of_forms(before.model.names)
         or _swings_in_step(before, chosen.name)
+        or _is_longest(before.observations.context, chosen.name)
     )
     other = alike or beyond_usual(after, chosen.name)
     return (WANDERING,) * walk + (UNLISTED,) * other
@@ -141,6 +146,13 @@ def _of_forms(names: tuple[str, ...]) -> set[str]:
     """What the forms and curves of a model follow, whose cause nobody knows."""
     parts = [n.partition("@")[2].split(":") for n in names if n.startswith(("shape@", "curve@"))]
     return {_course(() if what == "response" else (against,)) for what, against, *_ in parts}
+
+
+def _is_longest(context: Context, name: str) -> bool:
+    """Whether a lag is the longest of those tried: what creeps on for ever looks like it too."""
+    lags = [c for c in context.covariates if c.startswith(PREFIX)]
+    own = covariate(name.partition("@")[2])
+    return own in lags and own == max(lags, key=lambda lag: float(_NUMBER.findall(lag)[0]))
 
 
 def _swings_in_step(before: Fit, name: str) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from imucalib.arrays import Array
 from imucalib.effects import thermal_lag as lag
 from imucalib.effects.worn import thermal_hysteresis as play
@@ -22,3 +24,25 @@ def remembered(history: ThermalHistory, name: str, at: Array) -> Array:
     if name.startswith(play.PREFIX):
         return history.behind_play(play.width_of(name.removeprefix(play.PREFIX)), at)
     return history.lagged(lag.hours_of(name.removeprefix(lag.PREFIX)), at)
+
+
+def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -> dict[str, Array]:
+    """Covariates (n,) of a table: lags in hours by its clock (s), or in rows, and plays of a width
+    that its temperatures cross. Each session (n,) begins in equilibrium, amid the play."""
+    at = 3600.0 * np.arange(len(temperature)) if time is None else time
+    every = float(np.median(np.abs(np.diff(at)))) / 3600.0
+    if every <= 0.0:
+        return {}
+    rows = [r for r in lag.ROWS if 4 * r <= len(temperature)]
+    lags = {lag.covariate(lag.in_rows(r) if time is None else f"{r * every:.2g}h"): r for r in rows}
+    crossed = [w for w in play.WIDTHS if 2.0 * play.width_of(w) <= np.ptp(temperature)]
+    plays = {play.covariate(w): play.width_of(w) for w in crossed}
+    found = {name: np.empty(len(temperature)) for name in (*lags, *plays)}
+    for one in np.unique(session):
+        of = session == one
+        history = ThermalHistory(at[of], temperature[of])
+        for name, r in lags.items():
+            found[name][of] = history.lagged(r * every, at[of])
+        for name, width in plays.items():
+            found[name][of] = history.behind_play(width, at[of])
+    return found

@@ -17,8 +17,8 @@ from imucalib.effects import catalogue, named
 from worlds import plain_bench, plain_defects
 
 OUTSIDE = {
-    "third_harmonic", "slip", "local_sine", "thermal_lag", "random_walk", "shock", "late_reading",
-    "pick_up", "soft_saturation", "swing",
+    "third_harmonic", "slip", "local_sine", "thermal_lag", "thermal_play", "thermal_creep",
+    "random_walk", "shock", "late_reading", "pick_up", "soft_saturation", "swing",
 }  # fmt: skip
 EVERY = [*plain_defects.DIALS, *plain_defects.AXES, *plain_defects.SENSOR]
 PLANTED = [name for name in EVERY if name not in OUTSIDE]
@@ -40,7 +40,7 @@ def test_the_world_knows_nothing_of_the_code(module: object) -> None:
 def test_every_effect_that_a_sheet_can_show_is_planted() -> None:
     known = {e.name for e in catalogue().values() if e.stage in ("fixture", "sensor")}
     assert set(PLANTED) - {"bias_step"} <= known | {"bias_step"}
-    assert len(PLANTED) == 23
+    assert len(PLANTED) == 25
 
 
 @pytest.mark.parametrize("name", [*PLANTED, *FORMS])
@@ -137,6 +137,37 @@ def test_a_sensor_behind_its_thermometer_is_named(tmp_path: Path) -> None:
     assert run.result.loop.verdict == "explained"
     # What is left: the noise of 0.5 mg on three axes, and the doubt of the fit.
     assert run.result.error.final < 0.8 * run.result.error.base
+
+
+def test_a_bias_behind_a_play_of_the_temperature_is_named(tmp_path: Path) -> None:
+    """It was a thermal lag, for certain on two sheets of four."""
+    bench = plain_bench.Bench(plain_bench.Plan(3, (("thermal_play", 15.0),), n=48))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    (step,) = run.result.loop.steps
+    assert step.effect == "thermal_hysteresis@6C"
+    assert run.result.loop.verdict == "explained"
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_axes_that_tilt_with_the_temperature_are_named(seed: int, tmp_path: Path) -> None:
+    """It was a thermal lag of eight rows, for certain, a bias of the temperature, or nothing."""
+    plan = plain_bench.Plan(seed, (("temperature_misalignment", 15.0),), n=40)
+    table = read_position_table(plain_bench.Bench(plan).write(tmp_path / "sheet.csv"))
+    run = run_lab(table, LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    (step,) = run.result.loop.steps
+    assert step.effect == "temperature_misalignment"
+    assert run.result.loop.verdict == "explained"
+
+
+def test_the_longest_lag_that_was_tried_is_not_certain(tmp_path: Path) -> None:
+    """What creeps with the sum of all temperatures so far was a lag of eight rows, for certain."""
+    bench = plain_bench.Bench(plain_bench.Plan(5, (("thermal_creep", 25.0),), n=48))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    lags = [s for s in run.result.loop.steps if s.effect == "thermal_lag@8rows"]
+    assert all(s.aliases for s in lags)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -17,10 +17,9 @@ from imucalib.core.known_direction import KnownDirection
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.effects.covariate import COLUMN
-from imucalib.effects.thermal_lag import ROWS, covariate, in_rows
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.zero_g import zero_g
-from imucalib.rests.thermal_history import ThermalHistory
+from imucalib.rests.thermal_memory import remembered_in_rows
 from imucalib.units import (
     ACCELERATION_UNITS,
     MG,
@@ -215,30 +214,18 @@ def _covariates(table: PositionTable, reading: Array) -> dict[str, Array]:
     found |= {name: table.columns[role] for name, role in optional.items() if role in table}
     for role in filter(is_driver, table.columns):
         found[COLUMN + driver_name(table.names[role])] = table.columns[role]
-    return found | _late_temperatures(table)
+    return found | _past_temperatures(table)
 
 
-def _late_temperatures(table: PositionTable) -> dict[str, Array]:
-    """What a sensor that trails its thermometer has: by the clock of the table, else by its rows.
-
-    Every session begins in equilibrium.
-    """
+def _past_temperatures(table: PositionTable) -> dict[str, Array]:
+    """What a sensor that trails its thermometer has: by the table's clock, else by its rows."""
     if "temperature" not in table or np.ptp(table.columns["temperature"]) <= 0.0:
         return {}
-    timed = table.unit.get("time") == "s"
-    time = table.columns["time"] if timed else 3600.0 * np.arange(table.n)
-    every = float(np.median(np.abs(np.diff(time)))) / 3600.0
-    lags = {r: f"{r * every:.2g}h" if timed else in_rows(r) for r in ROWS if 4 * r <= table.n}
-    if every <= 0.0:
-        return {}
-    session = table.columns["session"] if "session" in table else np.zeros(table.n)
-    found = {covariate(name): np.empty(table.n) for name in lags.values()}
-    for one in np.unique(session):
-        of = session == one
-        history = ThermalHistory(time[of], table.columns["temperature"][of])
-        for rows, name in lags.items():
-            found[covariate(name)][of] = history.lagged(rows * every, time[of])
-    return found
+    return remembered_in_rows(
+        table.columns["temperature"],
+        table.columns["time"] if table.unit.get("time") == "s" else None,
+        table.columns["session"] if "session" in table else np.zeros(table.n),
+    )
 
 
 def _sweeps(i_set: Index, t_set: Index) -> Array:
