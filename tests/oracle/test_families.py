@@ -179,6 +179,28 @@ def test_a_hysteresis_follows_the_temperature_behind_its_play() -> None:
     np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
+def test_a_third_degree_is_harmonic_and_of_one_size() -> None:
+    """Its seven products hold nothing of the first and second degree over the sphere, nor of each
+    other; and a product of the page is one of them."""
+    rng = np.random.default_rng(0)
+    force = rng.normal(size=(40_000, 3))
+    force /= np.linalg.norm(force, axis=1, keepdims=True)
+    context = Context(len(force))
+    columns = np.stack(
+        [added("third_degree@z", one, force, context)[:, 2] for one in 1e3 * np.eye(7)], axis=1
+    )
+    np.testing.assert_allclose(columns.T @ columns / len(force), np.eye(7) / 7.0, atol=5e-3)
+    low = np.column_stack([np.ones(len(force)), force, force**2, force * np.roll(force, 1, axis=1)])
+    np.testing.assert_allclose(low.T @ columns / len(force), 0.0, atol=8e-3)
+    x, y, z = force.T
+    np.testing.assert_allclose(columns[:, 0], x * (2 * x**2 - 3 * y**2 - 3 * z**2) / 2, atol=1e-9)
+    np.testing.assert_allclose(columns[:, 4], 15**0.5 * y * (z**2 - x**2) / 2, atol=1e-9)
+    np.testing.assert_allclose(columns[:, 6], 15**0.5 * x * y * z, atol=1e-9)
+    context = world()[1]
+    assert families()["third_degree"].values(context) == ("x", "y", "z")
+    assert families()["third_degree"].values(context.take(np.arange(23))) == ()
+
+
 def test_a_step_comes_at_its_time() -> None:
     """From 1200 s on; the reading taken in that second is behind it."""
     force, context = world()

@@ -148,6 +148,8 @@ SENSOR: dict[str, tuple[int, Force]] = {
     "thermal_lag": (1, lambda x, c, p: p[0] * c.v * (c.late - 25)[:, None]),
     "thermal_play": (1, lambda x, c, p: (
         p[0] * c.v * (behind_play(c.temperature, 6.0) - 25)[:, None])),
+    "mixed_third": (1, lambda x, c, p: (
+        p[0] * np.array([0.0, 0.0, 1.0]) * (x[:, 0] ** 2 * x[:, 1])[:, None])),
     "thermal_creep": (1, lambda x, c, p: (
         p[0] * c.v * np.cumsum(c.temperature - c.temperature.mean())[:, None])),
     "swing": (1, lambda x, c, p: p[0] * c.v * np.sin(2 * np.pi * c.row / 7.3)[:, None]),

@@ -20,7 +20,7 @@ from imucalib.core.context import Context
 from imucalib.core.effect import Effect
 from imucalib.core.model import Model
 from imucalib.core.truth import Truth
-from imucalib.effects.thermal_lag import PREFIX, counts_rows
+from imucalib.effects.thermal.lag import PREFIX, counts_rows
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.thermal_history import ThermalHistory, temperature_at

@@ -1,10 +1,11 @@
-"""What the forces across an axis add to its reading, beside their products with its own."""
+"""What the forces across an axis add to its reading, beside their products with its own: to second
+degree by name, and to third as whatever all three forces make of it."""
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Response
+from imucalib.core.effect import Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -75,5 +76,79 @@ EFFECTS = (
         each=_three("squares_across"),
         basis=_squares,
         basis_dx=_squares_dx,
+    ),
+)
+
+PREFIX = "third_degree@"
+#: Positions from which on seven numbers of one axis are sought.
+_FEWEST = 24
+
+
+def _thirds(x: Array) -> Array:
+    """(..., 7) harmonic products of third degree of forces (..., 3) in g, all of one size."""
+    square = x**2
+    own = 0.5 * x * (2.0 * square - 3.0 * (square[..., _FIRST] + square[..., _SECOND]))
+    between = 0.5 * np.sqrt(15.0) * x * (square[..., _FIRST] - square[..., _SECOND])
+    product = np.sqrt(15.0) * np.prod(x, axis=-1, keepdims=True)
+    return np.concatenate([own, between, product], axis=-1)
+
+
+def _third_slopes(x: Array) -> Array:
+    """(..., 7, 3) of the same."""
+    out = np.zeros((*x.shape[:-1], 7, 3))
+    root, square = 0.5 * np.sqrt(15.0), x**2
+    for axis, one, two in zip(range(3), _FIRST, _SECOND, strict=True):
+        out[..., axis, axis] = 3.0 * square[..., axis] - 1.5 * (square[..., one] + square[..., two])
+        out[..., axis, one] = -3.0 * x[..., axis] * x[..., one]
+        out[..., axis, two] = -3.0 * x[..., axis] * x[..., two]
+        out[..., 3 + axis, axis] = root * (square[..., one] - square[..., two])
+        out[..., 3 + axis, one] = 2.0 * root * x[..., axis] * x[..., one]
+        out[..., 3 + axis, two] = -2.0 * root * x[..., axis] * x[..., two]
+        out[..., 6, axis] = 2.0 * root * x[..., one] * x[..., two]
+    return out
+
+
+def third_degree(letter: str) -> Effect:
+    """Of the axis "x", "y" or "z"; ValueError otherwise."""
+    if letter not in tuple("xyz"):
+        raise ValueError(f"'{letter}' is no axis")
+    axis = "xyz".index(letter)
+
+    def basis(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, 7))
+        out[..., axis, :] = MG * _thirds(truth.force / STANDARD_GRAVITY)
+        return out
+
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        out = np.zeros((*truth.shape, 7, 3))
+        out[..., axis, :, :] = _third_slopes(truth.force / STANDARD_GRAVITY)
+        return out * MG / STANDARD_GRAVITY
+
+    return Response(
+        f"{PREFIX}{letter}",
+        f"The reading of {letter} depends on all three forces to third degree.",
+        "y_i = x_i + Σ_k c_k P_k(x),  P_k = x(2x² - 3y² - 3z²)/2 and √15 x(y² - z²)/2, each in "
+        "cyclic order, and √15 xyz",
+        "no size in data sheets, taken as the second degree's",
+        _IDENTIFY,
+        each=tuple(Parameter(f"third_{letter}_{k + 1}", "mg/g3", 3.0, 60.0) for k in range(7)),
+        basis=basis,
+        basis_dx=basis_dx,
+    )
+
+
+def _axes(context: Context) -> tuple[str, ...]:
+    """Where directions are known: of the size of gravity a form tells as much."""
+    return tuple("xyz") if "inclination" in context and context.n >= _FEWEST else ()
+
+
+FAMILIES = (
+    Family(
+        "third_degree",
+        "The reading of an axis depends on all three forces to third degree.",
+        "z",
+        third_degree,
+        _axes,
+        unfounded=True,
     ),
 )

@@ -17,7 +17,9 @@ _PAIRS = ((1, 0), (2, 0), (2, 1))
 _ALL = (*_PAIRS, *((leaks, reads) for reads, leaks in _PAIRS))
 
 
-def _leaks(pairs: Sequence[tuple[int, int]]) -> tuple[Basis, Basis]:
+def leaks(pairs: Sequence[tuple[int, int]]) -> tuple[Basis, Basis]:
+    """Basis and its slopes of what axes (reads, leaks in) see of a force, 1 of 1."""
+
     def basis(truth: Truth, context: Context) -> Array:
         out = np.zeros((*truth.shape, len(pairs)))
         for column, (reads, leaks) in enumerate(pairs):
@@ -44,7 +46,7 @@ def _warm(pairs: Sequence[tuple[int, int]]) -> tuple[Basis, Basis]:
 
         return of
 
-    basis, basis_dx = _leaks(pairs)
+    basis, basis_dx = leaks(pairs)
     return times(basis), times(basis_dx)
 
 
@@ -57,7 +59,7 @@ def _with_temperature(pairs: Sequence[tuple[int, int]], name: str) -> tuple[Para
 
 _SOURCE = "package stress; taken as a scale's change, as no data sheet states it"
 _IDENTIFY = "Record the temperature; repeat directions between the axes at two temperatures."
-_COLUMNS, _SLOPES = _leaks(_PAIRS)
+_COLUMNS, _SLOPES = leaks(_PAIRS)
 _WARM, _WARM_SLOPES = _warm(_PAIRS)
 _TURNED, _TURNED_SLOPES = _warm(_ALL)
 

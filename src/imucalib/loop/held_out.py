@@ -148,14 +148,34 @@ def without_records(fit: Fit, theta: Array) -> Array:
     return theta
 
 
+#: Settings from which on each can be predicted by the others.
+_SETTINGS = 4
+
+
 def log_predictive(fit: Fit) -> float:
     """Sum of `log_predictives` (nats)."""
     return float(log_predictives(fit).sum())
 
 
-def log_predictives(fit: Fit) -> Array:
+def settings_left_out(before: Fit, after: Fit) -> float:
+    """Nats that one fit predicts whole settings better than another, of the axis of the bench that
+    says so most; -inf where rows share none.
+
+    Of a row whose setting other rows show, its error is known: what a dial does is not missed.
+    """
+    directions = before.observations.reference.directions(before.eta)
+    gains = [-np.inf]
+    for setting in directions.index.T[: len(directions.component)]:
+        count = len(np.unique(setting))
+        if _SETTINGS <= count <= before.observations.n // 2 and not before.observations.walk:
+            gain = log_predictives(after, setting) - log_predictives(before, setting)
+            gains.append(float(gain.sum()))
+    return max(gains)
+
+
+def log_predictives(fit: Fit, group: Index | None = None) -> Array:
     """(groups,) log density of each group given all others (nats); of stretches of neighbours where
-    these share noise.
+    these share noise. group : (n,) of the observations, where not their own.
 
     Closed form: with P = V⁻¹ - V⁻¹J(JᵀV⁻¹J)⁻¹JᵀV⁻¹, group g has the predictive residual
     P_gg⁻¹ (P r)_g and the precision P_gg (Sundararajan and Keerthi 2001).
@@ -164,7 +184,7 @@ def log_predictives(fit: Fit) -> Array:
         return foretold_stretches(fit)
     at, noise = fit.at, fit.noise
     white, q = fit.white_basis()
-    keys = fit.observations.group[at.owner]
+    keys = (fit.observations.group if group is None else group)[at.owner]
     residual = white(at.residual) / noise.factor
     rest = residual - q @ (q.T @ residual)
     every = list[float]()

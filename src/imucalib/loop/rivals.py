@@ -16,8 +16,8 @@ from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
-from imucalib.effects import known
-from imucalib.effects.thermal_lag import PREFIX, covariate
+from imucalib.effects import across, known
+from imucalib.effects.thermal.lag import PREFIX, covariate
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.evidence import Candidate, Score, apart, score
 from imucalib.loop.found import FitLoop, LoopSettings, Step
@@ -121,14 +121,15 @@ def _driver(covariate: str) -> str:
 def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tuple[str, ...]:
     """What would do as well and has no name: a bias that wanders slowly, unless the effect leads it
     by `margin` nats; and whatever else where its size is beyond what data sheets tell, where the
-    model holds a form of the same driver that has no cause, where a swing keeps step, or where a
-    lag is the longest that was tried."""
+    model holds a form of the same driver that has no cause, where a swing keeps step, where a lag
+    is the longest that was tried, or where a polynomial has no cause of its own."""
     walk = lead_over_a_walk(before, chosen.evidence) < margin
     effect = known(chosen.name)
     alike = effect is not None and (
         _course(effect.needs) in _of_forms(before.model.names)
         or _swings_in_step(before, chosen.name)
         or _is_longest(before.observations.context, chosen.name)
+        or chosen.name.startswith(across.PREFIX)
     )
     other = alike or beyond_usual(after, chosen.name)
     return (WANDERING,) * walk + (UNLISTED,) * other

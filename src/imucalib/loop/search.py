@@ -13,7 +13,12 @@ from imucalib.effects import known
 from imucalib.loop.candidates import correlated_noise, effect_candidates, family_candidates, probes
 from imucalib.loop.evidence import Score, score
 from imucalib.loop.found import LoopSettings, Step, Unexplained
-from imucalib.loop.held_out import fitted, log_predictive
+from imucalib.loop.held_out import (
+    fitted,
+    left_out_sizes,
+    log_predictive,
+    settings_left_out,
+)
 from imucalib.loop.records import held_out_rms
 from imucalib.loop.subject import Refused, Searched
 from imucalib.loop.thresholds import (
@@ -221,10 +226,27 @@ def objection(
 def _refuted(before: Fit, after: Fit, least_nats: float, most_rms: float) -> str:
     """What data that it was not fitted to say against an effect."""
     gain = log_predictive(after) - log_predictive(before)
+    if gain < least_nats:
+        gain = max(gain, settings_left_out(before, after))
     ratio = held_out_rms(after) / max(held_out_rms(before), 1e-300)
-    if gain < least_nats or ratio >= most_rms:
+    by_chance = gain >= STRONG and ratio < WORSE and _by_settings(before, after)
+    if gain < least_nats or (ratio >= most_rms and not by_chance):
         words = f"{gain:+.1f} nats" if gain < least_nats else f"{ratio:.3g} times the error"
         return f"{words} on data that it was not fitted to"
     # The correction itself, as a user will apply it, and not only the model run forwards.
     times = fitted(after).rms() / fitted(before).rms()
     return f"corrected readings are {times:.2g} times as far off" if times > WORSE else ""
+
+
+def _by_settings(before: Fit, after: Fit) -> bool:
+    """Whether errors that grow do so by how the settings happened to err: of rows that share them
+    the sizes hold a few draws each, which an effect of the sensor meets by chance."""
+    grown = left_out_sizes(after) ** 2 - left_out_sizes(before) ** 2
+    index = before.observations.reference.directions(before.eta).index
+    if not before.at.free:
+        return False
+    total, spread = float(grown.sum()), 0.0
+    for setting in index.T[: before.at.free]:
+        each = np.bincount(np.unique(setting, return_inverse=True)[1], weights=grown)
+        spread = max(spread, float(np.sum((each - each.mean()) ** 2)) ** 0.5)
+    return total < 2.0 * spread

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.effects import thermal_lag as lag
-from imucalib.effects.worn import thermal_hysteresis as play
+from imucalib.effects.thermal import hysteresis as play
+from imucalib.effects.thermal import lag
 from imucalib.rests.thermal_history import ThermalHistory
 
 #: Covariates that a recording with a clock and a thermometer has.

@@ -202,11 +202,12 @@ def test_members_of_scans_keep_the_laws(name: str) -> None:
 
 def test_scans_know_their_members_by_name() -> None:
     scans = {"bias_step", "slip", "thermal_lag", "cycle", "converter", "curve", "posture", "shape",
-             "follows", "thermal_hysteresis"}  # fmt: skip
+             "follows", "thermal_hysteresis", "third_degree", "session"}  # fmt: skip
     assert set(families()) == scans
     wrong = ("bias_step@later", "converter@w", "thermal_lag@", "cycle@7h", "cycle@-2rows",
              "cycle@rows", "follows@bias:1:2", "thermal_hysteresis@2", "thermal_hysteresis@0C",
-             "thermal_hysteresis@C")  # fmt: skip
+             "thermal_hysteresis@C", "third_degree@w", "third_degree@xy", "session@0:scale",
+             "session@2:bias", "session@scale")  # fmt: skip
     for name in (*wrong, "nothing@1s"):
         assert known(name) is None
         with pytest.raises(UsageError):

@@ -18,7 +18,7 @@ from worlds import plain_bench, plain_defects
 
 OUTSIDE = {
     "third_harmonic", "slip", "local_sine", "thermal_lag", "thermal_play", "thermal_creep",
-    "random_walk", "shock", "late_reading", "pick_up", "soft_saturation", "swing",
+    "mixed_third", "random_walk", "shock", "late_reading", "pick_up", "soft_saturation", "swing",
 }  # fmt: skip
 EVERY = [*plain_defects.DIALS, *plain_defects.AXES, *plain_defects.SENSOR]
 PLANTED = [name for name in EVERY if name not in OUTSIDE]
@@ -159,6 +159,18 @@ def test_axes_that_tilt_with_the_temperature_are_named(seed: int, tmp_path: Path
     (step,) = run.result.loop.steps
     assert step.effect == "temperature_misalignment"
     assert run.result.loop.verdict == "explained"
+
+
+def test_a_product_of_third_degree_is_corrected_without_a_cause(tmp_path: Path) -> None:
+    """An error of z with x² y was "nothing missing"."""
+    bench = plain_bench.Bench(plain_bench.Plan(2, (("mixed_third", 18.0),), n=40))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    (step,) = run.result.loop.steps
+    assert step.effect == "third_degree@z"
+    assert step.aliases
+    held = run.outcome.errors[0].held_out
+    assert held.final < 0.8 * held.base
 
 
 def test_the_longest_lag_that_was_tried_is_not_certain(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
 from imucalib.calibrators.lab.design import judge
 from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.faults import SCATTER
+from imucalib.core.effect import Described
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
@@ -73,6 +74,8 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
         elif effect is not None and effect.stage == "fixture":
             sentence = _by_row(effect.sentence, fit)
             found.append(f"{sentence} Check the bench ({effect.identify.rstrip('.')}).")
+        elif isinstance(effect, Described) and effect.remedy:
+            found.append(f"{effect.sentence} To settle it: {effect.remedy}.")
     found += [_of_structure(item) for item in (loop.unexplained if loop else ())]
     if isinstance(fit.observations.reference, KnownVector):
         found += _settings(fit)

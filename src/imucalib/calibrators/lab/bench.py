@@ -208,6 +208,7 @@ def _covariates(table: PositionTable, reading: Array) -> dict[str, Array]:
     optional: Mapping[str, str] = {
         "temperature": "temperature",
         "time": "time",
+        "session": "session",
         "inclination_approach": "inclination_approach",
         "tool_face_approach": "tool_face_approach",
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -216,7 +217,19 @@ def doubts(result: LabResult, raw: RawUnit, request: LabRequest) -> tuple[str, .
                 f"{counts:.10g} counts a g; decide with --unit counts --lsb {counts:.10g}, "
                 f"or --unit {raw.name} if it is right"
             )
-    return tuple(found)
+    return tuple(found + _other_sensors(result))
+
+
+def _other_sensors(result: LabResult) -> list[str]:
+    """Sessions whose scale factors and axes differ: they have their say in bias and mounting."""
+    names = set(result.final.model.names) - set(result.settings.declare)
+    numbers = (re.fullmatch(r"session@(\d+):sensor", name) for name in sorted(names))
+    return [
+        f"session {n[1]} has scale factors and angles between its axes of its own: leave it out if "
+        f"it was another sensor, or add --declare {n[0]} if it was the same"
+        for n in numbers
+        if n is not None
+    ]
 
 
 def worthless(result: LabResult, whole: Observations) -> tuple[str, ...]:

@@ -15,8 +15,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.effects import thermal_lag
-from imucalib.effects.worn import thermal_hysteresis
+from imucalib.effects.thermal import hysteresis, lag
 from imucalib.loop.found import Step
 from imucalib.loop.wander.beside.parts import Rivals, driven, held_against, parts_of
 from imucalib.loop.wander.choice import Search
@@ -27,7 +26,7 @@ from imucalib.loop.wander.scores import Entry
 _SIZE, _TERMS, _HARMONICS = 2.0, 4, 3
 _CLOCK, _WARM = "time_of_day", "temperature"
 #: What else of the temperature a scale may follow, which no candidate's scale does.
-_PAST = {thermal_lag.PREFIX: "scale_lag", thermal_hysteresis.PREFIX: "scale_hysteresis"}
+_PAST = {lag.PREFIX: "scale_lag", hysteresis.PREFIX: "scale_hysteresis"}
 
 
 def beside_courses(problem: Problem, found: Search, steps: Sequence[Step]) -> tuple[Step, ...]:

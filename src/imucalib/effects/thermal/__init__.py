@@ -1,0 +1,1 @@
+"""What of the temperature's past a bias may follow."""
