@@ -552,7 +552,7 @@ def test_a_worn_recordings_products_count_for_all_of_its_rows() -> None:
     """Of the rows that were searched, white under the fitted walk."""
     rng = np.random.default_rng(0)
     white = rng.normal(size=(2, 40, 6))
-    bank = SimpleNamespace(white=white, data=5)
+    bank = SimpleNamespace(white=lambda walk, at: white[walk][:, at], data=5)
     found = SimpleNamespace(bank=bank, level=SimpleNamespace(walk=1, variance=2.5))
     problem = SimpleNamespace(fit=SimpleNamespace(observations=SimpleNamespace(n=120)))
     made = worn_products(problem, found, [0, 3])  # type: ignore[arg-type]

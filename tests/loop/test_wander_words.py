@@ -93,7 +93,7 @@ def test_rivals_are_near_in_evidence_or_in_angle() -> None:
     white[:, 6] *= limit
     far = [apart_by_hand(white, 2, k, 0.7) for k in (3, 4, 5)]
     assert far[0] < 2.0 < far[1]
-    bank = SimpleNamespace(white=white[None], data=6)
+    bank = SimpleNamespace(white=lambda _, at: white[:, at], data=6)
     own = scored("own", 20.0, (2,), family="fam")
     rivals = [
         scored("own", 20.0, (2,)), scored("sibling@1", 19.0, (3,), family="fam"),
@@ -122,7 +122,8 @@ def test_a_free_function_is_anothers_rival_where_it_does_as_well_on_blocks_left_
     own = scored("converter@xyz", 20.0, (2,), kind="curve", family="converter")
     rival = scored("posture@80", nats, (3,), kind="posture", family="posture")
     taken = SimpleNamespace(found=own, rivals=(rival,), alike=("posture@80",) if alike else ())
-    bank = SimpleNamespace(white=np.random.default_rng(1).standard_normal((1, 20, 5)), data=4)
+    white = np.random.default_rng(1).standard_normal((20, 5))
+    bank = SimpleNamespace(white=lambda _, at: white[:, at], data=4)
     found = aliases(bank, Terms(np.arange(2), np.ones(2), 2), taken)  # type: ignore[arg-type]
     assert found == (("posture@80",) if told else ())
 

@@ -22,12 +22,13 @@ from imucalib.loop.wander.beside.every import beside_all
 from imucalib.loop.wander.choice import Refused, Rules, Search, search
 from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
+from imucalib.loop.wander.held_blocks import solved
 from imucalib.loop.wander.left.axes import or_noise
 from imucalib.loop.wander.left.courses import courses
 from imucalib.loop.wander.left.stretch import stretches
 from imucalib.loop.wander.left.strongest import strongest
 from imucalib.loop.wander.left.swing import swings
-from imucalib.loop.wander.likelihood import Level, Terms, levels
+from imucalib.loop.wander.likelihood import Level, Terms, best_level, levels
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.probes import left_over
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
@@ -88,7 +89,8 @@ def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
     """Search beside a fitted base model, and measure on blocks of time what that was worth.
 
     What was missing made runs look strange and the noise large: when something is found, the
-    search runs once more with the noise that is left beside it.
+    search runs once more with the noise that is left beside it. Only that noise is kept of the
+    first, which tries walks of the fitted memory, as folds do, and others where it finds nothing.
     """
     data = base.observations
     folds = folds_of(data)
@@ -117,10 +119,11 @@ def _searched(
     enough = sure(rules.draws, len(problem.entries) * len(bank.walks))
 
     def draw(bank: Bank, terms: Terms, turn: int) -> Array:
-        every = levels(bank, terms, keep)
-        null = null_of(bank, every, rng, rules.draws)
-        walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
-        drawn[turn] = scored(bank, terms, keep, problem.entries, walks, null)[1]
+        if turn not in drawn:
+            every = levels(bank, terms, keep)
+            null = null_of(bank, every, rng, rules.draws)
+            walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
+            drawn[turn] = scored(bank, terms, keep, problem.entries, walks, null)[1]
         return np.asarray(np.quantile(drawn[turn], 1.0 - alpha, axis=1))
 
     def tried(bank: Bank, terms: Terms, turn: int, scores: Sequence[Scored]) -> Iterator[Array]:
@@ -129,14 +132,18 @@ def _searched(
         if last or not turn:  # else the next search draws its own
             yield draw(bank, terms, turn)
 
-    decide = Rules(tried, rules.most_effects, problem.finer, problem.forms)
-    found = search(bank, terms, problem.entries, problem.splits, keep, decide)
+    for same_tau in (False,) if last else (True, False):
+        decide = Rules(tried, rules.most_effects, problem.finer, problem.forms, same_tau)
+        found = search(bank, terms, problem.entries, problem.splits, keep, decide)
+        if found.taken:
+            break
     if not drawn and (last or not found.taken):  # which only the report asks for
         draw(found.bank, found.terms, len(found.taken))
     chances = tuple(_nearest(drawn, turn) for turn in range(len(found.taken) + 1) if drawn)
     bars = tuple(np.quantile(chance, 1.0 - alpha, axis=1) for chance in chances)
-    every = levels(bank, terms, keep)
-    level = max(every, key=lambda one: one.nats)
+    level = best_level(bank, terms, keep)
+    if found.taken and not last:
+        return _Pass(problem, level, chances, bars, found)
     # The base under its own walk, which is larger than what is left beside the final model.
     scatter = noise.scatter * float(np.sqrt(level.variance))
     own = replace(noise, walk=bank.walks[level.walk], scatter=scatter)
@@ -153,12 +160,10 @@ def _final(found: _Pass) -> tuple[Fit, Array]:
     """The model with all that was taken, and its priors' precisions; scans at their best value."""
     problem, taken = found.problem, found.search.taken
     precision = problem.precision(taken)
-    model = problem.model(taken)
-    start = model.start(problem.fit.observations.context)
-    slices = model.slices(problem.fit.observations.context)
-    for name, part in problem.fit.model.slices(problem.fit.observations.context).items():
-        start[slices[name]] = problem.fit.theta[part]
-    level = found.search.level
+    model, level = problem.model(taken), found.search.level
+    keep = np.ones(found.search.bank.course.parts, dtype=bool)
+    values = solved(found.search.bank, found.search.terms, level.walk, keep)
+    start = problem.theta(values, taken)
     noise = replace(problem.noise, walk=problem.bank.walks[level.walk])
     return fitted(model, problem.fit.observations, noise, start, precision), precision
 

@@ -137,7 +137,6 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
     gravity alone shows as a part of the effect is always one.
     """
     own = taken.found
-    white = bank.white[own.walk]
     near = max(own.evidence - _ALIKE, own.evidence / 2.0)
     out = list[str]()
     for rival in taken.rivals:
@@ -149,7 +148,7 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
         if entry.free:
             alike = own.entry.free and entry.name in taken.alike
         else:
-            alike = _apart(white, bank.data, terms, own, rival) < _APART
+            alike = _apart(bank, terms, own, rival) < _APART
         if rival.evidence >= (own.evidence if entry.wide else near) or alike:
             out.append(entry.name)
     parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
@@ -163,15 +162,17 @@ def _best_of_each_scan(names: Sequence[str]) -> list[str]:
     return list(first.values())
 
 
-def _apart(white: Array, y: int, terms: Terms, own: Scored, rival: Scored) -> float:
+def _apart(bank: Bank, terms: Terms, own: Scored, rival: Scored) -> float:
     """Length of the fitted effect, in noise units, that its rival cannot take over."""
-    base, data = white[:, terms.columns], white[:, y]
-    q = np.linalg.qr(base)[0]
-    columns = white[:, own.entry.columns]
+    blocks = [terms.columns, own.entry.columns, rival.entry.columns]
+    ends = np.cumsum([block.size for block in blocks])
+    white = bank.white(own.walk, np.concatenate([*blocks, [bank.data]]))
+    base, columns, others = np.split(white[:, :-1], ends[:-1], axis=1)
+    data, q = white[:, -1], np.linalg.qr(base)[0]
     rest = columns - q @ (q.T @ columns)
     precise = rest.T @ rest + np.eye(rest.shape[1]) / own.size**2
     effect = rest @ np.linalg.solve(precise, rest.T @ data)
-    both = np.linalg.qr(np.column_stack([base, white[:, rival.entry.columns]]))[0]
+    both = np.linalg.qr(np.column_stack([base, others]))[0]
     return float(np.linalg.norm(effect - both @ (both.T @ effect)))
 
 
