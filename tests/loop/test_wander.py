@@ -62,6 +62,20 @@ def test_the_filter_is_the_dense_inverse(walk: Walk) -> None:
         assert log_det[0, part] == pytest.approx(np.linalg.slogdet(own)[1], abs=1e-9)
 
 
+def test_a_large_slow_walk_stays_exact_through_a_long_recording() -> None:
+    """What neighbours do not share is thousands of times smaller than what they do."""
+    n, walk = 1500, Walk(3000.0, 2.0 * 86400.0)
+    rng = np.random.default_rng(3)
+    seen = rng.standard_normal((n, 4))
+    seen[:, 3] = np.linalg.norm(seen[:, :3], axis=1)
+    time = np.sort(rng.uniform(0.0, 86400.0, n))
+    at = Course(time, seen, np.ones(n), np.zeros(n, np.intp))
+    white, log_det = whitened(at, (walk,), np.eye(n)[:, :3])
+    v = dense(at, walk)
+    assert np.allclose(white[0].T @ white[0], np.linalg.inv(v)[:3, :3], rtol=1e-6, atol=1e-9)
+    assert log_det[0, 0] == pytest.approx(np.linalg.slogdet(v)[1], rel=1e-9)
+
+
 def test_several_walks_at_once_are_each_alone() -> None:
     at = course(parts=7)
     z = np.random.default_rng(2).standard_normal((60, 3))

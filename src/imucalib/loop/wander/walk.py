@@ -118,14 +118,15 @@ def _filter(course: Course, walks: tuple[Walk, ...]) -> _Filter:
     seen, on = keep[..., None] * h, keep[..., -1]
     # Of the state at the last row with every row.
     across = near[:, :, -1, None] * h.transpose(0, 2, 1)
-    off = np.zeros((len(walks), q, q))
+    off, lower = np.zeros((len(walks), q, q)), np.empty_like(size)
     for k in range(len(h)):
         known = seen[:, k] @ off
-        size[:, k] += known @ seen[:, k].transpose(0, 2, 1)
+        own = size[:, k] + known @ seen[:, k].transpose(0, 2, 1)
         across[:, k] += on[:, k, None, None] * known.transpose(0, 2, 1)
-        less = across[:, k] @ np.linalg.solve(size[:, k], across[:, k].transpose(0, 2, 1))
-        off = on[:, k, None, None] ** 2 * off - less
-    lower = np.linalg.cholesky(size)
+        lower[:, k] = np.linalg.cholesky(own)
+        half = np.linalg.solve(lower[:, k], across[:, k].transpose(0, 2, 1))
+        off = on[:, k, None, None] ** 2 * off - half.transpose(0, 2, 1) @ half
+        off = 0.5 * (off + off.transpose(0, 2, 1))  # else rounding grows in long recordings
     inverse = _inverse(lower)
     root = lower[..., diagonal, diagonal].reshape(len(walks), -1)[:, :n]
     start = np.searchsorted(course.part, np.arange(course.parts))
