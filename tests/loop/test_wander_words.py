@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from imucalib.errors import NotConverged
-from imucalib.loop.found import Step, Wander
+from imucalib.loop.found import Step, Unexplained, Wander
 from imucalib.loop.wander import confirm, engine, words
 from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.scores import Entry
 from imucalib.loop.wander.words import (
     aliases,
+    beside_left,
     chance_of,
     looked_like,
     scores_of,
@@ -261,3 +262,28 @@ def test_a_first_step_has_its_rivals_beside_what_came_after_it(
     assert seen == [([0, 1, 2, 4], ["lag@3h", "step"]), ([0, 1, 2, 3], ["warm", "step"])]
     search.taken = taken[:1]
     assert words.beside_others(problem, search, steps[:1]) == steps[:1]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("driver", "kind", "nats", "share", "doubted"),
+    [
+        ("time", "swing", 12.0, 0.1, ("time",)),
+        ("temperature", "course", 12.0, 0.1, ("temperature",)),
+        ("time", "swing", 60.0, 0.1, ("time", "temperature")),
+        ("time", "stretch", 60.0, 0.0, ()),
+        ("order", "noise", 500.0, 0.5, ()),
+    ],
+)
+def test_a_name_is_in_doubt_beside_what_its_driver_or_more_than_it_leaves(
+    driver: str, kind: str, nats: float, share: float, doubted: tuple[str, ...]
+) -> None:
+    """A daily swing before and after the clock was set was a certain time_of_day."""
+    entries = [Entry(k, "", k, np.arange(1)) for k in ("time", "temperature")]
+    found = SimpleNamespace(
+        taken=[SimpleNamespace(found=SimpleNamespace(entry=e)) for e in entries]
+    )
+    steps = [Step(e.name, 0.001, 99, 50.0, (), ()) for e in entries]
+    left = (Unexplained("what is left", driver, kind, 1e-4, nats, share),)
+    told = beside_left(found, steps, left)  # type: ignore[arg-type]
+    assert tuple(s.effect for s in told if s.aliases == ("unlisted_effect",)) == doubted
+    assert [s.certain for s in told] == [s.effect not in doubted for s in told]

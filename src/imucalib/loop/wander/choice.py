@@ -17,6 +17,8 @@ from imucalib.loop.wander.scores import Entry, Scored, finest, middle_of_best, s
 #: Standard errors by which the density must gain over the blocks; what is driven by time lies in
 #: the same blocks as what it claims to explain, and has to gain more.
 _GAIN, _GAIN_IN_TIME = 1.5, 2.0
+#: Blocks by whose gain alone nothing is taken, and one.
+_OF_NOTE = 3
 #: A curve's prior is as flat in the density as it matters to the error: the smallest error among
 #: these shares of its likeliest size whose density is within one standard deviation.
 _SHRUNK = (1.0, 0.4, 0.2, 0.1)
@@ -219,9 +221,16 @@ def _lead(gains: Array) -> float:
     return total / spread if spread > 0.0 else np.copysign(np.inf, total) if total else 0.0
 
 
+def _even(gains: Array) -> Array:
+    """The gains, none larger than the third largest: a sauna that is foretold by a hundred times
+    what an ordinary hour gains is all of the spread, and alone is never two standard errors."""
+    most = np.sort(gains)[-_OF_NOTE] if gains.size > _OF_NOTE else np.inf
+    return np.asarray(np.minimum(gains, most))
+
+
 def _objection(trial: Taken, kind: str) -> str:
     need, lead = _GAIN_IN_TIME if kind == "time" else _GAIN, _lead(trial.gains)
-    if lead <= need:
+    if lead <= need and (kind == "time" or _lead(_even(trial.gains)) <= _GAIN_IN_TIME):
         return (
             f"it does not hold out: {trial.gains.sum():+.1f} nats over {trial.gains.size} blocks "
             f"of time, {lead:.1f} of {need:.1f} standard errors"

@@ -30,12 +30,13 @@ from imucalib.loop.wander.left.strongest import strongest
 from imucalib.loop.wander.left.swing import swings
 from imucalib.loop.wander.likelihood import Level, Terms, best_level, levels
 from imucalib.loop.wander.noise import Noise, noise_of
-from imucalib.loop.wander.probes import left_over
+from imucalib.loop.wander.probes import left_over as probed_of
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
 from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import (
+    beside_left,
     looked_like,
     scores_of,
     steps_of,
@@ -194,7 +195,7 @@ def _left(
     lasting = stretches(found.problem, found.search)
     told, probed = strongest(found.search, ways, lasting), tuple[Unexplained, ...]()
     if asked.probes:
-        probed = left_over(
+        probed = probed_of(
             final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),
             draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
         )  # fmt: skip
@@ -227,7 +228,6 @@ def _told(
     )  # fmt: skip
     each = predicted(problem, folds, rules)
     gained = held_difference(each, folds)
-    first = found.search.first
     if found.search.taken:
         steps = steps_of(problem, found.search, found.chances)
         left = confirmed(found.search, steps, bars, problem.terms, each, gained)
@@ -239,18 +239,19 @@ def _told(
             final = fitted(final.model, final.observations, last, final.theta, precision)
     steps = steps_of(problem, found.search, found.chances)
     steps = beside_all(problem, found.search, steps, final)
+    left_over = _left(found, final, last, folds, asked, rng, refused=_refused(found, steps))
     loop = FitLoop(
         base=problem.fit,
         final=final,
         plain=problem.fit,
         as_recorded=final,
-        steps=steps,
+        steps=beside_left(found.search, steps, left_over),
         ambiguous=ambiguities(problem, found.search, steps),
         sums=sums_of(problem, found.level, problem.fit),
         rejected=tuple((r.name, r.reason) for r in found.search.refused),
-        unexplained=_left(found, final, last, folds, asked, rng, refused=_refused(found, steps)),
+        unexplained=left_over,
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
-        first_scores=scores_of(problem, first, found.chances[0], bars[0]),
+        first_scores=scores_of(problem, found.search.first, found.chances[0], bars[0]),
         missing=problem.missing,
         bar=float(bars[0][0]),
         difference=gained,
