@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from imucalib.loop.difference import Difference
 from imucalib.loop.found import Step
 from imucalib.loop.wander.confirm import _doubt
+from imucalib.loop.wander.scores import Entry
 
 LIKELY = Difference(2.0, 1.0, -0.1, 1.5, 0.1, 10, nats=4.0, nats_low=1.0)
 NOT = replace(LIKELY, plain_low=-0.1, nats_low=-0.1)
@@ -21,7 +23,7 @@ def doubt(timed: bool, again: int, evidence: float, gained: Difference) -> str:
     names = [{"cubic", "bias_step"}, {"thermal_lag"}]
     found = [names[k % 2] if k < again else {"cubic"} for k in range(10)]
     taken = SimpleNamespace(
-        found=SimpleNamespace(entry=SimpleNamespace(timed=timed), evidence=evidence)
+        found=SimpleNamespace(entry=SimpleNamespace(timed=timed, family=""), evidence=evidence)
     )
     each = SimpleNamespace(found=found)
     return _doubt(taken, step, 9.0, each, gained)  # type: ignore[arg-type]
@@ -50,3 +52,16 @@ def test_without_a_likely_gain_it_is_half_above_the_bar_and_not_of_time(
     found = doubt(timed, 10, evidence, NOT)
     assert (found == "") == stays
     assert ("gains +4.0 nats there, at least -0.1" in found) == (not stays)
+
+
+@pytest.mark.parametrize(("again", "stays"), [(5, True), (4, False)])
+def test_a_form_is_found_again_in_every_name_of_its_driver(again: int, stays: bool) -> None:
+    """An exponential of the temperature in five searches, its straight line in seven: refused."""
+    step = Step("shape@bias:temperature:exponential:1:2", 0.01, 99, 160.0, (), ())
+    entry = Entry(step.effect, "shape", "temperature", np.arange(3))
+    taken = SimpleNamespace(found=SimpleNamespace(entry=entry, evidence=160.0))
+    found = [{"temperature_bias", "bias:temperature"}] * again + [{"cubic", "response:xyz"}] * (
+        10 - again
+    )
+    each = SimpleNamespace(found=found)
+    assert (_doubt(taken, step, 9.0, each, LIKELY) == "") == stays  # type: ignore[arg-type]

@@ -311,6 +311,22 @@ def test_blocks_of_time_must_gain_beyond_their_scatter() -> None:
     assert wander_choice._GAIN_IN_TIME > wander_choice._GAIN > 0.0
 
 
+@pytest.mark.parametrize(
+    ("gains", "kind", "stays"),
+    [
+        ([1198.0, 46.0, 41.0, 43.0, 28.0, 9.0, 14.0], "temperature", True),
+        ([1198.0, 46.0, 41.0, 43.0, 28.0, 9.0, 14.0], "time", False),
+        ([1198.0, 0.5, -0.5, 0.2, -0.3, 0.1, 0.0], "temperature", False),
+        ([900.0, 1100.0, *([-0.5, 0.2, -0.3, 0.1, 0.0] * 2)], "temperature", False),
+    ],
+)
+def test_what_every_block_foretells_is_not_refused_for_the_one_it_foretells_best(
+    gains: list[float], kind: str, stays: bool
+) -> None:
+    """An hour of sauna foretold by the bias of all other hours; an offset of one or two blocks."""
+    assert (wander_choice._objection(taken(gains), kind) == "") == stays  # type: ignore[arg-type]
+
+
 def numbers(kind: str, u: Array, what: str = "bias", against: str = "order") -> list[tuple]:
     return list(shapes._numbers(kind, u, what, against))
 
@@ -552,7 +568,7 @@ def test_a_worn_recordings_products_count_for_all_of_its_rows() -> None:
     """Of the rows that were searched, white under the fitted walk."""
     rng = np.random.default_rng(0)
     white = rng.normal(size=(2, 40, 6))
-    bank = SimpleNamespace(white=white, data=5)
+    bank = SimpleNamespace(white=lambda walk, at: white[walk][:, at], data=5)
     found = SimpleNamespace(bank=bank, level=SimpleNamespace(walk=1, variance=2.5))
     problem = SimpleNamespace(fit=SimpleNamespace(observations=SimpleNamespace(n=120)))
     made = worn_products(problem, found, [0, 3])  # type: ignore[arg-type]

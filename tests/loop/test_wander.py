@@ -19,7 +19,7 @@ from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.held_blocks import judged, solved
 from imucalib.loop.wander.likelihood import Terms, best_level, levels
 from imucalib.loop.wander.noise import Noise
-from imucalib.loop.wander.scores import SIZES, Entry, Scored, null_of, scored
+from imucalib.loop.wander.scores import SIZES, Entry, Scored, middle_of_best, null_of, scored
 from imucalib.loop.wander.walk import Course, Walk, beside, correlated, drawn, weighted, whitened
 from imucalib.units import MG
 from worlds.bench import GRAVITY, draw, tumble
@@ -60,6 +60,20 @@ def test_the_filter_is_the_dense_inverse(walk: Walk) -> None:
         gram = white[0][rows].T @ white[0][rows]
         assert np.allclose(gram, z[rows].T @ np.linalg.solve(own, z[rows]), rtol=1e-9, atol=1e-9)
         assert log_det[0, part] == pytest.approx(np.linalg.slogdet(own)[1], abs=1e-9)
+
+
+def test_a_large_slow_walk_stays_exact_through_a_long_recording() -> None:
+    """What neighbours do not share is thousands of times smaller than what they do."""
+    n, walk = 1500, Walk(3000.0, 2.0 * 86400.0)
+    rng = np.random.default_rng(3)
+    seen = rng.standard_normal((n, 4))
+    seen[:, 3] = np.linalg.norm(seen[:, :3], axis=1)
+    time = np.sort(rng.uniform(0.0, 86400.0, n))
+    at = Course(time, seen, np.ones(n), np.zeros(n, np.intp))
+    white, log_det = whitened(at, (walk,), np.eye(n)[:, :3])
+    v = dense(at, walk)
+    assert np.allclose(white[0].T @ white[0], np.linalg.inv(v)[:3, :3], rtol=1e-6, atol=1e-9)
+    assert log_det[0, 0] == pytest.approx(np.linalg.slogdet(v)[1], rel=1e-9)
 
 
 def test_several_walks_at_once_are_each_alone() -> None:
@@ -125,7 +139,8 @@ def test_parts_add_up_to_folds() -> None:
         for k, walk in enumerate(WALKS):
             v = dense(bank.course, walk)[np.ix_(fold.rest, fold.rest)]
             direct = columns[fold.rest].T @ np.linalg.solve(v, columns[fold.rest])
-            assert np.allclose(bank.train(k, split.train), direct, rtol=1e-9, atol=1e-9)
+            whole, out = bank.over(k, split.train)
+            assert np.allclose(whole - out.T @ out, direct, rtol=1e-9, atol=1e-9)
             summed = bank.by_part(k, np.arange(8))[split.train].sum(axis=0)
             assert np.allclose(summed, direct, rtol=1e-9, atol=1e-9)
 
@@ -187,7 +202,7 @@ def test_held_out_density_is_the_conditional_one() -> None:
         left = y[b] - x[b] @ theta
         nats = -0.5 * (np.linalg.slogdet(spread)[1] + left @ np.linalg.solve(spread, left))
         assert found.nats[k] == pytest.approx(nats, abs=1e-8)
-        assert found.error[k] == pytest.approx(np.mean(np.abs(left)), abs=1e-9)
+        assert found.error()[k] == pytest.approx(np.mean(np.abs(left)), abs=1e-9)
 
 
 def test_a_walk_longer_than_a_sixth_of_the_recording_is_no_noise() -> None:
@@ -281,3 +296,18 @@ def test_a_prior_pulls_as_strongly_as_it_says(share: float) -> None:
     np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=0.02, atol=1e-3)
     expected = np.linalg.solve(information, u.T @ off / scatter**2)
     np.testing.assert_allclose(found.theta, expected, atol=0.02)
+
+
+def test_columns_of_two_searches_stay_apart() -> None:
+    """Searches without one block each add a value of a scan of their own behind the same bank."""
+    bank, _, _, columns = made()
+    rng, at = np.random.default_rng(9), np.array([0, 8, 7])
+    for more in (rng.standard_normal((90, 1)), rng.standard_normal((90, 1))):
+        own, every = bank.plus(more), np.column_stack([columns, more])[:, at]
+        direct = every.T @ np.linalg.solve(dense(bank.course, WALKS[1]), every)
+        assert np.allclose(own.by_part(1, at).sum(axis=0), direct, rtol=1e-9, atol=1e-9)
+
+
+def test_of_moments_that_no_row_tells_apart_the_middle_is_taken() -> None:
+    nats = np.array([2.0, 7.0 + 1e-12, 7.0, 7.0 - 1e-12, 3.0])
+    assert middle_of_best(nats) == middle_of_best(nats[::-1]) == 2

@@ -23,17 +23,20 @@ def bank(seed: int, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     rng = np.random.default_rng(seed)
     columns = rng.standard_normal((N, 11))
     columns[:, 10] += 0.8 * columns[:, 3] - 0.5 * columns[:, 5] + 0.6 * columns[:, 0]
-    monkeypatch.setattr(scores, "whitened", lambda _, walks, x: (np.stack([x] * len(walks)), None))
-    kept = columns[KEEP[PART]]
+    monkeypatch.setattr(scores, "whitened", lambda _, __, x, ___: (x[None], None))
     sums = np.array([columns[k == PART].T @ columns[k == PART] for k in range(3)])
+
+    def over(*_: object) -> tuple[np.ndarray, np.ndarray]:
+        return columns.T @ columns, columns[~KEEP[PART]]
 
     def by_part(_: int, at: np.ndarray) -> np.ndarray:
         return sums[:, at][:, :, at]
 
     return SimpleNamespace(
-        columns=columns, data=10, white=columns[None], course=SimpleNamespace(part=PART),
-        walks=("white",), count=np.bincount(PART), log_det=np.zeros((1, 3)), by_part=by_part,
-        train=lambda *_: kept.T @ kept, plus=lambda more: more, made={},
+        columns=columns, data=10, white=lambda _, at: columns[:, at],
+        course=SimpleNamespace(part=PART), walks=("white",), count=np.bincount(PART),
+        log_det=np.zeros((1, 3)), by_part=by_part,
+        over=over, plus=lambda more: more, made={},
         products=lambda at, keep: by_part(0, at)[keep].sum(axis=0)[None],
     )  # fmt: skip
 
@@ -90,8 +93,6 @@ def test_a_curve_of_seven_terms_is_held_to_three_typical_sizes(
     made = bank(3, monkeypatch)
     at = np.arange(3, 3 + terms)
     made.columns[:, 10] = 50.0 * made.columns[:, at].sum(axis=1) + made.columns[:, 10]
-    kept = made.columns[KEEP[PART]]
-    made.train = lambda *_: kept.T @ kept
     sums = np.array([made.columns[k == PART].T @ made.columns[k == PART] for k in range(3)])
     made.products = lambda at, keep: sums[:, at][:, :, at][keep].sum(axis=0)[None]
     (found,), _ = scored(made, TERMS, KEEP, [Entry("c", "", "curve", at)], (0,))  # type: ignore[arg-type]

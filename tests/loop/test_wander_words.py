@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from imucalib.errors import NotConverged
-from imucalib.loop.found import Step, Wander
+from imucalib.loop.found import Step, Unexplained, Wander
 from imucalib.loop.wander import confirm, engine, words
 from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.scores import Entry
 from imucalib.loop.wander.words import (
     aliases,
+    beside_left,
     chance_of,
     looked_like,
     scores_of,
@@ -93,7 +94,7 @@ def test_rivals_are_near_in_evidence_or_in_angle() -> None:
     white[:, 6] *= limit
     far = [apart_by_hand(white, 2, k, 0.7) for k in (3, 4, 5)]
     assert far[0] < 2.0 < far[1]
-    bank = SimpleNamespace(white=white[None], data=6)
+    bank = SimpleNamespace(white=lambda _, at: white[:, at], data=6)
     own = scored("own", 20.0, (2,), family="fam")
     rivals = [
         scored("own", 20.0, (2,)), scored("sibling@1", 19.0, (3,), family="fam"),
@@ -122,7 +123,8 @@ def test_a_free_function_is_anothers_rival_where_it_does_as_well_on_blocks_left_
     own = scored("converter@xyz", 20.0, (2,), kind="curve", family="converter")
     rival = scored("posture@80", nats, (3,), kind="posture", family="posture")
     taken = SimpleNamespace(found=own, rivals=(rival,), alike=("posture@80",) if alike else ())
-    bank = SimpleNamespace(white=np.random.default_rng(1).standard_normal((1, 20, 5)), data=4)
+    white = np.random.default_rng(1).standard_normal((20, 5))
+    bank = SimpleNamespace(white=lambda _, at: white[:, at], data=4)
     found = aliases(bank, Terms(np.arange(2), np.ones(2), 2), taken)  # type: ignore[arg-type]
     assert found == (("posture@80",) if told else ())
 
@@ -260,3 +262,28 @@ def test_a_first_step_has_its_rivals_beside_what_came_after_it(
     assert seen == [([0, 1, 2, 4], ["lag@3h", "step"]), ([0, 1, 2, 3], ["warm", "step"])]
     search.taken = taken[:1]
     assert words.beside_others(problem, search, steps[:1]) == steps[:1]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("driver", "kind", "nats", "share", "doubted"),
+    [
+        ("time", "swing", 12.0, 0.1, ("time",)),
+        ("temperature", "course", 12.0, 0.1, ("temperature",)),
+        ("time", "swing", 60.0, 0.1, ("time", "temperature")),
+        ("time", "stretch", 60.0, 0.0, ()),
+        ("order", "noise", 500.0, 0.5, ()),
+    ],
+)
+def test_a_name_is_in_doubt_beside_what_its_driver_or_more_than_it_leaves(
+    driver: str, kind: str, nats: float, share: float, doubted: tuple[str, ...]
+) -> None:
+    """A daily swing before and after the clock was set was a certain time_of_day."""
+    entries = [Entry(k, "", k, np.arange(1)) for k in ("time", "temperature")]
+    found = SimpleNamespace(
+        taken=[SimpleNamespace(found=SimpleNamespace(entry=e)) for e in entries]
+    )
+    steps = [Step(e.name, 0.001, 99, 50.0, (), ()) for e in entries]
+    left = (Unexplained("what is left", driver, kind, 1e-4, nats, share),)
+    told = beside_left(found, steps, left)  # type: ignore[arg-type]
+    assert tuple(s.effect for s in told if s.aliases == ("unlisted_effect",)) == doubted
+    assert [s.certain for s in told] == [s.effect not in doubted for s in told]

@@ -56,6 +56,7 @@ def world(seed: int = 3) -> tuple[np.ndarray, Context]:
         "tool_face": rng.uniform(0, 2 * np.pi, N), "inclination": rng.uniform(-1.5, 1.5, N),
         **{f"temperature_lag_{value}": rng.uniform(10, 40, N) for value in ("2h", "4rows")},
         "temperature_play_3C": rng.uniform(10, 40, N),
+        "temperature_rate_12min": rng.uniform(-5, 5, N),
     }  # fmt: skip
     return rng.uniform(-1.0, 1.0, (N, 3)), Context(N, covariates)
 
@@ -199,6 +200,14 @@ def test_a_third_degree_is_harmonic_and_of_one_size() -> None:
     context = world()[1]
     assert families()["third_degree"].values(context) == ("x", "y", "z")
     assert families()["third_degree"].values(context.take(np.arange(23))) == ()
+
+
+def test_a_gradient_follows_the_rate_of_the_temperature() -> None:
+    force, context = world()
+    theta = np.array([0.5, -1.0, 2.0])
+    expected = 1e-3 * theta * context["temperature_rate_12min"][:, None]
+    got = added("temperature_rate@12min", theta, force, context)
+    np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
 def test_a_step_comes_at_its_time() -> None:

@@ -48,6 +48,29 @@ def test_an_axis_that_stands_still_while_others_move_is_left_out(noise: float, h
     )
 
 
+def test_an_axis_that_is_held_and_keeps_its_noise_is_left_out() -> None:
+    """It stood in the fit, which it took from 0.4 to 33 mg; the others are not blamed for it."""
+    values = worn(40, 3.0, 1.0)
+    noise = MG * np.round(3.0 * np.random.default_rng(5).standard_normal(5000))
+    values[5000:10000, 1] = -0.3 * G + noise
+    runs = found(values)
+    assert not np.any((runs.time > 500.0) & (runs.time < 1000.0))
+    assert runs.time.size >= 28
+    assert runs.faults == (
+        "y stays at -0.3 g for 8.3 min from 0.14 h on, whatever the others do: it is not its own "
+        "reading; left out of the rests",
+    )
+
+
+def test_a_sensor_turned_about_an_axis_keeps_it() -> None:
+    """Smoothly and by far: one axis stays, and gravity's size with it."""
+    values = worn(40, 3.0, 1.0)
+    angle = np.linspace(0.0, 3.0, 3000)
+    turned = G * np.column_stack([0.0 * angle, np.cos(angle), np.sin(angle)])
+    values[5000:8000] = turned + 3.0 * MG * np.random.default_rng(6).standard_normal((3000, 3))
+    assert found(values).faults == ()
+
+
 def test_a_fine_axis_that_loses_its_noise_at_rest_is_left_out() -> None:
     values = worn(40, 3.0, 1.0)
     values[5100:5500, 2] = values[5100, 2]

@@ -39,3 +39,11 @@ def test_covariates_of_the_past_are_known_by_name() -> None:
     history = ThermalHistory(time, time / 360.0)
     late = remembered(history, "temperature_lag_1h", time)
     np.testing.assert_allclose(late, history.lagged(1.0, time))
+
+
+def test_the_rate_is_the_slope_of_a_steady_warming() -> None:
+    """Five time constants after the start; 3 °C an hour."""
+    time = np.arange(5.0, 7200.0, 10.0)
+    history = ThermalHistory(time, 20.0 + 3.0 * time / 3600.0)
+    rate = remembered(history, "temperature_rate_12min", np.array([3600.0, 7000.0]))
+    np.testing.assert_allclose(rate, 3.0, rtol=0.02)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
+from imucalib.estimators.student import quantile
 from imucalib.loop.thresholds import LOSS
 
 Metric = Literal["rms", "mean"]
@@ -79,8 +80,6 @@ def difference(
     part : (n,) which observations stand for one number: an observation by itself on a bench, a
         stretch of time on a wrist; metric : root mean square or mean of the sizes
     """
-    from scipy.special import stdtrit
-
     power = 2.0 if metric == "rms" else 1.0
     change = before**power - after**power
     keys, index = np.unique(part, return_inverse=True)
@@ -91,21 +90,19 @@ def difference(
     # The ratio estimator: parts of unequal size count by their observations.
     off = (total - mean * count) / count.mean()
     error = float(np.sqrt(np.sum(off**2) / max(m - 1, 1) / m)) if m > 1 else np.inf
-    quantile = float(stdtrit(max(m - 1, 1), 0.5 + _LEVEL / 2.0))
+    reach = quantile(max(m - 1, 1), 0.5 + _LEVEL / 2.0)
     wide = float(np.sqrt(1.0 + folds / max(folds - 1, 1)))
     start, end = (float(np.mean(e**power) ** (1.0 / power)) for e in (before, after))
     # rms_b - rms_a is (ms_b - ms_a) / (rms_b + rms_a): the interval of the squares in the unit.
     unit = start + end if metric == "rms" else 1.0
     unit = unit if unit > 0.0 else 1.0
-    low, high = (mean - quantile * wide * error) / unit, (mean + quantile * wide * error) / unit
-    return Difference(start, end, low, high, (mean - quantile * error) / unit, m)
+    low, high = (mean - reach * wide * error) / unit, (mean + reach * wide * error) / unit
+    return Difference(start, end, low, high, (mean - reach * error) / unit, m)
 
 
 def with_density(found: Difference, nats: Array, *, decides: bool) -> Difference:
     """With the gains (K,) in log density, fold by fold."""
-    from scipy.special import stdtrit
-
     k = nats.size
     error = float(np.std(nats, ddof=1) * np.sqrt(k)) if k > 1 else np.inf
-    low = float(nats.sum()) - float(stdtrit(max(k - 1, 1), 0.5 + _LEVEL / 2.0)) * error
+    low = float(nats.sum()) - quantile(max(k - 1, 1), 0.5 + _LEVEL / 2.0) * error
     return replace(found, nats=float(nats.sum()), nats_low=low, by_density=decides)

@@ -4,6 +4,9 @@ An axis that repeats one number passes for the quietest rest there is. Two thing
 live one. Noise of σ steps leaves a sample within one step with the chance erf(1 / (2√2 σ)), which a
 stretch of n samples has to the n-th power. And gravity that moves on the other axes, with the
 jolts that this takes, moves every axis by more than one step.
+
+An axis that is held but keeps its noise repeats nothing: it stays at one mean, while the size of
+gravity, which no posture changes, does not stay.
 """
 
 from __future__ import annotations
@@ -24,6 +27,8 @@ _NATS = 60.0
 _SHOWN = 0.5
 #: Seconds at least, and share of gravity by which another axis moves meanwhile.
 _SECONDS, _MOVED = 60.0, 0.2
+#: Noise of an axis that is still, and steps of its mean from window to window, in its own noise.
+_CALM, _ON = 3.0, 2.0
 #: Share of gravity from which on a limit is beyond every rest, whatever the bias.
 _BEYOND = 1.1
 
@@ -49,6 +54,13 @@ def stuck(sensor: Sensor) -> Stuck:
         if dead.any():
             words.append(_words(w, int(axis), dead, sensor.rate))
             found |= dead
+    while True:  # what one held axis makes of gravity's size is no sign of the others
+        each = [_held(sensor, axis, found) for axis in range(w.mean.shape[1])]
+        most = int(np.argmax([held.sum() for held in each]))
+        if not each[most].any():
+            break
+        words.append(_held_words(w, most, each[most], sensor.rate))
+        found |= each[most]
     beside = np.append(False, found[:-1]) | np.append(found[1:], False)
     return Stuck(found | beside, tuple(words))
 
@@ -69,6 +81,24 @@ def _dead(sensor: Sensor, axis: int, constant: Flags, frozen: Flags) -> Flags:
     return np.asarray(constant & np.repeat(dead, count))
 
 
+def _held(sensor: Sensor, axis: int, known: Flags) -> Flags:
+    """Stretches in which an axis keeps its mean and its noise, through all that moves the others:
+    what is still there has a size that gravity has not."""
+    w, noise = sensor.windows, np.maximum(sensor.noise, sensor.step)
+    calm = (w.variance <= (_CALM * noise) ** 2) & ~known[:, None]
+    value, size = w.mean[:, axis], np.linalg.norm(w.mean, axis=1)
+    joined = calm[1:, axis] & calm[:-1, axis]
+    joined &= np.abs(np.diff(value)) <= _ON * noise[axis]
+    starts = np.flatnonzero(np.append(True, ~joined)).astype(np.intp)
+    count = np.diff(starts, append=value.size)
+    still = every(calm)
+    largest = np.maximum.reduceat(np.where(still, size, -np.inf), starts)
+    smallest = np.minimum.reduceat(np.where(still, size, np.inf), starts)
+    long = count * w.samples >= _SECONDS * sensor.rate
+    held = np.repeat(long & (largest - smallest > _MOVED * STANDARD_GRAVITY), count)
+    return np.asarray(held & ~known)
+
+
 def _moved(w: Windows, axis: int, starts: Index) -> Flags:
     """Whether another axis moves far within each stretch."""
     others = [k for k in range(w.high.shape[1]) if k != axis]
@@ -79,14 +109,25 @@ def _moved(w: Windows, axis: int, starts: Index) -> Flags:
 
 def _words(w: Windows, axis: int, dead: Flags, rate: float) -> str:
     values = np.unique(w.high[dead, axis])
-    seconds = float(dead.sum()) * w.samples / rate
-    long = f"{seconds / 3600.0:.2g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.2g} min"
     value = f"{values[0] / STANDARD_GRAVITY:.3g} g" if values.size == 1 else "one number"
-    first = float(w.start[int(np.argmax(dead))]) / 3600.0
     return (
-        f"{'xyz'[axis]} repeats {value} for {long} from {first:.2f} h on, while it should move: "
+        f"{'xyz'[axis]} repeats {value} {_when(w, dead, rate)}, while it should move: "
         "stuck, or at a limit; left out of the rests"
     )
+
+
+def _held_words(w: Windows, axis: int, held: Flags, rate: float) -> str:
+    value = float(np.median(w.mean[held, axis])) / STANDARD_GRAVITY
+    return (
+        f"{'xyz'[axis]} stays at {value:.3g} g {_when(w, held, rate)}, whatever the others do: "
+        "it is not its own reading; left out of the rests"
+    )
+
+
+def _when(w: Windows, some: Flags, rate: float) -> str:
+    seconds = float(some.sum()) * w.samples / rate
+    long = f"{seconds / 3600.0:.2g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.2g} min"
+    return f"for {long} from {float(w.start[int(np.argmax(some))]) / 3600.0:.2f} h on"
 
 
 def without(sensor: Sensor, dead: Stuck) -> Sensor:

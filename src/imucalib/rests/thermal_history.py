@@ -37,6 +37,11 @@ class ThermalHistory:
         share = 1.0 - np.exp(-step / (3600.0 * hours))
         return np.asarray(np.interp(at, grid, _trailing(values, share)))
 
+    def rate(self, hours: float, at: Array) -> Array:
+        """How fast the temperature changes (°C/h), over a lag of some hours, at times (s)."""
+        now = np.interp(at, self.time, self.values)
+        return np.asarray((now - self.lagged(hours, at)) / hours)
+
     def behind_play(self, width: float, at: Array) -> Array:
         """Temperature (°C) behind a play of a width (°C), in the middle of it at the start, at
         times (s)."""

@@ -174,7 +174,14 @@ def test_refuses_what_cannot_be_gravity() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["bias_step@3600s", "thermal_lag@1h", "thermal_hysteresis@2C", "converter@xz"]
+    "name",
+    [
+        "bias_step@3600s",
+        "thermal_lag@1h",
+        "thermal_hysteresis@2C",
+        "converter@xz",
+        "temperature_rate@5min",
+    ],
 )
 def test_members_of_scans_keep_the_laws(name: str) -> None:
     effect = named(name)
@@ -182,6 +189,7 @@ def test_members_of_scans_keep_the_laws(name: str) -> None:
     n = 30
     lag = {"temperature_lag_1h": rng.normal(30, 2, n), "time": np.linspace(0, 7200, n)}
     lag["temperature_play_2C"] = rng.normal(30, 2, n)
+    lag["temperature_rate_5min"] = rng.normal(0, 2, n)
     context = Context(n, lag)
     x = G * rng.uniform(-1.0, 1.0, (n, 1, 3))
     typical = np.array([p.typical for p in effect.parameters(context)])
@@ -202,12 +210,14 @@ def test_members_of_scans_keep_the_laws(name: str) -> None:
 
 def test_scans_know_their_members_by_name() -> None:
     scans = {"bias_step", "slip", "thermal_lag", "cycle", "converter", "curve", "posture", "shape",
-             "follows", "thermal_hysteresis", "third_degree", "session"}  # fmt: skip
+             "follows", "thermal_hysteresis", "third_degree", "session",
+             "temperature_rate"}  # fmt: skip
     assert set(families()) == scans
     wrong = ("bias_step@later", "converter@w", "thermal_lag@", "cycle@7h", "cycle@-2rows",
              "cycle@rows", "follows@bias:1:2", "thermal_hysteresis@2", "thermal_hysteresis@0C",
              "thermal_hysteresis@C", "third_degree@w", "third_degree@xy", "session@0:scale",
-             "session@2:bias", "session@scale")  # fmt: skip
+             "session@2:bias", "session@scale", "temperature_rate@5",
+             "temperature_rate@-2min")  # fmt: skip
     for name in (*wrong, "nothing@1s"):
         assert known(name) is None
         with pytest.raises(UsageError):

@@ -107,6 +107,23 @@ def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width:
     assert certain <= {"thermal_hysteresis", "temperature_bias"}
 
 
+def ahead_of_its_inside(warm: Any, hours: Any) -> Any:
+    """°C, of a case whose inside trails it by twenty minutes."""
+    grid = np.arange(hours[0], hours[-1], 1.0 / 60.0)
+    inside, found = warm[0], []
+    for value in np.interp(grid, hours, warm):
+        inside += (value - inside) / 20.0
+        found.append(inside)
+    return warm - np.interp(hours, grid, found)
+
+
+def test_what_the_rate_of_the_temperature_drives_is_no_lag(loop_of: Callable[..., Any]) -> None:
+    """It was a certain temperature_bias beside a lag, or nothing at all."""
+    loop = loop_of(lambda x, t, u, c: c[0] * ahead_of_its_inside(t, 144.0 * u)[:, None], 30.0, 5)
+    assert {step.effect.partition("@")[0] for step in loop.steps} == {"temperature_rate"}
+    assert loop.steps[0].certain
+
+
 def at_night(u: Any) -> Any:
     """(n, 1) of six days that begin at midnight: whether it is between 22 h and 6 h."""
     hour = 24.0 * (6.0 * (u + 0.5) % 1.0)

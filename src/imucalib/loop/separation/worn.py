@@ -69,7 +69,7 @@ def _parameters(problem: Problem, entry: Entry) -> list[str]:
 def _products(problem: Problem, found: Search, columns: Sequence[int]) -> Products:
     """Of the rows that were searched, counted for all that there are."""
     bank, level = found.bank, found.level
-    picked = bank.white[level.walk][:, [*columns, bank.data]]
+    picked = bank.white(level.walk, np.array([*columns, bank.data]))
     often = problem.fit.observations.n / len(picked) / level.variance
     gram = picked.T @ picked * often
     numbers = float(problem.fit.observations.n)

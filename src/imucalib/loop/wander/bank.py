@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.loop.design import Fold
-from imucalib.loop.wander.walk import Course, Walk, whitened
+from imucalib.loop.wander.walk import Course, Walk, log_det, whitened
 
 Mask = NDArray[np.bool_]
 
@@ -19,6 +19,8 @@ Mask = NDArray[np.bool_]
 _SHORTEST, _LONGEST = 180.0, 1.0 / 6.0
 _TAU_RATIO, _TAUS = 4.0, 4
 _RHO = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+#: Walks whose white columns are held at once.
+_AT_ONCE = 4
 
 
 def walks_of(time: Array) -> tuple[Walk, ...]:
@@ -60,17 +62,20 @@ def splits_of(folds: Sequence[Fold], part: Index) -> tuple[Split, ...]:
 @dataclass(frozen=True)
 class Bank:
     """columns : (n, m) base, candidates and the data y, in units of the scatter of a run; data :
-    which of them is y; white : (walks, n, m); log_det : (walks, parts)"""
+    which of them is y; log_det : (walks, parts). White columns are made when they are asked for:
+    all of them would be the largest thing in memory, and only their products are read often."""
 
     course: Course
     walks: tuple[Walk, ...]
     columns: Array
     data: int
-    white: Array
     log_det: Array
-    _sums: dict[tuple[int, bytes], Array] = field(default_factory=dict, repr=False)
     _whole: dict[int, Array] = field(default_factory=dict, repr=False)
-    _added: dict[bytes, Array] = field(default_factory=dict, repr=False)
+    _rows: dict[int, Array] = field(default_factory=dict, repr=False)
+    _sums: dict[tuple[int, bytes], Array] = field(default_factory=dict, repr=False)
+    _kept: dict[tuple[bytes, bytes], Array] = field(default_factory=dict, repr=False)
+    _out: dict[bytes, Bank] = field(default_factory=dict, repr=False)
+    _added: dict[bytes, Bank] = field(default_factory=dict, repr=False)
     #: What scores keep of the whole data between searches with and without simulated data.
     made: dict[tuple[int, bytes, bytes], object] = field(default_factory=dict, repr=False)
 
@@ -79,29 +84,44 @@ class Bank:
         """(parts,) rows of each part."""
         return np.bincount(self.course.part).astype(np.intp)
 
-    def train(self, walk: int, keep: Mask) -> Array:
-        """(m, m) products of all columns over the parts that are kept."""
-        white = self.white[walk]
-        if walk not in self._whole:
-            self._whole[walk] = white.T @ white
+    def white(self, walk: int, columns: Index) -> Array:
+        """(n, c) some of the columns under one walk."""
+        if walk in self._rows:
+            return np.asarray(self._rows[walk][:, columns])
+        alone = slice(walk, walk + 1)
+        white = whitened(self.course, self.walks, self.columns[:, columns], alone)[0]
+        return np.asarray(white[0])
+
+    def over(self, walk: int, keep: Mask) -> tuple[Array, Array]:
+        """(m, m) products of all columns over all rows, and their white rows (r, m) of the parts
+        that are not kept."""
         if keep.all():
-            return self._whole[walk]
-        out = white[~keep[self.course.part]]
-        return np.asarray(self._whole[walk] - out.T @ out)
+            return self._gram(walk), np.empty((0, self.columns.shape[1]))
+        out = self._without(keep)
+        if walk not in out._rows:
+            few = slice(walk, walk + _AT_ONCE)
+            white = whitened(out.course, self.walks, out.columns, few)[0]
+            out._rows.update(enumerate(white, walk))
+        return self._gram(walk), out._rows[walk]
 
     def products(self, columns: Index, keep: Mask) -> Array:
         """(walks, c, c) products of some columns over the parts that are kept."""
-        if keep.all():
-            picked = self.white[:, :, columns]
-            return np.asarray(picked.transpose(0, 2, 1) @ picked)
-        every = range(len(self.walks))
-        return np.stack([self.by_part(walk, columns)[keep].sum(axis=0) for walk in every])
+        key = columns.tobytes(), keep.tobytes()
+        if key not in self._kept:
+            if keep.all():
+                self._kept[key] = self._products(columns)
+            else:
+                whole = self.products(columns, np.ones_like(keep))
+                self._kept[key] = whole - self._without(keep)._products(columns)
+        return self._kept[key]
 
     def by_part(self, walk: int, columns: Index) -> Array:
         """(parts, c, c) products of some columns, part by part."""
         key = (walk, columns.tobytes())
         if key not in self._sums:
-            picked = self.white[walk][:, columns]
+            if walk not in self._rows:  # blocks are predicted by one model after the other
+                self._rows[walk] = self.white(walk, np.arange(self.columns.shape[1]))
+            picked = self.white(walk, columns)
             edges = np.searchsorted(self.course.part, np.arange(self.course.parts + 1))
             self._sums[key] = np.stack([picked[a:b].T @ picked[a:b] for a, b in pairwise(edges)])
         return self._sums[key]
@@ -110,14 +130,47 @@ class Bank:
         """With more columns (n, c) behind all others."""
         key = columns.tobytes()
         if key not in self._added:  # searches without one block after the other end at the same
-            self._added[key] = whitened(self.course, self.walks, columns)[0]
-        white = self._added[key]
-        both = np.concatenate([self.white, white], axis=2)
-        every = np.column_stack([self.columns, columns])
-        return replace(self, columns=every, white=both, _whole={}, made={})
+            every = np.column_stack([self.columns, columns])
+            self._added[key] = Bank(self.course, self.walks, every, self.data, self.log_det)
+        return self._added[key]
+
+    def only(self, columns: Index) -> Bank:
+        """Some of the columns, the data last of them."""
+        picked = self.columns[:, columns]
+        return Bank(self.course, self.walks, picked, columns.size - 1, self.log_det)
+
+    def _gram(self, walk: int) -> Array:
+        """(m, m) of all rows; made for a few walks at once."""
+        if walk not in self._whole:
+            few = slice(walk, walk + _AT_ONCE)
+            white = whitened(self.course, self.walks, self.columns, few)[0]
+            self._whole.update((k, own.T @ own) for k, own in enumerate(white, walk))
+        return self._whole[walk]
+
+    def _products(self, columns: Index) -> Array:
+        every = range(len(self.walks))
+        if all(k in self._whole for k in every):
+            return np.stack([self._whole[k][columns[:, None], columns] for k in every])
+        white = whitened(self.course, self.walks, self.columns[:, columns])[0]
+        return np.asarray(white.transpose(0, 2, 1) @ white)
+
+    def _without(self, keep: Mask) -> Bank:
+        """The rows of the parts that are not kept; of the last such mask."""
+        key = keep.tobytes()
+        if key not in self._out:
+            self._out.clear()
+            course = self.course
+            rows = ~keep[course.part]
+            own = Course(
+                course.time[rows], course.seen[rows], course.variance[rows],
+                np.unique(course.part[rows], return_inverse=True)[1].astype(np.intp),
+            )  # fmt: skip
+            self._out[key] = Bank(
+                own, self.walks, self.columns[rows], self.data, self.log_det[:, ~keep]
+            )
+        return self._out[key]
 
 
 def bank_of(course: Course, walks: tuple[Walk, ...], columns: Array) -> Bank:
     """The last of the columns is the data."""
-    white, log_det = whitened(course, walks, columns)
-    return Bank(course, walks, columns, columns.shape[1] - 1, white, log_det)
+    return Bank(course, walks, columns, columns.shape[1] - 1, log_det(course, walks))

@@ -11,6 +11,7 @@ from imucalib.arrays import Array
 from imucalib.loop.difference import Difference
 from imucalib.loop.found import Step
 from imucalib.loop.wander.choice import Refused, Search, Taken
+from imucalib.loop.wander.forms import FAMILY, driver_of
 from imucalib.loop.wander.likelihood import Terms, best_level
 from imucalib.loop.wander.report import Predicted
 
@@ -58,6 +59,8 @@ def without(search: Search, refused: Sequence[Refused], base: Terms) -> Search:
 
 def _doubt(taken: Taken, step: Step, bar: float, each: Predicted, gained: Difference) -> str:
     own = {name.partition("@")[0] for name in (step.effect, *step.aliases)}
+    if taken.found.entry.family == FAMILY:  # a name of its driver is the same, less bent
+        own.add(driver_of(taken.found.entry))
     again = sum(bool(own & one) for one in each.found)
     need = _AGAIN_IN_TIME if taken.found.entry.timed else _AGAIN
     if again < need * len(each.found):

@@ -22,19 +22,21 @@ from imucalib.loop.wander.beside.every import beside_all
 from imucalib.loop.wander.choice import Refused, Rules, Search, search
 from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
+from imucalib.loop.wander.held_blocks import solved
 from imucalib.loop.wander.left.axes import or_noise
 from imucalib.loop.wander.left.courses import courses
 from imucalib.loop.wander.left.stretch import stretches
 from imucalib.loop.wander.left.strongest import strongest
 from imucalib.loop.wander.left.swing import swings
-from imucalib.loop.wander.likelihood import Level, Terms, levels
+from imucalib.loop.wander.likelihood import Level, Terms, best_level, levels
 from imucalib.loop.wander.noise import Noise, noise_of
-from imucalib.loop.wander.probes import left_over
+from imucalib.loop.wander.probes import left_over as probed_of
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
 from imucalib.loop.wander.report import held_difference, predicted
 from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
 from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import (
+    beside_left,
     looked_like,
     scores_of,
     steps_of,
@@ -88,7 +90,8 @@ def close(base: Fit, asked: Asked, rng: np.random.Generator) -> Closed:
     """Search beside a fitted base model, and measure on blocks of time what that was worth.
 
     What was missing made runs look strange and the noise large: when something is found, the
-    search runs once more with the noise that is left beside it.
+    search runs once more with the noise that is left beside it. Only that noise is kept of the
+    first, which tries walks of the fitted memory, as folds do, and others where it finds nothing.
     """
     data = base.observations
     folds = folds_of(data)
@@ -117,10 +120,11 @@ def _searched(
     enough = sure(rules.draws, len(problem.entries) * len(bank.walks))
 
     def draw(bank: Bank, terms: Terms, turn: int) -> Array:
-        every = levels(bank, terms, keep)
-        null = null_of(bank, every, rng, rules.draws)
-        walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
-        drawn[turn] = scored(bank, terms, keep, problem.entries, walks, null)[1]
+        if turn not in drawn:
+            every = levels(bank, terms, keep)
+            null = null_of(bank, every, rng, rules.draws)
+            walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
+            drawn[turn] = scored(bank, terms, keep, problem.entries, walks, null)[1]
         return np.asarray(np.quantile(drawn[turn], 1.0 - alpha, axis=1))
 
     def tried(bank: Bank, terms: Terms, turn: int, scores: Sequence[Scored]) -> Iterator[Array]:
@@ -129,14 +133,18 @@ def _searched(
         if last or not turn:  # else the next search draws its own
             yield draw(bank, terms, turn)
 
-    decide = Rules(tried, rules.most_effects, problem.finer, problem.forms)
-    found = search(bank, terms, problem.entries, problem.splits, keep, decide)
+    for same_tau in (False,) if last else (True, False):
+        decide = Rules(tried, rules.most_effects, problem.finer, problem.forms, same_tau)
+        found = search(bank, terms, problem.entries, problem.splits, keep, decide)
+        if found.taken:
+            break
     if not drawn and (last or not found.taken):  # which only the report asks for
         draw(found.bank, found.terms, len(found.taken))
     chances = tuple(_nearest(drawn, turn) for turn in range(len(found.taken) + 1) if drawn)
     bars = tuple(np.quantile(chance, 1.0 - alpha, axis=1) for chance in chances)
-    every = levels(bank, terms, keep)
-    level = max(every, key=lambda one: one.nats)
+    level = best_level(bank, terms, keep)
+    if found.taken and not last:
+        return _Pass(problem, level, chances, bars, found)
     # The base under its own walk, which is larger than what is left beside the final model.
     scatter = noise.scatter * float(np.sqrt(level.variance))
     own = replace(noise, walk=bank.walks[level.walk], scatter=scatter)
@@ -153,12 +161,10 @@ def _final(found: _Pass) -> tuple[Fit, Array]:
     """The model with all that was taken, and its priors' precisions; scans at their best value."""
     problem, taken = found.problem, found.search.taken
     precision = problem.precision(taken)
-    model = problem.model(taken)
-    start = model.start(problem.fit.observations.context)
-    slices = model.slices(problem.fit.observations.context)
-    for name, part in problem.fit.model.slices(problem.fit.observations.context).items():
-        start[slices[name]] = problem.fit.theta[part]
-    level = found.search.level
+    model, level = problem.model(taken), found.search.level
+    keep = np.ones(found.search.bank.course.parts, dtype=bool)
+    values = solved(found.search.bank, found.search.terms, level.walk, keep)
+    start = problem.theta(values, taken)
     noise = replace(problem.noise, walk=problem.bank.walks[level.walk])
     return fitted(model, problem.fit.observations, noise, start, precision), precision
 
@@ -189,7 +195,7 @@ def _left(
     lasting = stretches(found.problem, found.search)
     told, probed = strongest(found.search, ways, lasting), tuple[Unexplained, ...]()
     if asked.probes:
-        probed = left_over(
+        probed = probed_of(
             final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),
             draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
         )  # fmt: skip
@@ -222,7 +228,6 @@ def _told(
     )  # fmt: skip
     each = predicted(problem, folds, rules)
     gained = held_difference(each, folds)
-    first = found.search.first
     if found.search.taken:
         steps = steps_of(problem, found.search, found.chances)
         left = confirmed(found.search, steps, bars, problem.terms, each, gained)
@@ -234,18 +239,19 @@ def _told(
             final = fitted(final.model, final.observations, last, final.theta, precision)
     steps = steps_of(problem, found.search, found.chances)
     steps = beside_all(problem, found.search, steps, final)
+    left_over = _left(found, final, last, folds, asked, rng, refused=_refused(found, steps))
     loop = FitLoop(
         base=problem.fit,
         final=final,
         plain=problem.fit,
         as_recorded=final,
-        steps=steps,
+        steps=beside_left(found.search, steps, left_over),
         ambiguous=ambiguities(problem, found.search, steps),
         sums=sums_of(problem, found.level, problem.fit),
         rejected=tuple((r.name, r.reason) for r in found.search.refused),
-        unexplained=_left(found, final, last, folds, asked, rng, refused=_refused(found, steps)),
+        unexplained=left_over,
         scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
-        first_scores=scores_of(problem, first, found.chances[0], bars[0]),
+        first_scores=scores_of(problem, found.search.first, found.chances[0], bars[0]),
         missing=problem.missing,
         bar=float(bars[0][0]),
         difference=gained,

@@ -10,27 +10,29 @@ It is marginal: the walk is not continued from the neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.wander.bank import Bank, Mask, Split
-from imucalib.loop.wander.likelihood import Terms, sizes, totals
+from imucalib.loop.wander.likelihood import Terms, sizes, solutions
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Of every block (k,): log density, and mean size of the error in units of the columns."""
+    """Of every block (k,): log density, and how to make the mean size of the error, in units of
+    the columns, which a density that has not gained asks nobody for."""
 
     nats: Array
-    error: Array
+    error: Callable[[], Array]
     count: Array
 
-    @property
+    @cached_property
     def mean_error(self) -> float:
-        return float(np.sum(self.error * self.count) / np.sum(self.count))
+        return float(np.sum(self.error() * self.count) / np.sum(self.count))
 
 
 def inside(splits: Sequence[Split], keep: Mask) -> tuple[Split, ...]:
@@ -42,22 +44,39 @@ def inside(splits: Sequence[Split], keep: Mask) -> tuple[Split, ...]:
 def solved(bank: Bank, terms: Terms, walk: int, keep: Mask) -> Array:
     """(p,) the parameters from the parts that are kept, in units of the columns."""
     gram = bank.by_part(walk, np.append(terms.columns, bank.data))[keep].sum(axis=0)
-    return np.asarray(totals(gram[None], terms.precision)[2][0])
+    return np.asarray(solutions(gram[None], terms.precision)[0])
 
 
 def judged(bank: Bank, terms: Terms, walk: int, splits: Sequence[Split]) -> Judged:
     """Every block of the design predicted by the model fitted without it."""
-    parts = bank.by_part(walk, np.append(terms.columns, bank.data))
+    return judged_each(bank, [terms], walk, splits)[0]
+
+
+def judged_each(
+    bank: Bank, models: Sequence[Terms], walk: int, splits: Sequence[Split]
+) -> list[Judged]:
+    """The same of models of the same columns under other priors."""
+    at = np.append(models[0].columns, bank.data)
+    parts = bank.by_part(walk, at)
     train, test = (np.array([getattr(s, name) for s in splits]) for name in ("train", "test"))
-    p_train, q_train, theta = totals(_summed(train, parts), terms.precision)
-    p_all, q_all = sizes(_summed(train | test, parts), terms.precision)
+    some, every = _summed(train, parts), _summed(train | test, parts)
     n, trained = test @ bank.count, train @ bank.count
-    s2 = np.maximum(q_train / np.maximum(trained - terms.base, 1), 1e-300)
-    log_v = test @ bank.log_det[walk]
-    nats = -0.5 * (log_v + p_all - p_train + (q_all - q_train) / s2 + n * np.log(s2))
-    left = bank.columns[:, [bank.data]] - bank.columns[:, terms.columns] @ theta.T
-    rows = test.T[bank.course.part]
-    return Judged(nats, (np.abs(left) * rows).sum(axis=0) / n, n.astype(float))
+    log_v, rows = test @ bank.log_det[walk], test.T[bank.course.part]
+
+    def one(terms: Terms) -> Judged:
+        p_train, q_train = sizes(some, terms.precision)
+        p_all, q_all = sizes(every, terms.precision)
+        s2 = np.maximum(q_train / np.maximum(trained - terms.base, 1), 1e-300)
+        nats = -0.5 * (log_v + p_all - p_train + (q_all - q_train) / s2 + n * np.log(s2))
+
+        def error() -> Array:
+            theta = solutions(some, terms.precision)
+            left = bank.columns[:, at] @ np.column_stack([-theta, np.ones(len(theta))]).T
+            return np.asarray((np.abs(left) * rows).sum(axis=0) / n)
+
+        return Judged(nats, error, n.astype(float))
+
+    return [one(terms) for terms in models]
 
 
 def _summed(masks: Mask, parts: Array) -> Array:

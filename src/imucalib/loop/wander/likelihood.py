@@ -56,18 +56,15 @@ def levels(bank: Bank, terms: Terms, keep: Mask) -> tuple[Level, ...]:
     return tuple(Level(k, float(nats[k]), float(variance[k]), freedom) for k in range(len(nats)))
 
 
-def totals(gram: Array, precision: Array) -> tuple[Array, Array, Array]:
-    """log|P| (k,), Q (k,) and the parameters P⁻¹b (k, p) of products (k, p + 1, p + 1), the data
-    last, under priors of these precisions (p,)."""
-    log_p, rest = sizes(gram, precision)
+def solutions(gram: Array, precision: Array) -> Array:
+    """(k, p) the parameters P⁻¹b of `sizes`."""
     precise = gram[:, :-1, :-1] + np.diag(precision)
-    theta: Array = np.asarray(np.linalg.solve(precise, gram[:, :-1, -1:])[..., 0], np.float64)
-    return log_p, rest, theta
+    return np.asarray(np.linalg.solve(precise, gram[:, :-1, -1:])[..., 0], np.float64)
 
 
 def sizes(gram: Array, precision: Array) -> tuple[Array, Array]:
-    """`totals` without the parameters: one Cholesky factor of P with b below it, whose last row is
-    then L⁻¹b."""
+    """log|P| (k,) and Q (k,) of products (k, p + 1, p + 1), the data last, under priors of these
+    precisions (p,): one Cholesky factor of P with b below it, whose last row is then L⁻¹b."""
     bordered = gram + np.diag(np.append(precision, 0.0))
     power = gram[:, -1, -1]
     bordered[:, -1, -1] = 2.0 * power + 1e-300  # any number above b'P⁻¹b serves

@@ -14,6 +14,7 @@ from imucalib.loop.design import Fold
 from imucalib.loop.difference import Difference, difference, with_density
 from imucalib.loop.held_out import Held, errors
 from imucalib.loop.wander.choice import Rules, Taken, search
+from imucalib.loop.wander.forms import driver_of
 from imucalib.loop.wander.held_blocks import judged, solved
 from imucalib.loop.wander.likelihood import Terms, best_level
 from imucalib.loop.wander.problem import Problem
@@ -22,7 +23,8 @@ from imucalib.loop.wander.problem import Problem
 @dataclass(frozen=True)
 class Predicted:
     """Every row predicted without its block, before and after; gains : (k,) nats that each block's
-    density gains; found : names or scans that the search without each block took"""
+    density gains; found : names or scans that the search without each block took, and the
+    drivers that forms may bend with"""
 
     before: Held
     after: Held
@@ -60,7 +62,9 @@ def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicte
                 gain = float(two.nats[0] - one.nats[0])
         parts.append((before, after))
         gains.append(gain)
-        names.append(frozenset(t.found.entry.name.partition("@")[0] for t in found.taken))
+        taken = [t.found.entry for t in found.taken]
+        own = {entry.name.partition("@")[0] for entry in taken}
+        names.append(frozenset(own | {driver_of(entry) for entry in taken}))
     order = np.argsort(np.concatenate([fold.rows for fold in folds]))
     return Predicted(
         _joined([a for a, _ in parts], order),

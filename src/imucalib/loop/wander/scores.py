@@ -20,13 +20,22 @@ from imucalib.estimators.contest import best_evidence, directions_of
 from imucalib.loop.wander.bank import Bank, Mask
 from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.noise import ROOM
-from imucalib.loop.wander.projected import Null, View, gains, projected, turned
+from imucalib.loop.wander.projected import (
+    CURVE_SIZE,
+    CURVE_TERMS,
+    Null,
+    View,
+    gains,
+    projected,
+    turned,
+)
 from imucalib.loop.wander.walk import drawn, whitened
 
-#: Prior sizes that are tried, in typical ones. A curve is held to three: its many terms would
-#: otherwise grow to any size where the postures do not determine them.
+#: Prior sizes that are tried, in typical ones.
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
-_CURVE_SIZE, _CURVE_TERMS = 3.0, 7
+
+#: Nats that two values with the same columns may differ by.
+_ROUNDING = 1e-6
 
 _TIME = ("order", "time", "time_of_day")
 #: Families whose members are free functions of the response: of an axis, of the whole posture.
@@ -100,10 +109,14 @@ def null_of(bank: Bank, every: Sequence[Level], rng: np.random.Generator, draws:
         axis=1,
     )
     # Single precision is a thousandth of a nat here, at half the time.
-    white, _ = whitened(bank.course, bank.walks, data.astype(np.float32))
-    columns = bank.white.astype(np.float32)
-    along = np.stack([own.T @ one for own, one in zip(columns, white, strict=True)])
-    return Null(along, np.einsum("gnd,gnd->gd", white, white, dtype=np.float64))
+    columns, both = bank.columns.shape[1], np.column_stack([bank.columns, data]).astype(np.float32)
+    along, power = list[Array](), list[Array]()
+    for walk in range(len(bank.walks)):
+        white = whitened(bank.course, bank.walks, both, slice(walk, walk + 1))[0][0]
+        own, one = white[:, :columns], white[:, columns:]
+        along.append(own.T @ one)
+        power.append(np.einsum("nd,nd->d", one, one, dtype=np.float64))
+    return Null(np.stack(along), np.stack(power))
 
 
 def sure(draws: int, ways: int) -> float:
@@ -149,45 +162,41 @@ def scored(
     freedom = base[0].freedom
     best = np.full((len(entries), 1 + draws), -np.inf)
     without = np.full((1 + draws), -np.inf)
-    where, facts = np.zeros((len(entries), 2), dtype=int), np.zeros((len(entries), 3))
-    curve = np.array([e.columns.size >= _CURVE_TERMS for e in entries])
+    where, views = np.zeros((len(entries), 2), dtype=int), dict[int, View]()
     for walk in range(len(bank.walks)):
         if walk not in walks and null is None:
             without[0] = max(without[0], base[walk].nats)
             continue
-        view = projected(bank, terms, keep, walk, null)
+        view = views[walk] = projected(bank, terms, keep, walk, null)
         plain = base[walk].nats - 0.5 * freedom * np.log(view.power / view.power[0])
         without = np.maximum(without, plain)
         if walk not in walks:
             continue
-        each, said = _of_every_size(view, entries, freedom, quick=null is None and not told)
-        for k, (factor, gain) in enumerate(zip(SIZES, plain + each, strict=True)):
-            gain[curve & (factor > _CURVE_SIZE)] = -np.inf
-            better = gain[:, 0] > best[:, 0]
-            where[better], facts[better] = (walk, k), said[better]
+        for k, gain in enumerate(plain + _of_every_size(view, entries, freedom)):
+            where[gain[:, 0] > best[:, 0]] = walk, k
             best = np.maximum(best, gain)
     evidence = np.maximum(best - without, 0.0)
     found = [
-        Scored(entry, float(evidence[i, 0]), int(where[i, 0]), SIZES[where[i, 1]], *facts[i])
-        for i, entry in enumerate(entries)
+        Scored(entry, float(nats), int(walk), SIZES[size], *_facts(views[int(walk)], entry, told))
+        for entry, nats, (walk, size) in zip(entries, evidence[:, 0], where, strict=True)
     ]
     timed = np.array([e.timed for e in entries])
     chance = [evidence[timed == one, 1:].max(axis=0, initial=0.0) for one in (False, True)]
     return tuple(sorted(found, key=lambda s: -s.evidence)), np.array(chance)
 
 
-def _of_every_size(
-    view: View, entries: Sequence[Entry], freedom: int, *, quick: bool
-) -> tuple[Array, Array]:
-    """(sizes, k, 1 + draws) nats, and `_facts`, which are left at nothing when it must be quick."""
+def _of_every_size(view: View, entries: Sequence[Entry], freedom: int) -> Array:
+    """(sizes, k, 1 + draws) nats."""
     blocks = [e.columns for e in entries]
-    if quick:
-        return gains(view, blocks, freedom, SIZES)[:, :, None], np.zeros((len(entries), 3))
+    if view.power.size == 1:
+        return gains(view, blocks, freedom, SIZES)[:, :, None]
     starts = np.cumsum([0] + [columns.size for columns in blocks])
     size, own = turned(view, blocks)
     each = (view.power, size, starts[:-1], freedom)
     found = np.stack([best_evidence(own, *each, np.array([factor])) for factor in SIZES])
-    return found, _facts(view, entries, size, own[:, 0], starts)
+    curve = np.array([columns.size >= CURVE_TERMS for columns in blocks])
+    found[np.ix_(np.array(SIZES) > CURVE_SIZE, curve)] = -np.inf
+    return found
 
 
 def finest(
@@ -196,8 +205,15 @@ def finest(
     """The best of the values near the one that a scan found, under its walk and at its size; its
     columns join the bank."""
     gain = beside(bank, terms, keep, found.walk, [c for _, c in finer], (found.size,))[:, 0]
-    name, columns = finer[int(np.argmax(gain))]
+    name, columns = finer[middle_of_best(gain)]
     return joined(bank, found, name, columns)
+
+
+def middle_of_best(nats: Array) -> int:
+    """Of neighbouring values of a scan the best one, or the middle of those that are as good but
+    for rounding: without a block of time no moment in it is better than another."""
+    alike = np.flatnonzero(nats >= nats.max() - _ROUNDING)
+    return int(alike[alike.size // 2])
 
 
 def joined(bank: Bank, found: Scored, name: str, columns: Array) -> tuple[Bank, Scored]:
@@ -211,9 +227,10 @@ def beside(
 ) -> Array:
     """(blocks, sizes) nats that columns (n, c) which are not in the bank gain beside a model."""
     rows = keep[bank.course.part]
-    white, _ = whitened(bank.course, (bank.walks[walk],), np.concatenate(blocks, axis=1))
-    base = bank.white[walk][rows]
-    x, y, z = base[:, terms.columns], base[:, bank.data], white[0][rows]
+    every = np.concatenate(blocks, axis=1)
+    white, _ = whitened(bank.course, bank.walks, every, slice(walk, walk + 1))
+    base = bank.white(walk, np.append(terms.columns, bank.data))[rows]
+    x, y, z = base[:, :-1], base[:, -1], white[0][rows]
     precise = x.T @ x + np.diag(terms.precision)
     shared = x.T @ z
     solved = np.linalg.solve(precise, np.column_stack([shared, x.T @ y]))
@@ -227,17 +244,16 @@ def beside(
     )
     own = np.concatenate([t.T @ along[e] for e, t in zip(entries, turns, strict=True)]) ** 2
     freedom = int(rows.sum()) - terms.base
-    every = (np.array([size_]) for size_ in sizes)
-    gains = [best_evidence(own[:, None], power, size, ends[:-1], freedom, t)[:, 0] for t in every]
+    tried = (np.array([size_]) for size_ in sizes)
+    gains = [best_evidence(own[:, None], power, size, ends[:-1], freedom, t)[:, 0] for t in tried]
     return np.stack(gains, axis=1)
 
 
-def _facts(view: View, entries: Sequence[Entry], size: Array, own: Array, starts: Index) -> Array:
-    """(k, 3) share left, λ at typical size, share of the power explained."""
-    out = np.zeros((len(entries), 3))
-    for i, (entry, (a, b)) in enumerate(zip(entries, pairwise(starts), strict=True)):
-        kept = float(size[a:b].sum())
-        out[i, 0] = kept / max(float(view.columns.whole[entry.columns].sum()), 1e-300)
-        out[i, 1] = np.sqrt(kept)
-        out[i, 2] = own[a:b].sum() / view.power[0]
-    return out
+def _facts(view: View, entry: Entry, told: bool) -> tuple[float, float, float]:
+    """Share left, λ at typical size, share of the power explained; nothing where nobody asks."""
+    if not told:
+        return 0.0, 0.0, 0.0
+    size, own = turned(view, [entry.columns])
+    kept, whole = float(size.sum()), view.columns.size(entry.columns)
+    share = float(own[:, 0].sum() / view.power[0])
+    return kept / max(whole, 1e-300), kept**0.5, share

@@ -15,7 +15,7 @@ but for a half.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,12 +27,11 @@ from imucalib.loop.found import Step
 from imucalib.loop.noise.shared import WANDERING
 from imucalib.loop.thresholds import MARGIN
 from imucalib.loop.wander.bank import Bank, bank_of
+from imucalib.loop.wander.beside.parts import Rivals, held_against
 from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Terms, levels
 from imucalib.loop.wander.problem import Problem
-from imucalib.loop.wander.scores import Entry
 from imucalib.loop.wander.walk import Course, Walk
-from imucalib.loop.wander.words import with_rivals
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: Memories of a slow walk in recordings, and its variances over a run's, as fine as the search's.
@@ -104,21 +103,10 @@ def beside_the_day(problem: Problem, found: Search, steps: Sequence[Step]) -> tu
     """The steps; with those that a swing of the day explains as well, where the search had none."""
     if not steps or _CLOCK in problem.small.observations.context:
         return tuple(steps)
-    return _beside(problem, found, steps, _swings(problem))
-
-
-def _beside(
-    problem: Problem, found: Search, steps: Sequence[Step], rivals: Mapping[str, Array]
-) -> tuple[Step, ...]:
-    """The steps with those of the rivals, columns (n, c) by name, that would do as well."""
-    bank, start = found.bank, found.bank.columns.shape[1]
-    entries = list[Entry]()
-    for name, columns in rivals.items():
-        at = start + np.arange(columns.shape[1])
-        entries.append(Entry(name, "", "time", at))
-        start += at.size
-    bank = bank.plus(np.concatenate(list(rivals.values()), axis=1))
-    return with_rivals(problem, replace(found, bank=bank), steps, entries)
+    rivals = Rivals()
+    for name, columns in _swings(problem).items():
+        rivals.add(name, {name: columns})
+    return held_against(problem, found, steps, rivals)
 
 
 def _scale_columns(problem: Problem, bank: Bank) -> Array:

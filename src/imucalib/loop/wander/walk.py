@@ -5,20 +5,25 @@
 Each column of H (n, q) is the share of one independent Ornstein-Uhlenbeck walk in a reading. The
 walk begins anew in every part of the data, so that parts which are left out together take nothing
 of it with them and all sums over parts are exact. An Ornstein-Uhlenbeck walk is Markov: Kalman's
-filter gives L⁻¹ of the Cholesky factor at a cost linear in n (Kalman 1960; Harvey 1989, 3.4).
+filter gives L⁻¹ of the Cholesky factor at a cost linear in n (Kalman 1960; Harvey 1989, 3.4), here
+for a block of rows at a time, whose own factor is dense.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 
-#: Numbers of the states of some walks that are held at once.
-_CACHED = 50_000
+Real = TypeVar("Real", np.float32, np.float64)
+
+#: Rows that are whitened at once: as many multiplications more a row, in one product of matrices.
+_BLOCK = 16
 
 
 @dataclass(frozen=True)
@@ -52,79 +57,109 @@ class Course:
 
 @dataclass(frozen=True)
 class _Filter:
-    """What the filter does to any column: keep (walks, n) of the state from the row before; gain
-    (walks, n, q) by which a row moves it; root : (walks, n) √ of a row's variance given those
-    before; log_det : (walks, parts)"""
+    """What the filter does to any column, by blocks of b rows, of which the last may be of nothing.
 
+    white : (walks, blocks, b, b) L⁻¹ of a block given the rows before; seen : (walks, blocks, b, q)
+    L⁻¹ of what the state at the end of the block before does to it; keep : (walks, blocks) of that
+    state; gain : (walks, blocks, q, b) by which the white rows move it; log_det : (walks, parts)"""
+
+    white: Array
+    seen: Array
     keep: Array
     gain: Array
-    root: Array
     log_det: Array
 
 
-def whitened(course: Course, walks: Sequence[Walk], columns: Array) -> tuple[Array, Array]:
-    """L⁻¹ columns, (walks, n, m) for columns (n, m) in their own precision, and log|V| of every
-    part, (walks, parts). As many walks at once as leave their states in the cache."""
+def whitened(
+    course: Course, walks: Sequence[Walk], columns: NDArray[Real], some: slice | None = None
+) -> tuple[NDArray[Real], Array]:
+    """L⁻¹ columns, (some, n, m) for columns (n, m) in their own precision under some of the walks,
+    all by default, and log|V| of every part, (walks, parts)."""
     steps = _filter(course, tuple(walks))
-    start, longest, length = _order(course)
-    counts = (length[:, None] > np.arange(int(length.max()))).sum(axis=0)
-    rows = [start[longest[:count]] + step for step, count in enumerate(counts)]
-    (n, m), q = columns.shape, course.seen.shape[1]
-    out = np.empty((len(walks), n, m), columns.dtype)
-    seen = course.seen.astype(columns.dtype)[:, None]
-    each = max(1, _CACHED // (course.parts * q * m))
-    for a in range(0, len(walks), each):
-        some = slice(a, a + each)
-        if not any(walk.rho for walk in walks[some]):
-            out[some] = columns
-            continue
-        keep, gain = (x[some].astype(columns.dtype) for x in (steps.keep, steps.gain))
-        state = np.zeros((len(keep), course.parts, q, m), columns.dtype)
-        for step, at in enumerate(rows):
-            state = state[:, : at.size]
-            if step:
-                state *= keep[:, at, None, None]
-            new = columns[at] - (seen[at] @ state)[:, :, 0]
-            state += gain[:, at, :, None] * new[:, :, None]
-            out[some, at] = new
-    out /= steps.root[..., None]
+    (n, m), q, kind = columns.shape, course.seen.shape[1], columns.dtype
+    inverse, seen, keep, gain = (
+        x[some or slice(None)].astype(kind, copy=False)
+        for x in (steps.white, steps.seen, steps.keep[..., None, None], steps.gain)
+    )
+    out: NDArray[Real] = np.empty((len(inverse), n, m), kind)
+    state: NDArray[Real] = np.zeros((len(inverse), q, m), kind)
+    for k, start in enumerate(range(0, n, _BLOCK)):
+        own = columns[start : start + _BLOCK]
+        b = len(own)
+        white = np.matmul(inverse[:, k, :b, :b], own, out=out[:, start : start + b])
+        white -= seen[:, k, :b] @ state
+        state = keep[:, k] * state + gain[:, k, :, :b] @ white
     return out, steps.log_det
 
 
-def _order(course: Course) -> tuple[Index, Index, Index]:
-    """Where each part starts, the parts with the longest first, and their lengths."""
-    start = np.searchsorted(course.part, np.arange(course.parts))
-    length = np.diff([*start, course.part.size])
-    return start.astype(np.intp), np.argsort(-length, kind="stable"), length
+def log_det(course: Course, walks: tuple[Walk, ...]) -> Array:
+    """(walks, parts) log|V| of every part."""
+    return _filter(course, walks).log_det
 
 
 def _filter(course: Course, walks: tuple[Walk, ...]) -> _Filter:
-    """Made once for a course and its walks: no column enters it."""
+    """Made once for a course and its walks: no column enters it.
+
+    A block is b rows, whatever their parts: the state goes on only within a part. Given the rows
+    before, the state at their end has the covariance P = ρ + Δ; a row at a later time t of the same
+    part sees e = exp(-(t - t') / τ) of it: cov = D + H [ρ K_τ + e e' Δ] H'.
+    """
     if walks in course.filters:
         return course.filters[walks]
-    rho, tau = (np.array([getattr(w, name) for w in walks]) for name in ("rho", "tau"))
-    start, longest, length = _order(course)
     n, q = course.seen.shape
-    keep, root = np.ones((rho.size, n)), np.empty((rho.size, n))
-    gains = np.empty((rho.size, n, q))
-    fresh = rho[:, None, None, None] * np.eye(q)
-    spread = np.broadcast_to(fresh, (rho.size, course.parts, q, q))
-    for step in range(int(length.max())):
-        alive = longest[: int((length > step).sum())]
-        rows = start[alive] + step
-        spread = spread[:, : alive.size]
-        if step:
-            part = np.exp(-(course.time[rows] - course.time[rows - 1]) / tau[:, None])
-            keep[:, rows], kept = part, part[..., None, None] ** 2
-            spread = spread * kept + (1.0 - kept) * fresh
-        h = course.seen[rows]
-        across = (spread @ h[..., None])[..., 0]
-        size = np.sum(across * h, axis=-1) + course.variance[rows]
-        gain = across / size[..., None]
-        spread = spread - gain[..., None] * across[:, :, None]
-        gains[:, rows], root[:, rows] = gain, np.sqrt(size)
+    near, keep = _together(course, walks)
+    rows = np.minimum(np.arange(keep[0].size), n - 1).reshape(keep[0].shape)
+    real = (np.arange(keep[0].size) < n).reshape(keep[0].shape)
+    h = course.seen[rows] * real[..., None]
+    variance = np.where(real, course.variance[rows], 1.0)
+    size = near * (h @ h.transpose(0, 2, 1))
+    diagonal = np.arange(_BLOCK)
+    size[..., diagonal, diagonal] += variance
+    seen, on = keep[..., None] * h, keep[..., -1]
+    # Of the state at the last row with every row.
+    across = near[:, :, -1, None] * h.transpose(0, 2, 1)
+    off, lower = np.zeros((len(walks), q, q)), np.empty_like(size)
+    for k in range(len(h)):
+        known = seen[:, k] @ off
+        own = size[:, k] + known @ seen[:, k].transpose(0, 2, 1)
+        across[:, k] += on[:, k, None, None] * known.transpose(0, 2, 1)
+        lower[:, k] = np.linalg.cholesky(own)
+        half = np.linalg.solve(lower[:, k], across[:, k].transpose(0, 2, 1))
+        off = on[:, k, None, None] ** 2 * off - half.transpose(0, 2, 1) @ half
+        off = 0.5 * (off + off.transpose(0, 2, 1))  # else rounding grows in long recordings
+    inverse = _inverse(lower)
+    root = lower[..., diagonal, diagonal].reshape(len(walks), -1)[:, :n]
+    start = np.searchsorted(course.part, np.arange(course.parts))
     log_det = 2.0 * np.add.reduceat(np.log(root), start, axis=1)
-    return course.filters.setdefault(walks, _Filter(keep, gains, root, log_det))
+    gain = across @ inverse.transpose(0, 1, 3, 2)
+    return course.filters.setdefault(walks, _Filter(inverse, inverse @ seen, on, gain, log_det))
+
+
+def _together(course: Course, walks: tuple[Walk, ...]) -> tuple[Array, Array]:
+    """ρ exp(-|t - t'| / τ) of the rows of every block, (walks, blocks, b, b), and of each row,
+    (walks, blocks, b), exp(-(t - t') / τ) to the last one before: nothing between two parts."""
+    rho = np.array([walk.rho for walk in walks])
+    tau, of = np.unique([walk.tau for walk in walks], return_inverse=True)
+    n = len(course.time)
+    rows = np.minimum(np.arange(-(-n // _BLOCK) * _BLOCK), n - 1).reshape(-1, _BLOCK)
+    time, part, before = course.time[rows], course.part[rows], np.maximum(rows[:, :1] - 1, 0)
+    apart = np.abs(time[:, :, None] - time[:, None])
+    near = np.exp(-apart / tau[:, None, None, None]) * (part[:, :, None] == part[:, None])
+    keep = np.exp(-(time - course.time[before]) / tau[:, None, None])
+    keep = keep * (part == course.part[before])
+    return rho[:, None, None, None] * near[of], keep[of]
+
+
+def _inverse(lower: Array) -> Array:
+    """Of lower triangles (..., b, b), row by row of all at once: many, and small."""
+    out = np.zeros_like(lower)
+    unit = 1.0 / np.diagonal(lower, axis1=-2, axis2=-1)
+    for i in range(lower.shape[-1]):
+        out[..., i, i] = unit[..., i]
+        if i:
+            above = lower[..., i, None, :i] @ out[..., :i, :i]
+            out[..., i, :i] = -above[..., 0, :] * unit[..., i, None]
+    return out
 
 
 def covariance(course: Course, walk: Walk, rows: Index) -> Array:

@@ -12,6 +12,7 @@ from imucalib.effects import catalogue
 from imucalib.effects.shape import in_words, is_form
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
+from imucalib.loop.rivals import UNLISTED
 from imucalib.loop.thresholds import STRONG
 from imucalib.loop.wander.bank import Bank
 from imucalib.loop.wander.choice import Refused, Search, Taken, same
@@ -22,6 +23,8 @@ from imucalib.units import MG
 
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
 _APART, _ALIKE = 2.0, 3.0
+#: Kinds of structure that is told with a driver, and is no noise.
+_STRUCTURE = ("swing", "course", "jump", "stretch")
 #: Kinds of response, each with the free functions that hold what it leaves.
 _OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture", "shape"), "posture": ("curve",)}
 
@@ -113,7 +116,23 @@ def with_rivals(
         scores, _ = scored(bank, terms, keep, [taken.found.entry, *entries], walks, told=False)
         own = next(s for s in scores if s.entry is taken.found.entry)
         names = aliases(bank, terms, replace(taken, found=own, rivals=scores))
-        out.append(replace(step, aliases=tuple(_best_of_each_scan([*step.aliases, *names]))))
+        out.append(replace(step, aliases=_best_of_each_scan([*step.aliases, *names])))
+    return tuple(out)
+
+
+def beside_left(
+    found: Search, steps: Sequence[Step], left: Sequence[Unexplained]
+) -> tuple[Step, ...]:
+    """The steps, with an unlisted effect beside those of which structure that is told tells more:
+    what its own driver still does, or what is stronger than it."""
+    # Noise that is larger for a while explains no share.
+    told = [one for one in left if one.kind in _STRUCTURE and one.share > 0.0]
+    out = list[Step]()
+    for taken, step in zip(found.taken, steps, strict=True):
+        kind = taken.found.entry.kind
+        if any(one.driver == kind or one.evidence >= step.evidence for one in told):
+            step = replace(step, aliases=_best_of_each_scan([*step.aliases, UNLISTED]))  # noqa: PLW2901
+        out.append(step)
     return tuple(out)
 
 
@@ -137,7 +156,6 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
     gravity alone shows as a part of the effect is always one.
     """
     own = taken.found
-    white = bank.white[own.walk]
     near = max(own.evidence - _ALIKE, own.evidence / 2.0)
     out = list[str]()
     for rival in taken.rivals:
@@ -149,29 +167,31 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
         if entry.free:
             alike = own.entry.free and entry.name in taken.alike
         else:
-            alike = _apart(white, bank.data, terms, own, rival) < _APART
+            alike = _apart(bank, terms, own, rival) < _APART
         if rival.evidence >= (own.evidence if entry.wide else near) or alike:
             out.append(entry.name)
     parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
-    return tuple(_best_of_each_scan([*out, *parts]))
+    return _best_of_each_scan([*out, *parts])
 
 
-def _best_of_each_scan(names: Sequence[str]) -> list[str]:
+def _best_of_each_scan(names: Sequence[str]) -> tuple[str, ...]:
     first: dict[str, str] = {}
     for name in names:
         first.setdefault(name.partition("@")[0], name)
-    return list(first.values())
+    return tuple(first.values())
 
 
-def _apart(white: Array, y: int, terms: Terms, own: Scored, rival: Scored) -> float:
+def _apart(bank: Bank, terms: Terms, own: Scored, rival: Scored) -> float:
     """Length of the fitted effect, in noise units, that its rival cannot take over."""
-    base, data = white[:, terms.columns], white[:, y]
-    q = np.linalg.qr(base)[0]
-    columns = white[:, own.entry.columns]
+    blocks = [terms.columns, own.entry.columns, rival.entry.columns]
+    ends = np.cumsum([block.size for block in blocks])
+    white = bank.white(own.walk, np.concatenate([*blocks, [bank.data]]))
+    base, columns, others = np.split(white[:, :-1], ends[:-1], axis=1)
+    data, q = white[:, -1], np.linalg.qr(base)[0]
     rest = columns - q @ (q.T @ columns)
     precise = rest.T @ rest + np.eye(rest.shape[1]) / own.size**2
     effect = rest @ np.linalg.solve(precise, rest.T @ data)
-    both = np.linalg.qr(np.column_stack([base, white[:, rival.entry.columns]]))[0]
+    both = np.linalg.qr(np.column_stack([base, others]))[0]
     return float(np.linalg.norm(effect - both @ (both.T @ effect)))
 
 

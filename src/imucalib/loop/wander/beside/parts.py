@@ -78,11 +78,8 @@ def narrowed(problem: Problem, found: Search, names: Sequence[str]) -> Search:
         entry = replace(own, columns=columns)
         taken.append(replace(one, found=replace(one.found, entry=entry)))
     every = np.concatenate([*picked, [bank.data]])
-    small = Bank(
-        bank.course, bank.walks, bank.columns[:, every], at, bank.white[:, :, every], bank.log_det
-    )
     kept = tuple(one for one in taken if one.found.entry.name in names)
-    return replace(found, bank=small, taken=kept)
+    return replace(found, bank=bank.only(every), taken=kept)
 
 
 def held_against(
