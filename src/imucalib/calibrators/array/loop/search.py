@@ -59,12 +59,15 @@ class Search(Searched):
     def _drawn_null(self) -> Array:
         rng = np.random.default_rng(self.seed)
         state = replace(self.state)  # without its columns: a search outlives them
-        blocks = candidates(state, self.rejected).blocks
         rows = state.setup.inner[looked_at(state.setup)]
+        sampled, own = state.base.take(rows)
+        every, all_rows = (
+            [*own, *candidates(state, self.rejected, rows).blocks],
+            np.arange(len(rows)),
+        )
 
         def noise(count: int) -> tuple[Array, Array]:
-            every = [*state.base.blocks, *blocks]
-            along, power = noise_products(state.sampled, every, rows, rng, count)
+            along, power = noise_products(sampled, every, all_rows, rng, count)
             own = state.base.along(along[: state.base.raw].T).T
             return self.base.out_of_noise(own, along[state.base.raw :], power, rng)
 
@@ -136,10 +139,10 @@ def search(
     earlier: Earlier,
 ) -> Search:  # fmt: skip
     """Score all candidates at a fitted state."""
-    found = candidates(state, rejected)
+    rows = state.setup.inner[looked_at(state.setup)]
+    found = candidates(state, rejected, rows)
     starts, b = starts_of(found.blocks), len(state.base.prior)
     index = {e.name: starts[e.block] + e.part for e in found.entries}
-    rows = state.setup.inner[looked_at(state.setup)]
     products = state.base.beside(found.blocks, rows)
     entries, missing = found.entries, found.missing
     del found

@@ -115,10 +115,12 @@ def _most_likely(found: Alone) -> Array:
     return np.asarray(vectors @ (shrunk[np.argmax(evidence)] * seen))
 
 
-def settled_or_lost(state: ArrayState, *, shaped: bool = True) -> ArrayState | None:
-    """The joint fit; None where it runs away, as few IMUs allow."""
+def settled_or_lost(
+    state: ArrayState, *, shaped: bool = True, least: float = -np.inf
+) -> ArrayState | None:
+    """The joint fit; None where it runs away, as few IMUs allow; least : as `settled` has it."""
     try:
-        return settled(state, shaped=shaped, lost=True)
+        return settled(state, shaped=shaped, lost=True, least=least)
     except np.linalg.LinAlgError:
         return None
 
