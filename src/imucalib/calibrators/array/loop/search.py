@@ -17,6 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.candidates import Entry, candidates
+from imucalib.calibrators.array.loop.curves import wander
 from imucalib.calibrators.array.loop.earlier import Earlier
 from imucalib.calibrators.array.loop.noise_tests import NoiseTest, best_of_noise, noise_tests
 from imucalib.calibrators.array.loop.setup import looked_at
@@ -107,11 +108,12 @@ class Search(Searched):
         return self.beside(name).held_out
 
     def moves(self, name: str) -> float:
-        """m rms over the positions' coordinates: what taking a candidate in would move them by;
-        zero for noise, which has no columns."""
+        """m rms over the positions' coordinates: what taking a candidate in would move them by, or
+        how far it says that one IMU moves; zero for noise, which has no columns."""
         if name not in self.entries:
             return 0.0
-        return self.beside(name).moves
+        effect, found = self.entries[name].effect, self.beside(name)
+        return max(found.moves, wander(effect, found.value) if effect else 0.0)
 
     def correctable(self, name: str) -> bool:
         """Whether it is a curve that may be corrected. What all accelerometers share as a function

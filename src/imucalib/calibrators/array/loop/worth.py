@@ -75,7 +75,12 @@ class Beside:
     @property
     def moves(self) -> float:
         """m rms over the positions' coordinates: what taking it in would move them by."""
-        return float(np.sqrt(np.mean((self.carry @ _most_likely(self.whole)) ** 2)))
+        return float(np.sqrt(np.mean((self.carry @ self.value) ** 2)))
+
+    @property
+    def value(self) -> Array:
+        """(p,) its estimate under the size that its own evidence prefers, in typical sizes."""
+        return _most_likely(self.whole)
 
     @property
     def apart(self) -> Array:
