@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 
 
 @dataclass(frozen=True)
@@ -15,6 +15,9 @@ class Motion:
     rate: Array
     spin: Array
     jerk: Array
+
+    def take(self, rows: Index) -> Motion:
+        return Motion(self.rate[rows], self.spin[rows], self.jerk[rows])
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,9 @@ class Truth:
     def shape(self) -> tuple[int, ...]:
         """(n, K, 3)."""
         return self.force.shape
+
+    def take(self, rows: Index) -> Truth:
+        return Truth(self.force[rows], self.motion and self.motion.take(rows))
 
     @property
     def turning(self) -> Motion:

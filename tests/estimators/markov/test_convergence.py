@@ -12,6 +12,7 @@ from imucalib.estimators.markov.convergence import (
     effective_size,
     potential_scale_reduction,
     rank_normalised,
+    reached,
     split,
 )
 
@@ -90,3 +91,12 @@ def test_autocorrelation_starts_at_one() -> None:
     rho = autocorrelation(chains(0.8, 1, 5000, 2)[0])
     assert rho[0] == pytest.approx(1.0)
     assert rho[1] == pytest.approx(0.8, abs=0.05)
+
+
+@pytest.mark.parametrize("draws", [40, 400, 4000])
+def test_what_is_asked_first_decides_as_all_does(draws: int) -> None:
+    x = chains(0.1, 4, draws, 3)
+    whole, found = convergence(x), reached(x, 1.01, 400.0)
+    assert (found is not None) == whole.reached(1.01, 400.0) == (draws > 40)
+    if found is not None:
+        assert np.array_equal(found.rhat, whole.rhat)

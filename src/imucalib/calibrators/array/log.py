@@ -12,6 +12,7 @@ from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.board import Board
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
+from imucalib.units import DEG
 
 _APART = 0.3  # share of a sample interval that simultaneous stamps may differ by
 _KEPT = 0.5  # share of the samples that all IMUs must have in common
@@ -51,9 +52,19 @@ def array_log(recording: Recording, board: Board) -> tuple[ArrayLog, Board]:
         a, g = acc.values[indices[2 * k]], gyro.values[indices[2 * k + 1]]
         _refuse_dead(a, names[k], "acceleration", recording.path)
         _refuse_dead(g, names[k], "angular_rate", recording.path)
-        clipped |= _at_range(a, board.accelerometer_range) | _at_range(g, board.gyroscope_range)
-        clipped |= _held_at_its_end(a, board.accelerometer_range)
-        clipped |= _held_at_its_end(g, board.gyroscope_range)
+        for values, limit, sensor, unit, size in (
+            (a, board.accelerometer_range, "accelerometer", "m/s²", 1.0),
+            (g, board.gyroscope_range, "gyro", "deg/s", DEG),
+        ):
+            held = _held_at_its_end(values)
+            clipped |= held | _at_range(values, limit)
+            end = float(np.abs(values[held]).max(initial=0.0))
+            if 0.0 < end < _NEAR_RANGE * limit < np.inf:
+                notes.append(
+                    f"the {sensor} of {names[k]} ends at {end / size:.4g} {unit}, which it reads "
+                    f"again and again, not at its range of {limit / size:.4g}: taken as clipped. "
+                    "State that range in the board file, for it holds for every log"
+                )
         acceleration[:, k], rate[:, k] = a @ turns[k].T, g @ turns[k].T
         finite &= np.isfinite(a).all(axis=1) & np.isfinite(g).all(axis=1)
     step = float(np.median(np.diff(t)))
@@ -169,12 +180,10 @@ def _refuse_dead(values: Array, triad: str, quantity: str, path: str) -> None:
         )
 
 
-def _held_at_its_end(values: Array, limit: float) -> Flags:
-    """Where no range is stated: samples with an axis at an extreme that it reads again and again,
-    as no motion does."""
+def _held_at_its_end(values: Array) -> Flags:
+    """Samples with an axis at an extreme that it reads again and again, as no motion does: its
+    range, whatever is stated."""
     clipped = np.zeros(len(values), dtype=np.bool_)
-    if np.isfinite(limit):
-        return clipped
     for axis in values.T:
         for end in (axis.max(), axis.min()):
             at = axis == end

@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.estimators.array.likelihood import ArrayPosterior, cholesky_last, conditionals
-from imucalib.estimators.array.rates import modes
+from imucalib.estimators.array.likelihood import ArrayPosterior, conditionals
+from imucalib.estimators.array.rates import cholesky_last, modes
 from imucalib.estimators.array.rotation import local
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.estimators.array.problem import ArrayData, ArrayPrior
-from imucalib.estimators.array.rates import Mode, modes
+from imucalib.estimators.array.rates import Lean, Mode, cholesky_last, modes
 from imucalib.estimators.array.rotation import (
     CYCLES,
     SIX,
@@ -26,6 +26,7 @@ from imucalib.estimators.array.rotation import (
     times,
 )
 
+_STEP = 0.1  # standard deviations, of a difference
 _CHUNK = 4096  # (geometry, sample) pairs worked on at a time: what fits the cache
 
 
@@ -50,6 +51,7 @@ class ArrayPosterior:
 
     start : (3, T) rad/s where the search for the conditional modes begins; keeping it fixed makes
         the density a deterministic function
+    lean : how it follows the unknowns, where that is known
     moments : whether the gradient includes that of the Laplace determinant, exactly, by cubature
     metric : (6, T) conditional covariances near the start, where they are known
     """
@@ -59,11 +61,28 @@ class ArrayPosterior:
     start: Array
     moments: bool = True
     metric: Array | None = None
+    lean: Lean | None = None
 
     def at(self, x: Array) -> ArrayPosterior:
         """The same density with the conditional search beginning at the modes of x (size,)."""
         mode = self._mode(x[None])
-        return replace(self, start=mode.rate[0], metric=mode.covariance[0])
+        return replace(self, start=mode.rate[0], metric=mode.covariance[0], lean=None)
+
+    def leaning(self, x: Array, root: Array) -> ArrayPosterior:
+        """The same density, the modes of x (size,) being its start, with how they follow the
+        unknowns, by differences along the columns of `root` (size, size)."""
+        assert self.metric is not None
+        points = np.vstack([x, x + _STEP * root.T])
+        size = max(1, _CHUNK // max(self.data.samples, 1))
+        slopes = []
+        for k in range(0, len(points), size):
+            given = conditionals(self.data, self.prior, points[k : k + size])[0]
+            w = np.broadcast_to(self.start, (len(given.inertia), *self.start.shape))
+            slopes.append(local(given, w, curvature=False).gradient)
+        rise = np.concatenate(slopes)
+        moved = times(self.metric, rise[0] - rise[1:]).reshape(len(root), -1)
+        slope = np.asarray(np.linalg.solve(_STEP * root.T, moved), np.float64)
+        return replace(self, lean=Lean(x, slope))
 
     def value(self, x: Array) -> Array:
         """(B,) log posterior of unknowns (B, size)."""
@@ -78,7 +97,12 @@ class ArrayPosterior:
         return self._mode(x).rate
 
     def _mode(self, x: Array) -> Mode:
-        return modes(conditionals(self.data, self.prior, x)[0], self.start, self.metric)
+        return self._modes(conditionals(self.data, self.prior, x)[0], x)
+
+    def _modes(self, given: Prepared, x: Array) -> Mode:
+        if self.lean is None:
+            return modes(given, self.start, self.metric)
+        return modes(given, self.start + self.lean.rates(x))
 
     def _all(self, x: Array, *, slope: bool) -> tuple[Array, Array]:
         size = max(1, _CHUNK // max(self.data.samples, 1))
@@ -91,7 +115,7 @@ class ArrayPosterior:
 
     def _chunk(self, x: Array, *, slope: bool) -> tuple[Array, Array]:
         given, geometry = conditionals(self.data, self.prior, x)
-        mode = modes(given, self.start, self.metric)
+        mode = self._modes(given, x)
         with np.errstate(invalid="ignore", divide="ignore"):
             value = -np.sum(mode.here.value + 0.5 * np.log(mode.det), axis=1)
         value = np.where(mode.positive.all(axis=1), value, -np.inf)
@@ -199,18 +223,6 @@ def _averaged(given: Prepared, mode: Mode) -> tuple[Array, Array, Array]:
         )  # fmt: skip
     assert total is not None
     return total[0] / 6.0, total[1] / 6.0, total[2] / 6.0
-
-
-def cholesky_last(m: Array) -> Array:
-    """Lower Cholesky factor (B, 3, 3, T) of positive matrices (B, 6, T)."""
-    out = np.zeros((len(m), 3, 3, m.shape[2]))
-    with np.errstate(invalid="ignore"):
-        out[:, 0, 0] = np.sqrt(m[:, 0])
-        out[:, 1, 0], out[:, 2, 0] = m[:, 3] / out[:, 0, 0], m[:, 4] / out[:, 0, 0]
-        out[:, 1, 1] = np.sqrt(m[:, 1] - out[:, 1, 0] ** 2)
-        out[:, 2, 1] = (m[:, 5] - out[:, 2, 0] * out[:, 1, 0]) / out[:, 1, 1]
-        out[:, 2, 2] = np.sqrt(m[:, 2] - out[:, 2, 0] ** 2 - out[:, 2, 1] ** 2)
-    return out
 
 
 def _gradient(

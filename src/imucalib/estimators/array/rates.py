@@ -34,6 +34,18 @@ def inverse(h: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     return out, det, positive
 
 
+def cholesky_last(m: Array) -> Array:
+    """Lower Cholesky factor (B, 3, 3, T) of positive matrices (B, 6, T)."""
+    out = np.zeros((len(m), 3, 3, m.shape[2]))
+    with np.errstate(invalid="ignore"):
+        out[:, 0, 0] = np.sqrt(m[:, 0])
+        out[:, 1, 0], out[:, 2, 0] = m[:, 3] / out[:, 0, 0], m[:, 4] / out[:, 0, 0]
+        out[:, 1, 1] = np.sqrt(m[:, 1] - out[:, 1, 0] ** 2)
+        out[:, 2, 1] = (m[:, 5] - out[:, 2, 0] * out[:, 1, 0]) / out[:, 1, 1]
+        out[:, 2, 2] = np.sqrt(m[:, 2] - out[:, 2, 0] ** 2 - out[:, 2, 1] ** 2)
+    return out
+
+
 @dataclass(frozen=True)
 class Mode:
     """rate : (B, 3, T) conditional modes, up to a step that no longer counts; here : f there, its
@@ -46,15 +58,28 @@ class Mode:
     positive: NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class Lean:
+    """How conditional modes follow the unknowns, to first order: what a Newton step would find from
+    the mode of `centre` (d,), without its gradient. slope : (d, 3 T) rad/s per unit"""
+
+    centre: Array
+    slope: Array
+
+    def rates(self, x: Array) -> Array:
+        """(B, 3, T) rad/s beyond the modes of the centre, for unknowns (B, d)."""
+        return np.asarray(((x - self.centre) @ self.slope).reshape(len(x), 3, -1))
+
+
 def modes(given: Prepared, start: Array, metric: Array | None = None) -> Mode:
-    """Conditional modes from `start` (3, T), by safeguarded Newton.
+    """Conditional modes from `start` (3, T) or (B, 3, T), by safeguarded Newton.
 
     metric : (6, T) inverse Hessians near the start, if known, for a first step without Hessian.
     Plain steps first for all; the few samples that would climb are finished one by one with a
     positive-definite shift and step halving.
     """
     b = len(given.inertia)
-    w = np.broadcast_to(start, (b, *start.shape))
+    w = np.broadcast_to(start, (b, *start.shape[-2:]))
     if metric is not None:
         w = w - times(metric, local(given, w, curvature=False).gradient)
     here = local(given, w)

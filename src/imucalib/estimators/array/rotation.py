@@ -13,7 +13,9 @@ the order of `SIX`. What is linear in ω or in its products is one small matrix 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from imucalib.arrays import Array
 
 CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_PLACES = [3 * i + j for i, j in SIX]
 LINE = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # where element (i, j) is among the six
 
 
@@ -52,8 +55,8 @@ class Conditionals:
             inertia=self.inertia,
             gain=self.gain,
             linear=_linear(self.inertia, self.gain),
-            quadratic=_quadratic(self.inertia),
-            spun=_spun(self.inertia),
+            quadratic=_of(self.inertia, _quadratic),
+            spun=_of(self.inertia, _spun),
             power=self.power,
             rate=self.rate[None],
             precision=self.precision,
@@ -89,14 +92,32 @@ class Prepared:
 
 def _linear(inertia: Array, gain: Array) -> Array:
     b = len(inertia)
-    slope = np.zeros((b, 3, 3, 3))  # D = Ω(Jω) - Ω(ω)J: [.., i, c, m] of ω_m
+    slope = _of(inertia, _slope).reshape(b, 3, 9)
+    gained = (gain @ slope).reshape(b, 9, 3)
+    return np.concatenate([inertia, slope.reshape(b, 9, 3), gained], axis=1)
+
+
+def _of(inertia: Array, made: Callable[[Array], Array]) -> Array:
+    """(B, ...) what is linear in the inertia (B, 3, 3), of which nine matrices tell all."""
+    table, shape = _table(made)
+    return (inertia.reshape(-1, 9) @ table).reshape(-1, *shape)
+
+
+@cache
+def _table(made: Callable[[Array], Array]) -> tuple[Array, tuple[int, ...]]:
+    each = made(np.eye(9).reshape(9, 3, 3))
+    return each.reshape(9, -1), each.shape[1:]
+
+
+def _slope(inertia: Array) -> Array:
+    """(B, 3, 3, 3) D = Ω(Jω) - Ω(ω)J: [.., i, c, m] of ω_m."""
+    slope = np.zeros((len(inertia), 3, 3, 3))
     for i, j, k in CYCLES:
         slope[:, i, j] -= inertia[:, k]
         slope[:, j, i] += inertia[:, k]
         slope[:, i, :, k] += inertia[:, j]
         slope[:, i, :, j] -= inertia[:, k]
-    gained = (gain @ slope.reshape(b, 3, 9)).reshape(b, 9, 3)
-    return np.concatenate([inertia, slope.reshape(b, 9, 3), gained], axis=1)
+    return slope
 
 
 def _quadratic(inertia: Array) -> Array:
@@ -147,10 +168,7 @@ def full(six: Array) -> Array:
 
 
 def dot(a: Array, b: Array) -> Array:
-    out = a[:, 0] * b[:, 0]
-    out += a[:, 1] * b[:, 1]
-    out += a[:, 2] * b[:, 2]
-    return np.asarray(out)
+    return np.asarray(np.einsum("bit,bit->bt", a, b))
 
 
 def times(six: Array, vector: Array) -> Array:
@@ -194,15 +212,13 @@ def local(given: Prepared, w: Array, *, curvature: bool = True) -> Local:
     value += given.power
     value *= 0.5
     gradient += pulled
-    for c in range(3):
-        for i in range(3):
-            gradient[:, c] -= slopes[:, 3 + 3 * i + c] * a[:, i]
+    bent = slopes[:, 3:12].reshape(len(w), 3, 3, -1)  # D
+    gradient -= np.einsum("bict,bit->bct", bent, a)
     if not curvature:
         return Local(value, gradient, a, np.empty(0))
     h += given.bend
     h += given.precision
     h -= given.spun @ a
-    for s, (i, j) in enumerate(SIX):
-        for k in (3, 6, 9):
-            h[:, s] -= slopes[:, k + i] * slopes[:, 9 + k + j]
+    curved = np.einsum("bkit,bkjt->bijt", bent, slopes[:, 12:].reshape(bent.shape))
+    h -= curved.reshape(len(w), 9, -1)[:, _PLACES]
     return Local(value, gradient, a, h)

@@ -96,7 +96,7 @@ def sample_positions(
     chosen = start_prior(data, prior)
     frame = laplace_frame(data, chosen)
     refuse_collapse(chosen.geometry(frame.mode[None])[0], chosen.nominal)
-    posterior, root = frame.posterior, frame.root
+    posterior, root = frame.posterior.leaning(frame.mode, frame.root), frame.root
 
     def target(z: Array) -> tuple[Array, Array]:
         value, gradient = posterior.value_and_gradient(frame.place(z))

@@ -66,6 +66,14 @@ class Sampled:
     r: Array
     root: Array
 
+    def take(self, rows: NDArray[np.intp]) -> Sampled:
+        weights = Weights(self.weights.acceleration[rows], self.weights.rate[rows])
+        return Sampled(
+            rate=self.rate[rows], spin=self.spin[rows], origin=self.origin[rows],
+            force=self.force[rows], turn=self.turn[rows], off=self.off.take(rows), weights=weights,
+            r=self.r, root=self.root[rows],
+        )  # fmt: skip
+
     @cached_property
     def arms(self) -> Array:
         """(T, K, 3, 9) derivative of the forces by s, dω/dt, ω."""
@@ -178,8 +186,11 @@ def _matrix(normal: Array, slope: Array, weights: Weights) -> Array:
     return np.asarray(out)
 
 
-def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | Sampled) -> Sampled:
-    """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby.
+def fit_samples(
+    readings: Readings, weights: Weights, r: Array, start: Array | Sampled, rounds: int = _ROUNDS
+) -> Sampled:
+    """Best motion of every sample; start : (T, 3) rad/s, or the motion of a fit nearby; rounds :
+    steps at most, one where the weights are about to change.
 
     What the accelerometers say of (s, W) are twelve numbers and a matrix, made once; each step runs
     on these. Raises numpy.linalg.LinAlgError where a sample runs away: no motion near the start
@@ -195,7 +206,7 @@ def fit_samples(readings: Readings, weights: Weights, r: Array, start: Array | S
     heavy = (readings.acceleration * weights.acceleration[..., None]).transpose(0, 2, 1)
     along = np.matmul(heavy, place).reshape(-1, 12)
     pulled = np.einsum("tk,tki->ti", weights.rate, readings.rate)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         slope = slope_of(x[:, 6:])
         state = np.concatenate([x[:, :3, None], turning(x[:, 6:], x[:, 3:6])], axis=2)
         off = along - np.matmul(normal, state.reshape(-1, 12, 1))[..., 0]

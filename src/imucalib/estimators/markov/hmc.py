@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import NotConverged, UnreadableInput
-from imucalib.estimators.markov.convergence import Convergence, convergence
+from imucalib.estimators.markov.convergence import Convergence, convergence, reached
 
 #: (chains, d) in the frame -> log density (chains,) and its gradient (chains, d)
 Target = Callable[[Array], tuple[Array, Array]]
@@ -69,12 +69,14 @@ def sample(
     rule = stop or Stop()
     run = _resumed(checkpoint, d, chains, rng) or _begin(target, d, rng, chains)
     while True:
-        found = convergence(seen(run.draws)) if run.draws.shape[1] >= 2 * rule.block else None
-        if found and found.reached(rule.rhat, rule.ess):
+        enough = run.draws.shape[1] >= 2 * rule.block
+        found = reached(seen(run.draws), rule.rhat, rule.ess) if enough else None
+        if found:
             return Chains(run.draws, run.accepted, run.steps, found)
-        if found and run.draws.shape[1] >= rule.most:
+        if enough and run.draws.shape[1] >= rule.most:
+            told = convergence(seen(run.draws)).sentence
             raise NotConverged(
-                f"the chains do not agree after {run.draws.shape[1]} draws each: {found.sentence}",
+                f"the chains do not agree after {run.draws.shape[1]} draws each: {told}",
                 remedy="too little rotation, or samples that contradict each other: record a more "
                 "varied motion, or use more samples",
             )

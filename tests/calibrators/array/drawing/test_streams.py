@@ -11,17 +11,24 @@ from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.drawing.streams import refuse_streams, stream_notes, streams
 from imucalib.calibrators.array.log import ArrayLog, array_log
 from imucalib.errors import Undetermined
+from imucalib.recording.recording import Recording
+from imucalib.units import DEG
 from worlds.boards import BoardPlan, board_log, made_board
 
 BOARD = read_board("mimu4444_corners")
 
 
 @pytest.fixture(scope="module")
-def log() -> ArrayLog:
+def recording() -> Recording:
     plan = BoardPlan(twist_s=6.0, rests=9, mounting=0.3, gyro_gain=0.01)
     rng = np.random.default_rng(1)
     parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, plan, rng)
-    return array_log(board_log(parts, plan, rng).recording, BOARD)[0]
+    return board_log(parts, plan, rng).recording
+
+
+@pytest.fixture(scope="module")
+def log(recording: Recording) -> ArrayLog:
+    return array_log(recording, BOARD)[0]
 
 
 def test_a_sound_log_says_nothing(log: ArrayLog) -> None:
@@ -78,3 +85,17 @@ def test_a_slow_filter_is_not_told_as_a_late_sample(log: ArrayLog, kind: str) ->
     for before, row in zip(values[:-1, 5], values[1:, 5], strict=True):
         row[:] = kept * before + (1.0 - kept) * row
     assert not streams(replace(log, **{kind: values})).shift.any()
+
+
+def test_a_range_below_the_stated_one_is_seen(recording: Recording) -> None:
+    """A gyro set to half of its range ends there, in whatever sample."""
+    end, name = 500.0 * DEG, "imu2/angular_rate"
+    gyro = recording.channels[name]
+    over = np.any(np.abs(gyro.values) > end, axis=1)
+    assert over.sum() > 30
+    short = replace(gyro, values=np.clip(gyro.values, -end, end))
+    found = array_log(replace(recording, channels={**recording.channels, name: short}), BOARD)[0]
+    assert np.array_equal(found.clipped, over)
+    (note,) = found.notes
+    assert "gyro of imu2 ends at 500 deg/s" in note
+    assert "not at its range of 2000" in note

@@ -20,6 +20,7 @@ from imucalib.loop.found import Unexplained
 from imucalib.report.array.card import array_card
 from imucalib.units import DEG
 from worlds.boards import BoardPlan, board_log, made_board
+from worlds.odd_boards import PLAN, bowing, odd_log
 
 BOARD = read_board("mimu4444_corners")
 
@@ -105,3 +106,14 @@ def test_alike_noise_of_all_is_told_of_all() -> None:
     rests = SimpleNamespace(noise=np.full(8, 0.04), gyro_noise=np.zeros(8))
     left = what_is_left(residual, rests, None, Accepted())  # type: ignore[arg-type]
     assert [one.name for one in left if one.beyond] == ["accelerometers in motion"]
+
+
+def test_a_board_that_bends_on_the_way_is_not_known_to_its_sd() -> None:
+    """Its places at the end are not those at the start: 0.6 mm along one edge."""
+    rng = np.random.default_rng(1000)
+    parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
+    run = calibrate_array(odd_log(parts, bowing, PLAN, rng).recording, ArrayRequest(BOARD), print)
+    assert run.loop is not None
+    assert any(u.name.startswith("position of") for u in run.loop.unexplained)
+    assert run.outcome.exit_code == 5
+    assert any(text.startswith("not explained: positions") for text in run.outcome.reasons)

@@ -9,12 +9,13 @@ import pytest
 
 from imucalib.calibrators.array.loop.ages import found_ages, voting
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
-from imucalib.calibrators.array.loop.cross_fit import difference_of_medians
+from imucalib.calibrators.array.loop.cross_fit import Gained, difference_of_medians
 from imucalib.calibrators.array.loop.earlier import start_state
 from imucalib.calibrators.array.loop.setup import Setup, array_setup, part_of
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.rests import RestFit
+from imucalib.loop.difference import Difference
 from imucalib.recording.recording import Recording
 from worlds.array_stories import BOARD, moving_of, planted_log
 
@@ -137,3 +138,20 @@ def test_an_error_that_stays_is_not_proved() -> None:
         proved += difference_of_medians(before, before * gained, block, 2).proved
     # Widened for two halves: 2.5 % without that, 0.2 % with it; a false alarm in fifty is seen.
     assert proved <= 4
+
+
+@pytest.mark.parametrize(
+    ("force", "rate", "refutes"),
+    [
+        ((-0.03, -0.01, 0.02), (-2e-4, -1e-5, 2e-4), False),  # losses that noise may make
+        ((-0.03, -0.01, 0.02), (-4e-4, -2e-4, -1e-5), False),  # a sure one, of a thousandth
+        ((-2e-6, -1e-6, 1e-6), (-0.3, -0.2, -0.1), True),  # a sure one that counts
+        ((0.02, 0.1, 0.2), (-0.3, -0.2, -0.1), False),  # beside a gain
+    ],
+)
+def test_a_loss_refutes_where_it_is_sure_and_counts(
+    force: tuple[float, ...], rate: tuple[float, ...], refutes: bool
+) -> None:
+    """Lower edge, middle and upper edge of the gain, of an error of one."""
+    one, two = (Difference(1.0, 1.0 - gain, low, high, low, 8) for low, gain, high in (force, rate))
+    assert Gained(one, two).refutes == refutes

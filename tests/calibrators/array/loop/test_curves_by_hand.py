@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.calibrators.array.loop.curves import array_curves
+from imucalib.calibrators.array.loop.curves import array_curves, wander
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.core.effect import Response
 from imucalib.units import DEG
@@ -91,3 +91,17 @@ def test_a_clock_that_wanders_reads_the_rate_of_before() -> None:
     expected = -late[:, None, None] * OWN_SPIN
     np.testing.assert_allclose(one.basis(seen.truth, seen.context) @ theta, expected, atol=1e-12)
     assert [p.typical for p in one.each] == [0.05] * 2
+
+
+def test_how_far_an_imu_wanders() -> None:
+    """The rms over the motion of what the equation prints."""
+    place, theta = curve("position of {imu} against time"), RNG.normal(size=6)
+    sizes = 1e-3 * theta * [p.typical for p in place.each]
+    u = np.linspace(0.0, 1.0, 100_001)
+    away = sizes.reshape(3, 2) @ np.stack(
+        [np.sqrt(2.0) * np.cos(np.pi * k * u) / k for k in (1, 2)]
+    )
+    assert wander(place, theta) == pytest.approx(
+        np.sqrt(np.mean(np.sum(away**2, axis=0))), rel=1e-4
+    )
+    assert wander(curve("gyro delay of {imu} against time"), theta[:2]) == 0.0

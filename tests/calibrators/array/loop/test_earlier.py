@@ -11,7 +11,8 @@ from imucalib.calibrators.array.loop import state as fits
 from imucalib.calibrators.array.loop.declared import declared_term
 from imucalib.calibrators.array.loop.earlier import Earlier, drawn_state
 from imucalib.calibrators.array.loop.setup import part_of
-from imucalib.calibrators.array.loop.state import settled
+from imucalib.calibrators.array.loop.state import Behind, settled
+from imucalib.calibrators.array.loop.twins.refits import _twins
 from worlds.boards import BoardPlan
 from worlds.twisted_board import fitted
 
@@ -76,3 +77,25 @@ def test_nothing_more_is_asked_of_a_fit_that_is_lost(monkeypatch: pytest.MonkeyP
     assert not asked
     settled(state)
     assert asked
+
+
+def test_a_fit_that_stays_behind_is_given_up() -> None:
+    """Asked for more than it can have, it ends at once; asked for what it has, it is whole."""
+    late, _ = fitted(PLAN, 5, 80, late=1e-3)
+    grown = settled(replace(late, terms=(declared_term(late, "gyro_delay"),)))
+    start = replace(late, r=late.setup.board.drawn)
+    with pytest.raises(Behind):
+        settled(start, shaped=False, least=grown.density)
+    again = settled(start, shaped=False, least=late.density)
+    assert again.density == pytest.approx(late.density, abs=1.0)
+
+
+def test_a_twin_that_stays_behind_is_no_rival() -> None:
+    """One that would have to be 200 nats better than it is is neither a fit nor a lost one."""
+    late, _ = fitted(PLAN, 5, 80, late=-3e-3)
+    grown = settled(replace(late, terms=(declared_term(late, "gyro_delay"),)))
+    twin = "common_accelerometer_low_pass"
+    near = _twins(grown, "gyro_delay", [twin], 3.0)[twin]
+    assert near is not None
+    assert near.converged
+    assert not _twins(grown, "gyro_delay", [twin], near.density - grown.density - 200.0)

@@ -64,9 +64,16 @@ class Base:
         whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
         return Gram(matrix, along, found.power, found.numbers, whole)
 
+    def take(self, rows: Index) -> tuple[Sampled, list[Columns]]:
+        """Some of the samples, with the columns there."""
+        blocks = [Columns(b.basis[:, rows], b.gyro, b.shared) for b in self.blocks]
+        return self.sampled.take(rows), blocks
+
     def beside(self, blocks: Sequence[Columns], rows: Index) -> Bordered:
-        """Products of candidates over some of the samples, beside its free coordinates."""
-        found, turn = bordered(self.sampled, self.blocks, blocks, rows), self._turn
+        """Products over some of the samples of candidates, whose columns are of these alone,
+        beside its free coordinates."""
+        (sampled, own), turn = self.take(rows), self._turn
+        found = bordered(sampled, own, blocks, np.arange(len(rows)))
         matrix = turn.T @ found.base.matrix @ turn
         base = replace(
             found.base, matrix=matrix, along=turn.T @ found.base.along, whole=np.diag(matrix)

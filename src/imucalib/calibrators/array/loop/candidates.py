@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,9 +42,10 @@ class Candidates:
     missing: dict[str, str]
 
 
-def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
-    """Everything that could be missing beside what is in the model or was rejected."""
-    motion, taken = state.motion, {term.name for term in state.terms}
+def candidates(state: ArrayState, rejected: frozenset[str], rows: Index) -> Candidates:
+    """Everything that could be missing beside what is in the model or was rejected, with columns
+    at some of the samples."""
+    motion, taken = state.motion.take(rows), {term.name for term in state.terms}
     taken |= {twin for term in state.found for twin in twins_of(term.name)}
     blocks: list[Columns] = []
     entries: list[Entry] = []
@@ -68,7 +70,7 @@ def candidates(state: ArrayState, rejected: frozenset[str]) -> Candidates:
         if effect.scan:
             own = _of_each("effect", effect, f"{effect.name}@{{imu}}", motion, here)
             entries += [e for e in own if e.name not in taken | rejected]
-    _add_curves(blocks, entries, motion, taken)
+    _add_curves(blocks, entries, motion, taken, array_curves(state.motion))
     return Candidates(tuple(blocks), tuple(entries), missing)
 
 
@@ -99,9 +101,10 @@ def _of_each(
 
 
 def _add_curves(
-    blocks: list[Columns], entries: list[Entry], motion: BoardMotion, taken: set[str]
-) -> None:
-    for driver, curve in array_curves(motion):
+    blocks: list[Columns], entries: list[Entry], motion: BoardMotion, taken: set[str],
+    curves: Iterable[tuple[str, Response]],
+) -> None:  # fmt: skip
+    for driver, curve in curves:
         if CURVE + curve.name in taken:
             continue
         columns = typical_columns(curve, motion)

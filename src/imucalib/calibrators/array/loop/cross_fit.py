@@ -30,6 +30,7 @@ _FOLLOWED = 3  # rounds of the motion, with its weights, under a model that does
 _COUNTS = (
     0.1  # share of an error from which on a loss of one sensor counts against the other's gain
 )
+_HARM = 0.01  # the same of a loss that speaks against all that was found
 _NO_ERROR = 1e-12  # m/s² or rad/s
 
 
@@ -62,10 +63,14 @@ class Gained:
 
     @property
     def refutes(self) -> bool:
-        """Whether neither error has fallen. Where a half of the motion shows too little for its
-        search to take anything, errors are the same: that says nothing against what the whole
-        shows, nor for it."""
-        return self.principal.gain < 0.0
+        """Whether neither error has fallen, and one has grown beyond chance, by as much as counts.
+        Where a half of the motion shows too little for its search to find an effect as it is,
+        errors are the same but for what noise makes of them: that says nothing against what the
+        whole shows, nor for it."""
+        grown = (
+            d.high < 0.0 and d.gain < -_HARM * d.before for d in (self.acceleration, self.rate)
+        )
+        return self.principal.gain < 0.0 and any(grown)
 
 
 def cross_fitted(setup: Setup, moving: Moving, searched: Searching) -> Gained | None:

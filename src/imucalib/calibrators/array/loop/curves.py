@@ -26,6 +26,7 @@ _SIZE, _TERMS = {"acceleration": 0.1, "angular_rate": 0.3}, 4
 SENSOR: dict[Channel, str] = {"acceleration": "accelerometer", "angular_rate": "gyroscope"}
 #: The same of an IMU that moves on the board (mm) or whose clock does (ms).
 _MOVE, _LATE, _SLOW = 0.05, 0.05, 2
+_PLACE = "position"
 
 
 def array_curves(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
@@ -41,8 +42,8 @@ def array_curves(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
             (*own, True),
         ):
             yield driver, _curve(channel, words, of, motion, shared)
-    for words, wander in (("position", _moves), ("gyro delay", _drifts)):
-        yield "", wander(f"{words} of {{imu}} against time")
+    for words, of_one in ((_PLACE, _moves), ("gyro delay", _drifts)):
+        yield "", of_one(f"{words} of {{imu}} against time")
 
 
 def _curve(channel: Channel, words: str, of: Driver, motion: BoardMotion, shared: bool) -> Response:
@@ -85,6 +86,15 @@ def _moves(name: str) -> Response:
         name, "An IMU that moves on the board.", equation, "the residual", "", each=each,
         basis=basis,
     )  # fmt: skip
+
+
+def wander(effect: Response, theta: Array) -> float:
+    """m, rms over the motion: how far an IMU moves on the board by a curve of its place with
+    parameters (p,), in typical sizes; zero by any other."""
+    if effect.each[0].unit != "mm" or not effect.name.startswith(_PLACE):
+        return 0.0
+    each = 1e-3 * _MOVE * theta.reshape(3, _SLOW) / np.arange(1, _SLOW + 1)
+    return float(np.sqrt(np.sum(each**2)))
 
 
 def _drifts(name: str) -> Response:

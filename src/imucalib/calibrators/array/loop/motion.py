@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from imucalib.arrays import Array, Flags
+from imucalib.arrays import Array, Flags, Index
 from imucalib.core.context import Context
 from imucalib.core.course import Course, course_of
 from imucalib.core.effect import Channel
@@ -73,6 +73,11 @@ class BoardMotion:
         if channel == "angular_rate" and self.of_gyros is not None:
             return self.of_gyros
         return self.truth
+
+    def take(self, rows: Index) -> BoardMotion:
+        """The motion at some of the instants, without what neighbours tell."""
+        of_gyros = self.of_gyros and self.of_gyros.take(rows)
+        return BoardMotion(self.truth.take(rows), self.context.take(rows), of_gyros)
 
     @property
     def age(self) -> Array | None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.candidates import Entry, candidates
+from imucalib.calibrators.array.loop.curves import wander
 from imucalib.calibrators.array.loop.earlier import Earlier
 from imucalib.calibrators.array.loop.noise_tests import NoiseTest, best_of_noise, noise_tests
 from imucalib.calibrators.array.loop.setup import looked_at
@@ -59,12 +60,15 @@ class Search(Searched):
     def _drawn_null(self) -> Array:
         rng = np.random.default_rng(self.seed)
         state = replace(self.state)  # without its columns: a search outlives them
-        blocks = candidates(state, self.rejected).blocks
         rows = state.setup.inner[looked_at(state.setup)]
+        sampled, own = state.base.take(rows)
+        every, all_rows = (
+            [*own, *candidates(state, self.rejected, rows).blocks],
+            np.arange(len(rows)),
+        )
 
         def noise(count: int) -> tuple[Array, Array]:
-            every = [*state.base.blocks, *blocks]
-            along, power = noise_products(state.sampled, every, rows, rng, count)
+            along, power = noise_products(sampled, every, all_rows, rng, count)
             own = state.base.along(along[: state.base.raw].T).T
             return self.base.out_of_noise(own, along[state.base.raw :], power, rng)
 
@@ -104,11 +108,12 @@ class Search(Searched):
         return self.beside(name).held_out
 
     def moves(self, name: str) -> float:
-        """m rms over the positions' coordinates: what taking a candidate in would move them by;
-        zero for noise, which has no columns."""
+        """m rms over the positions' coordinates: what taking a candidate in would move them by, or
+        how far it says that one IMU moves; zero for noise, which has no columns."""
         if name not in self.entries:
             return 0.0
-        return self.beside(name).moves
+        effect, found = self.entries[name].effect, self.beside(name)
+        return max(found.moves, wander(effect, found.value) if effect else 0.0)
 
     def correctable(self, name: str) -> bool:
         """Whether it is a curve that may be corrected. What all accelerometers share as a function
@@ -136,10 +141,10 @@ def search(
     earlier: Earlier,
 ) -> Search:  # fmt: skip
     """Score all candidates at a fitted state."""
-    found = candidates(state, rejected)
+    rows = state.setup.inner[looked_at(state.setup)]
+    found = candidates(state, rejected, rows)
     starts, b = starts_of(found.blocks), len(state.base.prior)
     index = {e.name: starts[e.block] + e.part for e in found.entries}
-    rows = state.setup.inner[looked_at(state.setup)]
     products = state.base.beside(found.blocks, rows)
     entries, missing = found.entries, found.missing
     del found

@@ -30,6 +30,12 @@ _STALE = 0.1
 _WEIGHED = 2
 #: Step of a position, in its prior's sd, and growth of a squared step, from which a fit is lost.
 _RUNAWAY, _GROWN = 10.0, 1e3
+#: Nats that may still come: squared steps, of which a quadratic has a half; and by other widths.
+_AHEAD, _WIDTHS = 5.0, 30.0
+
+
+class Behind(Exception):
+    """A fit cannot have the density that it is asked for."""
 
 
 @dataclass(frozen=True)
@@ -92,13 +98,16 @@ class ArrayState:
         return np.asarray(term.live @ part @ term.live.T)
 
 
-def settled(state: ArrayState, *, shaped: bool = True, lost: bool = False) -> ArrayState:
+def settled(
+    state: ArrayState, *, shaped: bool = True, lost: bool = False, least: float = -np.inf
+) -> ArrayState:
     """The joint fit of everything, and the noise in the shape that held-out halves ask for.
 
     shaped : whether they are asked, or the shape is kept, as where the search is over; lost :
-    whether a fit that does not converge is of no use, and nothing more is asked of it
+    whether a fit that does not converge is of no use, and nothing more is asked of it; least :
+    density that it has to reach. Raises Behind where it is clear that it ends below.
     """
-    state = _climbed(_with_scale(state), _NEAR if shaped else _CLOSE)
+    state = _climbed(_with_scale(state), _NEAR if shaped else _CLOSE, least)
     if lost and not state.converged:
         return state
     if state.setup.robust and shaped:
@@ -121,8 +130,8 @@ def _alike(one: SensorNoise, two: SensorNoise) -> bool:
 
 def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
     a, g, speed = state.squares(off)
-    noise = scaled(state.noise[0], a, speed), scaled(state.noise[1], g, speed)
-    return replace(state, noise=noise)
+    one, two = state.noise
+    return replace(state, noise=(scaled(one, a, speed), scaled(two, g, speed)))
 
 
 def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
@@ -133,9 +142,9 @@ def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
     return scaled(found[0], a, speed), scaled(found[1], g, speed)
 
 
-def _climbed(state: ArrayState, close: float) -> ArrayState:
+def _climbed(state: ArrayState, close: float, least: float = -np.inf) -> ArrayState:
     """Newton with the matrix of the start: what changes on the way is the residual."""
-    converged, matrix, made, least = False, np.empty((0, 0)), np.zeros(2), np.inf
+    converged, matrix, made, shortest = False, np.empty((0, 0)), np.zeros(2), np.inf
     base: Base | None = None
     off = state.sampled.off
     share = min(noise.information for noise in state.noise)
@@ -161,9 +170,13 @@ def _climbed(state: ArrayState, close: float) -> ArrayState:
         moved = np.array([noise.sigma for noise in state.noise]) / sigma - 1.0
         square = float(step @ inner @ step)
         converged = square < close and float(np.abs(moved).max()) < _STALE
-        least = min(least, square)
-        if converged or square > _GROWN * least:
+        shortest = min(shortest, square)
+        if converged or square > _GROWN * shortest:
             break
+        if np.isfinite(least):
+            ahead = _AHEAD * square + _WIDTHS - 0.5 * float(np.linalg.slogdet(inner)[1])
+            if _of_values(state, off) + ahead < least:  # where the step leads
+                raise Behind
     return replace(moved_motion(state, base, off), converged=converged)
 
 
@@ -171,13 +184,18 @@ def _measured(state: ArrayState) -> ArrayState:
     """With the covariance and the density of where it is."""
     one, two = state.base.halves
     covariance = state.base.solved(one + two).covariance
-    a, g, speed = state.squares()
-    density = float(log_density(state.noise[0], a, speed).sum())
-    density += float(log_density(state.noise[1], g, speed).sum())
-    for term in state.terms:
-        density -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
-    density += 0.5 * float(np.linalg.slogdet(covariance)[1])
+    density = _of_values(state) + 0.5 * float(np.linalg.slogdet(covariance)[1])
     return state.measured(covariance, density)
+
+
+def _of_values(state: ArrayState, off: Readings | None = None) -> float:
+    """Nats of the data and of the terms' values; off : other residuals than those of the state."""
+    a, g, speed = state.squares(off)
+    nats = float(log_density(state.noise[0], a, speed).sum())
+    nats += float(log_density(state.noise[1], g, speed).sum())
+    for term in state.terms:
+        nats -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
+    return nats
 
 
 def _moved(state: ArrayState, step: Array, variance: Array) -> ArrayState:
@@ -202,16 +220,16 @@ def moved_motion(
     """
     readings, sampled, off = corrected(state, base), state.sampled, off or state.sampled.off
     tailed = any(np.isfinite(noise.freedom) for noise in state.noise)
-    for _ in range(_WEIGHED if tailed else 1):
+    for left in reversed(range(_WEIGHED if tailed else 1)):
         speed = np.linalg.norm(sampled.rate, axis=1)
         weights = Weights(
             state.noise[0].weight(np.sum(off.acceleration**2, axis=2), speed),
             state.noise[1].weight(np.sum(off.rate**2, axis=2), speed),
         )
-        sampled = fit_samples(readings, weights, state.r, sampled)
+        # With weights that are made anew at once, the motion need not be at its end.
+        sampled = fit_samples(readings, weights, state.r, sampled, *([1] if left else []))
         off = sampled.off
-    courses = bool(lagging(state.terms))
-    motion = motion_at(state.setup, sampled, state.motion.age, courses=courses)
+    motion = motion_at(state.setup, sampled, state.motion.age, courses=bool(lagging(state.terms)))
     return replace(state, sampled=sampled, motion=sensed(state.terms, motion))
 
 

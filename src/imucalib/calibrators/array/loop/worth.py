@@ -75,7 +75,12 @@ class Beside:
     @property
     def moves(self) -> float:
         """m rms over the positions' coordinates: what taking it in would move them by."""
-        return float(np.sqrt(np.mean((self.carry @ _most_likely(self.whole)) ** 2)))
+        return float(np.sqrt(np.mean((self.carry @ self.value) ** 2)))
+
+    @property
+    def value(self) -> Array:
+        """(p,) its estimate under the size that its own evidence prefers, in typical sizes."""
+        return _most_likely(self.whole)
 
     @property
     def apart(self) -> Array:
@@ -115,10 +120,12 @@ def _most_likely(found: Alone) -> Array:
     return np.asarray(vectors @ (shrunk[np.argmax(evidence)] * seen))
 
 
-def settled_or_lost(state: ArrayState, *, shaped: bool = True) -> ArrayState | None:
-    """The joint fit; None where it runs away, as few IMUs allow."""
+def settled_or_lost(
+    state: ArrayState, *, shaped: bool = True, least: float = -np.inf
+) -> ArrayState | None:
+    """The joint fit; None where it runs away, as few IMUs allow; least : as `settled` has it."""
     try:
-        return settled(state, shaped=shaped, lost=True)
+        return settled(state, shaped=shaped, lost=True, least=least)
     except np.linalg.LinAlgError:
         return None
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.calibrators.array.loop.catalogue import array_catalogue, twins_of
 from imucalib.calibrators.array.loop.earlier import Earlier
-from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.state import ArrayState, Behind
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.loop.worth import (
     DIVERGED,
@@ -18,6 +19,7 @@ from imucalib.calibrators.array.loop.worth import (
     settled_or_lost,
     why_not,
 )
+from imucalib.core.effect import Response
 from imucalib.estimators.array.noise import log_density
 
 
@@ -43,7 +45,7 @@ def best_of_twins(
     trial = refitted(state, term, earlier)
     reason = DIVERGED if trial is None else why_not(state, trial)
     if trial is not None and trial.converged:
-        fits = _twins(trial, term.name, twins)
+        fits = _twins(trial, term.name, twins, margin)
     else:
         fits = {twin: refitted(state, _as_twin(term, twin), earlier) for twin in twins}
     fits[term.name] = trial
@@ -62,7 +64,7 @@ def told_apart(
 ) -> tuple[ArrayState, str, tuple[str, ...]]:
     """Of a joint fit, the term of this name or its twin that fits better: the fit with it, its
     name, and those that would do as well, or whose fit is lost."""
-    fits = _twins(state, name, twins)
+    fits = _twins(state, name, twins, margin)
     sound = {n: s for n, s in fits.items() if s is not None and s.converged}
     sound = {n: s for n, s in sound.items() if not implausible(s, n)}
     sound[name] = _as_near(state, name, sound, margin)
@@ -70,16 +72,26 @@ def told_apart(
     return sound[best], best, (*rivals, *open_twins(fits))
 
 
-def _twins(state: ArrayState, name: str, twins: Sequence[str]) -> dict[str, ArrayState | None]:
+def _twins(
+    state: ArrayState, name: str, twins: Sequence[str], margin: float
+) -> dict[str, ArrayState | None]:
     """Joint fits with twins in the place of a term, begun at its values; not where these are none
-    that the twin could have."""
+    that the twin could have, and of those that all sensors share, which are compared by the
+    density, none that cannot come within the margin."""
     found: dict[str, ArrayState | None] = {}
     for twin in twins:
         terms = (_as_twin(t, twin) if t.name == name else t for t in state.terms)
         start = replace(state, terms=tuple(terms))
-        if not implausible(start, twin):
-            found[twin] = settled_or_lost(start, shaped=False)
+        if implausible(start, twin):
+            continue
+        least = state.density - margin if _effect(twin).shared else -np.inf
+        with suppress(Behind):
+            found[twin] = settled_or_lost(start, shaped=False, least=least)
     return found
+
+
+def _effect(name: str) -> Response:
+    return array_catalogue()[name.partition("@")[0]]
 
 
 def _as_near(
@@ -101,7 +113,7 @@ def open_twins(fits: Mapping[str, ArrayState | None]) -> tuple[str, ...]:
 
 def _as_twin(term: Term, twin: str) -> Term:
     """With the effect of a twin: where one kind of sensor lags, the other leads."""
-    effect = array_catalogue()[twin.partition("@")[0]]
+    effect = _effect(twin)
     sign = 1.0 if effect.channel == term.effect.channel else -1.0
     return replace(term, name=twin, effect=effect, value=sign * term.value)
 
@@ -112,7 +124,7 @@ def nearest(fits: Mapping[str, ArrayState], margin: float) -> tuple[str, tuple[s
     nats = {name: _nats(state, name) for name, state in fits.items()}
     bar = max(nats.values()) - margin
     near = sorted((n for n in fits if nats[n] > bar), key=lambda n: -nats[n])
-    plain = [n for n in near if not array_catalogue()[n.partition("@")[0]].twin]
+    plain = [n for n in near if not _effect(n).twin]
     best = (plain or near)[0]
     return best, tuple(n for n in near if n != best)
 
@@ -121,7 +133,7 @@ def _nats(state: ArrayState, name: str) -> float:
     """What a fit is worth beside those of its twins. A lag of single sensors shows against others
     of their kind: what neighbours' noise brings into dω/dt, other for each twin, is in the other
     kind's residuals, and was worth 36 nats for the wrong one."""
-    effect = array_catalogue()[name.partition("@")[0]]
+    effect = _effect(name)
     if effect.shared:
         return state.density
     a, g, speed = state.squares()
