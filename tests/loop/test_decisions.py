@@ -117,6 +117,7 @@ def fit_of(theta: float = 1.0, *, nats: float, rms: float, **more: object) -> Si
     made: dict[str, object] = {
         "converged": True, "null_directions": (), "parameters": (one,), "theta": np.array([theta]),
         "at": SimpleNamespace(residual=np.zeros(30)), "nats": nats, "rms": rms, "own": rms,
+        "settings": -np.inf, "chance": False,
     }  # fmt: skip
     return SimpleNamespace(**{**made, **more})
 
@@ -126,7 +127,12 @@ def fit_of(theta: float = 1.0, *, nats: float, rms: float, **more: object) -> Si
     [
         ({"nats": 11.0, "rms": 0.99}, ""),
         ({"nats": 10.99, "rms": 0.5}, "+1.0 nats"),
+        ({"nats": 9.0, "rms": 0.5, "settings": 1.0}, ""),
+        ({"nats": 9.0, "rms": 0.5, "settings": 0.99}, "+1.0 nats"),
         ({"nats": 99.0, "rms": 1.0}, "1 times the error"),
+        ({"nats": 20.0, "rms": 1.1, "chance": True}, ""),
+        ({"nats": 19.9, "rms": 1.1, "chance": True}, "1.1 times the error"),
+        ({"nats": 99.0, "rms": 1.2, "own": 1.0, "chance": True}, "1.2 times the error"),
         ({"nats": 99.0, "rms": 0.9, "own": 1.19}, ""),
         ({"nats": 99.0, "rms": 0.9, "own": 1.21}, "corrected readings are 1.2 times as far off"),
         ({"nats": 99.0, "rms": 0.9, "theta": 10.1}, "implausible size (p = 10.1 mg)"),
@@ -139,8 +145,11 @@ def fit_of(theta: float = 1.0, *, nats: float, rms: float, **more: object) -> Si
 def test_an_effect_must_hold_out(
     monkeypatch: pytest.MonkeyPatch, after: dict[str, float], reason: str
 ) -> None:
-    """One nat at least, a smaller error, and corrected readings that are not a fifth worse."""
+    """One nat at least, be it of rows or of whole settings; a smaller error, or one that the
+    settings met by chance beside ten nats; and corrected readings that are not a fifth worse."""
     monkeypatch.setattr(search, "log_predictive", lambda fit: fit.nats)
+    monkeypatch.setattr(search, "settings_left_out", lambda before, fit: fit.settings)
+    monkeypatch.setattr(search, "_by_settings", lambda before, fit: fit.chance)
     monkeypatch.setattr(search, "held_out_rms", lambda fit: fit.rms)
     monkeypatch.setattr(search, "fitted", lambda fit: SimpleNamespace(rms=lambda: fit.own))
     found = search.objection(fit_of(nats=10.0, rms=1.0), fit_of(**after))  # type: ignore[arg-type]
