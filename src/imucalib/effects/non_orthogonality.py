@@ -92,8 +92,9 @@ EFFECTS = (
         "y_i = x_i + (c_ij x_j + c_ik x_k) (T - 25 °C)",
         _SOURCE,
         _IDENTIFY,
-        # Directions that are known; the norm of a reading does not show the turn in it.
-        ("temperature", "inclination"),
+        ("temperature",),
+        # The norm of a reading does not show the turn in it.
+        part_of="temperature_non_orthogonality",
         each=_with_temperature(_ALL, "temperature_tilt"),
         basis=_TURNED,
         basis_dx=_TURNED_SLOPES,

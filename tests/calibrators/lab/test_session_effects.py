@@ -44,7 +44,8 @@ def _sheets(seed: int, what: str) -> list[str]:
         of = other if last and what == "sensor" else gain
         of = of @ np.diag([1.003, 0.998, 1.002]) if last and what == "scale" else of
         reading = 1000.0 * _force(i, t) @ of.T + bias + rng.standard_normal(3)
-        reading = reading + NOISE * rng.standard_normal((32, 3))
+        loud = 8.0 if last and what == "noise" else 1.0
+        reading = reading + loud * NOISE * rng.standard_normal((32, 3))
         rows = np.column_stack([inclination, tool_face, reading])
         lines = [",".join(f"{v:.5f}" for v in row) for row in rows]
         found.append("\n".join(("inclination,tool_face,x_mg,y_mg,z_mg", *lines)) + "\n")
@@ -83,3 +84,12 @@ def test_of_sessions_alike_none_is_named(seed: int, tmp_path: Path) -> None:
     run = _run(tmp_path, _sheets(seed, ""))
     assert run.result.loop is not None
     assert not run.result.loop.steps
+
+
+def test_a_session_that_scatters_more_is_told(tmp_path: Path) -> None:
+    """It was heavy tails, and some of its records doubted."""
+    run = _run(tmp_path, _sheets(1, "noise"))
+    assert run.result.loop is not None
+    told = [u.name for u in run.result.loop.unexplained]
+    assert any(name.startswith("session 3 scatters by 4") for name in told)
+    assert "heavy tails" not in told

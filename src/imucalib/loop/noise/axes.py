@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
+from imucalib.core.sessions import session_of
 from imucalib.loop.found import Unexplained
 from imucalib.loop.noise.component import estimated, refitted
 from imucalib.loop.thresholds import AXIS_NATS, AXIS_NUMBERS
@@ -94,15 +95,41 @@ def _by_power(fit: Fit) -> list[_Compared]:
     size = fit.at.residual.size
     if size != 3 * fit.observations.n or not AXIS_NUMBERS < size <= _LONGEST:
         return []
-    power, expected, spread = _powers(fit)
+    return _beside_the_quietest(fit, _powers(fit), tuple("xyz"))
+
+
+def _beside_the_quietest(
+    fit: Fit, powers: tuple[Array, Array, Array], names: tuple[str, ...]
+) -> list[_Compared]:
+    power, expected, spread = powers
     ratio, dof = power / expected, 2.0 * (expected / spread) ** 2
     quiet = int(np.argmin(ratio))
     sizes = fit.noise.factor * float(np.median(fit.at.sigma)) * np.sqrt(ratio)
     return [
-        ("xyz"[a], float(sizes[a]), float(sizes[quiet]), (float(dof[a]), float(dof[quiet])))
-        for a in range(3)
+        (name, float(sizes[a]), float(sizes[quiet]), (float(dof[a]), float(dof[quiet])))
+        for a, name in enumerate(names)
         if a != quiet and ratio[quiet] > 0.0
     ]
+
+
+def doubtful_sessions(fit: Fit, alpha: float) -> tuple[Unexplained, ...]:
+    """Sessions that scatter beyond doubt more than `_BEYOND` times the quietest."""
+    from scipy.special import fdtrc
+
+    session, size = session_of(fit.observations), fit.at.residual.size
+    if session is None or size != 3 * fit.observations.n or size > _LONGEST:
+        return ()
+    names = tuple(f"session {k + 1}" for k in range(int(session.max()) + 1))
+    compared = _beside_the_quietest(fit, powers_of(fit, np.repeat(session, 3)), names)
+    return tuple(
+        Unexplained(
+            f"{name} scatters by {loud / MG:.2g} mg, the quietest by {quiet / MG:.2g} mg: repeat "
+            "it, or leave it out",
+            "", "noise", p, 0.0, 0.0,
+        )
+        for name, loud, quiet, dof in compared
+        if (p := float(fdtrc(*dof, (loud / (_BEYOND * quiet)) ** 2))) < alpha
+    )  # fmt: skip
 
 
 def _likely(fit: Fit) -> list[tuple[int, ...]]:
@@ -122,15 +149,21 @@ def _beyond(fit: Fit) -> Array:
 
 
 def _powers(fit: Fit) -> tuple[Array, Array, Array]:
-    """The power of each axis (3,), what the noise of all explains of it, and the sd of that."""
+    return powers_of(fit, np.tile(np.arange(3), fit.observations.n))
+
+
+def powers_of(fit: Fit, part: Index) -> tuple[Array, Array, Array]:
+    """The power of each part of the numbers (N,), which count from 0, what the noise of all
+    explains of it, and the sd of that; (parts,) each."""
     white, q = fit.white_basis()
     inverse = white(np.eye(fit.at.residual.size))
     outside = inverse - q @ (q.T @ inverse)
-    projector = (inverse.T @ outside).reshape(-1, 3, fit.observations.n, 3)
-    power = np.square(outside.T @ white(fit.at.residual) / fit.noise.factor).reshape(-1, 3)
-    expected = np.einsum("nini->i", projector)
-    spread = np.sqrt(2.0 * np.einsum("nimi,nimi->i", projector, projector))
-    return power.sum(axis=0), np.asarray(expected), np.asarray(spread)
+    projector = inverse.T @ outside
+    of = (part[:, None] == np.arange(int(part.max()) + 1)).astype(np.float64)
+    power = np.square(outside.T @ white(fit.at.residual) / fit.noise.factor)
+    expected = np.diagonal(projector) @ of
+    spread = np.sqrt(2.0 * np.einsum("nk,nm,mk->k", of, projector**2, of, optimize=True))
+    return power @ of, np.asarray(expected), np.asarray(spread)
 
 
 def _excess(data: Observations, axis: int) -> SharedNoise:

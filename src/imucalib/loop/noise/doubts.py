@@ -10,7 +10,7 @@ from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings, Unexplained
-from imucalib.loop.noise.axes import doubtful_axes
+from imucalib.loop.noise.axes import doubtful_axes, doubtful_sessions
 from imucalib.loop.noise.settings import doubtful_dials, strongest
 from imucalib.loop.noise.shared import shared_evidence
 from imucalib.units import MG
@@ -46,10 +46,10 @@ def noise_doubts(
     if rules.declared and (p := beyond_declared(fit)) < rules.noise_alpha:
         name = f"scatter {fit.noise.factor:.2g} times the declared noise"
         found.append(Unexplained(name, "", "noise", p, 0.0, 1.0 - fit.noise.factor**-2.0))
-    axes = doubtful_axes(fit, rules.noise_alpha)
-    found += [*axes, *doubtful_dials(fit, scores, rules.noise_alpha)]
-    tails = 1.0 if axes else heavy_tails(fit, rng, round(2.0 / rules.noise_alpha))
-    if (p := tails) < rules.noise_alpha:  # a mixture of axes has heavy tails
+    loud = (*doubtful_axes(fit, rules.noise_alpha), *doubtful_sessions(fit, rules.noise_alpha))
+    found += [*loud, *doubtful_dials(fit, scores, rules.noise_alpha)]
+    tails = 1.0 if loud else heavy_tails(fit, rng, round(2.0 / rules.noise_alpha))
+    if (p := tails) < rules.noise_alpha:  # a mixture has heavy tails
         found.append(Unexplained("heavy tails", "", "noise", p, 0.0, 0.0))
     return tuple(found)
 
