@@ -56,7 +56,7 @@ def world(seed: int = 3) -> tuple[np.ndarray, Context]:
         "tool_face": rng.uniform(0, 2 * np.pi, N), "inclination": rng.uniform(-1.5, 1.5, N),
         **{f"temperature_lag_{value}": rng.uniform(10, 40, N) for value in ("2h", "4rows")},
         "temperature_play_3C": rng.uniform(10, 40, N),
-        "temperature_rate_12min": rng.uniform(-5, 5, N),
+        **{f"temperature_rate_{v}": rng.uniform(-5, 5, N) for v in ("12min", "3rows")},
     }  # fmt: skip
     return rng.uniform(-1.0, 1.0, (N, 3)), Context(N, covariates)
 
@@ -205,9 +205,10 @@ def test_a_third_degree_is_harmonic_and_of_one_size() -> None:
 def test_a_gradient_follows_the_rate_of_the_temperature() -> None:
     force, context = world()
     theta = np.array([0.5, -1.0, 2.0])
-    expected = 1e-3 * theta * context["temperature_rate_12min"][:, None]
-    got = added("temperature_rate@12min", theta, force, context)
-    np.testing.assert_allclose(got, expected, atol=1e-12)
+    for value in ("12min", "3rows"):
+        expected = 1e-3 * theta * context[f"temperature_rate_{value}"][:, None]
+        got = added(f"temperature_rate@{value}", theta, force, context)
+        np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
 def test_a_step_comes_at_its_time() -> None:

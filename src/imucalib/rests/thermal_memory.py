@@ -19,38 +19,43 @@ REMEMBERED = (
 
 def is_remembered(name: str) -> bool:
     """Whether a history of the temperature tells the covariate."""
-    value = name.removeprefix(lag.PREFIX)
-    return name.startswith((play.PREFIX, rate.PREFIX)) or (
-        value != name and not lag.counts_rows(value)
-    )
+    past = name.startswith((lag.PREFIX, play.PREFIX, rate.PREFIX))
+    return past and not lag.counts_rows(name)
 
 
 def remembered(history: ThermalHistory, name: str, at: Array) -> Array:
     """The covariate (°C) at times (s)."""
     if name.startswith(rate.PREFIX):
-        return history.rate(rate.hours_of(name.removeprefix(rate.PREFIX)), at)
+        return history.rate(rate.time_of(name.removeprefix(rate.PREFIX)), at)
     if name.startswith(play.PREFIX):
         return history.behind_play(play.width_of(name.removeprefix(play.PREFIX)), at)
     return history.lagged(lag.hours_of(name.removeprefix(lag.PREFIX)), at)
 
 
 def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -> dict[str, Array]:
-    """Covariates (n,) of a table: lags in hours by its clock (s), or in rows, and plays of a width
+    """Covariates (n,) of a table: lags and rates by its clock (s), or in rows, and plays of a width
     that its temperatures cross. Each session (n,) begins in equilibrium, amid the play."""
+    by_rows = time is None
     at = 3600.0 * np.arange(len(temperature)) if time is None else time
     every = float(np.median(np.abs(np.diff(at)))) / 3600.0
     if every <= 0.0:
         return {}
     rows = [r for r in lag.ROWS if 4 * r <= len(temperature)]
-    lags = {lag.covariate(lag.in_rows(r) if time is None else f"{r * every:.2g}h"): r for r in rows}
+    lags = {lag.covariate(lag.in_rows(r) if by_rows else f"{r * every:.2g}h"): r for r in rows}
+    rates = {
+        rate.covariate(lag.in_rows(r) if by_rows else f"{60.0 * r * every:.2g}min"): r
+        for r in rate.ROWS
+    }
     crossed = [w for w in play.WIDTHS if 2.0 * play.width_of(w) <= np.ptp(temperature)]
     plays = {play.covariate(w): play.width_of(w) for w in crossed}
-    found = {name: np.empty(len(temperature)) for name in (*lags, *plays)}
+    found = {name: np.empty(len(temperature)) for name in (*lags, *rates, *plays)}
     for one in np.unique(session):
         of = session == one
         history = ThermalHistory(at[of], temperature[of])
         for name, r in lags.items():
             found[name][of] = history.lagged(r * every, at[of])
+        for name, r in rates.items():
+            found[name][of] = history.rate(r * every, at[of])
         for name, width in plays.items():
             found[name][of] = history.behind_play(width, at[of])
     return found

@@ -12,7 +12,7 @@ LAGS = ("0.5h", "1h", "1.5h", "2h", "3h")
 ROWS = (2, 4, 8)
 
 PREFIX = "temperature_lag_"
-_ROWS = "rows"
+IN_ROWS = "rows"
 
 
 def covariate(value: str) -> str:
@@ -22,12 +22,12 @@ def covariate(value: str) -> str:
 
 def in_rows(rows: int) -> str:
     """How a lag of so many rows is written."""
-    return f"{rows}{_ROWS}"
+    return f"{rows}{IN_ROWS}"
 
 
 def counts_rows(value: str) -> bool:
     """Whether a lag is of rows of a table, so that no recording tells the covariate."""
-    return value.endswith(_ROWS)
+    return value.endswith(IN_ROWS)
 
 
 def hours_of(value: str) -> float:
@@ -38,14 +38,14 @@ def hours_of(value: str) -> float:
 def thermal_lag(value: str) -> Effect:
     """The lag given as "1.5h" or "2rows"; ValueError otherwise."""
     rows = counts_rows(value)
-    size = float(value.removesuffix(_ROWS)) if rows else hours_of(value)
+    size = float(value.removesuffix(IN_ROWS)) if rows else hours_of(value)
     name = covariate(value)
 
     basis = bias_with(lambda context: context[name] - 25.0)
 
     return Response(
         f"thermal_lag@{value}",
-        f"The bias follows the temperature of the last {size:g} {_ROWS if rows else 'hours'}.",
+        f"The bias follows the temperature of the last {size:g} {IN_ROWS if rows else 'hours'}.",
         "y_i = x_i + c_i (T_lag - 25 °C),  T_lag' = (T - T_lag) / τ",
         "0.5-3 h in a case on the wrist, minutes in a chamber, practice",
         "Record the temperature through several changes that last longer than the lag.",

@@ -6,12 +6,15 @@ that difference and the temperature itself; this one has the difference alone.
 """
 
 from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Effect, Family, Response, three
 from imucalib.effects.covariate import bias_with
+from imucalib.effects.thermal import lag
 
 #: Times that heat may take into a case.
 TIMES = ("2min", "5min", "12min", "30min")
+
+#: The same in rows of a table, whose positions take about as long each.
+ROWS = (1, 3)
 
 PREFIX = "temperature_rate_"
 
@@ -21,24 +24,27 @@ def covariate(value: str) -> str:
     return f"{PREFIX}{value}"
 
 
-def hours_of(value: str) -> float:
-    """The time "12min" in hours; ValueError otherwise."""
-    if not value.endswith("min") or not float(value[:-3]) > 0.0:
-        raise ValueError(f"no time that heat takes: {value}")
-    return float(value[:-3]) / 60.0
+def time_of(value: str) -> float:
+    """The time "12min" in hours, or "3rows" in rows; ValueError otherwise."""
+    for unit, size in (("min", 1.0 / 60.0), (lag.IN_ROWS, 1.0)):
+        if value.endswith(unit) and float(value.removesuffix(unit)) > 0.0:
+            return float(value.removesuffix(unit)) * size
+    raise ValueError(f"no time that heat takes: {value}")
 
 
 def temperature_rate(value: str) -> Effect:
-    """Over the time given as "12min"; ValueError otherwise."""
-    minutes, name = 60.0 * hours_of(value), covariate(value)
+    """Over the time given as "12min" or "3rows"; ValueError otherwise."""
+    time, name, rows = time_of(value), covariate(value), lag.counts_rows(value)
+    words = f"{time:g} rows" if rows else f"{60.0 * time:g} min"
+    unit, typical = ("mg/(degC/row)", 1.0) if rows else ("mg/(degC/h)", 0.3)
     return Response(
         f"temperature_rate@{value}",
-        f"The bias follows the rate at which the temperature changes, over {minutes:g} min.",
+        f"The bias follows the rate at which the temperature changes, over {words}.",
         "y_i = x_i + c_i (T - T_lag) / τ,  T_lag' = (T - T_lag) / τ",
         "temperature-ramp sensitivity, IEEE Std 952-1997; parts of a mg as a case is put on or off",
         "Record the temperature through changes as quick as those of putting the sensor on.",
         (name,),
-        each=tuple(Parameter(f"rate_{value}_{a}", "mg/(degC/h)", 0.3, 10.0) for a in "xyz"),
+        each=three(f"rate_{value}", unit, typical, 30.0 if rows else 10.0),
         basis=bias_with(lambda context: context[name]),
     )
 
