@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from imucalib.core.context import Context
 from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.loop.evidence import Candidate, Score
-from imucalib.loop.rivals import UNLISTED, _curve_beside, keeps_step
+from imucalib.loop.found import Step
+from imucalib.loop.rivals import UNLISTED, _curve_beside, beside, keeps_step
 
 
 def _score(name: str, kind: str, nats: float, curve: str = "") -> Score:
@@ -112,3 +114,15 @@ def test_a_swing_in_step_with_the_temperature_may_be_the_temperature() -> None:
     assert keeps_step(Context(40, dials | {"temperature": warm}), swing)
     assert not keeps_step(Context(40, dials | {"temperature": warm}), other)
     assert not keeps_step(Context(40, dials), swing)
+
+
+@pytest.mark.parametrize(("other", "together"), [("6.511", True), ("5.6", False), ("9", False)])
+def test_swings_that_beat_are_one_that_comes_and_goes(other: str, together: bool) -> None:
+    """A swing that began after a third of 56 rows was two, both for certain."""
+    fit = SimpleNamespace(
+        observations=SimpleNamespace(context=Context(56, {"record": np.arange(56.0)}))
+    )
+    first = Step("cycle@7rows", 0.003, 299, 9.0, ())
+    chosen = _score(f"cycle@{other}rows", "effect", 9.0)
+    (found,) = beside(fit, (first,), chosen)  # type: ignore[arg-type]
+    assert (UNLISTED in found.aliases) is together

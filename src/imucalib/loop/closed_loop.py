@@ -40,7 +40,7 @@ from imucalib.loop.records import (
     row_of,
     set_aside,
 )
-from imucalib.loop.rivals import aliases, without_a_name
+from imucalib.loop.rivals import aliases, beside, without_a_name
 from imucalib.loop.search import choose, effect_named, looked_like, search, unexplained
 from imucalib.loop.subject import Refused, Searched, close
 from imucalib.loop.thresholds import KEEP, SUSPECTS
@@ -202,7 +202,7 @@ class _State:
             curve=curve,
             e_value=math.nan if curve else self._e_value(scores),
         )
-        own = tuple(s for s in self.steps if s.effect not in decided.drops)
+        own = beside(self.fit, (s for s in self.steps if s.effect not in decided.drops), chosen)
         state = replace(self, fit=with_shared_noise(fit), steps=(*own, step))
         for found, row in self.records:
             without = reduced(state.fit, record_names(state.fit, row))

@@ -7,8 +7,8 @@ evidence, and the spread of the rivals in their interval (Hoeting et al. 1999, e
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,8 @@ _SURE = 2.0  # standard errors
 #: the share of its power from which they do.
 _POSITION = ("response", "inclination", "tool_face", "previous_x", "previous_y", "previous_z")
 _SWING, _HARMONICS, _IN_STEP = "cycle@", 6, 0.8
+#: Turns by which two swings must part over a recording to be two.
+_APART = 1.5
 #: Covariates by which time drives an effect.
 _NUMBER = re.compile(r"[0-9.]+(?=[a-z])")
 _TIME = ("order", "record", "sweep", "time", "time_of_day")
@@ -121,13 +123,14 @@ def _driver(covariate: str) -> str:
 def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tuple[str, ...]:
     """What would do as well and has no name: a bias that wanders slowly, unless the effect leads it
     by `margin` nats; and whatever else where its size is beyond what data sheets tell, where the
-    model holds a form of the same driver that has no cause, where a swing keeps step, where a lag
-    is the longest that was tried, or where a polynomial has no cause of its own."""
+    model holds a form of the same driver that has no cause, where a swing keeps step or beats,
+    where a lag is the longest that was tried, or where a polynomial has no cause of its own."""
     walk = lead_over_a_walk(before, chosen.evidence) < margin
     effect = known(chosen.name)
     alike = effect is not None and (
         _course(effect.needs) in _of_forms(before.model.names)
         or _swings_in_step(before, chosen.name)
+        or any(_beats(before.observations.context, chosen.name, n) for n in before.model.names)
         or _is_longest(before.observations.context, chosen.name)
         or chosen.name.startswith(across.PREFIX)
     )
@@ -147,6 +150,28 @@ def _of_forms(names: tuple[str, ...]) -> set[str]:
     """What the forms and curves of a model follow, whose cause nobody knows."""
     parts = [n.partition("@")[2].split(":") for n in names if n.startswith(("shape@", "curve@"))]
     return {_course(() if what == "response" else (against,)) for what, against, *_ in parts}
+
+
+def beside(fit: Fit, steps: Iterable[Step], chosen: Score) -> tuple[Step, ...]:
+    """Steps as they stand beside a new one: a swing that beats with it comes and goes."""
+    context = fit.observations.context
+    return tuple(
+        replace(s, aliases=(*s.aliases, UNLISTED)) if _beats(context, s.effect, chosen.name) else s
+        for s in steps
+    )
+
+
+def _beats(context: Context, one: str, other: str) -> bool:
+    """Whether two swings are nearer in frequency than the recording is long: together they are one
+    whose size changes."""
+    if not (one.startswith(_SWING) and other.startswith(_SWING)):
+        return False
+    swings = known(one), known(other)
+    if swings[0] is None or swings[1] is None or swings[0].needs != swings[1].needs:
+        return False
+    first, second = (float(_NUMBER.findall(name)[0]) for name in (one, other))
+    span = float(np.ptp(context[swings[0].needs[0]]))
+    return abs(1.0 / first - 1.0 / second) * span < _APART
 
 
 def _is_longest(context: Context, name: str) -> bool:
