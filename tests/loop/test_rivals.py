@@ -122,7 +122,7 @@ def test_swings_that_beat_are_one_that_comes_and_goes(other: str, together: bool
     fit = SimpleNamespace(
         observations=SimpleNamespace(context=Context(56, {"record": np.arange(56.0)}))
     )
-    first = Step("cycle@7rows", 0.003, 299, 9.0, ())
+    first = Step("cycle@7rows", 0.003, 299, 9.0, (), ())
     chosen = _score(f"cycle@{other}rows", "effect", 9.0)
     (found,) = beside(fit, (first,), chosen)  # type: ignore[arg-type]
     assert (UNLISTED in found.aliases) is together
