@@ -1,7 +1,7 @@
 """Angles between the sensing axes: the lower triangle, so that x keeps its direction; and their
 change with the temperature."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -35,19 +35,24 @@ def leaks(pairs: Sequence[tuple[int, int]]) -> tuple[Basis, Basis]:
     return basis, basis_dx
 
 
-def _warm(pairs: Sequence[tuple[int, int]]) -> tuple[Basis, Basis]:
-    """The same, of a milliradian at 1 °C beyond 25 °C."""
+def driven(
+    pairs: Sequence[tuple[int, int]], drive: Callable[[Context], Array]
+) -> tuple[Basis, Basis]:
+    """The same, of a thousandth for each unit of a drive (n,)."""
 
     def times(basis: Basis) -> Basis:
         def of(truth: Truth, context: Context) -> Array:
             one = basis(truth, context)
-            warmth = 1e-3 * (context["temperature"] - 25.0)
-            return np.asarray(one * warmth.reshape(-1, *[1] * (one.ndim - 1)))
+            return np.asarray(one * 1e-3 * drive(context).reshape(-1, *[1] * (one.ndim - 1)))
 
         return of
 
     basis, basis_dx = leaks(pairs)
     return times(basis), times(basis_dx)
+
+
+def _warmth(context: Context) -> Array:
+    return context["temperature"] - 25.0
 
 
 def _with_temperature(pairs: Sequence[tuple[int, int]], name: str) -> tuple[Parameter, ...]:
@@ -60,8 +65,8 @@ def _with_temperature(pairs: Sequence[tuple[int, int]], name: str) -> tuple[Para
 _SOURCE = "package stress; taken as a scale's change, as no data sheet states it"
 _IDENTIFY = "Record the temperature; repeat directions between the axes at two temperatures."
 _COLUMNS, _SLOPES = leaks(_PAIRS)
-_WARM, _WARM_SLOPES = _warm(_PAIRS)
-_TURNED, _TURNED_SLOPES = _warm(_ALL)
+_WARM, _WARM_SLOPES = driven(_PAIRS, _warmth)
+_TURNED, _TURNED_SLOPES = driven(_ALL, _warmth)
 
 
 EFFECTS = (

@@ -7,11 +7,10 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Basis, Effect, Family, Response, Rotation
+from imucalib.core.effect import Effect, Family, Response, Rotation
 from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
 from imucalib.effects.inclination import inclination_axis
-from imucalib.effects.non_orthogonality import leaks
+from imucalib.effects.non_orthogonality import driven
 
 COVARIATE = "session"
 _SCALE = ((0, 0), (1, 1), (2, 2))
@@ -22,18 +21,10 @@ Drive = Callable[[Context], Array]
 Pairs = tuple[tuple[int, int], ...]
 
 
-def _within(drive: Drive, basis: Basis) -> Basis:
-    def of(truth: Truth, context: Context) -> Array:
-        one = basis(truth, context)
-        return np.asarray(one * 1e-3 * drive(context).reshape(-1, *[1] * (one.ndim - 1)))
-
-    return of
-
-
 def _of_sensor(
     name: str, sentence: str, drive: Drive, pairs: tuple[tuple[int, int], ...]
 ) -> Effect:
-    basis, basis_dx = leaks(pairs)
+    basis, basis_dx = driven(pairs, drive)
     letters = ["xyz"[r] if r == s else f"{'xyz'[r]}{'xyz'[s]}" for r, s in pairs]
     prefix = name.replace("@", "_").replace(":", "_")
     return Response(
@@ -46,8 +37,8 @@ def _of_sensor(
         _IDENTIFY,
         (COVARIATE,),
         each=tuple(Parameter(f"{prefix}_{a}", "mg/g", 2.0, 60.0) for a in letters),
-        basis=_within(drive, basis),
-        basis_dx=_within(drive, basis_dx),
+        basis=basis,
+        basis_dx=basis_dx,
         remedy="compare the numbers on the sensors, and leave that session out if they differ",
     )
 

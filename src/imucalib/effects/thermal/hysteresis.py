@@ -4,10 +4,10 @@ A package that sticks to its board, or an adhesive that creeps, gives way only o
 turned by so much. Unlike a lag a play has no time: it waits for the temperature, however long.
 """
 
-from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.effects.covariate import USUAL_PER_DEGC, bias_with
+from imucalib.effects.thermal import values_of
 
 #: Widths of the play: what a day on the wrist can tell apart.
 WIDTHS = ("2C", "3C", "4C", "6C")
@@ -46,17 +46,12 @@ def thermal_hysteresis(value: str) -> Effect:
     )
 
 
-def _values(context: Context) -> tuple[str, ...]:
-    names = (name for name in context.covariates if name.startswith(PREFIX))
-    return tuple(name.removeprefix(PREFIX) for name in names)
-
-
 FAMILIES = (
     Family(
         "thermal_hysteresis",
         "The bias follows the temperature with a play.",
         "2C",
         thermal_hysteresis,
-        _values,
+        values_of(PREFIX),
     ),
 )

@@ -1,9 +1,9 @@
 """A bias that follows the temperature late: the thermometer and the sensing element differ."""
 
-from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.effects.covariate import USUAL_PER_DEGC, bias_with
+from imucalib.effects.thermal import values_of
 
 #: Hours by which a worn sensor may trail its thermometer.
 LAGS = ("0.5h", "1h", "1.5h", "2h", "3h")
@@ -57,11 +57,12 @@ def thermal_lag(value: str) -> Effect:
     )
 
 
-def _values(context: Context) -> tuple[str, ...]:
-    names = (name for name in context.covariates if name.startswith(PREFIX))
-    return tuple(name.removeprefix(PREFIX) for name in names)
-
-
 FAMILIES = (
-    Family("thermal_lag", "The bias follows the temperature late.", "2h", thermal_lag, _values),
+    Family(
+        "thermal_lag",
+        "The bias follows the temperature late.",
+        "2h",
+        thermal_lag,
+        values_of(PREFIX),
+    ),
 )

@@ -5,10 +5,9 @@ get there: T - T_lag, which for a short lag is the rate of change. A late bias (
 that difference and the temperature itself; this one has the difference alone.
 """
 
-from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Family, Response, three
 from imucalib.effects.covariate import bias_with
-from imucalib.effects.thermal import lag
+from imucalib.effects.thermal import lag, values_of
 
 #: Times that heat may take into a case.
 TIMES = ("2min", "5min", "12min", "30min")
@@ -49,17 +48,12 @@ def temperature_rate(value: str) -> Effect:
     )
 
 
-def _values(context: Context) -> tuple[str, ...]:
-    names = (name for name in context.covariates if name.startswith(PREFIX))
-    return tuple(name.removeprefix(PREFIX) for name in names)
-
-
 FAMILIES = (
     Family(
         "temperature_rate",
         "The bias follows how fast the temperature changes.",
         "12min",
         temperature_rate,
-        _values,
+        values_of(PREFIX),
     ),
 )
