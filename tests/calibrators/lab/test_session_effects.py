@@ -68,6 +68,7 @@ def test_what_one_session_has_of_its_own_is_named(what: str, tmp_path: Path) -> 
     assert [s.effect for s in run.result.loop.steps] == [f"session@3:{what}"]
     error = run.result.error
     assert error.held_out.final < error.held_out.base
+    assert np.isnan(error.floor)  # what two sessions differ by is no noise
 
 
 def test_another_sensor_in_one_session_is_a_question(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from imucalib.calibration.outcome import ErrorSummary, HeldOutError
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
+from imucalib.core.sessions import session_of
 from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.variance import INSTEAD
@@ -118,7 +119,8 @@ def error_summary(
 
 def noise_floor(data: Observations, sigma: float | None) -> float:
     """rms of the metric that noise alone would leave, m/s²: as declared, else as rows that repeat
-    an attitude differ; NaN where nothing measures it. A fit's own residual holds what it lacks.
+    an attitude within a session differ; NaN where nothing measures it. A fit's own residual holds
+    what it lacks, and rows of two sessions what changes between these.
 
     Of repeats by the median of their differences, which a wrong row does not move.
     """
@@ -128,7 +130,9 @@ def noise_floor(data: Observations, sigma: float | None) -> float:
     if not data.reference.directed:
         return float("nan")
     meant = data.reference.truth(np.zeros(data.reference.eta_size))[:, 0]
-    _, place = np.unique(np.round(meant, 6), axis=0, return_inverse=True)
+    session = session_of(data)
+    same = meant if session is None else np.column_stack([meant, session])
+    _, place = np.unique(np.round(same, 6), axis=0, return_inverse=True)
     order = np.argsort(place, kind="stable")
     again = np.diff(place[order]) == 0
     apart = np.diff(data.reading[order, 0], axis=0)[again]
