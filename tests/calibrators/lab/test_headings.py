@@ -32,6 +32,7 @@ ROWS = [(10.5, 90.0, 0.1, 0.97, 0.18), (-45.0, 180.25, -0.7, 0.02, -0.7), (0.0, 
         "Inclination,Tool-Face,G_x,G_y,G_z",
         "Neigung (Grad),Werkzeuglage (Grad),x,y,z",
         "incl,high side,ax_g,ay_g,az_g",
+        "inc,tf,x (V),y [mV],z_volts",
         "Inclination (deg from horizontal),Gravity Tool Face,x,y,z",
     ],
 )

@@ -35,7 +35,7 @@ ROLES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 _UNIT = re.compile(
     r"(?:[_\s]*[\[(]\s*|[_\s]+|(?=°))(degrees|degree|deg|grad|rad|degc|c|°|°c|g|mg|ug|m/s2|m/s\^2|"
-    r"lsb|counts|s)\s*[\])]?$"
+    r"lsb|counts|volts?|mv|v|s)\s*[\])]?$"
 )
 #: A temperature with its unit, which for any other quantity would mean another thing.
 _WARM = re.compile(

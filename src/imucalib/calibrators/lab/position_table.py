@@ -187,7 +187,7 @@ def _demand(
     absent = [role for role in roles if role not in found]
     if not absent:
         return
-    remedy = "name it, for example --columns inclination=B,tool_face=C"
+    remedy = f"name it: --columns {','.join(f'{role}=HEADING' for role in absent)}"
     if "inclination" in absent and any(h.strip().lower() in _FACE_NAMES for h in have):
         remedy = "add --reference direction where faces stand for angles"
     if "ux" in absent:
