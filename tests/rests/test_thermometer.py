@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan, posture_runs, scan
-from imucalib.rests.thermometer import believed, mean_of_known, temperature_in
+from imucalib.rests.thermal_history import history_of
+from imucalib.rests.thermometer import believed, mean_of_known, tells_apart, temperature_in
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -96,3 +97,11 @@ def test_a_rest_has_the_temperature_of_its_good_readings_or_is_left_out() -> Non
     assert np.allclose(found.temperature, good.temperature[1:], atol=0.2)
     assert found.notes == ("1 of 200 posture runs left out: they have no temperature",)
     assert abs(float(np.median(np.linalg.norm(found.mean, axis=1))) / STANDARD_GRAVITY - 1) < 0.01
+
+
+@pytest.mark.parametrize(("step", "shown"), [(0.1, True), (3.0, False)])
+def test_a_rounded_thermometer_shows_no_short_lag(step: float, shown: bool) -> None:
+    """What half an hour's lag smoothed were the steps of 3 °C: a plain bias was surely one."""
+    warm = windows(step * np.round(noisy(CASE) / step))
+    now = warm.mean[:, 0]
+    assert tells_apart(warm, history_of(warm).lagged(0.5, T), now) == shown

@@ -72,6 +72,13 @@ def mean_of_known(values: Array, starts: Index) -> Array:
     return np.asarray(np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan))
 
 
+def tells_apart(w: Windows, one: Array, other: Array) -> bool:
+    """Whether two temperatures (n,) °C, made of a thermometer's readings, differ by more than its
+    rounding makes them differ: by twice its error of step / √12, in the root mean square."""
+    step = float(w.finest[0]) if np.isfinite(w.finest[0]) else _step(w.mean[:, 0])
+    return float(np.mean(np.square(one - other))) > step**2 / 3.0
+
+
 def _jumps(w: Windows) -> Flags:
     low, high = w.low[:, 0], w.high[:, 0]
     bad = ~(np.isfinite(w.mean[:, 0]) & (low >= _RANGE[0]) & (high <= _RANGE[1]))
