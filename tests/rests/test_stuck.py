@@ -86,6 +86,39 @@ def test_a_live_axis_is_not_stuck(noise: float) -> None:
     assert runs.n == 40
 
 
+@pytest.mark.parametrize("step", [4.0, 16.0])
+def test_rests_that_repeat_one_step_are_rests(step: float) -> None:
+    """They were frozen, and the quietest motion the noise, which shook: nothing was still."""
+    runs = found(worn(60, 0.0, step))
+    assert runs.n == 60
+    assert runs.faults == runs.notes == ()
+    assert np.all(runs.noise < 0.5 * runs.resolution)
+
+
+def test_long_rests_that_repeat_one_step_are_rests() -> None:
+    """A minute was what a dead sensor repeats itself for, though others repeated themselves too."""
+    values = worn(60, 0.0, 4.0).reshape(60, REST + 100, 3)
+    rests = np.repeat(values[:, -1:], 800, axis=1)
+    assert found(np.concatenate([values, rests], axis=1).reshape(-1, 3)).n == 60
+
+
+def test_a_sample_of_a_motion_that_hits_the_step_of_a_rest_is_no_stuck_axis() -> None:
+    values = worn(40, 0.0, 16.0)
+    # The last sample of a motion falls into the first window of the rest after it.
+    values[6000:6500] = values[6499]
+    values[6500:7400] = values[7400 - 1]
+    values[6600] += np.array([0.5 * G, 0.0, 0.5 * G])
+    assert found(values).faults == ()
+
+
+def test_a_sensor_without_noise_that_stops_is_left_out() -> None:
+    values = worn(60, 0.0, 4.0)
+    values[10000:15000] = 0.0
+    runs = found(values)
+    assert not np.any((runs.time > 1010.0) & (runs.time < 1490.0))
+    assert any("frozen" in text for text in runs.notes)
+
+
 def test_a_limit_below_gravity_is_told_with_its_axis() -> None:
     values = worn(60, 3.0, 1.0)
     up = np.minimum(values[:, 0], 0.9 * G)

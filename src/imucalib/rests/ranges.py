@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.errors import UnreadableInput
+from imucalib.units import STANDARD_GRAVITY
 
 _RATIO = 1.3  # between two sizes of gravity that no sensor's errors explain
 _CLEARER = 5.0  # times that two levels leave less scatter than one: a steady drift leaves a quarter
@@ -40,3 +42,18 @@ def two_ranges(size: Array) -> Ranges | None:
     before, after = float(np.median(size[:row])), float(np.median(size[row:]))
     far = max(before, after) > _RATIO * min(before, after)
     return Ranges(row, before, after) if far and _CLEARER * left < float(np.sum(x**2)) else None
+
+
+def refuse_two_ranges(start: Array, mean: Array, path: str) -> None:
+    """Raises UnreadableInput where windows that start at times (m,) s read (m, 3) m/s² in two
+    ranges. All are asked: with the range the noise changes, and one part is not still."""
+    change = two_ranges(np.linalg.norm(mean, axis=1))
+    if change is None:
+        return
+    before, after = (level / STANDARD_GRAVITY for level in (change.before, change.after))
+    raise UnreadableInput(
+        f"gravity is {before:.3g} g before {start[change.row] / 3600.0:.2f} h and {after:.3g} g "
+        "from there on: the range or the unit changes",
+        where=path,
+        remedy="export it in two files at that moment, each with its own scale, or one for all",
+    )

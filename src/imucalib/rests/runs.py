@@ -15,10 +15,11 @@ from imucalib.arrays import Array, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.postures import postures_begin
-from imucalib.rests.ranges import two_ranges
+from imucalib.rests.ranges import refuse_two_ranges
 from imucalib.rests.stillness import Sensor, StillSettings, still_windows
 from imucalib.rests.stuck import limits, stuck, without
 from imucalib.rests.tails import TailBuilder, overlapping, with_tails
+from imucalib.rests.thermometer import believed, mean_of_known, temperature_in
 from imucalib.rests.windows import WindowBuilder, Windows, in_order
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -35,6 +36,7 @@ class Scan:
     """What one pass over a recording leaves: windows of the accelerometer and the temperature.
 
     samples : of the accelerometer; rate : Hz; stop : s, time of the last sample
+    no_temperature : (k, 2) s, from and to of what the thermometer did not measure
     """
 
     windows: Windows
@@ -50,6 +52,7 @@ class Scan:
     start_ns: int | None
     notes: tuple[str, ...]
     mapping: Mapping[str, object] = field(default_factory=dict)
+    no_temperature: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     def without_windows(self) -> Scan:
         """The rest, once the runs are made: the windows are most of the memory."""
@@ -128,13 +131,13 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     ordered, lost = in_order(windows)
     if lost:
         notes.append(f"{lost} windows left out: time had stepped back")
-    ordered = with_tails(ordered, tails.tails)
-    warm = builders["temperature"].windows() if "temperature" in builders else None
+    warm = "temperature" in builders and builders["temperature"].windows()
+    heat = believed(in_order(warm)[0] if warm else None)
     return Scan(
-        windows=ordered, temperature=warm and in_order(warm)[0], triad=name, rate=rate,
+        windows=with_tails(ordered, tails.tails), temperature=heat.windows, triad=name, rate=rate,
         samples=samples, stop=stop, gaps=gaps, path=first.path, format=first.format,
-        sha256=first.sha256, start_ns=first.start_ns, notes=tuple(dict.fromkeys(notes)),
-        mapping=first.mapping,
+        sha256=first.sha256, start_ns=first.start_ns, mapping=first.mapping,
+        notes=tuple(dict.fromkeys([*notes, *heat.words])), no_temperature=heat.gone,
     )  # fmt: skip
 
 
@@ -174,7 +177,7 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
     UnreadableInput when the size of the readings at rest cannot be gravity, or is another one from
     some moment on."""
     w = scanned.windows
-    _refuse_two_ranges(scanned)
+    refuse_two_ranges(w.start, w.mean, scanned.path)
     sensor = Sensor(scanned.triad, "acceleration", scanned.rate, w, settings.quietest)
     dead = stuck(sensor)
     live = np.flatnonzero(~dead.windows)
@@ -191,22 +194,19 @@ def posture_runs(scanned: Scan, settings: StillSettings = WORN) -> PostureRuns:
             remedy="wear it through a night; `imucal inspect` shows the noise",
         )
     runs = grouped(scanned, chosen, sensor.noise, tuple(notes))
+    runs = _with_temperature(runs)
     return replace(runs, faults=(*dead.words, *limits(sensor, settings)))
 
 
-def _refuse_two_ranges(scanned: Scan) -> None:
-    """All windows are asked: with the range the noise changes, and one part is not still."""
-    w = scanned.windows
-    change = two_ranges(np.linalg.norm(w.mean, axis=1))
-    if change is None:
-        return
-    before, after = (level / STANDARD_GRAVITY for level in (change.before, change.after))
-    raise UnreadableInput(
-        f"gravity is {before:.3g} g before {w.start[change.row] / 3600.0:.2f} h and {after:.3g} g "
-        "from there on: the range or the unit changes",
-        where=scanned.path,
-        remedy="export it in two files at that moment, each with its own scale, or one for all",
-    )
+def _with_temperature(runs: PostureRuns) -> PostureRuns:
+    """The runs that have a temperature, where the thermometer measured any."""
+    known = np.isfinite(runs.temperature)
+    if known.all() or not known.any():
+        return runs
+    names = ("mean", "windows", "time", "temperature")
+    note = f"{int((~known).sum())} of {known.size} posture runs left out: they have no temperature"
+    kept = {name: getattr(runs, name)[known] for name in names}
+    return replace(runs, **kept, notes=(*runs.notes, note))
 
 
 def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] = ()) -> PostureRuns:
@@ -227,10 +227,8 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
         total = np.add.reduceat(values, starts, axis=0)
         return np.asarray((total.T / count).T)
 
-    warm = np.full(chosen.size, np.nan)
-    if scanned.temperature is not None:
-        t = 0.5 * (scanned.temperature.start + scanned.temperature.stop)
-        warm = np.interp(middle, t, scanned.temperature.mean[:, 0])
+    begin, end = w.start[chosen], w.stop[chosen]
+    warm = temperature_in(scanned.temperature, scanned.no_temperature, begin, end)
     inside = np.setdiff1d(np.arange(1, chosen.size), starts)
     steps = np.square(size[inside] - size[inside - 1])
     # Median of a squared normal number is 0.455 of its variance; a difference has twice it.
@@ -240,7 +238,7 @@ def grouped(scanned: Scan, chosen: Index, noise: Array, notes: tuple[str, ...] =
         mean=mean(w.mean[chosen]),
         windows=count,
         time=mean(middle),
-        temperature=mean(warm),
+        temperature=mean_of_known(warm, starts),
         window_noise=max(scatter, white),
         still=chosen.size,
         total=w.start.size,

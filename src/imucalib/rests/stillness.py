@@ -17,6 +17,8 @@ _FROZEN_SECONDS = 60.0
 _LOUDEST = 0.03
 _LOUDEST_STEPS = 2.0
 _WITNESSES = 5000  # windows that the size of gravity is told from
+_POSTURES = 5  # different constant readings of gravity's size that a dead sensor does not have
+_SIZE = 0.2  # share of gravity by which the size of a reading at rest may be off
 
 
 @dataclass(frozen=True)
@@ -101,10 +103,25 @@ class Sensor:
         live = whole if 2 * whole.sum() > either.sum() else either
         noise = self.level(live if live.any() else np.ones_like(live))
         if np.all(noise > 2.0 * self.step):
-            return True
+            return not self._hidden(noise)
         quiet = every(w.variance <= (3.0 * self.step) ** 2)
         extreme = some(~moving & _at_extreme(w))
         return bool((quiet & whole).sum() > (quiet & either & ~whole & ~extreme).sum())
+
+    def _hidden(self, noise: Array) -> bool:
+        """Whether more postures stand still to the step than pairs of windows share the noise.
+
+        What moves is then motion: it comes in all sizes, and seldom twice with one mean.
+        """
+        w = self.windows
+        stepped = _postures(self, every(w.high == w.low))
+        postures = np.unique(w.mean[stepped], axis=0)
+        if not len(postures) or np.any(noise > loudest(self, stepped)):
+            return len(postures) > 0
+        live = every((w.variance <= 3.0 * noise**2) & (w.high > w.low))
+        pairs = live[1:] & live[:-1] & (np.diff(w.run) == 0)
+        pairs &= every(np.abs(np.diff(w.mean, axis=0)) <= noise)
+        return len(postures) > int(pairs.sum())
 
     @property
     def step(self) -> Array:
@@ -172,7 +189,8 @@ def _frozen(sensor: Sensor) -> Flags:
     """Windows in which no axis ever changes, where the noise says that it would.
 
     A sensor whose noise is far below its resolution repeats itself at rest; of such a one only
-    a constancy of a minute counts as a dead or sleeping sensor.
+    a constancy of a minute counts as a dead or sleeping sensor, and not where postures of their
+    own last as long.
     """
     w = sensor.windows
     constant = every(w.high == w.low)
@@ -187,7 +205,18 @@ def _frozen(sensor: Sensor) -> Flags:
     needed = _FROZEN_SECONDS * sensor.rate / w.samples
     lead = np.full(starts[0] if starts.size else same.size, 0)
     long = np.concatenate([lead, np.repeat(lengths, lengths)]) >= needed
-    return np.asarray(constant & long)
+    long &= constant
+    return np.asarray(long & ~_postures(sensor, long))
+
+
+def _postures(sensor: Sensor, constant: Flags) -> Flags:
+    """Of windows that read one step of each axis, those that read gravity's size, where they read
+    more directions of it than a dead sensor does; else none."""
+    if sensor.quantity != "acceleration" or not constant.any():
+        return np.zeros_like(constant)
+    mean, gravity = sensor.windows.mean, gravity_of(sensor, np.ones_like(constant))
+    found = constant & (np.abs(np.linalg.norm(mean, axis=1) - gravity) <= _SIZE * gravity)
+    return np.asarray(found & (len(np.unique(mean[found], axis=0)) >= _POSTURES))
 
 
 def _clipped(sensor: Sensor) -> Flags:

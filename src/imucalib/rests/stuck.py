@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Flags, Index
-from imucalib.rests.stillness import Sensor, StillSettings, allowed, every
+from imucalib.rests.stillness import Sensor, StillSettings, allowed, every, some
 from imucalib.rests.windows import COLUMNS, Windows
 from imucalib.units import STANDARD_GRAVITY
 
@@ -27,6 +27,7 @@ _NATS = 60.0
 _SHOWN = 0.5
 #: Seconds at least, and share of gravity by which another axis moves meanwhile.
 _SECONDS, _MOVED = 60.0, 0.2
+_FAR, _ENDS = _MOVED * STANDARD_GRAVITY, 2
 #: Noise of an axis that is still, and steps of its mean from window to window, in its own noise.
 _CALM, _ON = 3.0, 2.0
 #: Share of gravity from which on a limit is beyond every rest, whatever the bias.
@@ -95,16 +96,17 @@ def _held(sensor: Sensor, axis: int, known: Flags) -> Flags:
     largest = np.maximum.reduceat(np.where(still, size, -np.inf), starts)
     smallest = np.minimum.reduceat(np.where(still, size, np.inf), starts)
     long = count * w.samples >= _SECONDS * sensor.rate
-    held = np.repeat(long & (largest - smallest > _MOVED * STANDARD_GRAVITY), count)
+    held = np.repeat(long & (largest - smallest > _FAR), count)
     return np.asarray(held & ~known)
 
 
 def _moved(w: Windows, axis: int, starts: Index) -> Flags:
-    """Whether another axis moves far within each stretch."""
+    """Whether another axis moves far within each stretch, by more than the motion that may reach
+    into its first and last window with a sample or two."""
     others = [k for k in range(w.high.shape[1]) if k != axis]
-    top, bottom = w.high[:, others], w.low[:, others]
-    reach = np.maximum.reduceat(top, starts) - np.minimum.reduceat(bottom, starts)
-    return np.asarray(reach.max(axis=1) > _MOVED * STANDARD_GRAVITY)
+    mean, far = w.mean[:, others], some(w.high[:, others] - w.low[:, others] > _FAR)
+    reach = np.maximum.reduceat(mean, starts) - np.minimum.reduceat(mean, starts)
+    return np.asarray(some(reach > _FAR) | (np.add.reduceat(far.astype(np.intp), starts) > _ENDS))
 
 
 def _words(w: Windows, axis: int, dead: Flags, rate: float) -> str:

@@ -11,9 +11,12 @@ from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
+from imucalib.effects.thermal import rate
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.rests.thermal_history import history_of
 from imucalib.rests.thermal_memory import REMEMBERED, remembered
+from imucalib.rests.thermometer import tells_apart
+from imucalib.rests.windows import Windows
 from imucalib.units import MG
 
 _DAY = 86400.0
@@ -72,8 +75,15 @@ def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     if warm is not None and np.ptp(runs.temperature) >= _LEAST_WARMTH:  # False for NaN
         found["temperature"] = runs.temperature
         history = history_of(warm)
-        found |= {name: remembered(history, name, runs.time) for name in REMEMBERED}
+        past = {name: remembered(history, name, runs.time) for name in REMEMBERED}
+        found |= {n: v for n, v in past.items() if _is_shown(n, v, runs.temperature, warm)}
     return found
+
+
+def _is_shown(name: str, past: Array, now: Array, warm: Windows) -> bool:
+    """Whether a thermometer shows a past temperature beside the present one: rounded to some °C it
+    does not, and what a lag smooths is then its steps. A rate (°C/h) is shown by them too."""
+    return name.startswith(rate.PREFIX) or tells_apart(warm, past, now)
 
 
 def with_temperature(data: Observations, runs: PostureRuns) -> Observations:

@@ -1,0 +1,107 @@
+"""Jumps of a thermometer that no case can follow: left out, never filled in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.runs import Scan, posture_runs, scan
+from imucalib.rests.thermal_history import history_of
+from imucalib.rests.thermometer import believed, mean_of_known, tells_apart, temperature_in
+from imucalib.rests.windows import WindowBuilder, Windows
+from imucalib.units import MG, STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+T = 10.0 * np.arange(2000)
+CASE = 30.0 + 3.0 * np.sin(T / 3000.0)
+
+
+def windows(values: Array, t: Array = T) -> Windows:
+    builder = WindowBuilder(1)
+    builder.add(Channel(t, values[:, None], "degC", "temperature", "imu0", 0.1), ())
+    found = builder.windows()
+    assert found is not None
+    return found
+
+
+def noisy(values: Array) -> Array:
+    return np.asarray(values + 0.1 * np.random.default_rng(1).standard_normal(values.size))
+
+
+@pytest.mark.parametrize("value", [85.0, -127.0, 20.0, np.nan])
+def test_readings_that_jump_and_come_back_are_left_out(value: float) -> None:
+    values = noisy(CASE)
+    at = np.append([0, 700, 701, 1999], np.random.default_rng(2).integers(0, 2000, 40))
+    values[at] = value
+    found = believed(windows(values))
+    assert found.windows is not None
+    assert np.array_equal(found.windows.start, np.delete(T, at))
+    assert len(found.gone) == np.unique(at).size
+    assert found.words[0].startswith(f"temperature: {np.unique(at).size} of 2000 readings left out")
+
+
+def test_what_a_case_can_do_is_believed() -> None:
+    """Into 70 °C and out again with a time constant of five minutes, or in steps of 3 °C."""
+    warm = noisy(CASE)
+    for start, sign in ((5000.0, 1.0), (5600.0, -1.0)):
+        warm += np.where(start > T, 0.0, sign * 40.0 * -np.expm1(-(T - start) / 300.0))
+    for values in (warm, 3.0 * np.round(warm / 3.0), 0.0 * T + 25.0):
+        assert believed(windows(values)).words == ()
+
+
+def test_a_thermometer_that_seldom_answers_is_not_used() -> None:
+    values = noisy(CASE)
+    values[np.random.default_rng(3).random(values.size) < 0.7] = -127.0
+    found = believed(windows(values))
+    assert found.windows is None
+    assert found.words[0].startswith("temperature: not used")
+
+
+def test_between_good_readings_there_is_none_where_one_is_gone() -> None:
+    values = CASE.copy()
+    values[[5, 6]] = 85.0
+    found = believed(windows(values))
+    at = np.array([40.0, 44.0, 46.0, 64.0, 66.0])
+    known = np.isfinite(temperature_in(found.windows, found.gone, at, at))
+    assert known.tolist() == [True, True, False, False, True]
+    some = mean_of_known(np.array([1.0, np.nan, 3.0, np.nan]), np.array([0, 3]))
+    assert np.array_equal(some, [2.0, np.nan], equal_nan=True)
+
+
+def scanned(values: Array) -> Scan:
+    """Rests of 60 s in postures of their own, a movement of 40 s before each."""
+    rng = np.random.default_rng(4)
+    n = 200
+    x = rng.standard_normal((n, 3))
+    g = np.repeat(x / np.linalg.norm(x, axis=1, keepdims=True), 1000, axis=0)
+    moves = np.arange(len(g)) % 1000 < 400
+    g += np.where(moves[:, None], 0.2, 0.003) * rng.standard_normal(g.shape)
+    t = 0.1 * np.arange(len(g))
+    channels = {
+        "imu0/acceleration": Channel(
+            t, MG * np.round(1e3 * g), "m/s2", "acceleration", "imu0", 10.0
+        ),
+        "imu0/temperature": Channel(T, values[:, None], "degC", "temperature", "imu0", 0.1),
+    }
+    return scan([Recording(channels, "a", "a", "")], 10.0)
+
+
+def test_a_rest_has_the_temperature_of_its_good_readings_or_is_left_out() -> None:
+    values = noisy(CASE)
+    values[4:10], values[16] = np.nan, 85.0  # all of the first rest, one window of the second
+    found, good = posture_runs(scanned(values)), posture_runs(scanned(noisy(CASE)))
+    assert (found.n, good.n) == (199, 200)
+    assert np.array_equal(found.mean, good.mean[1:])
+    assert np.allclose(found.temperature, good.temperature[1:], atol=0.2)
+    assert found.notes == ("1 of 200 posture runs left out: they have no temperature",)
+    assert abs(float(np.median(np.linalg.norm(found.mean, axis=1))) / STANDARD_GRAVITY - 1) < 0.01
+
+
+@pytest.mark.parametrize(("step", "shown"), [(0.1, True), (3.0, False)])
+def test_a_rounded_thermometer_shows_no_short_lag(step: float, shown: bool) -> None:
+    """What half an hour's lag smoothed were the steps of 3 °C: a plain bias was surely one."""
+    warm = windows(step * np.round(noisy(CASE) / step))
+    now = warm.mean[:, 0]
+    assert tells_apart(warm, history_of(warm).lagged(0.5, T), now) == shown
