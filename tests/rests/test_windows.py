@@ -94,7 +94,8 @@ def test_statistics_of_stored_numbers(
         with h5py.File(path, "w") as file:
             file["accelerometer"] = numbers
         one, two = (scan(make(path, mapping), 10.0) for make in (blocks, stored_blocks))
-    assert replace(one, windows=two.windows) == two
+    assert replace(one, windows=two.windows, no_temperature=two.no_temperature) == two
+    assert np.array_equal(one.no_temperature, two.no_temperature)
     for name in ("first", "run", "start", "stop"):
         assert np.array_equal(getattr(one.windows, name), getattr(two.windows, name))
     for name in ("mean", "low", "high", "variance", "finest"):

@@ -15,6 +15,8 @@ REMEMBERED = (
     *map(play.covariate, play.WIDTHS),
     *map(rate.covariate, rate.TIMES),
 )
+#: Of a play the power that the temperature itself tells, from which on it is that but for noise.
+_PLAIN = 0.97
 
 
 def is_remembered(name: str) -> bool:
@@ -34,7 +36,8 @@ def remembered(history: ThermalHistory, name: str, at: Array) -> Array:
 
 def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -> dict[str, Array]:
     """Covariates (n,) of a table: lags and rates by its clock (s), or in rows, and plays of a width
-    that its temperatures cross. Each session (n,) begins in equilibrium, amid the play."""
+    that its temperatures show: on one way alone, or between two of them, a play is an offset. Each
+    session (n,) begins in equilibrium, amid the play."""
     by_rows = time is None
     at = 3600.0 * np.arange(len(temperature)) if time is None else time
     every = float(np.median(np.abs(np.diff(at)))) / 3600.0
@@ -58,4 +61,10 @@ def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -
             found[name][of] = history.rate(r * every, at[of])
         for name, width in plays.items():
             found[name][of] = history.behind_play(width, at[of])
-    return found
+    return {n: v for n, v in found.items() if n not in plays or _is_another(v, temperature)}
+
+
+def _is_another(values: Array, temperature: Array) -> bool:
+    """Whether what follows the temperature is more than it, a scale and an offset."""
+    spread = float(np.std(values))
+    return spread > 0.0 and float(np.corrcoef(values, temperature)[0, 1] ** 2) < _PLAIN
