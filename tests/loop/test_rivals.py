@@ -126,3 +126,13 @@ def test_swings_that_beat_are_one_that_comes_and_goes(other: str, together: bool
     chosen = _score(f"cycle@{other}rows", "effect", 9.0)
     (found,) = beside(fit, (first,), chosen)  # type: ignore[arg-type]
     assert (UNLISTED in found.aliases) is together
+
+
+def test_long_periods_of_a_clock_are_read_whole() -> None:
+    """1.2e+04 s beside 1.25e+04 s over five hours; read as 1.2 and 1.25 they were two."""
+    fit = SimpleNamespace(
+        observations=SimpleNamespace(context=Context(60, {"time": 300.0 * np.arange(60.0)}))
+    )
+    first = Step("cycle@1.2e+04s", 0.003, 299, 9.0, (), ())
+    (found,) = beside(fit, (first,), _score("cycle@1.25e+04s", "effect", 9.0))  # type: ignore[arg-type]
+    assert UNLISTED in found.aliases

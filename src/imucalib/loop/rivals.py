@@ -6,9 +6,9 @@ evidence, and the spread of the rivals in their interval (Hoeting et al. 1999, e
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from string import ascii_lowercase
 
 import numpy as np
 
@@ -36,7 +36,6 @@ _SWING, _HARMONICS, _IN_STEP = "cycle@", 6, 0.8
 #: Turns by which two swings must part over a recording to be two.
 _APART = 1.5
 #: Covariates by which time drives an effect.
-_NUMBER = re.compile(r"[0-9.]+(?=[a-z])")
 _TIME = ("order", "record", "sweep", "time", "time_of_day")
 
 
@@ -169,7 +168,7 @@ def _beats(context: Context, one: str, other: str) -> bool:
     swings = known(one), known(other)
     if swings[0] is None or swings[1] is None or swings[0].needs != swings[1].needs:
         return False
-    first, second = (float(_NUMBER.findall(name)[0]) for name in (one, other))
+    first, second = (_number(name.partition("@")[2]) for name in (one, other))
     span = float(np.ptp(context[swings[0].needs[0]]))
     return abs(1.0 / first - 1.0 / second) * span < _APART
 
@@ -178,7 +177,12 @@ def _is_longest(context: Context, name: str) -> bool:
     """Whether a lag is the longest of those tried: what creeps on for ever looks like it too."""
     lags = [c for c in context.covariates if c.startswith(PREFIX)]
     own = covariate(name.partition("@")[2])
-    return own in lags and own == max(lags, key=lambda lag: float(_NUMBER.findall(lag)[0]))
+    return own in lags and own == max(lags, key=lambda lag: _number(lag.removeprefix(PREFIX)))
+
+
+def _number(value: str) -> float:
+    """The number of a value such as "7.3rows", "222s" or "0.5h"."""
+    return float(value.rstrip(ascii_lowercase))
 
 
 def _swings_in_step(before: Fit, name: str) -> bool:
@@ -193,9 +197,7 @@ def _swings_in_step(before: Fit, name: str) -> bool:
 def keeps_step(context: Context, swing: Effect) -> bool:
     """Whether the phase of a swing is told by the tool-face, or by the temperature and its change:
     then either may be its cause."""
-    angle = (
-        2.0 * np.pi * context[swing.needs[0]] / float(swing.name.partition("@")[2].strip("rows"))
-    )
+    angle = 2.0 * np.pi * context[swing.needs[0]] / _number(swing.name.partition("@")[2])
     wave = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     t = context["tool_face"]
     turns = min(_HARMONICS, max(1, len(np.unique(np.round(np.mod(t, 2.0 * np.pi), 6))) // 2))

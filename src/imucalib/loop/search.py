@@ -229,8 +229,10 @@ def _refuted(before: Fit, after: Fit, least_nats: float, most_rms: float) -> str
     if gain < least_nats:
         gain = max(gain, settings_left_out(before, after))
     ratio = held_out_rms(after) / max(held_out_rms(before), 1e-300)
-    by_chance = gain >= STRONG and ratio < WORSE and _by_settings(before, after)
-    if gain < least_nats or (ratio >= most_rms and not by_chance):
+    grown = ratio >= most_rms and not (
+        gain >= STRONG and ratio < WORSE and _by_settings(before, after)
+    )
+    if gain < least_nats or grown:
         words = f"{gain:+.1f} nats" if gain < least_nats else f"{ratio:.3g} times the error"
         return f"{words} on data that it was not fitted to"
     # The correction itself, as a user will apply it, and not only the model run forwards.
@@ -241,10 +243,10 @@ def _refuted(before: Fit, after: Fit, least_nats: float, most_rms: float) -> str
 def _by_settings(before: Fit, after: Fit) -> bool:
     """Whether errors that grow do so by how the settings happened to err: of rows that share them
     the sizes hold a few draws each, which an effect of the sensor meets by chance."""
-    grown = left_out_sizes(after) ** 2 - left_out_sizes(before) ** 2
-    index = before.observations.reference.directions(before.eta).index
     if not before.at.free:
         return False
+    grown = left_out_sizes(after) ** 2 - left_out_sizes(before) ** 2
+    index = before.observations.reference.directions(before.eta).index
     total, spread = float(grown.sum()), 0.0
     for setting in index.T[: before.at.free]:
         each = np.bincount(np.unique(setting, return_inverse=True)[1], weights=grown)

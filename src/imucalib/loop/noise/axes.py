@@ -7,6 +7,7 @@ first, and again after every effect, as noise that neighbours share is.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -57,19 +58,10 @@ def with_noisy_axes(fit: Fit) -> Fit:
 def doubtful_axes(fit: Fit, alpha: float) -> tuple[Unexplained, ...]:
     """Axes that scatter beyond doubt more than `_BEYOND` times the quietest: a channel that is out
     of order, or a response finer than the readings are dense, scatters so alike."""
-    from scipy.special import fdtrc
-
-    compared = _modelled(fit) or _by_power(fit)
-    return tuple(
-        Unexplained(
-            f"{axis} scatters by {loud / MG:.2g} mg, the quietest axis by {quiet / MG:.2g} mg: a "
-            "channel out of order, or a response finer than these readings; repeated positions "
-            "tell",
-            "", "noise", p, 0.0, 0.0,
-        )
-        for axis, loud, quiet, dof in compared
-        if (p := float(fdtrc(*dof, (loud / (_BEYOND * quiet)) ** 2))) < alpha
-    )  # fmt: skip
+    remedy = (
+        "a channel out of order, or a response finer than these readings; repeated positions tell"
+    )
+    return _louder(_modelled(fit) or _by_power(fit), alpha, "the quietest axis", remedy)
 
 
 #: Of an axis: its name, its scatter and the quietest's (m/s²), and the degrees of freedom of both.
@@ -114,17 +106,23 @@ def _beside_the_quietest(
 
 def doubtful_sessions(fit: Fit, alpha: float) -> tuple[Unexplained, ...]:
     """Sessions that scatter beyond doubt more than `_BEYOND` times the quietest."""
-    from scipy.special import fdtrc
-
     session, size = session_of(fit.observations), fit.at.residual.size
     if session is None or size != 3 * fit.observations.n or size > _LONGEST:
         return ()
     names = tuple(f"session {k + 1}" for k in range(int(session.max()) + 1))
     compared = _beside_the_quietest(fit, powers_of(fit, np.repeat(session, 3)), names)
+    return _louder(compared, alpha, "the quietest", "repeat it, or leave it out")
+
+
+def _louder(
+    compared: Sequence[_Compared], alpha: float, quietest: str, remedy: str
+) -> tuple[Unexplained, ...]:
+    """Those that scatter beyond doubt more than `_BEYOND` times the quietest, by an F test."""
+    from scipy.special import fdtrc
+
     return tuple(
         Unexplained(
-            f"{name} scatters by {loud / MG:.2g} mg, the quietest by {quiet / MG:.2g} mg: repeat "
-            "it, or leave it out",
+            f"{name} scatters by {loud / MG:.2g} mg, {quietest} by {quiet / MG:.2g} mg: {remedy}",
             "", "noise", p, 0.0, 0.0,
         )
         for name, loud, quiet, dof in compared
