@@ -18,7 +18,7 @@ from imucalib.core.references import Directions, KnownNorm
 from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.variance import estimate_noise
-from imucalib.loop.held_out import log_predictive, theta_without
+from imucalib.loop.held_out import each_left_out, log_predictive, theta_without
 from worlds.bench import NINE, NOISE, base_model, bench, draw, ordinary_theta, tumble
 
 Array = NDArray[np.float64]
@@ -254,6 +254,43 @@ def test_leaving_rows_out_is_a_full_refit(kind: str) -> None:
         assert np.all(np.abs(away) < 0.02 * refit.sd)
         moved = max(moved, float(np.max(np.abs(refit.theta - fit.theta) / refit.sd)))
     assert moved > 0.2
+
+
+@pytest.mark.parametrize("kind", ["known", "norm", "one row alone shows a parameter"])
+def test_each_left_out_is_every_group_left_out(kind: str) -> None:
+    """Also where nothing but a group shows a parameter, which then stays where it is."""
+    fit = _norm() if kind == "norm" else _known()
+    if kind == "one row alone shows a parameter":
+        jacobian = fit.at.jacobian.copy()
+        jacobian[6:, 0] = 0.0
+        fit = replace(fit, at=replace(fit.at, jacobian=jacobian))
+    group = np.arange(fit.observations.n) // 2
+    every = list(each_left_out(fit, group))
+    assert [rows.tolist() for rows, _ in every] == [
+        np.flatnonzero(group == key).tolist() for key in np.unique(group)
+    ]
+    for rows, theta in every:
+        np.testing.assert_allclose(
+            (theta - theta_without(fit, rows)) / fit.sd, 0.0, atol=1e-7, rtol=0.0
+        )
+
+
+@pytest.mark.parametrize("rows", [80, 400])
+def test_a_whitener_of_blocks_is_that_of_the_dense_matrix(rows: int) -> None:
+    """Two components: runs of ten share one, pairs across two runs the other, some none."""
+    rng = np.random.default_rng(rows)
+    first, second = np.zeros((2, rows, rows // 2))
+    at = np.arange(rows)
+    first[at, at // 10] = rng.standard_normal(rows)
+    second[at, at % 10 + 10 * (at // 20)] = rng.standard_normal(rows)
+    second[5::20] = 0.0
+    dense = np.eye(rows) + 4.0 * first @ first.T + 0.25 * second @ second.T
+    white, data = whitener((first, second), (2.0, 0.5)), rng.standard_normal((rows, 3))
+    assert len(white.blocks) == (1 if rows == 80 else rows // 20)
+    np.testing.assert_allclose(white(data).T @ white(data), data.T @ np.linalg.solve(dense, data))
+    np.testing.assert_allclose(white.weighted(data), np.linalg.solve(dense, data), atol=1e-12)
+    assert white.log_det == pytest.approx(np.linalg.slogdet(dense)[1])
+    assert whitener((first, second), (0.0, 0.0)).plain
 
 
 def test_noise_that_is_given_is_kept() -> None:

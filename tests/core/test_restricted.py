@@ -26,22 +26,38 @@ def _dense(components: tuple[Array, ...], ratio: tuple[float, ...]) -> Array:
     return whole
 
 
+def _settings(seed: int, rows: int = 30) -> Array:
+    """A component of settings that one, two, three or four numbers share, some numbers none."""
+    rng = np.random.default_rng(seed + 1000)
+    owner = rng.permutation(np.repeat(np.arange(14), rng.integers(1, 5, 14))[: rows - 2])
+    matrix = np.zeros((rows, 14))
+    matrix[np.arange(owner.size), owner] = rng.standard_normal(owner.size)
+    return matrix[:, matrix.any(axis=0)]
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 999), sizes=st.lists(st.floats(0.0, 30.0), min_size=3, max_size=3))
-@pytest.mark.parametrize("wide", [True, False])
+@pytest.mark.parametrize("kind", ["shared by all", "settings", "narrow"])
 def test_the_restricted_likelihood_is_that_of_dense_matrices(
-    wide: bool, seed: int, sizes: list[float]
+    kind: str, seed: int, sizes: list[float]
 ) -> None:
-    """y'Py and log|V| + log|J'V⁻¹J| - log|J'J|, by their definitions."""
+    """y'Py and log|V| + log|J'V⁻¹J| - log|J'J|, by their definitions, and V⁻¹'s diagonal."""
     jacobian, components, data = _rig(seed)
-    components, ratio = (components, tuple(sizes)) if wide else (components[:2], tuple(sizes[:2]))
+    third = {"shared by all": components[2:], "settings": (_settings(seed),), "narrow": ()}[kind]
+    components = (*components[:2], *third)
+    ratio = tuple(sizes[: len(components)])
     left = restricted(jacobian, components)
-    assert left.wide == (2 if wide else -1)
+    assert left.wide == (2 if third else -1)
+    assert (left.out.shape[1] > 0) == (kind == "settings")
+    assert left.freedom == len(jacobian) - jacobian.shape[1]
     found = left.at(np.array(ratio))
-    power = [found.power(found.solve(left.frame.T @ one)) for one in data.T]
+    power = [found.power(found.solve(left.turned(one))) for one in data.T]
     expected, logs = _projected(jacobian, _dense(components, ratio), data)
     assert power == pytest.approx(expected, rel=1e-7)
     assert found.log_det == pytest.approx(logs, rel=1e-8, abs=1e-8)
+    unit = np.eye(len(jacobian))
+    turned = _projected(jacobian, _dense(components, ratio), unit)[0]
+    assert np.sum(found.own) == pytest.approx(np.sum(turned), rel=1e-8)
 
 
 def _projected(jacobian: Array, covariance: Array, data: Array) -> tuple[Array, float]:
@@ -62,6 +78,9 @@ _GRIDS: dict[tuple[int, ...], list[tuple[float, ...]]] = {
     (0, 1): [(a, b) for a in (0.0, 0.1, 3.0) for b in (0.2, 0.0, 5.0)],
     (0, 1, 2): [(a, b, c) for a in (0.0, 2.0) for b in (0.2, 1.0) for c in (0.0, 0.7)],
     (0, 1, 0): [(a, b, 0.4) for a in (0.6, 2.0) for b in (0.2, 1.0)] + [(0.3, 0.9, 0.0)],
+    (3,): [(0.5,), (4.0,)],
+    (0, 3): [(a, b) for a in (0.0, 0.1, 3.0) for b in (0.2, 0.0, 5.0)],
+    (0, 1, 3): [(a, b, c) for a in (0.6, 2.0) for b in (0.2, 1.0) for c in (0.0, 9.0)],
 }
 
 
@@ -70,10 +89,11 @@ _GRIDS: dict[tuple[int, ...], list[tuple[float, ...]]] = {
 def test_a_grid_of_noises_is_each_by_itself(which: tuple[int, ...], most: int) -> None:
     """Every point comes once, whatever has the most columns and however many are made at a time."""
     jacobian, components, data = _rig(1)
+    components = (*components, _settings(1))
     some, points = tuple(components[k] for k in which), _GRIDS[which]
     left, found = restricted(jacobian, some), []
     for part in left.over(np.array(points), most):
-        rest, along = part.split(left.frame.T @ data)
+        rest, along = part.split(left.turned(data))
         power = (rest**2).sum(axis=1)[:, None] + part.weight @ along**2
         assert len(power) <= most
         found += list(zip(part.log_det.ravel(), power.reshape(-1, data.shape[1]), strict=True))
@@ -92,7 +112,7 @@ def test_what_large_settings_leave_is_not_lost() -> None:
     left = restricted(jacobian, (column,))
     both = np.column_stack([jacobian, column])
     rest = data - both @ np.linalg.lstsq(both, data, rcond=None)[0]
-    moved = left.frame.T @ (data + 1e6 * column @ np.ones((column.shape[1], data.shape[1])))
+    moved = left.turned(data + 1e6 * column @ np.ones((column.shape[1], data.shape[1])))
     expected = pytest.approx((rest**2).sum(axis=0) + column.shape[1], rel=1e-5)
     found = left.at(np.array([1e6]))
     assert [found.power(found.solve(one)) for one in moved.T] == expected

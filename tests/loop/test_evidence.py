@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from imucalib.arrays import Index
 from imucalib.core.balance import balance
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
@@ -334,7 +336,10 @@ def test_held_out_errors_are_those_of_literal_refits() -> None:
 def test_in_sample_errors_passed_off_as_held_out_are_caught(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(held_out_module, "theta_without", lambda fit, rows: fit.theta)
+    def none_left_out(fit: Fit, group: Index) -> Iterator[tuple[Index, Array]]:
+        yield from ((np.flatnonzero(group == key), fit.theta) for key in np.unique(group))
+
+    monkeypatch.setattr(held_out_module, "each_left_out", none_left_out)
     assert held_out_gap(_one_clean()) > 0.1
 
 

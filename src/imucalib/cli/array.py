@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,17 +18,17 @@ from imucalib.cli.calibrating import (
 from imucalib.cli.output import note
 from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
+from imucalib.cli.working import freed_memory
 
 if TYPE_CHECKING:
     from imucalib.calibrators.array.estimate.total import Distance
     from imucalib.calibrators.array.request import ArrayRequest
     from imucalib.calibrators.array.run import ArrayRun
 
-#: `M_MMAP_THRESHOLD` of <malloc.h>; bytes from which an array has pages of its own.
-_MMAP_THRESHOLD, _LARGE = -3, 1 << 22
-#: `M_TRIM_THRESHOLD`; free bytes at the end of all others that are kept. With the library's 128 kB
-#: every array of a few MB took its pages anew: a tenth of the search.
-_TRIM_THRESHOLD, _KEPT = -1, 1 << 26
+#: Bytes from which an array goes back to the system when it is freed, and that are kept at the end
+#: of all others: what is below 32 MB is kept otherwise, and of many IMUs that was 0.3 GB; with the
+#: library's 128 kB every array of a search takes its pages anew.
+_LARGE, _KEPT = 1 << 22, 1 << 26
 
 
 @click.command(
@@ -97,7 +96,7 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.array.draws import write_draws
     from imucalib.report.files import Report
 
-    _give_back_memory()
+    freed_memory(large=_LARGE, kept=_KEPT)
     request = _request(options, logs)
     mapping, quiet = mapping_of(options), options["quiet"]
     runs: list[ArrayRun] = []
@@ -112,17 +111,6 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
             note(f"wrote {path}", quiet)
     reports = [Report(run, array_document(run)) for run in runs]
     return finish(reports, options, _together(tuple(runs)) if len(runs) > 1 else None)
-
-
-def _give_back_memory() -> None:
-    """Large arrays go back to the system when they are freed. By itself the C library of Linux
-    keeps what is below 32 MB, and of many IMUs that was 0.3 GB."""
-    import ctypes
-
-    with suppress(AttributeError, OSError, TypeError):  # another system, another library
-        library = ctypes.CDLL(None)
-        library.mallopt(_MMAP_THRESHOLD, _LARGE)
-        library.mallopt(_TRIM_THRESHOLD, _KEPT)
 
 
 def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:

@@ -12,6 +12,11 @@ from imucalib.cli.lab_options import lab_options, request_of
 from imucalib.cli.output import pairs
 from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option
+from imucalib.cli.working import freed_memory
+
+#: Bytes: a search takes the same few arrays again and again, and of hundreds of rows a quarter of
+#: its time went into pages that the system clears anew for each.
+_KEPT = 1 << 29
 
 
 @click.command("lab", cls=PagedCommand, short_help="Calibrate on a bench with known angles.")
@@ -39,6 +44,7 @@ def command(tables: tuple[Path, ...], **options: Any) -> int:
     from imucalib.report.files import Report
     from imucalib.report.lab.document import lab_document
 
+    freed_memory(large=_KEPT, kept=_KEPT)
     files = LabFiles(
         tables[0], options["recording"], pairs(options["columns"], "--columns"),
         mapping_of(options), others=tables[1:],

@@ -1,11 +1,12 @@
-"""What a command says while it works: a clock on a terminal, plain lines elsewhere, on stderr."""
+"""What a command says while it works: a clock on a terminal, plain lines elsewhere, on stderr. And
+what memory it keeps meanwhile."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Event, Thread
 
 import click
@@ -15,6 +16,8 @@ from imucalib.cli.output import say
 Say = Callable[[str], None]
 #: Seconds until the first sign of life where there is no terminal, and between the next ones.
 _FIRST, _NEXT = 1.0, 10.0
+#: `M_TRIM_THRESHOLD` and `M_MMAP_THRESHOLD` of <malloc.h>.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 
 verbose_option = click.option(
     "-v", "--verbose", is_flag=True, help="Say when each thing happened, and what it cost."
@@ -77,3 +80,15 @@ def _in_lines(what: str, start: float) -> Iterator[Say]:
     finally:
         done.set()
         thread.join()
+
+
+def freed_memory(*, large: int, kept: int) -> None:
+    """Arrays from so many bytes on have pages of their own, which go back to the system when they
+    are freed; so many free bytes at the end of all others are kept. With another C library than
+    that of Linux (glibc), or where its limit is lower, all stays as it is."""
+    import ctypes
+
+    with suppress(AttributeError, OSError, TypeError):  # another system, another library
+        library = ctypes.CDLL(None)
+        if library.mallopt(_MMAP_THRESHOLD, large):
+            library.mallopt(_TRIM_THRESHOLD, kept)

@@ -17,9 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
+from imucalib.core.eigen import blocks_of
 from imucalib.core.model import Model, Prediction
 from imucalib.core.observations import Observations, SharedNoise
+
+#: Below so many numbers one dense matrix is faster than its blocks.
+_FEW = 240
 
 
 @dataclass(frozen=True)
@@ -145,38 +149,60 @@ def _shared_columns(at: Balanced, noise: SharedNoise) -> Array:
 
 @dataclass(frozen=True)
 class Whitener:
-    """Turns the balance into unit, independent noise: L⁻¹ with L Lᵀ = V / s²."""
+    """Turns the balance into unit, independent noise: L⁻¹ with L Lᵀ = V / s².
 
-    lower: Array | None
+    blocks : the rows of each block of V, and its L (m, m); none where V / s² = 1
+    """
+
+    blocks: tuple[tuple[Index | slice, Array], ...]
     log_det: float
 
+    @property
+    def plain(self) -> bool:
+        """Whether V / s² = 1."""
+        return not self.blocks
+
     def __call__(self, columns: Array) -> Array:
-        return columns if self.lower is None else self._solved(columns, transposed=False)
+        return self._solved(columns, transposed=False)
 
     def weighted(self, columns: Array) -> Array:
         """V⁻¹ s² times columns."""
-        if self.lower is None:
-            return columns
         return self._solved(self(columns), transposed=True)
 
     def _solved(self, columns: Array, *, transposed: bool) -> Array:
-        # The rows of a lower triangle in C's order are an upper one in Fortran's: no copy.
-        from scipy.linalg.lapack import dtrtrs
+        if not self.blocks:
+            return columns
+        if len(self.blocks) == 1:
+            return _triangular(self.blocks[0][1], columns, transposed)
+        solved = np.empty(columns.shape)
+        for rows, lower in self.blocks:
+            solved[rows] = _triangular(lower, columns[rows], transposed)
+        return solved
 
-        assert self.lower is not None
-        trans = 0 if transposed else 1
-        return np.asarray(dtrtrs(self.lower.T, columns, lower=0, trans=trans)[0])
+
+def _triangular(lower: Array, columns: Array, transposed: bool) -> Array:
+    # The rows of a lower triangle in C's order are an upper one in Fortran's: no copy.
+    from scipy.linalg.lapack import dtrtrs
+
+    return np.asarray(dtrtrs(lower.T, columns, lower=0, trans=0 if transposed else 1)[0])
 
 
 def whitener(settings: tuple[Array, ...], ratio: tuple[float, ...]) -> Whitener:
-    """For N_c matrices and ratios sd_c / s (rad)."""
-    if not settings or not any(ratio):
-        return Whitener(None, 0.0)
-    covariance = np.eye(settings[0].shape[0])
-    for matrix, rho in zip(settings, ratio, strict=True):
-        covariance += (rho * matrix) @ (rho * matrix).T
-    lower = np.asarray(np.linalg.cholesky(covariance), np.float64)
-    return Whitener(lower, 2.0 * float(np.log(np.diag(lower)).sum()))
+    """For N_c matrices and ratios sd_c / s (rad). Readings that share no setting, through others
+    neither, are independent: V comes apart into blocks."""
+    scaled = [rho * matrix for matrix, rho in zip(settings, ratio, strict=True) if rho]
+    if not scaled:
+        return Whitener((), 0.0)
+    columns = np.column_stack(scaled)
+    blocks: list[tuple[Index | slice, Array]] = []
+    for rows in [slice(None)] if len(columns) < _FEW else blocks_of(columns):
+        own = columns[rows]
+        if isinstance(rows, np.ndarray):
+            own = own[:, own.any(axis=0)]
+        lower = np.linalg.cholesky(np.eye(len(own)) + own @ own.T)
+        blocks.append((rows, np.asarray(lower, np.float64)))
+    log_det = 2.0 * sum(float(np.log(np.diag(lower)).sum()) for _, lower in blocks)
+    return Whitener(tuple(blocks), log_det)
 
 
 def setting_errors(at: Balanced, white: Whitener, ratio: tuple[float, ...], misfit: Array) -> Array:

@@ -1,4 +1,5 @@
-"""Eigenvectors of symmetric matrices, also where the fast method gives up.
+"""Eigenvectors of symmetric matrices, also where the fast method gives up, and block by block where
+a matrix comes apart.
 
 Divide and conquer, numpy's method, now and then fails on a good matrix whose eigenvalues coincide,
 as those of three like axes do (seen: 36 x 36, each value three times). QR iteration is slower and
@@ -7,9 +8,15 @@ does not.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 def eigen(matrices: Array) -> tuple[Array, Array]:
@@ -34,3 +41,41 @@ def _by_iteration(matrices: Array) -> tuple[Array, Array]:
     for at in np.ndindex(matrices.shape[:-2]):
         values[at], vectors[at] = eigh(matrices[at], driver="ev")
     return values, vectors
+
+
+def blocks_of(columns: Array) -> list[Index]:
+    """The rows of each block of columns (N, q): rows that have a column in common, or are joined
+    through others, are in one. All rows are in one where a column has half of them."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    used = columns != 0.0
+    n, q = columns.shape
+    if 2 * used.sum(axis=0).max(initial=0) >= n:
+        return [np.arange(n)]
+    row, column = np.nonzero(used)
+    size = (n + q, n + q)
+    graph = coo_array((np.ones(row.size), (row, n + column)), shape=size)
+    label = connected_components(graph, directed=False)[1][:n]
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def eigen_by_blocks(columns: Array, blocks: Sequence[Index]) -> tuple[Array, csr_array]:
+    """Eigenvalues (N,) and eigenvectors (N, N) of columns columns', whose blocks are known."""
+    from scipy.sparse import csr_array
+
+    size = np.array([len(rows) for rows in blocks])
+    spread, entries = np.zeros(len(columns)), []
+    for m in np.unique(size):
+        at = np.stack([rows for rows in blocks if len(rows) == m])
+        used = [np.flatnonzero(columns[rows].any(axis=0)) for rows in at]
+        own = np.zeros((len(at), m, max(len(some) for some in used)))
+        for k, some in enumerate(used):
+            own[k, :, : len(some)] = columns[np.ix_(at[k], some)]
+        values, vectors = eigen(own @ own.swapaxes(-1, -2))
+        spread[at] = np.maximum(values, 0.0)
+        first, second = np.broadcast_arrays(at[:, :, None], at[:, None, :])
+        entries.append((vectors.ravel(), first.ravel(), second.ravel()))
+    value, row, column = (np.concatenate(part) for part in zip(*entries, strict=True))
+    return spread, csr_array((value, (row, column)), shape=(len(columns),) * 2)

@@ -113,22 +113,6 @@ def estimate_with_prior(at: Balanced, start: Noise, prior: Prior, theta: Array) 
     )
 
 
-def _projector(at: Balanced, values: Array) -> tuple[Array, Array, list[Array], float, float]:
-    """P, J'V⁻¹, dV/dlog(values), log det V and log det J'V⁻¹J for values = (s, sd_c...)."""
-    size = at.residual.size
-    derivative = [2.0 * values[0] ** 2 * np.eye(size)]
-    derivative += [2.0 * v**2 * m @ m.T for v, m in zip(values[1:], at.settings, strict=True)]
-    covariance = 0.5 * np.sum(derivative, axis=0)
-    lower = np.linalg.cholesky(covariance)
-    inverse = np.linalg.inv(covariance)
-    weighted = at.jacobian.T @ inverse
-    information = weighted @ at.jacobian
-    projector = inverse - weighted.T @ np.linalg.pinv(information, rcond=1e-14) @ weighted
-    log_v = 2.0 * float(np.log(np.diag(lower)).sum())
-    log_j = float(np.linalg.slogdet(information)[1])
-    return projector, weighted, derivative, log_v, log_j
-
-
 def _search(at: Balanced, start: Noise) -> Noise:
     """Maximise over the log ratios sd_c / s, with s in closed form at each."""
     from scipy.optimize import minimize
@@ -139,7 +123,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
     for c, matrix in enumerate(at.settings):
         if c >= at.free and 3 * matrix.shape[1] >= at.residual.size:
             high[c] = np.log(INSTEAD / reach[c])
-    data, dof = left.frame.T @ at.residual, at.residual.size - at.jacobian.shape[1]
+    data, dof = left.turned(at.residual), at.residual.size - at.jacobian.shape[1]
 
     def objective(logs: Array) -> tuple[float, Array]:
         return _profiled(left, data, dof, np.exp(logs))
@@ -168,42 +152,48 @@ def _profiled(left: Restricted, data: Array, dof: int, ratio: Array) -> tuple[fl
     """Minus the restricted log likelihood with s at its best, and its slopes by the log ratios."""
     covariance = left.at(ratio)
     rest, taken = solved = covariance.solve(data)
-    power, inside = max(covariance.power(solved), 1e-300), covariance.inside
+    power = max(covariance.power(solved), 1e-300)
     # tr V⁻¹ U_c U_c' = q_c - tr of the capacity's inverse, and U' V⁻¹ y is what U takes.
-    own = 1.0 - np.diag(inside) - dof * taken**2 / power
+    own = 1.0 - covariance.inside - dof * taken**2 / power
     slope: Array = np.bincount(left.owner, own, minlength=ratio.size).astype(np.float64)
     if left.wide >= 0:
         each = ratio[left.wide] ** 2 * left.spread
-        weighted = left.columns * covariance.size / covariance.diagonal[:, None]
-        inner = weighted.T @ (each[:, None] * weighted)
-        trace = float(np.sum(each / covariance.diagonal) - np.sum(inside * inner))
-        slope[left.wide] = trace - dof * float(each @ rest**2) / power
+        slope[left.wide] = float(each @ covariance.own) - dof * float(each @ rest**2) / power
     return 0.5 * (covariance.log_det + dof * float(np.log(power))), slope
 
 
 def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
-    values = np.array([noise.factor, *noise.sd])
-    projector, weighted, derivative, log_v, log_j = _projector(at, values)
-    covariance = np.asarray(np.linalg.pinv(weighted @ at.jacobian, rcond=1e-14), np.float64)
-    gain = covariance @ weighted
-    slope = np.array([gain @ d @ gain.T for d in derivative])
-    py = projector @ at.residual
-    directed = [d @ py for d in derivative]
-    information = 0.5 * np.array([[float(a @ projector @ b) for b in directed] for a in directed])
+    """Nothing here has N by N numbers but the whitener's blocks."""
+    square, white = noise.factor**2, whitener(at.settings, noise.ratio)
+    weighted = white.weighted(at.jacobian) / square
+    information = at.jacobian.T @ weighted
+    covariance = np.asarray(np.linalg.pinv(information, rcond=1e-14), np.float64)
+
+    def projected(data: Array) -> Array:
+        """(N, D) of P data: V⁻¹ without what the parameters take."""
+        return white.weighted(data) / square - weighted @ (covariance @ (weighted.T @ data))
+
+    # dV / dlog s = 2 s², dV / dlog sd_c = 2 sd_c² N_c N_c'.
+    py, gain = projected(at.residual[:, None])[:, 0], weighted @ covariance
+    sized = [sd * matrix for sd, matrix in zip(noise.sd, at.settings, strict=True)]
+    directed = np.column_stack([2.0 * square * py, *(2.0 * m @ (m.T @ py) for m in sized)])
+    through = [noise.factor * gain, *(m.T @ gain for m in sized)]
     # A component that is zero: nothing to learn about it, nothing to propagate.
     alive = np.array([True] + [sd > 0.0 for sd in noise.sd])
-    spread = np.zeros_like(information)
+    spread = np.zeros((alive.size, alive.size))
     if not fixed:
-        spread[np.ix_(alive, alive)] = np.linalg.pinv(information[np.ix_(alive, alive)])
-    white = whitener(at.settings, noise.ratio)
+        about = 0.5 * directed.T @ projected(directed)
+        spread[np.ix_(alive, alive)] = np.linalg.pinv(about[np.ix_(alive, alive)])
     quadratic = float(at.residual @ py)
+    log_det = white.log_det + at.residual.size * float(np.log(square))
+    log_det += float(np.linalg.slogdet(information)[1])
     return NoiseEstimate(
         noise=noise,
         covariance=covariance,
-        slope=slope,
+        slope=np.array([2.0 * (part.T @ part) for part in through]),
         noise_covariance=spread,
-        chi2=quadratic * noise.factor**2,
+        chi2=quadratic * square,
         dof=at.residual.size - at.jacobian.shape[1],
-        log_likelihood=-0.5 * (log_v + log_j + quadratic),
+        log_likelihood=-0.5 * (log_det + quadratic),
         white_jacobian=white(at.jacobian),
     )

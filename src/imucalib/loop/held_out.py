@@ -7,6 +7,7 @@ what a user would see: the corrected reading against the reference, fixture effe
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,10 @@ from imucalib.core.observations import Observations
 from imucalib.core.truth import Truth
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.foretold import foretold_stretches
+
+#: What a group must leave of the data's information on every direction, for θ without it to follow
+#: from all data's.
+_DETERMINED = 1e-8
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,39 @@ def theta_without(fit: Fit, rows: Index) -> Array:
     return fit.theta + step
 
 
+def each_left_out(fit: Fit, group: Index) -> Iterator[tuple[Index, Array]]:
+    """(observations, θ without them) of each group in turn, group (n,): `theta_without` for all at
+    the cost of one.
+
+    With orthonormal Q along the whitened Jacobian and U = L⁻ᵀ [Q z], z the residual, the rest's
+    products with Q are those of all less U_g' ((V⁻¹)_gg)⁻¹ U_g, however V couples the rows.
+    """
+    at, white = fit.at, whitener(fit.at.settings, fit.noise.ratio)
+    both = white(np.column_stack([at.jacobian, at.residual]))
+    if fit.prior is not None:
+        known = np.roll(fit.prior.rows(fit.theta), -1, axis=1)
+        both = np.vstack([both, fit.noise.factor * known])
+    scale = np.maximum(np.linalg.norm(both[:, :-1], axis=0), 1e-300)
+    q, size, turn = np.linalg.svd(both[:, :-1] / scale, full_matrices=False)
+    back = turn.T / np.where(size > 0.0, size, 1.0)
+    readings = slice(at.residual.size)
+    root = None if white.plain else white(np.eye(at.residual.size))
+    u = np.column_stack([q, both[:, -1]])[readings]
+    u = u if root is None else root.T @ u
+    along, closed = q.T @ both[:, -1], size.min(initial=1.0) < _DETERMINED
+    keys = group[at.owner]
+    for key in np.unique(keys):
+        rows, own = np.flatnonzero(group == key), np.flatnonzero(keys == key)
+        block = np.eye(own.size) if root is None else root[:, own].T @ root[:, own]
+        taken = u[own].T @ np.linalg.solve(block, u[own])
+        rest = np.eye(size.size) - taken[:-1, :-1]
+        if closed or np.linalg.eigvalsh(rest).min(initial=1.0) < _DETERMINED:
+            yield rows, theta_without(fit, rows)
+        else:
+            step = back @ np.linalg.solve(rest, along - taken[:-1, -1]) / scale
+            yield rows, fit.theta + step
+
+
 def errors(fit: Fit, theta: Array, observations: Observations) -> Held:
     """Corrected against expected for observations under a θ of the fit's model."""
     context, reference = observations.context, observations.reference
@@ -89,11 +127,10 @@ def held_out(fit: Fit, observations: Observations | None = None) -> Held:
     """
     data = observations or fit.observations
     n = data.n
-    parts: list[tuple[Index, Held]] = []
-    for key in np.unique(data.group):
-        rows = np.flatnonzero(data.group == key)
-        theta = without_records(fit, theta_without(fit, rows))
-        parts.append((rows, errors(fit, theta, data.take(rows))))
+    parts = [
+        (rows, errors(fit, without_records(fit, theta), data.take(rows)))
+        for rows, theta in each_left_out(fit, data.group)
+    ]
     shapes = [parts[0][1].corrected.shape[1:], parts[0][1].error.shape[1:]]
     corrected, expected = np.zeros((n, *shapes[0])), np.zeros((n, *shapes[0]))
     error = np.zeros((n, *shapes[1]))
@@ -104,33 +141,13 @@ def held_out(fit: Fit, observations: Observations | None = None) -> Held:
 
 def left_out_sizes(fit: Fit) -> Array:
     """(n,) m/s², size of each observation's misfit under θ fitted without its group: `held_out` to
-    first order, for all groups at the cost of one fit.
-
-    With U = V⁻¹ [J r] the rest's products are those of all less U_g' ((V⁻¹)_gg)⁻¹ U_g, however V
-    couples the rows.
-    """
-    at = fit.at
-    white = whitener(at.settings, fit.noise.ratio)
-    u = both = np.column_stack([at.jacobian, at.residual])
-    root = None if white.lower is None else white(np.eye(at.residual.size))
-    if root is not None:
-        u = root.T @ (root @ both)
-    whole = both.T @ u
-    if fit.prior is not None:
-        known = fit.noise.factor * np.roll(fit.prior.rows(fit.theta), -1, axis=1)
-        whole = whole + known.T @ known
-    scale = np.sqrt(np.maximum(np.diag(whole)[:-1], 1e-300))
-    error = np.empty_like(at.residual)
-    keys = fit.observations.group[at.owner]
-    for key in np.unique(keys):
-        rows = np.flatnonzero(keys == key)
-        block = np.eye(rows.size) if root is None else root[:, rows].T @ root[:, rows]
-        rest = whole - u[rows].T @ np.linalg.solve(block, u[rows])
-        products = rest[:-1, :-1] / np.outer(scale, scale)
-        step = np.linalg.lstsq(products, rest[:-1, -1] / scale, rcond=1e-13)[0] / scale
-        error[rows] = at.residual[rows] - at.jacobian[rows] @ step
-    triads = at.sigma.shape[1] // 3
-    each = (error * at.unit).reshape(fit.observations.n, -1)
+    first order."""
+    at, triads = fit.at, fit.at.sigma.shape[1] // 3
+    error = at.residual.reshape(fit.observations.n, -1).copy()
+    jacobian = at.jacobian.reshape(*error.shape, -1)
+    for rows, theta in each_left_out(fit, fit.observations.group):
+        error[rows] -= jacobian[rows] @ (theta - fit.theta)
+    each = error * at.unit.reshape(error.shape)
     return np.asarray(np.linalg.norm(each, axis=1) / triads**0.5)
 
 
@@ -188,16 +205,15 @@ def log_predictives(fit: Fit, group: Index | None = None) -> Array:
     residual = white(at.residual) / noise.factor
     rest = residual - q @ (q.T @ residual)
     every = list[float]()
-    if white.lower is not None:
+    if not white.plain:
         inverse = white(np.eye(at.residual.size))
-        projector = inverse.T @ inverse - (inverse.T @ q) @ (inverse.T @ q).T
-        rest = inverse.T @ rest
+        rest, q = inverse.T @ rest, inverse.T @ q
     for key in np.unique(keys):
         rows = np.flatnonzero(keys == key)
-        if white.lower is None:
+        if white.plain:
             values, along, plain = _independent_block(q[rows], rest[rows])
         else:
-            values, vectors = eigen(projector[np.ix_(rows, rows)])
+            values, vectors = eigen(inverse[:, rows].T @ inverse[:, rows] - q[rows] @ q[rows].T)
             along, plain = vectors.T @ rest[rows], (0, 0.0)
         # A direction that only this group determines predicts nothing: it carries no weight.
         use = values > 1e-9

@@ -129,8 +129,8 @@ class EvidenceGrid:
         parts: Sequence[int] = (),
     ) -> None:
         left = restricted(jacobian, settings)
-        self._frame, self._freedom = left.frame, left.frame.shape[1]
-        self._columns = left.frame.T @ np.column_stack(blocks)
+        self._turned, self._freedom = left.turned, left.freedom
+        self._columns = left.turned(np.column_stack(blocks))
         starts = np.cumsum([0] + [b.shape[1] for b in blocks])
         whole = [np.arange(first, last) for first, last in pairwise(starts)]
         spans, self._owner = with_single(whole, parts)
@@ -145,19 +145,17 @@ class EvidenceGrid:
         ]
         self._size = len(spans)
         distinct = np.array(list(dict.fromkeys(points)), np.float64)
-        each = self._freedom + len(SHRINK) * left.columns.shape[1]
+        each = len(left.out) + len(SHRINK) * left.columns.shape[1]
         at = list(left.over(distinct, max(1, _NUMBERS // (each * self._columns.shape[1]))))
         lowest = min(float(some.log_det.min()) for some in at)
-        self._parts = [
-            _part(some, self._columns, same, (some.log_det - lowest) / self._freedom) for some in at
-        ]
+        self._parts = [_part(some, self._columns, same, lowest, self._freedom) for some in at]
 
     def evidence(self, data: Array) -> Array:
         """(candidates, data sets) evidence in nats of data (N, data sets)."""
         return whole_or_one(self._spans(data), self._owner)
 
     def _spans(self, data: Array) -> Array:
-        data = self._frame.T @ data
+        data = self._turned(data)
         most = max(part.size for part in self._parts) * self._columns.shape[1]
         step = max(1, _NUMBERS // most)
         found = [self._evidence(data[:, a : a + step]) for a in range(0, data.shape[1], step)]
@@ -188,30 +186,37 @@ def _around(
 
 
 def _part(
-    covariances: Covariances, columns: Array, same: Sequence[tuple[Index, Index]], penalty: Array
+    covariances: Covariances,
+    columns: Array,
+    same: Sequence[tuple[Index, Index]],
+    lowest: float,
+    freedom: int,
 ) -> _Part:
     """same : of each width which candidates have it and their columns (k, m), which are decomposed
-    together; penalty : (P, F) of log det V, a degree of freedom."""
+    together; lowest : of all log det V."""
     rest, along = covariances.split(columns)
-    before = ((columns / covariances.root[:, None]) ** 2).sum(axis=0)
-    cost = penalty.reshape(-1, 1)
+    before = np.repeat(covariances.sizes(columns), covariances.log_det.shape[1], axis=0)
+    cost = (covariances.log_det.reshape(-1, 1) - lowest) / freedom
     blocks = []
     for which, at in same:
         # Eigenvectors of the small Gram matrices are the blocks' singular directions.
         gram = _grams(rest, along, covariances.weight, at)
         values, vectors = eigen(gram) if at.shape[1] > 1 else (gram[..., 0], np.ones(gram.shape))
-        open_ = values > _ROUNDING * before[at].sum(axis=1)[:, None]
+        open_ = values > _ROUNDING * before[:, at].sum(axis=2, keepdims=True)
         size = np.where(open_, values, 0.0)
         scale = np.where(open_, 1.0 / np.sqrt(np.where(open_, values, 1.0)), 0.0)
         turn = scale[..., None] * vectors.swapaxes(-1, -2)
         gain = TAU[:, None] ** 2 * size[..., None, :]
-        times = cost[..., None, None] + np.log1p(gain).sum(-1, keepdims=True) / len(columns)
+        times = cost[..., None, None] + np.log1p(gain).sum(-1, keepdims=True) / freedom
         blocks.append(_Blocks(which, at, turn, gain / (1.0 + gain), np.exp(times)))
     return _Part(covariances, rest, along, tuple(blocks), np.exp(cost))
 
 
 def _grams(rest: Array, along: Array, weight: Array, at: Index) -> Array:
     """(P F, k, m, m) of blocks' columns (k, m) under every hypothesis."""
+    if at.shape[1] == 1:
+        each = np.square(rest).sum(axis=1)[:, None] + weight @ np.square(along)
+        return np.asarray(each.reshape(-1, each.shape[2])[:, at][..., None])
     one = rest[:, :, at].transpose(0, 2, 3, 1)
     two = along[:, :, at].transpose(0, 2, 3, 1)[:, None]
     own = (one @ one.swapaxes(-1, -2))[:, None]
