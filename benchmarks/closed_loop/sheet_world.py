@@ -182,18 +182,16 @@ def _context(fit: Fit, c: Conditions, bench: Bench) -> Context:
         "inclination": DEG * c.inclination, "tool_face": DEG * c.tool_face,
         "inclination_approach": c.approach_i, "tool_face_approach": c.approach_t,
         **{f"previous_{a}": previous[:, k] for k, a in enumerate("xyz")},
-        **{f"temperature_lag_{n}rows": _late(bench, n)[c.row.astype(int)] for n in (2, 4, 8)},
     }  # fmt: skip
     of = fit.observations.context
-    return Context(len(c.row), {**mine, "sweep": np.zeros(len(c.row))}, sweeps=of.sweeps)
-
-
-def _late(bench: Bench, rows: int) -> Array:
-    """(n,) °C of a sensor that trails the sheet's thermometer by so many rows."""
-    late = bench.conditions.temperature.copy()
-    for k in range(1, len(late)):
-        late[k] = late[k - 1] + (1.0 - np.exp(-1.0 / rows)) * (late[k] - late[k - 1])
-    return late
+    # What is remembered of the temperature is that of the sheet's row.
+    past = {
+        name: values[c.row.astype(int)]
+        for name, values in of.covariates.items()
+        if name.startswith("temperature_") and len(values) == bench.plan.n
+    }
+    every = {**past, **mine, "sweep": np.zeros(len(c.row))}
+    return Context(len(c.row), every, sweeps=of.sweeps)
 
 
 def coverage(fit: Fit, bench: Bench) -> tuple[int, int]:
