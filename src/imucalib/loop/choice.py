@@ -20,7 +20,15 @@ from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings
 from imucalib.loop.held_out import log_predictive, log_predictives
 from imucalib.loop.records import extended, reduced
-from imucalib.loop.search import clear, effect_named, objection, passes, refined
+from imucalib.loop.search import (
+    choose,
+    clear,
+    effect_named,
+    objection,
+    passes,
+    refined,
+    search,
+)
 from imucalib.loop.shapes import better_form, form_of
 from imucalib.loop.subject import Refused
 from imucalib.loop.thresholds import CURVE_LEAD, CURVE_NATS, CURVE_RMS, CURVE_SHARE, CURVE_TERMS
@@ -83,7 +91,7 @@ def decided(
     if best is None or best.evidence < chosen.evidence + rules.margin:
         return _named(current, chosen, trial, options)
     smooth = curve_of(current, scores, options, last)
-    if smooth is None or not _leads(smooth.fit, trial, current):
+    if smooth is None or not _outdone(smooth, trial, current, options):
         return _named(current, chosen, trial, options)
     if rules.curves:
         return smooth
@@ -105,6 +113,21 @@ def _named(current: Fit, chosen: Score, trial: Fit, options: Options) -> Decided
         if not objection(current, other) and _leads(other, trial, current):
             return Decided(form.score, other, curve=False, rivals=form.rivals)
     return replace(name, rivals=(form.effect.name,))
+
+
+def _outdone(smooth: Decided, trial: Fit, current: Fit, options: Options) -> bool:
+    """Whether a curve predicts clearly better than a name does, and than that name and the one that
+    is then found beside it: two effects at once look like a curve of what both go with."""
+    leads = _leads(smooth.fit, trial, current)
+    if not leads or not smooth.curve:
+        return leads
+    rules, effects = options.rules, options.effects
+    found = search(trial, effects, options.rng, rules, (), options.families)
+    second = choose(found.scores, rules)
+    if second is None:
+        return True
+    both = options.extended(trial, effect_named(effects, second.name))
+    return objection(trial, both) is not None or _leads(smooth.fit, both, current)
 
 
 def _leads(curve: Fit, name: Fit, before: Fit) -> bool:
