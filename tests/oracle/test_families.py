@@ -258,6 +258,19 @@ def test_a_cycle_swings_with_its_period_in_rows() -> None:
     assert family.values(Context(19, {k: v[:19] for k, v in dials.items()})) == ()
 
 
+def test_a_scale_swings_with_its_period_alike_on_all_axes() -> None:
+    force, context = world()
+    theta = np.random.default_rng(8).normal(size=2)
+    phase = 2 * np.pi * np.arange(N)[:, None] / 7.3
+    expected = 1e-3 * (theta[0] * np.cos(phase) + theta[1] * np.sin(phase)) * force
+    got = added("scale_cycle@7.3rows", theta, force, context)
+    np.testing.assert_allclose(got, expected, atol=1e-12)
+    dials = Context(40, {"record": np.arange(40.0), "tool_face": np.zeros(40)})
+    one, other = families()["scale_cycle"], families()["cycle"]
+    assert one.values(dials) == other.values(dials)
+    assert one.nearby(dials, "8rows") == other.nearby(dials, "8rows")
+
+
 def test_a_cycle_is_counted_in_seconds_where_rows_stand_at_an_uneven_pace() -> None:
     """With a clock at an uneven pace up to eight swings in ten rows: quick ones pass for no slow
     ones; at an even pace the rows say as much."""

@@ -153,6 +153,8 @@ SENSOR: dict[str, tuple[int, Force]] = {
     "thermal_creep": (1, lambda x, c, p: (
         p[0] * c.v * np.cumsum(c.temperature - c.temperature.mean())[:, None])),
     "swing": (1, lambda x, c, p: p[0] * c.v * np.sin(2 * np.pi * c.row / 7.3)[:, None]),
+    "supply": (1, lambda x, c, p: p[0] * x * np.sin(2 * np.pi * c.row / 13.3 + 1.0)[:, None]),
+    "scale_walk": (1, lambda x, c, p: p[0] * x * c.walk[:, :1]),
     "random_walk": (1, lambda x, c, p: p[0] * c.walk),
     "shock": (1, lambda x, c, p: p[0] * c.v * (
         (c.row >= c.at) * np.exp(-np.maximum(c.row - c.at, 0) / 6))[:, None]),

@@ -46,6 +46,23 @@ def _scale_dx(truth: Truth, context: Context) -> Array:
     return np.broadcast_to(each, (*truth.shape, 6, 3))
 
 
+def _gain(value: str) -> tuple[Basis, Basis]:
+    """Cosine and sine of a scale that all axes share, and their derivative by the force."""
+
+    def waves(context: Context) -> Array:
+        angle = phase_of(value, context)
+        return _PER_MILLE * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, None, None]
+
+    def basis(truth: Truth, context: Context) -> Array:
+        return np.asarray(truth.force[..., None] * waves(context))
+
+    def slope(truth: Truth, context: Context) -> Array:
+        each = waves(context)[..., None] * np.eye(3)[:, None]
+        return np.broadcast_to(each, (*truth.shape, 2, 3))
+
+    return basis, slope
+
+
 def _sizes(name: str, unit: str, typical: float, plausible: float) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(f"{name}_{w}_{a}", unit, typical, plausible)
@@ -54,15 +71,42 @@ def _sizes(name: str, unit: str, typical: float, plausible: float) -> tuple[Para
     )
 
 
-def cycle(value: str) -> Effect:
-    """The swing with a period of so many rows of a table, "7.3rows", or of so many seconds by its
-    clock, "220s"; ValueError otherwise."""
+def scale_cycle(value: str) -> Effect:
+    """The same of the scale of all axes together; ValueError where `value` is no period."""
+    driver, words, counted = _described(value)
+    basis, slope = _gain(value)
+    return Response(
+        f"scale_cycle@{value}",
+        f"The scale of all axes swings with a period of {words}.",
+        f"y_i = x_i (1 + c cos(φ) + s sin(φ)),  φ = 2π {counted} / period",
+        "an output that follows its supply, practice",
+        "Note the supply's voltage beside each position.",
+        (driver, "tool_face"),
+        each=tuple(
+            Parameter(f"scale_cycle_{value}_{wave}", "mg/g", 1.0, 50.0) for wave in ("cos", "sin")
+        ),
+        basis=basis,
+        basis_dx=slope,
+        shared=True,
+        stage="fixture",
+    )
+
+
+def _described(value: str) -> tuple[str, str, str]:
+    """What a period is counted in, the period in words, and its time; ValueError otherwise."""
     driver, unit = _driver_of(value)
     period = float(value.removesuffix(unit))
     if not period > 0.0:
         raise ValueError(f"no period: {value}")
-    words = f"{period:g} rows" if unit == _ROWS else f"{period:g} s"
-    counted = "(row - 1)" if unit == _ROWS else "time"
+    if unit == _ROWS:
+        return driver, f"{period:g} rows", "(row - 1)"
+    return driver, f"{period:g} s", "time"
+
+
+def cycle(value: str) -> Effect:
+    """The swing with a period of so many rows of a table, "7.3rows", or of so many seconds by its
+    clock, "220s"; ValueError otherwise."""
+    driver, words, counted = _described(value)
     return Response(
         f"cycle@{value}",
         f"The bias swings with a period of {words}.",
@@ -153,6 +197,15 @@ FAMILIES = (
         "The bias swings with a period.",
         "7.3rows",
         cycle,
+        _values,
+        _nearby,
+        unfounded=True,
+    ),
+    Family(
+        "scale_cycle",
+        "The scale of all axes swings with a period.",
+        "7.3rows",
+        scale_cycle,
         _values,
         _nearby,
         unfounded=True,

@@ -21,7 +21,12 @@ from imucalib.effects.thermal.lag import PREFIX, covariate
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.evidence import Candidate, Score, apart, score
 from imucalib.loop.found import FitLoop, LoopSettings, Step
-from imucalib.loop.noise.shared import WANDERING, lead_over_a_walk
+from imucalib.loop.noise.shared import (
+    WANDERING,
+    WANDERING_SCALE,
+    lead_over_a_scale,
+    lead_over_a_walk,
+)
 from imucalib.loop.records import extended, reduced
 from imucalib.loop.search import effect_named, thinned
 from imucalib.loop.thresholds import APART, CURVE_TERMS, MARGIN
@@ -32,7 +37,7 @@ _SURE = 2.0  # standard errors
 #: What says where the sensor points; harmonics of the tool-face that tell the phase of a swing, and
 #: the share of its power from which they do.
 _POSITION = ("response", "inclination", "tool_face", "previous_x", "previous_y", "previous_z")
-_SWING, _HARMONICS, _IN_STEP = "cycle@", 6, 0.8
+_SWING, _HARMONICS, _IN_STEP = ("cycle@", "scale_cycle@"), 6, 0.8
 #: Turns by which two swings must part over a recording to be two.
 _APART = 1.5
 #: Covariates by which time drives an effect.
@@ -120,11 +125,14 @@ def _driver(covariate: str) -> str:
 
 
 def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tuple[str, ...]:
-    """What would do as well and has no name: a bias that wanders slowly, unless the effect leads it
-    by `margin` nats; and whatever else where its size is beyond what data sheets tell, where the
-    model holds a form of the same driver that has no cause, where a swing keeps step or beats,
-    where a lag is the longest that was tried, or where a polynomial has no cause of its own."""
+    """What would do as well and has no name: a bias that wanders slowly, or the scale beside one
+    that swings, unless the effect leads it by `margin` nats; and whatever else where its size is
+    beyond what data sheets tell, where the model holds a form of the same driver that has no cause,
+    where a swing keeps step or beats, where a lag is the longest that was tried, or where a
+    polynomial has no cause of its own."""
     walk = lead_over_a_walk(before, chosen.evidence) < margin
+    scale = chosen.name.startswith(_SWING[1])
+    scaled = scale and lead_over_a_scale(before, after, chosen.name) < margin
     effect = known(chosen.name)
     alike = effect is not None and (
         _course(effect.needs) in _of_forms(before.model.names)
@@ -134,7 +142,7 @@ def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tup
         or chosen.name.startswith(across.PREFIX)
     )
     other = alike or beyond_usual(after, chosen.name)
-    return (WANDERING,) * walk + (UNLISTED,) * other
+    return (WANDERING,) * walk + (WANDERING_SCALE,) * scaled + (UNLISTED,) * other
 
 
 def _course(needs: tuple[str, ...]) -> str:

@@ -209,14 +209,14 @@ def test_members_of_scans_keep_the_laws(name: str) -> None:
 
 
 def test_scans_know_their_members_by_name() -> None:
-    scans = {"bias_step", "slip", "thermal_lag", "cycle", "converter", "curve", "posture", "shape",
-             "follows", "thermal_hysteresis", "third_degree", "session",
+    scans = {"bias_step", "slip", "thermal_lag", "cycle", "scale_cycle", "converter", "curve",
+             "posture", "shape", "follows", "thermal_hysteresis", "third_degree", "session",
              "temperature_rate"}  # fmt: skip
     assert set(families()) == scans
     wrong = ("bias_step@later", "converter@w", "thermal_lag@", "cycle@7h", "cycle@-2rows",
-             "cycle@rows", "follows@bias:1:2", "thermal_hysteresis@2", "thermal_hysteresis@0C",
-             "thermal_hysteresis@C", "third_degree@w", "third_degree@xy", "session@0:scale",
-             "session@2:bias", "session@scale", "temperature_rate@5",
+             "cycle@rows", "scale_cycle@0s", "follows@bias:1:2", "thermal_hysteresis@2",
+             "thermal_hysteresis@0C", "thermal_hysteresis@C", "third_degree@w", "third_degree@xy",
+             "session@0:scale", "session@2:bias", "session@scale", "temperature_rate@5",
              "temperature_rate@-2min")  # fmt: skip
     for name in (*wrong, "nothing@1s"):
         assert known(name) is None

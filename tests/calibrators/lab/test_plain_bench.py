@@ -19,6 +19,7 @@ from worlds import plain_bench, plain_defects
 OUTSIDE = {
     "third_harmonic", "slip", "local_sine", "thermal_lag", "thermal_play", "thermal_creep",
     "mixed_third", "random_walk", "shock", "late_reading", "pick_up", "soft_saturation", "swing",
+    "supply", "scale_walk",
 }  # fmt: skip
 EVERY = [*plain_defects.DIALS, *plain_defects.AXES, *plain_defects.SENSOR]
 PLANTED = [name for name in EVERY if name not in OUTSIDE]
@@ -207,6 +208,29 @@ def test_a_bias_that_swings_with_a_period_of_its_own_is_named(seed: int, tmp_pat
     assert family == "cycle"
     assert float(period.removesuffix("rows")) == pytest.approx(7.3, rel=0.05)
     assert run.result.loop.verdict == "explained"
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_scale_that_swings_with_the_supply_is_named(seed: int, tmp_path: Path) -> None:
+    """It was a bias that swings with another period, for certain: the dials turn meanwhile."""
+    bench = plain_bench.Bench(plain_bench.Plan(seed, (("supply", 15.0),)))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    (step,) = run.result.loop.steps
+    family, _, period = step.effect.partition("@")
+    assert family == "scale_cycle"
+    assert float(period.removesuffix("rows")) == pytest.approx(13.3, rel=0.07)
+    assert not step.aliases
+    assert run.result.loop.verdict == "explained"
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_scale_that_wanders_swings_for_nobody_surely(seed: int, tmp_path: Path) -> None:
+    bench = plain_bench.Bench(plain_bench.Plan(seed, (("scale_walk", 25.0),)))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    swings = [s for s in run.result.loop.steps if "cycle@" in s.effect]
+    assert all(s.aliases for s in swings)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

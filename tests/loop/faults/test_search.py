@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -92,6 +94,34 @@ def test_a_slip_is_found_with_the_line_that_undoes_it(kind: str) -> None:
 def test_clean_sheets_are_left_alone() -> None:
     said = [told(bench(seed)) for seed in range(100, 109)]
     assert not any(said)
+
+
+def _level_rows(amount: float) -> sheets.Sheet:
+    """A sheet that begins at inclination 0, where z reads -amount mg in three rows and about
+    amount in the others."""
+    made = sheets.bench(5, name="sweeps", scatter=0.0, sigma=0.3)
+    level = np.flatnonzero(made.inclination == 0.0)
+    order = np.concatenate([level, np.setdiff1d(np.arange(len(made.inclination)), level)])
+    reading = made.reading[order] - [0.0, 0.0, np.median(made.reading[level, 2]) - amount]
+    reading[:3, 2] = -amount
+    turned = {"inclination": made.inclination[order], "tool_face": made.tool_face[order]}
+    return replace(made, **turned, reading=reading)
+
+
+def test_an_axis_that_stood_level_was_not_exchanged() -> None:
+    """Some mg of the other sign are a drift's, or a row's, not a cable's."""
+    assert not [fault for fault in told(_level_rows(20.0)) if fault.kind == "axes"]
+
+
+@pytest.mark.parametrize("amount", [3.0, 8.0])
+def test_no_line_tells_what_the_sheet_has(amount: float) -> None:
+    made = _level_rows(amount)
+    faults = [fault for fault in told(made) if fault.kind == "angle"]
+    assert faults
+    for fault in faults:
+        row, _, change = fault.line.removeprefix("--fix ").partition(":")
+        column, _, value = change.partition("=")
+        assert abs(getattr(made, column)[int(row) - 1] - float(value)) >= 1.0
 
 
 def test_two_slips_are_both_told() -> None:

@@ -83,6 +83,8 @@ def _typed(base: Base, others: _Others, row: int, column: int, unit: float) -> H
         return None
     score = top - base.as_it_stands - paid
     shown = rounded(value, sd, np.delete((sheet.inclination, sheet.tool_face)[column], row))
+    if apart(np.array([shown]), own, column)[0] < _NEAREST:
+        shown = round(value, 1)  # the dial's step would lead back to what the sheet has
     name = ("inclination", "tool_face")[column]
     number = int(sheet.row[row])
     what = (

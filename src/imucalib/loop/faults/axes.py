@@ -22,6 +22,9 @@ from imucalib.loop.faults.sheet import Sheet
 
 #: Rows that a part has at least: of a single one, its cells are asked.
 _LEAST = 2
+#: Of gravity, what the other axes must move one reading by: an axis that stands level all the while
+#: reads a few mg, and a drift does as much.
+_MOVED = 0.05
 _AXES = tuple(
     (np.array(order), np.array(sign))
     for order in permutations(range(3))
@@ -45,7 +48,9 @@ def other_axes(base: Base) -> list[Hypothesis]:
     found = []
     for k in leading(score.ravel()):
         which, start = divmod(int(k), len(at))
-        found.append(_turned(sheet, which, int(at[start]), float(score[which, start])))
+        one = _turned(sheet, which, int(at[start]), float(score[which, start]))
+        if np.abs(one.repaired.reading - sheet.reading).max() > _MOVED * sheet.gravity:
+            found.append(one)
     return found
 
 

@@ -7,6 +7,7 @@ again after every effect: what an effect explains, it no longer holds.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -19,10 +20,11 @@ from imucalib.estimators.variance import estimate_noise
 from imucalib.loop.noise.axes import with_noisy_axes
 from imucalib.loop.noise.component import estimated, refitted
 from imucalib.loop.thresholds import SHARED_NATS, SHARED_NUMBERS
+from imucalib.units import STANDARD_GRAVITY
 
 NAME = "shared noise"
-#: What stands beside an effect that a slow walk of the bias imitates.
-WANDERING = "wandering_bias"
+#: What stands beside an effect that a slow walk of the bias, or of the scale, imitates.
+WANDERING, WANDERING_SCALE = "wandering_bias", "wandering_scale"
 #: Observations after which it forgets, as tried; beyond a sixth of all it is a drift.
 _MEMORY, _LONGEST = (1.5, 4.0, 12.0), 1.0 / 6.0
 _FEWEST = 12
@@ -68,15 +70,38 @@ def lead_over_a_walk(fit: Fit, nats: float) -> float:
     return fit.log_likelihood + nats - max(slow, fit.log_likelihood)
 
 
+def lead_over_a_scale(before: Fit, after: Fit, name: str) -> float:
+    """Nats by which an effect, fitted, beats a scale of all axes that wanders slowly, in its place.
+
+    The effect's restricted likelihood is of flat numbers: a prior as wide as each turned out, at
+    least its typical size, makes it an evidence (MacKay 1992, Laplace's method).
+    """
+    own = before.observations
+    if "order" not in own.context or before.at.residual.size > SHARED_NUMBERS:
+        return math.inf
+    along = own.reading.mean(axis=1)[..., None] / STANDARD_GRAVITY
+    tried = _tried(own, tuple(own.n * share for share in _SLOW), along)
+    walk = max(estimated(before, data, _STARTS).log_likelihood for data in tried)
+    part = after.model.slices(own.context)[name]
+    typical = np.array([p.typical for p in after.parameters[part]])
+    width = np.maximum(np.abs(after.theta[part]), typical)
+    return after.log_likelihood - float(np.sum(np.log(width) + 0.5)) - walk
+
+
 def _without(noise: Noise) -> Noise:
     return Noise(noise.factor, noise.component[:-1], noise.sd[:-1])
 
 
-def _tried(bare: Observations, memories: tuple[float, ...]) -> list[Observations]:
+def _tried(
+    bare: Observations, memories: tuple[float, ...], basis: Array | None = None
+) -> list[Observations]:
     position = np.argsort(np.argsort(bare.context["order"], kind="stable")).astype(float)
     apart = np.abs(position[:, None] - position)
     return [
-        replace(bare, shared=(*bare.shared, SharedNoise(NAME, _root(apart, memory), memory)))
+        replace(
+            bare,
+            shared=(*bare.shared, SharedNoise(NAME, _root(apart, memory), memory, basis=basis)),
+        )
         for memory in memories
     ]
 
