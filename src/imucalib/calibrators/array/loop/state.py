@@ -30,6 +30,8 @@ _STALE = 0.1
 _WEIGHED = 2
 #: Step of a position, in its prior's sd, and growth of a squared step, from which a fit is lost.
 _RUNAWAY, _GROWN = 10.0, 1e3
+#: Growth of a squared step from which a fit that is behind has gone astray.
+_AWAY = 2.0
 #: Nats that may still come: squared steps, of which a quadratic has a half; and by other widths.
 _AHEAD, _WIDTHS = 5.0, 30.0
 
@@ -176,6 +178,8 @@ def _climbed(state: ArrayState, close: float, least: float = -np.inf) -> ArraySt
         if np.isfinite(least):
             ahead = _AHEAD * square + _WIDTHS - 0.5 * float(np.linalg.slogdet(inner)[1])
             if _of_values(state, off) + ahead < least:  # where the step leads
+                if square > _AWAY * shortest:  # a fit that goes astray says nothing of its end
+                    break
                 raise Behind
     return replace(moved_motion(state, base, off), converged=converged)
 

@@ -212,7 +212,9 @@ class MotionSubject:
 
     def eliminated(self) -> MotionSubject:
         path = self._told_apart()
-        for step in path.steps[:-1]:
+        # A twin in the place of another may leave nothing of the last step either.
+        same = [s.effect for s in path.steps] == [s.effect for s in self.steps]
+        for step in path.steps[:-1] if same else path.steps:
             term = next(t for t in path.state.terms if t.name == step.effect)
             if worth(path.state, term) >= KEEP:
                 continue
