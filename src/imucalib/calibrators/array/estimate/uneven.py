@@ -14,6 +14,8 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibrators.array.loop.state import ArrayState
 
+#: What is left where they are not, with what the parts differ by.
+POSITIONS = "positions against "
 #: Family-wise chance over all coordinates and drives below which positions are not the same.
 _ALPHA = 1e-3
 #: Parts of a drive other than time, and samples of a part at least.

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.calibrators.array.estimate.covariance import with_uneven
 from imucalib.calibrators.array.estimate.every import fitted_on_all, on_all, settled_there
-from imucalib.calibrators.array.estimate.uneven import Uneven
+from imucalib.calibrators.array.estimate.uneven import POSITIONS, Uneven
 from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted
@@ -113,7 +113,7 @@ def close_array_loop(
 
 
 def _as_positions(apart: Uneven) -> Unexplained:
-    name = f"positions against {apart.driver}"
+    name = POSITIONS + apart.driver
     return Unexplained(name, apart.driver, "probe", apart.p, apart.nats, 0.0)
 
 
