@@ -46,12 +46,17 @@ def delayed(course: Course, lag: Array) -> Course:
     large, h the interval; so where that would be more than a half, the differences of the slopes
     take its place by as much.
     """
-    steps = np.diff(course.t)[course.beside[1:, 0]]
-    step = float(np.median(steps)) if steps.size else np.inf
-    fed = np.maximum(4.0 * (lag / step) ** 2, _FED_BACK)
-    bend = course.plain + _FED_BACK / fed * (course.bend - course.plain)
+    bend = course.plain + calm(lag, course) * (course.bend - course.plain)
     slope = course.slope - lag * bend
     return replace(course, value=course.value - 0.5 * lag * (course.slope + slope), slope=slope)
+
+
+def calm(lag: Array | float, course: Course) -> Array:
+    """Share of a second derivative by neighbours' values, for a lag in s, that brings no more than
+    half of the noise back to where it comes from."""
+    steps = np.diff(course.t)[course.beside[1:, 0]]
+    step = float(np.median(steps)) if steps.size else np.inf
+    return np.asarray(_FED_BACK / np.maximum(4.0 * (lag / step) ** 2, _FED_BACK))
 
 
 def slope_of(values: Array, t: Array, beside: Flags) -> Array:

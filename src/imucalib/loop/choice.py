@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.core.balance import Noise
+from imucalib.core.balance import Noise, whitener
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
+from imucalib.core.identifiability import null_directions
 from imucalib.core.observations import Observations
 from imucalib.effects import known
+from imucalib.loop.candidates import effect_columns
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings
 from imucalib.loop.held_out import log_predictive, log_predictives
@@ -31,7 +33,14 @@ from imucalib.loop.search import (
 )
 from imucalib.loop.shapes import better_form, form_of
 from imucalib.loop.subject import Refused
-from imucalib.loop.thresholds import CURVE_LEAD, CURVE_NATS, CURVE_RMS, CURVE_SHARE, CURVE_TERMS
+from imucalib.loop.thresholds import (
+    CURVE_LEAD,
+    CURVE_NATS,
+    CURVE_RMS,
+    CURVE_SHARE,
+    CURVE_TERMS,
+    NUMBERS,
+)
 
 
 @dataclass(frozen=True)
@@ -169,11 +178,28 @@ def curve_of(
     return formed or smooth
 
 
+def _undetermined(fit: Fit, effect: Effect) -> bool:
+    """Whether the data clearly cannot determine an effect beside a fit, asked before any refit: too
+    few numbers, or directions that would be open at half of the noise too."""
+    added = effect.parameters(fit.observations.context)
+    if (len(fit.theta) + len(added)) * NUMBERS > fit.at.residual.size:
+        return True
+    if fit.prior is not None:
+        return False
+    white = whitener(fit.at.settings, fit.noise.ratio)
+    columns = effect_columns(fit, effect) / np.array([p.typical for p in added])
+    both = white(np.column_stack([fit.at.jacobian, columns]))
+    found = null_directions(both, (*fit.parameters, *added), fit.noise.factor / 2.0)
+    return len(found) > len(fit.null_directions)
+
+
 def _formed(current: Fit, found: Score, smooth: Decided | None, options: Options) -> Decided | None:
     """A form with a formula in place of a curve, where it predicts about as well. Where no curve
     holds out, which spends many terms, a form has to gain what a curve must."""
     form = form_of(current, found, options.rng)
     if form is None or form.effect.missing(current.observations.context):
+        return None
+    if _undetermined(current, form.effect):
         return None
     trial = options.extended(current, form.effect)
     bar = () if smooth else (CURVE_NATS, CURVE_RMS)
@@ -187,7 +213,7 @@ def _smoothed(current: Fit, found: Score, options: Options) -> Decided | None:
     for terms in CURVE_TERMS:
         effect = known(f"curve@{found.candidate.curve}:{terms}")
         assert effect is not None, found.candidate.curve
-        if effect.missing(current.observations.context):
+        if effect.missing(current.observations.context) or _undetermined(current, effect):
             continue
         trial = options.extended(current, effect)
         if objection(current, trial, CURVE_NATS, CURVE_RMS):

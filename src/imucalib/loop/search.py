@@ -26,6 +26,7 @@ from imucalib.loop.thresholds import (
     HELD_OUT_NATS,
     HELD_OUT_RMS,
     MARGIN,
+    NUMBERS,
     STRONG,
     WORSE,
 )
@@ -217,7 +218,7 @@ def objection(
     ]
     if implausible:
         return Objection(f"implausible size ({', '.join(implausible)})")
-    if len(after.theta) * 1.5 > after.at.residual.size:
+    if len(after.theta) * NUMBERS > after.at.residual.size:
         return Objection("too few numbers for its parameters")
     words = _refuted(before, after, least_nats, most_rms)
     return Objection(f"it does not hold out: {words}", by_data=True) if words else None

@@ -70,3 +70,6 @@ PATH, CURVES = 3, 3
 #: mg below which no rest of an array is a wrong one: chips' offsets move by 1-3 mg from rest to
 #: rest (four logs of a 32-IMU board), and a hand that touches the board moves it by tens.
 GROSS = 10.0
+
+#: Numbers that the data must have for each parameter.
+NUMBERS = 1.5

@@ -107,3 +107,12 @@ def test_what_drives_it_and_something_that_is_left(
     effect: str, left: str, driver: str, doubt: str
 ) -> None:
     assert found(effect, left, driver) == ((doubt,) if doubt else ())
+
+
+def test_where_positions_follow_a_drive_no_accelerometer_s_name_is_certain() -> None:
+    """One that feels dω/dt was a certain `moved_by_rate`, with positions against |ω| left."""
+    for effect, doubt in (
+        ("moved_by_rate@imu0", ("something else that positions follow",)),
+        ("gyro_bias@imu0", ()),
+    ):
+        assert found(effect, "positions against |ω|", "|ω|") == doubt

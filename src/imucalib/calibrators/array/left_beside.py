@@ -14,6 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.left import NOISY
+from imucalib.calibrators.array.estimate.uneven import POSITIONS
 from imucalib.calibrators.array.loop.at_rest import AT_REST
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.terms import Term, typical_of
@@ -69,6 +70,8 @@ def _beside(step: Step, term: Term, loop: MotionLoop, shaken: set[str]) -> str:
         return f"something else of {imu}"
     if _TIME in left and any(name in _FOLLOWS_TIME for name in term.effect.needs):
         return "something else that follows time"
+    if not gyro and any(u.name.startswith(POSITIONS) for u in loop.unexplained):
+        return "something else that positions follow"
     if any(nats > step.evidence for nats in _nats(loop, imu)):
         return "a part of what is left"
     return ""

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.board import Board
+from imucalib.calibrators.array.range_ends import NEAR_RANGE, at_end, at_range
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG
 
 _APART = 0.3  # share of a sample interval that simultaneous stamps may differ by
 _KEPT = 0.5  # share of the samples that all IMUs must have in common
-_REPEATED, _FAR = 5, 3.0  # times that an extreme is read, and over the median size, if clipped
-_NEAR_RANGE = 0.998  # share of the range from which a reading counts as clipped
 
 
 @dataclass(frozen=True)
@@ -56,10 +55,10 @@ def array_log(recording: Recording, board: Board) -> tuple[ArrayLog, Board]:
             (a, board.accelerometer_range, "accelerometer", "m/s²", 1.0),
             (g, board.gyroscope_range, "gyro", "deg/s", DEG),
         ):
-            held = _held_at_its_end(values)
-            clipped |= held | _at_range(values, limit)
+            held = at_end(values)
+            clipped |= held | at_range(values, limit)
             end = float(np.abs(values[held]).max(initial=0.0))
-            if 0.0 < end < _NEAR_RANGE * limit < np.inf:
+            if 0.0 < end < NEAR_RANGE * limit < np.inf:
                 notes.append(
                     f"the {sensor} of {names[k]} ends at {end / size:.4g} {unit}, which it reads "
                     f"again and again, not at its range of {limit / size:.4g}: taken as clipped. "
@@ -178,20 +177,3 @@ def _refuse_dead(values: Array, triad: str, quantity: str, path: str) -> None:
             where=path,
             remedy="it is dead or not connected; take the IMU off the board file",
         )
-
-
-def _held_at_its_end(values: Array) -> Flags:
-    """Samples with an axis at an extreme that it reads again and again, as no motion does: its
-    range, whatever is stated."""
-    clipped = np.zeros(len(values), dtype=np.bool_)
-    for axis in values.T:
-        for end in (axis.max(), axis.min()):
-            at = axis == end
-            # Beyond what rest reads: rests repeat readings, too.
-            if int(at.sum()) >= _REPEATED and abs(end) > _FAR * float(np.median(np.abs(axis))):
-                clipped |= at
-    return clipped
-
-
-def _at_range(values: Array, limit: float) -> Flags:
-    return np.asarray(np.any(np.abs(values) >= _NEAR_RANGE * limit, axis=1))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.course import Course
+from imucalib.core.course import Course, calm
 from imucalib.core.effect import Response
 from imucalib.core.parameter import Parameter
 from imucalib.effects.array.timing import by_jerk, by_spin
@@ -44,7 +44,8 @@ def slowed(course: Course, lag: Array) -> Course:
 def _low_passed(course: Course, k: int, tau: float) -> Array:
     """(n, 3) z of z + τ dz/dt = dx/dt. Of the fourth order in the interval h: the slopes of z at
     neighbours hold (z'₋ + 4 z' + z'₊) / 6 = (z₊ - z₋) / 2 h (`core/course`). A stretch of samples
-    begins where a slow course would be, dx/dt - τ d²x/dt², and ends by the trapezoidal rule."""
+    begins where a slow course would be, dx/dt - τ d²x/dt², as far as the noise that this brings
+    back allows (`core/course`), else as at its second sample, and ends by the trapezoidal rule."""
     from scipy.linalg import solve_banded
 
     x, t, (before, after) = course.slope[:, k], course.t, course.beside.T
@@ -57,7 +58,9 @@ def _low_passed(course: Course, k: int, tau: float) -> Array:
     behind = tau / np.where(last, step, np.inf)
     known = own[:, None] * x + down[:, None] * np.roll(x, 1, axis=0)
     known += up[:, None] * np.roll(x, -1, axis=0)
-    known[start] -= tau * course.bend[start, k]
+    share = float(calm(tau, course))
+    known[start] = share * (x - tau * course.bend[:, k])[start]
+    up[start] = share - 1.0
     bands = np.zeros((3, len(t)))  # above, on and below the diagonal, by columns
     bands[0, 1:] = (up + ahead)[:-1]
     bands[1] = own + behind

@@ -33,6 +33,7 @@ from imucalib.calibrators.array.estimate.total import total_of
 from imucalib.calibrators.array.estimate.turns import Turns, _carried, _fitted, _robust
 from imucalib.calibrators.array.fused import clocks
 from imucalib.calibrators.array.observations import own_noise, rest_context
+from imucalib.calibrators.array.range_ends import at_end, at_range
 from imucalib.recording.recording import Channel
 from worlds.boards import DEG, BoardPlan, handled, turned, twisted
 
@@ -268,16 +269,16 @@ def test_a_rests_noise_falls_with_its_samples_but_not_to_nothing() -> None:
 
 def test_clipping_is_at_the_range_or_where_an_end_repeats() -> None:
     values = np.array([[0.0, 99.9, 0.0], [0.0, 99.7, 0.0], [-99.8, 0.0, 0.0]])
-    assert logs._at_range(values, 100.0).tolist() == [True, False, True]
+    assert at_range(values, 100.0).tolist() == [True, False, True]
     rng = np.random.default_rng(0)
     noisy = rng.normal(size=(200, 3))
     top = np.sort(np.abs(noisy[:, 0]))[::-1]
     held = noisy.copy()
     held[:, 0] = np.clip(held[:, 0], None, 3.5 * np.median(np.abs(noisy[:, 0])))
     held[:6, 0] = 4.0 * top[0]
-    assert np.flatnonzero(logs._held_at_its_end(held)).tolist() == list(range(6))
+    assert np.flatnonzero(at_end(held)).tolist() == list(range(6))
     held[4:6, 0] = 0.0
-    assert not logs._held_at_its_end(held).any()
+    assert not at_end(held).any()
 
 
 def test_instants_are_matched_within_three_tenths_of_an_interval() -> None:

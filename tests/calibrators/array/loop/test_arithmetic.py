@@ -58,7 +58,7 @@ def beside(one: tuple[Array, Array], two: tuple[Array, Array]) -> Beside:
     first, second = (Alone(x.T @ x, x.T @ y) for x, y in (one, two))
     x, y = (np.concatenate(v) for v in zip(one, two, strict=True))
     carry = np.arange(12.0).reshape(4, 3) / 10.0
-    return Beside(Alone(x.T @ x, x.T @ y), (first, second), x.T @ x, carry)
+    return Beside(Alone(x.T @ x, x.T @ y), (first, second), x.T @ x, carry, 4)
 
 
 def test_each_half_gains_by_what_the_other_has_estimated() -> None:
@@ -81,7 +81,7 @@ def test_a_curve_keeps_the_directions_that_the_base_leaves() -> None:
     """At least a fifth of their square."""
     total = np.diag([4.0, 4.0, 4.0, 0.0])
     one = Alone(np.diag([4.0, 0.81, 0.79, 0.0]), np.zeros(4))
-    kept = Beside(one, (one, one), total, np.zeros((3, 4))).apart
+    kept = Beside(one, (one, one), total, np.zeros((3, 4)), 3).apart
     np.testing.assert_allclose(kept @ kept.T, np.diag([1.0, 1.0, 0.0, 0.0]), atol=1e-9)
 
 

@@ -20,26 +20,28 @@ OTHERS = {"gyro_misalignment", "gyro_scale"}
 
 
 @pytest.mark.parametrize(
-    ("plant", "name", "rivals"),
+    ("plant", "name", "ms", "rivals"),
     [
-        (slow(force=4e-3, imus=ONE), "accelerometer_low_pass@imu2", ()),
+        (slow(force=4e-3, imus=ONE), "accelerometer_low_pass@imu2", 4.0, ()),
         # With few samples the delay's own fit is lost.
-        (slow(force=4e-3), "common_accelerometer_low_pass", ("gyro_delay",)),
-        (slow(rate=4e-3), "gyro_low_pass", ()),
+        (slow(force=4e-3), "common_accelerometer_low_pass", 4.0, ("gyro_delay",)),
+        # Its fit ran away: flexing and a place that moves were certain, positions 5 sds off.
+        (slow(force=8e-3), "common_accelerometer_low_pass", 8.0, ()),
+        (slow(rate=4e-3), "gyro_low_pass", 4.0, ()),
     ],
-    ids=["one accelerometer", "all accelerometers", "all gyros"],
+    ids=["one accelerometer", "all accelerometers", "all of them, slower", "all gyros"],
 )
 def test_it_is_told_as_that_and_by_its_time(
-    plant: Plant, name: str, rivals: tuple[str, ...]
+    plant: Plant, name: str, ms: float, rivals: tuple[str, ...]
 ) -> None:
     rng = np.random.default_rng(1)
     parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
     made = odd_log(parts, plant, PLAN, rng, often=10)
-    found = closed(made.recording, 400)
+    found = closed(made.recording, 400 if ms < 8.0 else 600)
     assert {s.effect for s in found.steps} == OTHERS | {name}
     assert next(s for s in found.steps if s.effect == name).aliases == rivals
     term = next(t for t in found.final.found if t.name == name)
-    assert abs(term.theta[0] - 4.0) < 4.0 * found.final.sd_of(term)[0]
+    assert abs(term.theta[0] - ms) < 4.0 * found.final.sd_of(term)[0]
 
 
 def _made(plant: Plant) -> MotionLoop:

@@ -8,13 +8,19 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.response import information
+from imucalib.calibrators.array.estimate.uneven import Uneven, uneven
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.estimators.array.gram import gram, scores
 from imucalib.estimators.array.samples import reweighed
 
 
 def stated_covariance(state: ArrayState) -> Array:
-    """(q, q) of the positions (m) and of the terms' coordinates: A⁻¹ B A⁻¹.
+    """(q, q) of the positions (m) and of the terms' coordinates: A⁻¹ B A⁻¹."""
+    return _sandwich(state)[0]
+
+
+def _sandwich(state: ArrayState) -> tuple[Array, Array]:
+    """That covariance, and what each sample (inner,) pulls the positions by (m).
 
     A is what the weights say times how far the scores answer to it (`information`), with the prior
     P; B = Σ g gᵀ + P, g the score of one sample, is what the scores really scatter (Huber 1967,
@@ -30,10 +36,21 @@ def stated_covariance(state: ArrayState) -> Array:
     scatter = share * (own.T @ own) + (1.0 - share) * told + prior
     bread = np.linalg.inv(told + prior)
     found = bread @ scatter @ bread
-    return np.asarray(0.5 * (found + found.T))
+    return 0.5 * (found + found.T), own @ bread[:, : state.positions]
 
 
 def with_stated_covariance(state: ArrayState, factor: float = 1.0) -> ArrayState:
     """The state with that covariance; factor : how many times fewer samples noise that neighbours
     share leaves."""
     return replace(state, covariance=factor * stated_covariance(state))
+
+
+def with_uneven(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven | None]:
+    """The same, positions known no better than parts of the motion agree on them."""
+    covariance, pulls = _sandwich(state)
+    covariance *= factor
+    found = uneven(state, pulls, factor)
+    if found is not None:
+        at = np.arange(state.positions)
+        covariance[at, at] += found.spread**2
+    return replace(state, covariance=covariance), found

@@ -88,23 +88,37 @@ class Beyond:
         """Whether sensors lag by more than their clocks' ages."""
         return any(part.lags for part in self.parts)
 
-    def added(self, motion: BoardMotion) -> tuple[Array, Array]:
+    def added(
+        self, motion: BoardMotion, beside: tuple[Array, Array] | None = None
+    ) -> tuple[Array, Array]:
         """(T, K, 3) m/s² and rad/s that corrected readings still hold, in board axes; without what
-        `late` tells. Lags are whole where the motion has its courses, else to the first order."""
-        found = [np.zeros((*motion.shape, 3)) for _ in range(2)]
-        lagging = [p.term for p in self.parts if p.lags and motion.courses is not None]
-        if lagging:
-            found = [-one for one in lost(lagging, motion)]
-        for part in self.parts:
-            if part.late and part.lags and lagging:
+        `late` tells. Lags are whole where the motion has its courses, else to the first order.
+
+        beside : what `besides_lags` says of this motion, where it is known
+        """
+        found = [one.copy() for one in beside or self.besides_lags(motion)]
+        lagging = [p for p in self.parts if p.lags]
+        if lagging and motion.courses is not None:
+            less = lost([p.term for p in lagging], motion)
+            found = [one - own for one, own in zip(found, less, strict=True)]
+        for part in lagging:
+            if motion.courses is None:
+                found[part.gyro] += 0.0 if part.late else part.added(motion)
+            elif part.late:
                 found[1] -= part.added(motion)
-            elif not part.late and not (part.lags and lagging):
-                found[part.gyro] += part.added(motion)
         one, two = (
             np.matmul(a.transpose(1, 0, 2), back.transpose(0, 2, 1)).transpose(1, 0, 2)
             for a, back in zip(found, self.back, strict=True)
         )
         return one, two
+
+    def besides_lags(self, motion: BoardMotion) -> tuple[Array, Array]:
+        """(T, K, 3) what effects add to readings that do not say when these are made."""
+        found = np.zeros((*motion.shape, 3)), np.zeros((*motion.shape, 3))
+        for part in self.parts:
+            if not part.late and not part.lags:
+                found[part.gyro][...] += part.added(motion)
+        return found
 
     def late(self, t: Array, age: Array | None) -> Array | None:
         """(T, K, 3, 3) s: corrected gyros read ω + late dω/dt at times t (T,) s. age : (T, K) unit

@@ -199,9 +199,10 @@ def _without_effects(task: _Task, motion: FusedMotion) -> tuple[Array, Array]:
     if all(part.late and not part.lags for part in beyond.parts):
         return start.force, start.gyro
     seen = _seen(task.instrument, task.stretch.t, motion)
-    force, gyro = beyond.added(seen)
+    beside = beyond.besides_lags(seen)
+    force, gyro = beyond.added(seen, beside)
     if task.tied and beyond.lags and len(task.stretch.t) > _SHORT:
-        whole = beyond.added(_over_time(seen))
+        whole = beyond.added(_over_time(seen), beside)
         force, gyro = _where_smooth(force, whole[0]), _where_smooth(gyro, whole[1])
     return start.force - force, start.gyro - gyro
 

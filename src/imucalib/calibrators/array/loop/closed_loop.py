@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
+from imucalib.calibrators.array.estimate.covariance import with_uneven
 from imucalib.calibrators.array.estimate.every import fitted_on_all, on_all, settled_there
+from imucalib.calibrators.array.estimate.uneven import POSITIONS, Uneven
 from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.loop.cross_fit import Gained, cross_fitted
@@ -95,18 +96,25 @@ def close_array_loop(
         path = first
     final, ages = _on_all(path, moving, most)
     dispersion = shared_by_neighbours(final, gyro=False)
+    final, apart = with_uneven(final, dispersion)
     end, left = _left(end, rules.alpha)
     return _ended(
         end, path,
         base=first.state,
-        final=with_stated_covariance(final, dispersion),
+        final=final,
         unexplained=(*structure, *(left[:3] if asked.search else ())),
         refused=refused,
         ages=ages,
         gained=gained,
         dispersion=dispersion,
         asked=asked,
+        apart=apart,
     )  # fmt: skip
+
+
+def _as_positions(apart: Uneven) -> Unexplained:
+    name = POSITIONS + apart.driver
+    return Unexplained(name, apart.driver, "probe", apart.p, apart.nats, 0.0)
 
 
 def _left(
@@ -125,8 +133,15 @@ def _ended(
     end: End[MotionSubject], path: MotionSubject, *, base: ArrayState, final: ArrayState,
     unexplained: tuple[Unexplained, ...], refused: tuple[tuple[str, str], ...],
     ages: Ages | None, gained: Gained | None, dispersion: float, asked: Asked,
+    apart: Uneven | None,
 ) -> MotionLoop:  # fmt: skip
     searches = tuple(s for s in (end.first, end.last) if isinstance(s, Search))
+    moved = {
+        u.name: max((s.moves(u.name) for s in searches[-1:]), default=0.0) for u in unexplained
+    }
+    if apart is not None:
+        unexplained = (_as_positions(apart), *unexplained)
+        moved[unexplained[0].name] = float(apart.spread.max())
     return MotionLoop(
         base=base,
         final=final,
@@ -140,9 +155,7 @@ def _ended(
         ages=ages,
         gained=gained,
         impact=absorbed(searches),
-        moved={
-            u.name: max((s.moves(u.name) for s in searches[-1:]), default=0.0) for u in unexplained
-        },
+        moved=moved,
         dispersion=dispersion,
         asked=asked,
     )

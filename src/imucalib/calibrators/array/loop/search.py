@@ -23,7 +23,7 @@ from imucalib.calibrators.array.loop.noise_tests import NoiseTest, best_of_noise
 from imucalib.calibrators.array.loop.setup import looked_at
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN, Term, determined, typical_of
-from imucalib.calibrators.array.loop.worth import TAU, Beside, beside
+from imucalib.calibrators.array.loop.worth import TAU, Beside, beside, shared_ahead
 from imucalib.estimators.array.bordered import Each, Taking, each_beside, noise_products
 from imucalib.estimators.array.gram import starts_of
 from imucalib.estimators.contest import Contest, best_of_null, directions_of
@@ -106,6 +106,11 @@ class Search(Searched):
     def held_out(self, name: str) -> tuple[float, float]:
         """Nats that each half gains when the other has estimated the candidate and its size."""
         return self.beside(name).held_out
+
+    def shared(self, name: str, state: ArrayState) -> float:
+        """How many times fewer samples are left beside a candidate, at the least; state : the same
+        as its own, with its columns."""
+        return shared_ahead(state, self.entries[name], self.beside(name))
 
     def moves(self, name: str) -> float:
         """m rms over the positions' coordinates: what taking a candidate in would move them by, or

@@ -28,8 +28,8 @@ _ROUNDS, _AGAIN, _NEAR, _CLOSE = 30, (0, 8, 16, 24), 0.4, 0.05
 _STALE = 0.1
 #: Rounds of a motion with the weights that its residuals ask for, at one step of what is fitted.
 _WEIGHED = 2
-#: Step of a position, in its prior's sd, and growth of a squared step, from which a fit is lost.
-_RUNAWAY, _GROWN = 10.0, 1e3
+#: Of a lost fit: step of a position in its prior's sd, growth of a squared step; of a stray one.
+_RUNAWAY, _GROWN, _AWAY = 10.0, 1e3, 2.0
 #: Nats that may still come: squared steps, of which a quadratic has a half; and by other widths.
 _AHEAD, _WIDTHS = 5.0, 30.0
 
@@ -173,7 +173,7 @@ def _climbed(state: ArrayState, close: float, least: float = -np.inf) -> ArraySt
         shortest = min(shortest, square)
         if converged or square > _GROWN * shortest:
             break
-        if np.isfinite(least):
+        if np.isfinite(least) and square <= _AWAY * shortest:
             ahead = _AHEAD * square + _WIDTHS - 0.5 * float(np.linalg.slogdet(inner)[1])
             if _of_values(state, off) + ahead < least:  # where the step leads
                 raise Behind

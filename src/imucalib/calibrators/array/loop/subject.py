@@ -27,6 +27,7 @@ from imucalib.calibrators.array.loop.twins.shared_lag import with_shared_first
 from imucalib.calibrators.array.loop.worth import (
     not_held_out,
     refitted,
+    shared_noise,
     size_in_words,
     why_not,
     worth,
@@ -112,6 +113,9 @@ class MotionSubject:
         reason = not_held_out(self.searched.held_out(chosen.name))
         if reason:  # before the refit: it is what a search costs most
             return Refused(chosen.name, reason)
+        late = self.searched.by_chance(chosen, self.searched.shared(chosen.name, self.state))
+        if late.p > self.rules.alpha:
+            return Refused(chosen.name, shared_noise(late.p))
         left_out = self.left_out.union(rejected)
         chosen, tried = with_shared_first(self.searched, chosen, self.earlier, left_out, self.rules)
         if tried.state is None:
@@ -120,8 +124,7 @@ class MotionSubject:
         factor = shared_by_neighbours(tried.state, gyro=gyro)
         late = self.searched.by_chance(chosen, factor)
         if late.p > self.rules.alpha:
-            reason = f"noise that neighbours share explains it as well (p {late.p:.2g})"
-            return Refused(chosen.name, reason)
+            return Refused(chosen.name, shared_noise(late.p))
         left_out = left_out.union(*(twins_of(name) for name in rejected))
         gains = self.searched.held_out(chosen.name)
         grown = self._with(tried.state, chosen, gains, tried.rivals)
@@ -209,7 +212,9 @@ class MotionSubject:
 
     def eliminated(self) -> MotionSubject:
         path = self._told_apart()
-        for step in path.steps[:-1]:
+        # A twin in the place of another may leave nothing of the last step either.
+        same = [s.effect for s in path.steps] == [s.effect for s in self.steps]
+        for step in path.steps[:-1] if same else path.steps:
             term = next(t for t in path.state.terms if t.name == step.effect)
             if worth(path.state, term) >= KEEP:
                 continue

@@ -10,11 +10,12 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.candidates import Entry, typical_columns
 from imucalib.calibrators.array.loop.earlier import Earlier
+from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
 from imucalib.calibrators.array.loop.setup import looked_at
 from imucalib.calibrators.array.loop.state import ArrayState, settled
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.core.eigen import eigen
-from imucalib.estimators.array.gram import gram
+from imucalib.estimators.array.gram import beside_motion, gram
 from imucalib.estimators.array.reduced import Alone, alone, reduced
 from imucalib.loop.thresholds import BOTH_HALVES, ONE_HALF
 from imucalib.significant_digits import plus_minus
@@ -22,6 +23,9 @@ from imucalib.significant_digits import plus_minus
 _SURE = 3.0  # standard deviations beyond which a value is not the least that is believed
 DIVERGED = "its refit did not converge"
 TAU = 10.0 ** np.arange(-3.0, 1.1, 0.5)
+#: Of what neighbours share, foreseen: on the measured logs within a hundredth of what the refit has
+#: wherever that decides.
+_SURELY = 0.95
 _APART = 0.2  # share of a curve's direction that the base must leave
 
 
@@ -56,12 +60,13 @@ def worth(state: ArrayState, term: Term) -> float:
 class Beside:
     """One candidate by itself, its columns with the base taken out: whole, over all samples that a
     search looks at, and over each held-out half. total : (p, p) before the base was taken out;
-    carry : (d, p) positions per unit of each column"""
+    carry : (b, p) the base's coordinates per unit of each column; positions : the first of them"""
 
     whole: Alone
     halves: tuple[Alone, Alone]
     total: Array
     carry: Array
+    positions: int
 
     @property
     def held_out(self) -> tuple[float, float]:
@@ -75,7 +80,7 @@ class Beside:
     @property
     def moves(self) -> float:
         """m rms over the positions' coordinates: what taking it in would move them by."""
-        return float(np.sqrt(np.mean((self.carry @ self.value) ** 2)))
+        return float(np.sqrt(np.mean((self.carry[: self.positions] @ self.value) ** 2)))
 
     @property
     def value(self) -> Array:
@@ -108,7 +113,20 @@ def beside(state: ArrayState, entry: Entry) -> Beside:
     total = both.matrix[b:, b:].copy()
     found = reduced(both, base.rests, base.pull * (base.rests > 0.0))
     whole = Alone(found.matrix.copy(), found.along)
-    return Beside(whole, halves, total, found.carry[: state.positions].copy())
+    return Beside(whole, halves, total, found.carry.copy(), state.positions)
+
+
+def shared_ahead(state: ArrayState, entry: Entry, found: Beside) -> float:
+    """How many times fewer samples noise that neighbours share would leave beside one candidate
+    more, at the least: from the residuals that a refit has to first order, without it."""
+    assert entry.effect is not None
+    columns = typical_columns(entry.effect, state.motion, entry.only)
+    change = state.base.reading(-found.carry @ found.value, state.sampled.off.rate.shape)
+    target = change.rate if columns.gyro else change.acceleration
+    target += columns.at(found.value)
+    left = state.sampled.off.less(beside_motion(state.sampled, change, slice(None)))
+    ahead = replace(state, sampled=replace(state.sampled, off=left))
+    return max(_SURELY * shared_by_neighbours(ahead, gyro=columns.gyro), 1.0)
 
 
 def _most_likely(found: Alone) -> Array:
@@ -158,6 +176,11 @@ def implausible(state: ArrayState, name: str) -> list[str]:
         for p, v, r in zip(parameters, term.theta, reach, strict=True)
         if abs(v) > p.plausible or v + r < p.least
     ]
+
+
+def shared_noise(p: float) -> str:
+    """Why what passes is refused all the same: with as many samples as are left it has this p."""
+    return f"noise that neighbours share explains it as well (p {p:.2g})"
 
 
 def not_held_out(gains: tuple[float, float]) -> str:

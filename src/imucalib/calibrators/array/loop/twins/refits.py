@@ -65,6 +65,8 @@ def told_apart(
     """Of a joint fit, the term of this name or its twin that fits better: the fit with it, its
     name, and those that would do as well, or whose fit is lost."""
     fits = _twins(state, name, twins, margin)
+    # What was found after a wrong twin is what that has left, and no place to begin at.
+    fits |= _twins(_before_later(state, name), name, open_twins(fits), margin)
     sound = {n: s for n, s in fits.items() if s is not None and s.converged}
     sound = {n: s for n, s in sound.items() if not implausible(s, n)}
     sound[name] = _as_near(state, name, sound, margin)
@@ -88,6 +90,13 @@ def _twins(
         with suppress(Behind):
             found[twin] = settled_or_lost(start, shaped=False, least=least)
     return found
+
+
+def _before_later(state: ArrayState, name: str) -> ArrayState:
+    """With the terms after that of a name at zero."""
+    at = [t.name for t in state.terms].index(name) + 1
+    later = (replace(t, value=0.0 * t.value) for t in state.terms[at:])
+    return replace(state, terms=(*state.terms[:at], *later))
 
 
 def _effect(name: str) -> Response:
