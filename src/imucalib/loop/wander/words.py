@@ -17,8 +17,9 @@ from imucalib.loop.thresholds import STRONG
 from imucalib.loop.wander.bank import Bank
 from imucalib.loop.wander.choice import Refused, Search, Taken, same
 from imucalib.loop.wander.likelihood import Terms
+from imucalib.loop.wander.noise import usable_walks
 from imucalib.loop.wander.problem import Problem
-from imucalib.loop.wander.scores import Entry, Scored, scored, usable_walks
+from imucalib.loop.wander.scores import Entry, Scored, scored
 from imucalib.units import MG
 
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
