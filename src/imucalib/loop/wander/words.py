@@ -26,6 +26,8 @@ from imucalib.units import MG
 _APART, _ALIKE = 2.0, 3.0
 #: Kinds of structure that is told with a driver, and is no noise.
 _STRUCTURE = ("swing", "course", "jump", "stretch")
+#: What follows the past of the temperature, of whatever value.
+_PAST = ("thermal_lag", "thermal_hysteresis", "temperature_rate")
 #: Kinds of response, each with the free functions that hold what it leaves.
 _OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture", "shape"), "posture": ("curve",)}
 
@@ -139,12 +141,14 @@ def beside_left(
 
 def _beside(taken: Taken, every: Sequence[Taken]) -> tuple[str, ...]:
     """Free functions of the response that were taken as well: what needs one beside its name has
-    another form than the name's."""
+    another form than the name's. So has what follows the past of the temperature where something
+    else follows the temperature too: a play of another width, or a thermometer whose clock is late,
+    leaves as much."""
     own = taken.found.entry
-    if own.kind not in _OF_RESPONSE:
-        return ()
-    others = (t.found.entry for t in every)
-    return tuple(e.name for e in others if e.kind in _OF_RESPONSE[own.kind])
+    others = [t.found.entry for t in every if t is not taken]
+    if own.name.partition("@")[0] in _PAST:
+        return (UNLISTED,) if any(e.kind == own.kind for e in others) else ()
+    return tuple(e.name for e in others if e.kind in _OF_RESPONSE.get(own.kind, ()))
 
 
 def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
