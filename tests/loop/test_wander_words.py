@@ -152,6 +152,28 @@ def test_a_response_beside_a_free_one_has_another_form_than_its_name() -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "nats", "told"),
+    [
+        ("thermal_lag@1h", 30.5, True), ("thermal_lag@1h", 29.5, False),
+        ("thermal_hysteresis@2C", 30.5, True), ("temperature_rate@2min", 30.5, True),
+        ("temperature_scale", 36.5, False),
+    ],
+)  # fmt: skip
+def test_a_past_of_the_temperature_leads_its_present_by_ten_nats(
+    name: str, nats: float, told: bool
+) -> None:
+    """Of a bias that follows the temperature one in twelve was surely a lag."""
+    own = scored(name, 40.0, (2,), kind="temperature", family=name.partition("@")[0])
+    rival = scored("temperature_bias", nats, (3,), kind="temperature")
+    taken = SimpleNamespace(found=own, rivals=(own, rival), alike=())
+    white = np.random.default_rng(1).standard_normal((20, 5))
+    bank = SimpleNamespace(white=lambda _, at: 100.0 * white[:, at], data=4)
+    terms = Terms(np.arange(2), np.ones(2), 2)
+    found = aliases(bank, terms, taken)  # type: ignore[arg-type]
+    assert found == (("temperature_bias",) if told else ())
+
+
+@pytest.mark.parametrize(
     ("names", "unsure"),
     [
         (("thermal_lag@1h",), []),

@@ -43,8 +43,8 @@ def test_an_axis_that_stands_still_while_others_move_is_left_out(noise: float, h
     assert not np.any((runs.time > 500.0) & (runs.time < 1000.0))
     assert runs.time.size >= 28
     assert runs.faults == (
-        f"y repeats {held + 0.0:.3g} g for 8.3 min from 0.14 h on, while it should move: stuck, or at a "
-        "limit; left out of the rests",
+        f"y repeats {held + 0.0:.3g} g for 8.3 min from 0.14 h on, while it should move: stuck, or "
+        "at a limit; left out of the rests",
     )
 
 

@@ -28,6 +28,9 @@ _APART, _ALIKE = 2.0, 3.0
 _STRUCTURE = ("swing", "course", "jump", "stretch")
 #: What follows the past of the temperature, of whatever value.
 _PAST = ("thermal_lag", "thermal_hysteresis", "temperature_rate")
+#: What follows its present. A past of it is one of thirteen that were tried, and a day samples them
+#: seldom: it leads the present by as much as a form of the temperature has to.
+_NOW = "temperature_bias"
 #: Kinds of response, each with the free functions that hold what it leaves.
 _OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture", "shape"), "posture": ("curve",)}
 
@@ -173,7 +176,10 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
             alike = own.entry.free and entry.name in taken.alike
         else:
             alike = _apart(bank, terms, own, rival) < _APART
-        if rival.evidence >= (own.evidence if entry.wide else near) or alike:
+        least = own.evidence if entry.wide else near
+        if entry.name == _NOW and own.entry.name.partition("@")[0] in _PAST:
+            least = own.evidence - STRONG
+        if rival.evidence >= least or alike:
             out.append(entry.name)
     parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
     return _best_of_each_scan([*out, *parts])
