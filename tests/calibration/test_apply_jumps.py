@@ -104,7 +104,7 @@ def test_a_slow_thermometer_tells_nothing_beside_a_jump(
     assert T[alone].min() == 2971.0
     assert T[alone].max() == 3029.0
     assert np.ptp(expected[:, 0]) < 10.0 * MG
-    for rows in (47, 1024):
+    for rows in (601, 2500):
         monkeypatch.setattr(
             application, "blocks", lambda *a, s=rows, **k: blocks(*a, block_samples=s, **k)
         )
