@@ -13,13 +13,14 @@ from imucalib.core.model import Model
 from imucalib.effects import named
 from imucalib.loop.design import Fold
 from imucalib.loop.wander.bank import Bank, bank_of, parts_of, splits_of, walks_of
+from imucalib.loop.wander.chance import null_of
 from imucalib.loop.wander.choice import Rules, search
 from imucalib.loop.wander.engine import _nearest
 from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.held_blocks import judged, solved
 from imucalib.loop.wander.likelihood import Terms, best_level, levels
 from imucalib.loop.wander.noise import Noise
-from imucalib.loop.wander.scores import SIZES, Entry, Scored, middle_of_best, null_of, scored
+from imucalib.loop.wander.scores import SIZES, Entry, Scored, middle_of_best, scored
 from imucalib.loop.wander.walk import Course, Walk, beside, correlated, drawn, weighted, whitened
 from imucalib.units import MG
 from worlds.bench import GRAVITY, draw, tumble
@@ -232,7 +233,7 @@ def test_noise_takes_no_effects_place_and_no_effect_the_noises() -> None:
         for planted in (0.0, 0.9):
             y = noise + planted * x[:, 1:2]
             bank = bank_of(at, walks_of(time), np.column_stack([x, y]))
-            null = null_of(bank, levels(bank, terms, keep), rng, 100)
+            null = null_of(bank, levels(bank, terms, keep), rng, 100, range(len(bank.walks)))
             walk = best_level(bank, terms, keep)
             _, chance = scored(bank, terms, keep, entries, range(len(bank.walks)), null)
             nats = np.quantile(chance, 0.95, axis=1)

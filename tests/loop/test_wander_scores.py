@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from imucalib.loop.wander import forms, scores
+from imucalib.loop.wander.bank import bank_of, walks_of
+from imucalib.loop.wander.chance import null_of
 from imucalib.loop.wander.forms import Rival, leads, rival_form
-from imucalib.loop.wander.likelihood import Terms
+from imucalib.loop.wander.likelihood import Terms, levels
+from imucalib.loop.wander.noise import likely_walks
 from imucalib.loop.wander.scores import Entry, Scored, beside, scored
+from imucalib.loop.wander.walk import Course, Walk, drawn
 
 N, BASE = 40, 3
 KEEP = np.array([True, False, True])
@@ -159,3 +163,33 @@ def test_a_form_that_is_the_name_itself_is_no_rival(monkeypatch: pytest.MonkeyPa
     own = Scored(Entry("cubic", "", "shape", COLUMN), 20.0, 0, 1.0, 0.9, 3.0, 0.1)
     itself = [("shape@x:r:power:3", -2.0 * made.columns[:, COLUMN])]
     assert rival_form(made, TERMS, KEEP, own, itself) is None  # type: ignore[arg-type]
+
+
+def test_a_walk_that_no_candidate_comes_near_with_decides_nothing() -> None:
+    """Of data that wander by far more than a run scatters: neither a score nor chance changes
+    without the walks that are out of the question."""
+    rng = np.random.default_rng(5)
+    time = np.sort(rng.uniform(0.0, 86400.0, 400))
+    at = Course(time, np.ones((400, 1)), np.ones(400), (np.arange(400) // 100).astype(np.intp))
+    x = np.column_stack([np.ones(400), rng.standard_normal((400, 4))])
+    bank = bank_of(at, walks_of(time), np.column_stack([x, drawn(at, Walk(10.0, 3600.0), rng, 1)]))
+    terms, keep = Terms(np.array([0]), np.array([1e-2]), 1), np.ones(4, dtype=bool)
+    entries = [Entry(f"e{k}", "", f"kind {k}", np.array([k])) for k in range(1, 5)]
+    every = range(len(bank.walks))
+    found, _ = scored(bank, terms, keep, entries, every)
+    near = sorted({walk for one in found for walk in one.near})
+    assert all(one.walk in one.near for one in found)
+    assert 0 not in near
+    assert len(near) < len(bank.walks)
+    again, _ = scored(bank, terms, keep, entries, near)
+    assert [(s.entry, s.evidence, s.walk) for s in again] == [
+        (s.entry, s.evidence, s.walk) for s in found
+    ]
+    likely = levels(bank, terms, keep)
+    some = likely_walks(likely)
+    assert len(some) < len(bank.walks)
+    chances = []
+    for walks in (every, some):
+        null = null_of(bank, likely, np.random.default_rng(1), 50, walks)
+        chances.append(scored(bank, terms, keep, entries, every, null)[1])
+    assert np.allclose(*chances, atol=1e-3)

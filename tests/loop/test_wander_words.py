@@ -151,6 +151,49 @@ def test_a_response_beside_a_free_one_has_another_form_than_its_name() -> None:
     assert found == [("converter@x", "posture@24"), ("cubic", "posture@24"), ("converter@x",), ()]
 
 
+@pytest.mark.parametrize(
+    ("name", "nats", "told"),
+    [
+        ("thermal_lag@1h", 30.5, True), ("thermal_lag@1h", 29.5, False),
+        ("thermal_hysteresis@2C", 30.5, True), ("temperature_rate@2min", 30.5, True),
+        ("temperature_scale", 36.5, False),
+    ],
+)  # fmt: skip
+def test_a_past_of_the_temperature_leads_its_present_by_ten_nats(
+    name: str, nats: float, told: bool
+) -> None:
+    """Of a bias that follows the temperature one in twelve was surely a lag."""
+    own = scored(name, 40.0, (2,), kind="temperature", family=name.partition("@")[0])
+    rival = scored("temperature_bias", nats, (3,), kind="temperature")
+    taken = SimpleNamespace(found=own, rivals=(own, rival), alike=())
+    white = np.random.default_rng(1).standard_normal((20, 5))
+    bank = SimpleNamespace(white=lambda _, at: 100.0 * white[:, at], data=4)
+    terms = Terms(np.arange(2), np.ones(2), 2)
+    found = aliases(bank, terms, taken)  # type: ignore[arg-type]
+    assert found == (("temperature_bias",) if told else ())
+
+
+@pytest.mark.parametrize(
+    ("names", "unsure"),
+    [
+        (("thermal_lag@1h",), []),
+        (("thermal_lag@1h", "bias_drift"), []),
+        (("temperature_bias", "temperature_rate@2min"), ["temperature_rate@2min"]),
+        (("thermal_hysteresis@2C", "thermal_lag@1h"), ["thermal_hysteresis@2C", "thermal_lag@1h"]),
+    ],
+)
+def test_the_past_of_the_temperature_beside_the_temperature_may_be_another_past(
+    names: tuple[str, ...], unsure: list[str]
+) -> None:
+    """A play of 1.4 °C was surely one of 2 °C and surely a lag of half an hour."""
+    kinds = ["time" if name == "bias_drift" else "temperature" for name in names]
+    made = [scored(n, 20.0, (0,), kind=k) for n, k in zip(names, kinds, strict=True)]
+    every = [Taken(one, 1.0, np.zeros(2), 2.0, 1.0, ()) for one in made]  # type: ignore[arg-type]
+    told = [name for name, one in zip(names, every, strict=True) if words._beside(one, every)]
+    assert told == unsure
+    assert {a for one in every for a in words._beside(one, every)} <= {"unlisted_effect"}
+
+
 def test_what_leaves_readings_without_an_inverse_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

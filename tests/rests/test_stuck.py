@@ -34,7 +34,7 @@ def found(values: Array) -> PostureRuns:
     return posture_runs(scan([Recording({"imu0/acceleration": channel}, "a", "a", "")], 10.0))
 
 
-@pytest.mark.parametrize("held", [-0.3, 0.0])
+@pytest.mark.parametrize("held", [-0.3, 0.0, -0.0])
 @pytest.mark.parametrize("noise", [3.0, 0.1], ids=["fine", "coarse"])
 def test_an_axis_that_stands_still_while_others_move_is_left_out(noise: float, held: float) -> None:
     values = worn(40, noise, 1.0)
@@ -43,8 +43,8 @@ def test_an_axis_that_stands_still_while_others_move_is_left_out(noise: float, h
     assert not np.any((runs.time > 500.0) & (runs.time < 1000.0))
     assert runs.time.size >= 28
     assert runs.faults == (
-        f"y repeats {held:.3g} g for 8.3 min from 0.14 h on, while it should move: stuck, or at a "
-        "limit; left out of the rests",
+        f"y repeats {held + 0.0:.3g} g for 8.3 min from 0.14 h on, while it should move: stuck, or "
+        "at a limit; left out of the rests",
     )
 
 

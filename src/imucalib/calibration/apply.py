@@ -70,7 +70,7 @@ def apply_to_recording(
     if not again:
         refuse_second(recording, channel.triad)
     ready = correction or Correction(calibration, use)
-    if history is None and ready.remembered:
+    if history is None and ready.follows_warmth:
         history = thermal_history([recording], channel.triad)
     thermometer = thermometer or thermometer_of(recording, channel.triad)
     corrected = ready(recording, channel, history, thermometer)
@@ -115,8 +115,8 @@ def correct_file(
 
     Goes block by block, so a week takes no more memory than an hour. Logs of messages are held
     whole, since their topics come at their own times; from MCAP to MCAP every other topic is
-    copied untouched. A lag of the temperature takes a first pass of its own. Options and errors as
-    in `apply_to_recording`.
+    copied untouched. What follows the temperature takes a first pass of its own. Options and errors
+    as in `apply_to_recording`.
     """
 
     def at_once() -> tuple[str, ...]:
@@ -129,7 +129,7 @@ def correct_file(
         return at_once()
     notes: dict[str, None] = {}
     history, ready = None, None if calibration.triads else Correction(calibration, use)
-    if ready is not None and ready.remembered:
+    if ready is not None and ready.follows_warmth:
         history = _history(blocks(source, mapping, strict=strict), triad)
 
     def corrected_blocks() -> Iterator[Recording]:

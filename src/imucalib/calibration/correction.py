@@ -23,7 +23,7 @@ from imucalib.core.truth import Truth
 from imucalib.effects.thermal.lag import PREFIX, counts_rows
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.thermal_history import ThermalHistory, temperature_at
+from imucalib.rests.thermal_history import ThermalHistory, temperature_at, unheard
 from imucalib.rests.thermal_memory import is_remembered, remembered
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -54,7 +54,7 @@ class Correction:
         self.needs = {n for model in models for effect in model.effects for n in effect.needs}
         self._by_rows = {n for n in self.needs if n.startswith(PREFIX) and counts_rows(n)}
         self._bent = any(undo.bent for undo in self._undo)
-        self._samples = self._far = self._unsettled = 0
+        self._samples = self._far = self._unsettled = self._unheard = 0
         self._left: dict[str, tuple[int, float, float]] = {}
         self._held: dict[str, None] = {}
 
@@ -67,6 +67,11 @@ class Correction:
     def warm(self) -> bool:
         """Whether a thermometer tells something of what is needed."""
         return "temperature" in self.needs or bool(self._by_rows)
+
+    @property
+    def follows_warmth(self) -> bool:
+        """Whether the temperature of the whole recording tells something of what is needed."""
+        return self.warm or bool(self.remembered)
 
     def __call__(
         self,
@@ -108,6 +113,12 @@ class Correction:
                 f"{low:.3g} to {high:.3g}{unit}: {lowest:.3g} to {highest:.3g}{unit} were "
                 "recorded; their correction is extrapolated"
             )
+        if self._unheard:
+            found.append(
+                f"{self._unheard} of {self._samples} samples have no temperature, for the "
+                "thermometer jumps there as no case can: what depends on it acts as in the middle "
+                "of what was calibrated"
+            )
         if self._far:
             found.append(
                 f"{self._far} of {self._samples} samples read more than 1.1 g on an axis, beyond "
@@ -129,16 +140,29 @@ class Correction:
     ) -> dict[str, Array]:
         known = _clock(self.calibration, recording, channel)
         if thermometer is not None:
-            known["temperature"] = temperature_at(thermometer, channel.t)
-            known |= dict.fromkeys(self._by_rows, known["temperature"])
+            known |= self._warmth(thermometer, history, channel.t)
             if self._by_rows:
                 self._held[_AS_WARM] = None
-        if history is not None:
+        if history is not None and history.time.size:
             known |= {name: remembered(history, name, channel.t) for name in self.remembered}
         for name in _RANGED:
             if name in self.needs and name in known:
                 self._count(name, known[name])
         return known
+
+    def _warmth(
+        self, thermometer: Channel, history: ThermalHistory | None, at: Array
+    ) -> dict[str, Array]:
+        """The temperature (n,) by the names that it has; where the thermometer jumps, the middle of
+        what was calibrated, as without one."""
+        warm = temperature_at(thermometer, at)
+        names = sorted({"temperature", *self._by_rows})
+        lost = None if history is None else unheard(thermometer, history, at)
+        if not self.warm or lost is None or not lost.any():
+            return dict.fromkeys(names, warm)
+        self._unheard += int(lost.sum())
+        valid = self.calibration.valid
+        return {n: np.where(lost, 0.5 * sum(valid[n]), warm) for n in names if n in valid}
 
     def _count(self, name: str, values: Array) -> None:
         low, high = self.calibration.valid.get(name, (-np.inf, np.inf))

@@ -111,7 +111,8 @@ def _moved(w: Windows, axis: int, starts: Index) -> Flags:
 
 def _words(w: Windows, axis: int, dead: Flags, rate: float) -> str:
     values = np.unique(w.high[dead, axis])
-    value = f"{values[0] / STANDARD_GRAVITY:.3g} g" if values.size == 1 else "one number"
+    # A converter's zero may have a sign, which is no news.
+    value = f"{values[0] / STANDARD_GRAVITY + 0.0:.3g} g" if values.size == 1 else "one number"
     return (
         f"{'xyz'[axis]} repeats {value} {_when(w, dead, rate)}, while it should move: "
         "stuck, or at a limit; left out of the rests"

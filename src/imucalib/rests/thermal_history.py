@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Flags
 from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.thermometer import believed
 from imucalib.rests.windows import WindowBuilder, Windows, in_order
 
 _WINDOW = 10.0  # s
@@ -23,10 +24,17 @@ _SILENT = 3600.0  # s without a reading after which nothing is known of the way 
 
 @dataclass(frozen=True)
 class ThermalHistory:
-    """time (m,) s, of the middles of the windows; values (m,) °C, their means."""
+    """time (m,) s, of the middles of the windows; values (m,) °C, their means; gone : (k, 2) s, in
+    order, from and to of what the thermometer did not measure."""
 
     time: Array
     values: Array
+    gone: Array = field(default_factory=lambda: np.empty((0, 2)))
+
+    def silent(self, at: Array) -> Flags:
+        """(n,) whether the thermometer did not measure at times (s)."""
+        last = np.searchsorted(self.gone[:, 0], at, side="right") - 1
+        return np.asarray((last >= 0) & (at < np.append(self.gone[:, 1], -np.inf)[last]))
 
     def lagged(self, hours: float, at: Array) -> Array:
         """Temperature (°C) behind a lag of some hours, at times (s); it starts in equilibrium."""
@@ -84,7 +92,8 @@ def history_of(windows: Windows) -> ThermalHistory:
 
 
 def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory | None:
-    """From a recording in blocks, of the thermometer of a triad; None when there is none."""
+    """From a recording in blocks, of the thermometer of a triad; None when there is none. Jumps
+    that no case can follow are left out; where more than half are jumps, all is gone."""
     builder: WindowBuilder | None = None
     for block in blocks:
         for channel in block.channels.values():
@@ -93,7 +102,12 @@ def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory |
                 builder.add(channel, block.gaps)
                 break
     windows = builder.windows() if builder else None
-    return history_of(in_order(windows)[0]) if windows else None
+    if windows is None:
+        return None
+    heat = believed(in_order(windows)[0])
+    if heat.windows is None:
+        return ThermalHistory(np.empty(0), np.empty(0), np.array([[-np.inf, np.inf]]))
+    return replace(history_of(heat.windows), gone=heat.gone)
 
 
 def thermometer_of(recording: Recording, triad: str) -> Channel | None:
@@ -116,6 +130,15 @@ def temperature_at(thermometer: Channel, at: Array) -> Array:
     before = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
     alone = (at >= t[before]) & (at < t[before + 1]) & (t[before + 1] - t[before] > _SILENT)
     return np.where(alone, values[before], found)
+
+
+def unheard(thermometer: Channel, history: ThermalHistory, at: Array) -> Flags:
+    """(n,) whether there is no temperature at times (s): at a reading that is gone, and between it
+    and its neighbours."""
+    t, bad = thermometer.t, history.silent(thermometer.t)
+    after = np.minimum(np.searchsorted(t, at), t.size - 1)
+    before = np.maximum(np.searchsorted(t, at, side="right") - 1, 0)
+    return np.asarray(bad[after] | bad[before])
 
 
 def with_thermometer(

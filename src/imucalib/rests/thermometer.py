@@ -21,6 +21,7 @@ _LEAST, _MOST = 2.0, 30.0  # °C that a jump has at least; that it always is
 _AROUND, _FEWEST, _WIDEST = 50.0, 2, 5  # s on either side that it is held against, and windows
 _NOISE = 8.0  # standard deviations (by the median)
 _STEPS = 1.5  # steps of the resolution
+_CODES = (85.0, -127.0)  # °C that it says after power-up, and where it does not answer
 _HALF = 0.5  # share of jumps from which on nothing of a thermometer is believed
 
 
@@ -77,6 +78,16 @@ def tells_apart(w: Windows, one: Array, other: Array) -> bool:
     rounding makes them differ: by twice its error of step / √12, in the root mean square."""
     step = float(w.finest[0]) if np.isfinite(w.finest[0]) else _step(w.mean[:, 0])
     return float(np.mean(np.square(one - other))) > step**2 / 3.0
+
+
+def told_by_code(values: Array) -> Flags:
+    """(n,) whether a reading of a table, °C, is what a thermometer says that has not measured: just
+    that number, not in two rows that follow each other, and far from the rows that measured."""
+    code = np.isin(values, _CODES)
+    others = values[~code]
+    if others.size <= _HALF * values.size or (code[1:] & code[:-1]).any():
+        return np.zeros_like(code)
+    return np.asarray(code & (np.abs(values[:, None] - others).min(axis=1) > _MOST))
 
 
 def _jumps(w: Windows) -> Flags:

@@ -17,7 +17,13 @@ from imucalib.calibrators.lab.bench import (
     row_numbers,
     still_observations,
 )
-from imucalib.calibrators.lab.checks import implausible_sizes, kept_rows, refuse_sizes
+from imucalib.calibrators.lab.checks import (
+    implausible_sizes,
+    kept_rows,
+    refuse_sizes,
+    refuse_temperatures,
+    without_temperature,
+)
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.faults import sheet_of
 from imucalib.calibrators.lab.position_table import PositionTable
@@ -224,6 +230,27 @@ def _told(made: PositionTable) -> str:
     with pytest.raises(UsageError) as caught:
         refuse_sizes(made, np.array([1, 2]), np.arange(8))
     return caught.value.what
+
+
+@pytest.mark.parametrize("code", [85.0, -127.0])
+def test_what_a_thermometer_says_that_has_not_measured_is_no_temperature(code: float) -> None:
+    def bad(*values: float, **unit: str) -> list[int]:
+        made = table(unit or {"temperature": "C"}, temperature=values)
+        return list(without_temperature(made, np.arange(len(values))))
+
+    assert bad(20.0, code, 22.0, 23.0, code) == [1, 4]
+    assert bad(20.0, 21.0, code + 0.1, 22.0) == []
+    assert bad(code, 20.0, code, 20.0) == []  # as often as not: two temperatures
+    assert bad(20.0, 21.0, 22.0, 23.0, 24.0, code, code) == []  # an oven stands there
+    assert bad(20.0, code, code + 29.0, 23.0, 20.0) == []
+    assert bad(250.0, code, 260.0, 255.0, temperature="K") == []
+    made = table({"temperature": "C"}, temperature=[20.0, code, 22.0])
+    refuse_temperatures(made, np.array([], np.intp))
+    with pytest.raises(UsageError, match="not measured") as caught:
+        refuse_temperatures(made, np.array([1]))
+    assert caught.value.where.endswith("row 2, column temperature")
+    assert "--exclude 2" in caught.value.remedy
+    assert without_temperature(table(x=[1, 2]), np.arange(2)).size == 0
 
 
 def test_rows_are_left_out_by_their_numbers() -> None:

@@ -23,6 +23,7 @@ from imucalib.errors import UsageError
 from imucalib.loop.faults.cells import transposed
 from imucalib.readers.conversion import Conversion, temperature
 from imucalib.recording.mapping import FieldMapping
+from imucalib.rests.thermometer import told_by_code
 from imucalib.units import ACCELERATION_UNITS, DEG, MG
 
 #: A reading at rest differs from the others' size by a tenth at most, through bias and scale.
@@ -110,6 +111,28 @@ def warmth_note(table: PositionTable) -> tuple[str, ...]:
     """How the temperature was read where the table does not say it."""
     made = _warmth(table)
     return (made.note,) if made is not None and made.note else ()
+
+
+def without_temperature(table: PositionTable, rows: Index) -> Index:
+    """Those of some rows (from 0) beside which the thermometer had not measured."""
+    made = _warmth(table)
+    if made is None or made.unit != "degC":
+        return rows[:0]
+    return rows[told_by_code(made.apply(table.columns["temperature"][rows]))]
+
+
+def refuse_temperatures(table: PositionTable, bad: Index) -> None:
+    """Raise UsageError for rows whose temperature no thermometer measured: taken for one it hides
+    what the temperature does, and makes another effect of it."""
+    if bad.size:
+        row, value = int(table.row[bad[0]]), float(table.columns["temperature"][bad[0]])
+        name = table.names.get("temperature", "temperature")
+        raise UsageError(
+            f"{value:g} is what a thermometer says that has not measured, and far from all others"
+            + (f" (so are {bad.size - 1} more)" if bad.size > 1 else ""),
+            where=f"{table.path}, row {row}, column {name}",
+            remedy=f"correct the cell, or --exclude {row} or --auto-exclude",
+        )
 
 
 def implausible_sizes(table: PositionTable, rows: Index) -> Index:

@@ -25,9 +25,11 @@ from imucalib.calibrators.lab.checks import (
     kept_rows,
     observations_of,
     refuse_sizes,
+    refuse_temperatures,
     refuse_units,
     warmth_note,
     with_train,
+    without_temperature,
 )
 from imucalib.calibrators.lab.faults import Faults, doubts, look_for_faults, worthless
 from imucalib.calibrators.lab.position_table import PositionTable
@@ -186,13 +188,15 @@ def _kept(
     """The rows that were not excluded and have a plausible size, and what was left out."""
     rows = kept_rows(table, (*request.exclude, *lost))
     refuse_units(table, rows)
-    far = implausible_sizes(table, rows)
+    far, cold = implausible_sizes(table, rows), without_temperature(table, rows)
     if not request.auto_exclude:
         refuse_sizes(table, far, rows)
+        refuse_temperatures(table, cold)
     asked = tuple(f"row {r}: excluded as asked" for r in request.exclude)
     asked += tuple(f"row {r}: left without a value by --shift" for r in lost)
     words = tuple(f"row {table.row[r]}: excluded automatically (size of |a|)" for r in far)
-    return np.setdiff1d(rows, far), asked + words
+    words += tuple(f"row {table.row[r]}: excluded automatically (no temperature)" for r in cold)
+    return np.setdiff1d(rows, [*far, *cold]), asked + words
 
 
 def _first(whole: Observations, rows: Index, request: LabRequest, faults: Faults) -> LabResult:

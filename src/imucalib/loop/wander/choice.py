@@ -12,7 +12,8 @@ from imucalib.loop.wander.bank import Bank, Mask, Split
 from imucalib.loop.wander.forms import leads, rival_form
 from imucalib.loop.wander.held_blocks import Judged, inside, judged, judged_each
 from imucalib.loop.wander.likelihood import Level, Terms, best_level
-from imucalib.loop.wander.scores import Entry, Scored, finest, middle_of_best, scored, usable_walks
+from imucalib.loop.wander.noise import usable_walks
+from imucalib.loop.wander.scores import Entry, Scored, finest, middle_of_best, scored
 
 #: Standard errors by which the density must gain over the blocks; what is driven by time lies in
 #: the same blocks as what it claims to explain, and has to gain more.
@@ -77,13 +78,20 @@ class Rules:
     next ones where nothing that reaches the first holds out
     most : effects; same_tau : as in `usable_walks`
     finer : (entry) -> values of its scan near it, with their columns (n, c), or nothing
-    forms : (entry) -> names and columns of the forms that the driver of a name may have"""
+    forms : (entry) -> names and columns of the forms that the driver of a name may have
+    near : walks that decide something, all where none are said"""
 
     bars: Bars
     most: int
     finer: Finer
     forms: Forms
     same_tau: bool = False
+    near: frozenset[int] = frozenset()
+
+    def walks(self, bank: Bank, level: Level) -> tuple[int, ...]:
+        """Those under which candidates are scored beside a model with this noise."""
+        usable = usable_walks(bank, level, same_tau=self.same_tau)
+        return tuple(walk for walk in usable if walk in self.near) or usable
 
 
 def search(
@@ -101,7 +109,7 @@ def search(
     while True:
         level = best_level(bank, terms, keep)
         open_entries = [e for e in entries if not any(same(e, t.found.entry) for t in taken)]
-        walks = usable_walks(bank, level, same_tau=rules.same_tau)
+        walks = rules.walks(bank, level)
         scores, _ = scored(bank, terms, keep, open_entries, walks, told=not rules.same_tau)
         first = first or scores
         refused = list[Refused]()

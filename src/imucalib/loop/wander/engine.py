@@ -19,6 +19,7 @@ from imucalib.loop.held_out import Held
 from imucalib.loop.separation.worn import ambiguities
 from imucalib.loop.wander.bank import Bank, parts_of
 from imucalib.loop.wander.beside.every import beside_all
+from imucalib.loop.wander.chance import by_chance, sure
 from imucalib.loop.wander.choice import Refused, Rules, Search, search
 from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
@@ -28,12 +29,12 @@ from imucalib.loop.wander.left.courses import courses
 from imucalib.loop.wander.left.stretch import stretches
 from imucalib.loop.wander.left.strongest import strongest
 from imucalib.loop.wander.left.swing import swings
-from imucalib.loop.wander.likelihood import Level, Terms, best_level, levels
+from imucalib.loop.wander.likelihood import Level, Terms, best_level
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.probes import left_over as probed_of
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
-from imucalib.loop.wander.report import held_difference, predicted
-from imucalib.loop.wander.scores import Scored, null_of, scored, sure, usable_walks
+from imucalib.loop.wander.report import held_difference, predicted, walks_of_note
+from imucalib.loop.wander.scores import Scored
 from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import (
     beside_left,
@@ -121,10 +122,7 @@ def _searched(
 
     def draw(bank: Bank, terms: Terms, turn: int) -> Array:
         if turn not in drawn:
-            every = levels(bank, terms, keep)
-            null = null_of(bank, every, rng, rules.draws)
-            walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
-            drawn[turn] = scored(bank, terms, keep, problem.entries, walks, null)[1]
+            drawn[turn] = by_chance(bank, terms, problem.entries, rng, rules.draws)
         return np.asarray(np.quantile(drawn[turn], 1.0 - alpha, axis=1))
 
     def tried(bank: Bank, terms: Terms, turn: int, scores: Sequence[Scored]) -> Iterator[Array]:
@@ -224,7 +222,7 @@ def _told(
     problem, bars = found.problem, found.bars
     rules = Rules(
         lambda bank, terms, turn, scores: (bars[min(turn, len(bars) - 1)],),
-        asked.rules.most_effects, problem.finer, problem.forms, same_tau=True,
+        asked.rules.most_effects, problem.finer, problem.forms, True, walks_of_note(found.search),
     )  # fmt: skip
     each = predicted(problem, folds, rules)
     gained = held_difference(each, folds)

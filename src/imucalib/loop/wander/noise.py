@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,9 +10,9 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.balance import Balanced
 from imucalib.core.fit import Fit
-from imucalib.loop.wander.bank import bank_of, walks_of
+from imucalib.loop.wander.bank import Bank, bank_of, walks_of
 from imucalib.loop.wander.held_blocks import solved
-from imucalib.loop.wander.likelihood import Terms, levels
+from imucalib.loop.wander.likelihood import Level, Terms, levels
 from imucalib.loop.wander.walk import Course, Walk, beside
 from imucalib.units import MG
 
@@ -24,6 +25,9 @@ ROOM, _BEHIND = 3.5, 40.0
 #: Nats behind the likeliest after two rounds from which a walk is not tried again: weights move it
 #: no more.
 _LOST = 100.0
+#: Nats behind the likeliest from which on a walk decides nothing: neither on data drawn from the
+#: likeliest ones, nor without one block of twelve, where the day on the wrist moved it by 16.
+REACH = 60.0
 
 
 @dataclass(frozen=True)
@@ -116,3 +120,20 @@ def noise_of(
         scatter=scatter, course=course, walk=walk, evidence=gained, wander=wander,
         light=int((far > 1.0).sum()), walks=likely,
     )  # fmt: skip
+
+
+def usable_walks(bank: Bank, fitted: Level, *, same_tau: bool) -> tuple[int, ...]:
+    """Walks that a candidate may bring: up to a little more than the fitted one; `same_tau`: of
+    that one's memory only (inside folds, where everything is done many times)."""
+    now = bank.walks[fitted.walk]
+    return tuple(
+        k
+        for k, walk in enumerate(bank.walks)
+        if walk.rho <= ROOM * now.rho and (not same_tau or walk.rho == 0 or walk.tau == now.tau)
+    )
+
+
+def likely_walks(every: Sequence[Level]) -> tuple[int, ...]:
+    """Walks that data like these may come from."""
+    most = max(level.nats for level in every)
+    return tuple(level.walk for level in every if level.nats > most - REACH)

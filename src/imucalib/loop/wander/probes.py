@@ -10,11 +10,12 @@ from imucalib.core.effect import Family
 from imucalib.core.fit import Fit
 from imucalib.loop.design import Fold
 from imucalib.loop.found import Unexplained
+from imucalib.loop.wander.chance import null_of
 from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.likelihood import levels
-from imucalib.loop.wander.noise import Noise
+from imucalib.loop.wander.noise import Noise, usable_walks
 from imucalib.loop.wander.problem import base_precision, problem_of
-from imucalib.loop.wander.scores import null_of, scored, usable_walks
+from imucalib.loop.wander.scores import scored
 from imucalib.loop.wander.words import chance_of
 
 
@@ -31,7 +32,7 @@ def left_over(
     if not problem.entries:
         return ()
     every = levels(bank, terms, keep)
-    null = null_of(bank, every, rng, draws)
+    null = null_of(bank, every, rng, draws, range(len(bank.walks)))
     walks = usable_walks(bank, max(every, key=lambda one: one.nats), same_tau=False)
     scores, chance = scored(bank, terms, keep, problem.entries, walks, null)
     best = scores[0]

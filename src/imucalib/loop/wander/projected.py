@@ -19,11 +19,12 @@ CURVE_SIZE, CURVE_TERMS = 3.0, 7
 
 @dataclass(frozen=True)
 class Null:
-    """Data that lack nothing: products (walks, m, draws) with all columns, and power (walks,
-    draws)."""
+    """Data that lack nothing: by walk their products (m, draws) with all columns, and power
+    (draws,)."""
 
-    along: Array
-    power: Array
+    along: dict[int, Array]
+    power: dict[int, Array]
+    draws: int
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from imucalib.errors import NotConverged
 from imucalib.loop.design import Fold
 from imucalib.loop.difference import Difference, difference, with_density
 from imucalib.loop.held_out import Held, errors
-from imucalib.loop.wander.choice import Rules, Taken, search
+from imucalib.loop.wander.choice import Rules, Search, Taken, search
 from imucalib.loop.wander.forms import driver_of
 from imucalib.loop.wander.held_blocks import judged, solved
 from imucalib.loop.wander.likelihood import Terms, best_level
@@ -30,6 +30,12 @@ class Predicted:
     after: Held
     gains: Array
     found: tuple[frozenset[str], ...]
+
+
+def walks_of_note(found: Search) -> frozenset[int]:
+    """Walks under which some candidate came near its best, in any round of a search."""
+    rounds = [*(taken.rivals for taken in found.taken), found.last]
+    return frozenset(walk for scores in rounds for score in scores for walk in score.near)
 
 
 def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicted:

@@ -18,8 +18,8 @@ from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
 from imucalib.estimators.contest import best_evidence, directions_of
 from imucalib.loop.wander.bank import Bank, Mask
-from imucalib.loop.wander.likelihood import Level, Terms, levels
-from imucalib.loop.wander.noise import ROOM
+from imucalib.loop.wander.likelihood import Terms, levels
+from imucalib.loop.wander.noise import REACH
 from imucalib.loop.wander.projected import (
     CURVE_SIZE,
     CURVE_TERMS,
@@ -29,7 +29,7 @@ from imucalib.loop.wander.projected import (
     projected,
     turned,
 )
-from imucalib.loop.wander.walk import drawn, whitened
+from imucalib.loop.wander.walk import whitened
 
 #: Prior sizes that are tried, in typical ones.
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
@@ -84,7 +84,8 @@ class Entry:
 @dataclass(frozen=True)
 class Scored:
     """evidence (nats), with the walk and the prior size that give it; left : share of the columns
-    that the model does not absorb; strength : λ at typical size; share : of the power."""
+    that the model does not absorb; strength : λ at typical size; share : of the power; near :
+    walks under which it comes near that evidence"""
 
     entry: Entry
     evidence: float
@@ -93,78 +94,30 @@ class Scored:
     left: float
     strength: float
     share: float
-
-
-def null_of(bank: Bank, every: Sequence[Level], rng: np.random.Generator, draws: int) -> Null:
-    """Drawn from every walk as often as its likelihood says: the noise is not known exactly."""
-    nats = np.array([level.nats for level in every])
-    weight = np.exp(nats - nats.max())
-    often = [int(count) for count in rng.multinomial(draws, weight / weight.sum())]
-    data = np.concatenate(
-        [
-            np.sqrt(level.variance) * drawn(bank.course, bank.walks[level.walk], rng, count)
-            for level, count in zip(every, often, strict=True)
-            if count
-        ],
-        axis=1,
-    )
-    # Single precision is a thousandth of a nat here, at half the time.
-    columns, both = bank.columns.shape[1], np.column_stack([bank.columns, data]).astype(np.float32)
-    along, power = list[Array](), list[Array]()
-    for walk in range(len(bank.walks)):
-        white = whitened(bank.course, bank.walks, both, slice(walk, walk + 1))[0][0]
-        own, one = white[:, :columns], white[:, columns:]
-        along.append(own.T @ one)
-        power.append(np.einsum("nd,nd->d", one, one, dtype=np.float64))
-    return Null(np.stack(along), np.stack(power))
-
-
-def sure(draws: int, ways: int) -> float:
-    """Nats that nothing but time reaches where nothing is missing, so that no data need be drawn:
-    the odds of a size have mean one then, whatever the noise (Markov's inequality).
-
-    ways : candidates and walks, multiplied
-    """
-    return float(np.log(1e3 * draws * len(SIZES) * max(ways, 1)))
-
-
-def usable_walks(bank: Bank, fitted: Level, *, same_tau: bool) -> tuple[int, ...]:
-    """Walks that a candidate may bring: up to a little more than the fitted one; `same_tau`: of
-    that one's memory only (inside folds, where everything is done many times)."""
-    now = bank.walks[fitted.walk]
-    return tuple(
-        k
-        for k, walk in enumerate(bank.walks)
-        if walk.rho <= ROOM * now.rho and (not same_tau or walk.rho == 0 or walk.tau == now.tau)
-    )
+    near: tuple[int, ...] = ()
 
 
 def scored(
-    bank: Bank,
-    terms: Terms,
-    keep: Mask,
-    entries: Sequence[Entry],
-    walks: Sequence[int],
-    null: Null | None = None,
-    *,
-    told: bool = True,
-) -> tuple[tuple[Scored, ...], Array]:
+    bank: Bank, terms: Terms, keep: Mask, entries: Sequence[Entry], walks: Sequence[int],
+    null: Null | None = None, *, told: bool = True,
+) -> tuple[tuple[Scored, ...], Array]:  # fmt: skip
     """Every candidate, best first, and on every draw of the null the best (2, draws) of those that
     nothing in time drives and of those that time does.
 
     A long walk looks like a drift now and then, never like a temperature: each has its own chance.
     told : whether somebody reads what is left of the columns, their strength and share
     """
-    draws = 0 if null is None else null.power.shape[1]
+    draws = 0 if null is None else null.draws
     if not entries:
         return (), np.zeros((2, draws))
     base = levels(bank, terms, keep)
     freedom = base[0].freedom
     best = np.full((len(entries), 1 + draws), -np.inf)
+    under = np.full((len(entries), len(bank.walks)), -np.inf)
     without = np.full((1 + draws), -np.inf)
     where, views = np.zeros((len(entries), 2), dtype=int), dict[int, View]()
     for walk in range(len(bank.walks)):
-        if walk not in walks and null is None:
+        if walk not in walks if null is None else walk not in null.power:
             without[0] = max(without[0], base[walk].nats)
             continue
         view = views[walk] = projected(bank, terms, keep, walk, null)
@@ -175,14 +128,22 @@ def scored(
         for k, gain in enumerate(plain + _of_every_size(view, entries, freedom)):
             where[gain[:, 0] > best[:, 0]] = walk, k
             best = np.maximum(best, gain)
+            under[:, walk] = np.maximum(under[:, walk], gain[:, 0])
     evidence = np.maximum(best - without, 0.0)
     found = [
-        Scored(entry, float(nats), int(walk), SIZES[size], *_facts(views[int(walk)], entry, told))
-        for entry, nats, (walk, size) in zip(entries, evidence[:, 0], where, strict=True)
+        Scored(entry, nats, walk, SIZES[size], *_facts(views[walk], entry, told), _near(own))
+        for entry, nats, (walk, size), own in zip(
+            entries, evidence[:, 0].tolist(), where.tolist(), under, strict=True
+        )
     ]
     timed = np.array([e.timed for e in entries])
     chance = [evidence[timed == one, 1:].max(axis=0, initial=0.0) for one in (False, True)]
     return tuple(sorted(found, key=lambda s: -s.evidence)), np.array(chance)
+
+
+def _near(nats: Array) -> tuple[int, ...]:
+    """Walks whose likelihood with a candidate (walks,) comes near its best."""
+    return tuple(np.flatnonzero(nats > nats.max() - REACH).tolist())
 
 
 def _of_every_size(view: View, entries: Sequence[Entry], freedom: int) -> Array:

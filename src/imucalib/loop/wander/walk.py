@@ -59,9 +59,9 @@ class Course:
 class _Filter:
     """What the filter does to any column, by blocks of b rows, of which the last may be of nothing.
 
-    white : (walks, blocks, b, b) L⁻¹ of a block given the rows before; seen : (walks, blocks, b, q)
-    L⁻¹ of what the state at the end of the block before does to it; keep : (walks, blocks) of that
-    state; gain : (walks, blocks, q, b) by which the white rows move it; log_det : (walks, parts)"""
+    white : (blocks, walks, b, b) L⁻¹ of a block given the rows before; seen : (blocks, walks, b, q)
+    L⁻¹ of what the state at the end of the block before does to it; keep : (blocks, walks) of that
+    state; gain : (blocks, walks, q, b) by which the white rows move it; log_det : (walks, parts)"""
 
     white: Array
     seen: Array
@@ -78,17 +78,17 @@ def whitened(
     steps = _filter(course, tuple(walks))
     (n, m), q, kind = columns.shape, course.seen.shape[1], columns.dtype
     inverse, seen, keep, gain = (
-        x[some or slice(None)].astype(kind, copy=False)
+        x[:, some or slice(None)].astype(kind, copy=False)
         for x in (steps.white, steps.seen, steps.keep[..., None, None], steps.gain)
     )
-    out: NDArray[Real] = np.empty((len(inverse), n, m), kind)
-    state: NDArray[Real] = np.zeros((len(inverse), q, m), kind)
+    out: NDArray[Real] = np.empty((inverse.shape[1], n, m), kind)
+    state: NDArray[Real] = np.zeros((inverse.shape[1], q, m), kind)
     for k, start in enumerate(range(0, n, _BLOCK)):
         own = columns[start : start + _BLOCK]
         b = len(own)
-        white = np.matmul(inverse[:, k, :b, :b], own, out=out[:, start : start + b])
-        white -= seen[:, k, :b] @ state
-        state = keep[:, k] * state + gain[:, k, :, :b] @ white
+        white = np.matmul(inverse[k, :, :b, :b], own, out=out[:, start : start + b])
+        white -= seen[k, :, :b] @ state
+        state = keep[k] * state + gain[k, :, :, :b] @ white
     return out, steps.log_det
 
 
@@ -102,7 +102,8 @@ def _filter(course: Course, walks: tuple[Walk, ...]) -> _Filter:
 
     A block is b rows, whatever their parts: the state goes on only within a part. Given the rows
     before, the state at their end has the covariance P = ρ + Δ; a row at a later time t of the same
-    part sees e = exp(-(t - t') / τ) of it: cov = D + H [ρ K_τ + e e' Δ] H'.
+    part sees e = exp(-(t - t') / τ) of it: cov = D + H [ρ K_τ + e e' Δ] H'. Below the rows stands
+    the state at the last of them, so that one Cholesky factor holds the gain too.
     """
     if walks in course.filters:
         return course.filters[walks]
@@ -112,27 +113,30 @@ def _filter(course: Course, walks: tuple[Walk, ...]) -> _Filter:
     real = (np.arange(keep[0].size) < n).reshape(keep[0].shape)
     h = course.seen[rows] * real[..., None]
     variance = np.where(real, course.variance[rows], 1.0)
-    size = near * (h @ h.transpose(0, 2, 1))
-    diagonal = np.arange(_BLOCK)
-    size[..., diagonal, diagonal] += variance
-    seen, on = keep[..., None] * h, keep[..., -1]
-    # Of the state at the last row with every row.
-    across = near[:, :, -1, None] * h.transpose(0, 2, 1)
-    off, lower = np.zeros((len(walks), q, q)), np.empty_like(size)
-    for k in range(len(h)):
-        known = seen[:, k] @ off
-        own = size[:, k] + known @ seen[:, k].transpose(0, 2, 1)
-        across[:, k] += on[:, k, None, None] * known.transpose(0, 2, 1)
-        lower[:, k] = np.linalg.cholesky(own)
-        half = np.linalg.solve(lower[:, k], across[:, k].transpose(0, 2, 1))
-        off = on[:, k, None, None] ** 2 * off - half.transpose(0, 2, 1) @ half
+    whole = np.zeros((len(h), len(walks), _BLOCK + q, _BLOCK + q))
+    whole[..., :_BLOCK, :_BLOCK] = (near * (h @ h.transpose(0, 2, 1))).swapaxes(0, 1)
+    whole[..., _BLOCK:, :_BLOCK] = (near[:, :, -1, None] * h.transpose(0, 2, 1)).swapaxes(0, 1)
+    diagonal, below = np.arange(_BLOCK), np.arange(_BLOCK, _BLOCK + q)
+    whole[..., diagonal, diagonal] += variance[:, None]
+    # Of the state itself any number above what the rows tell of it serves.
+    whole[..., below, below] = 1.0 + np.array([walk.rho for walk in walks])[:, None]
+    sees = np.zeros((len(h), len(walks), _BLOCK + q, q))
+    sees[..., :_BLOCK, :] = (keep[..., None] * h).swapaxes(0, 1)
+    on = keep[..., -1].T
+    sees[..., below, np.arange(q)] = on[..., None]
+    off = np.zeros((len(walks), q, q))
+    for k, see in enumerate(sees):
+        whole[k] = np.linalg.cholesky(whole[k] + see @ off @ see.transpose(0, 2, 1))
+        gain = whole[k, :, _BLOCK:, :_BLOCK]
+        off = on[k, :, None, None] ** 2 * off - gain @ gain.transpose(0, 2, 1)
         off = 0.5 * (off + off.transpose(0, 2, 1))  # else rounding grows in long recordings
-    inverse = _inverse(lower)
-    root = lower[..., diagonal, diagonal].reshape(len(walks), -1)[:, :n]
+    root = whole[..., diagonal, diagonal].swapaxes(0, 1).reshape(len(walks), -1)[:, :n]
     start = np.searchsorted(course.part, np.arange(course.parts))
     log_det = 2.0 * np.add.reduceat(np.log(root), start, axis=1)
-    gain = across @ inverse.transpose(0, 1, 3, 2)
-    return course.filters.setdefault(walks, _Filter(inverse, inverse @ seen, on, gain, log_det))
+    inverse = _inverse(whole[..., :_BLOCK, :_BLOCK].copy())
+    gain = whole[..., _BLOCK:, :_BLOCK].copy()
+    found = _Filter(inverse, inverse @ sees[..., :_BLOCK, :], on, gain, log_det)
+    return course.filters.setdefault(walks, found)
 
 
 def _together(course: Course, walks: tuple[Walk, ...]) -> tuple[Array, Array]:
@@ -151,14 +155,18 @@ def _together(course: Course, walks: tuple[Walk, ...]) -> tuple[Array, Array]:
 
 
 def _inverse(lower: Array) -> Array:
-    """Of lower triangles (..., b, b), row by row of all at once: many, and small."""
-    out = np.zeros_like(lower)
-    unit = 1.0 / np.diagonal(lower, axis1=-2, axis2=-1)
-    for i in range(lower.shape[-1]):
-        out[..., i, i] = unit[..., i]
-        if i:
-            above = lower[..., i, None, :i] @ out[..., :i, :i]
-            out[..., i, :i] = -above[..., 0, :] * unit[..., i, None]
+    """Of lower triangles (..., b, b), b a power of two, all at once: of each two neighbours on the
+    diagonal, then of blocks of two, four, ... rows."""
+    out, b = np.zeros_like(lower), lower.shape[-1]
+    diagonal = np.arange(b)
+    out[..., diagonal, diagonal] = 1.0 / lower[..., diagonal, diagonal]
+    size = 1
+    while size < b:
+        for start in range(0, b, 2 * size):
+            above, below = slice(start, start + size), slice(start + size, start + 2 * size)
+            across = lower[..., below, above] @ out[..., above, above]
+            out[..., below, above] = -out[..., below, below] @ across
+        size *= 2
     return out
 
 
@@ -215,14 +223,13 @@ def drawn(course: Course, walk: Walk, rng: np.random.Generator, draws: int) -> A
     out = np.sqrt(course.variance)[:, None] * rng.standard_normal((n, draws))
     if walk.rho == 0.0:
         return np.asarray(out)
-    root = np.sqrt(walk.rho)
+    keep = np.exp(-np.diff(course.time, prepend=-np.inf) / walk.tau)
+    fresh = np.sqrt(walk.rho * (1.0 - keep**2))
     state = np.zeros((q, draws))
-    for row in range(n):
-        fresh = root * rng.standard_normal((q, draws))
-        if row:
-            keep = np.exp(-(course.time[row] - course.time[row - 1]) / walk.tau)
-            state = keep * state + np.sqrt(1.0 - keep**2) * fresh
-        else:
-            state = fresh
-        out[row] += course.seen[row] @ state
+    for start in range(0, n, _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        own = rng.standard_normal((len(keep[rows]), q, draws)) * fresh[rows, None, None]
+        for row, share in enumerate(keep[rows]):
+            state = own[row] = own[row] + share * state
+        out[rows] += (course.seen[rows, None] @ own)[:, 0]
     return np.asarray(out)

@@ -17,14 +17,20 @@ from imucalib.loop.thresholds import STRONG
 from imucalib.loop.wander.bank import Bank
 from imucalib.loop.wander.choice import Refused, Search, Taken, same
 from imucalib.loop.wander.likelihood import Terms
+from imucalib.loop.wander.noise import usable_walks
 from imucalib.loop.wander.problem import Problem
-from imucalib.loop.wander.scores import Entry, Scored, scored, usable_walks
+from imucalib.loop.wander.scores import Entry, Scored, scored
 from imucalib.units import MG
 
 #: λ sin(angle) below which two effects are not told apart, and nats that are no difference.
 _APART, _ALIKE = 2.0, 3.0
 #: Kinds of structure that is told with a driver, and is no noise.
 _STRUCTURE = ("swing", "course", "jump", "stretch")
+#: What follows the past of the temperature, of whatever value.
+_PAST = ("thermal_lag", "thermal_hysteresis", "temperature_rate")
+#: What follows its present. A past of it is one of thirteen that were tried, and a day samples them
+#: seldom: it leads the present by as much as a form of the temperature has to.
+_NOW = "temperature_bias"
 #: Kinds of response, each with the free functions that hold what it leaves.
 _OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture", "shape"), "posture": ("curve",)}
 
@@ -138,12 +144,14 @@ def beside_left(
 
 def _beside(taken: Taken, every: Sequence[Taken]) -> tuple[str, ...]:
     """Free functions of the response that were taken as well: what needs one beside its name has
-    another form than the name's."""
+    another form than the name's. So has what follows the past of the temperature where something
+    else follows the temperature too: a play of another width, or a thermometer whose clock is late,
+    leaves as much."""
     own = taken.found.entry
-    if own.kind not in _OF_RESPONSE:
-        return ()
-    others = (t.found.entry for t in every)
-    return tuple(e.name for e in others if e.kind in _OF_RESPONSE[own.kind])
+    others = [t.found.entry for t in every if t is not taken]
+    if own.name.partition("@")[0] in _PAST:
+        return (UNLISTED,) if any(e.kind == own.kind for e in others) else ()
+    return tuple(e.name for e in others if e.kind in _OF_RESPONSE.get(own.kind, ()))
 
 
 def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
@@ -168,7 +176,10 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
             alike = own.entry.free and entry.name in taken.alike
         else:
             alike = _apart(bank, terms, own, rival) < _APART
-        if rival.evidence >= (own.evidence if entry.wide else near) or alike:
+        least = own.evidence if entry.wide else near
+        if entry.name == _NOW and own.entry.name.partition("@")[0] in _PAST:
+            least = own.evidence - STRONG
+        if rival.evidence >= least or alike:
             out.append(entry.name)
     parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
     return _best_of_each_scan([*out, *parts])

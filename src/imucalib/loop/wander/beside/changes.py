@@ -19,8 +19,9 @@ from imucalib.loop.found import Step
 from imucalib.loop.thresholds import MARGIN
 from imucalib.loop.wander.beside.parts import Rivals, driven, held_against, narrowed, parts_of
 from imucalib.loop.wander.choice import Search
+from imucalib.loop.wander.noise import usable_walks
 from imucalib.loop.wander.problem import Problem
-from imucalib.loop.wander.scores import Entry, scored, usable_walks
+from imucalib.loop.wander.scores import Entry, scored
 
 #: Parts of the recording between which a jump is held against what was taken.
 _JUMPS = 32
