@@ -271,6 +271,25 @@ def test_a_scale_swings_with_its_period_alike_on_all_axes() -> None:
     assert one.nearby(dials, "8rows") == other.nearby(dials, "8rows")
 
 
+def test_swings_of_a_response_are_tried_as_far_as_positions_show_them() -> None:
+    """From three halves of a swing over the range of 2 g, four readings of every axis to each: none
+    where three inclinations give z three values, or where no dial says where positions stand."""
+    rng = np.random.default_rng(2)
+    spread = {"inclination": rng.uniform(-1.5, 1.5, 40), "tool_face": rng.uniform(0.0, 6.2, 40)}
+    family = families()["shape"]
+    tried = [2.0 / float(v.rpartition(":")[2]) for v in family.values(Context(40, spread))]
+    np.testing.assert_allclose(tried, np.arange(1.5, 10.1, 0.5), rtol=1e-3)
+    few = {name: values[:22] for name, values in spread.items()}
+    tried = [2.0 / float(v.rpartition(":")[2]) for v in family.values(Context(22, few))]
+    np.testing.assert_allclose(tried, np.arange(1.5, 5.6, 0.5), rtol=1e-3)
+    ring = {"inclination": np.repeat([0.0, 0.5, 1.0], 12), "tool_face": np.tile(np.arange(12), 3)}
+    assert family.values(Context(36, ring)) == ()
+    assert family.values(Context(40, {"inclination": spread["inclination"]})) == ()
+    near = family.nearby(Context(40, spread), "response:xyz:sine:0.5")
+    swings = [2.0 / float(v.rpartition(":")[2]) for v in near]
+    np.testing.assert_allclose(swings, np.linspace(3.5, 4.5, 11), rtol=1e-3)
+
+
 def test_a_cycle_is_counted_in_seconds_where_rows_stand_at_an_uneven_pace() -> None:
     """With a clock at an uneven pace up to eight swings in ten rows: quick ones pass for no slow
     ones; at an even pace the rows say as much."""

@@ -2,7 +2,8 @@
 
 Of a driver u: an axis' own input in g, or a covariate (angles in degrees). Each form has up to
 three numbers that a search scans or takes from the range; its size is fitted. Tried where a curve
-was found, and named in its place when it predicts as well.
+was found, and named in its place when it predicts as well; a sine of the response, which may be too
+fine for any smooth curve to show it, also by itself.
 """
 
 from collections.abc import Callable
@@ -10,9 +11,14 @@ from collections.abc import Callable
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Family
+from imucalib.core.references import unit_vector
 from imucalib.effects.bent import KINDS, Form, Words, bent
 
+#: Swings of a response over the whole of its range: fewer are a polynomial's; and the step, between
+#: which a wave keeps nine tenths of its amplitude.
+_LEAST_SWINGS, _MOST_SWINGS, _STEP, _FINER = 1.5, 10.0, 0.5, 5
 Pair = tuple[Callable[[Array], Array], Callable[[Array], Array]]
 
 
@@ -137,12 +143,36 @@ def in_words(name: str) -> str:
     return f"{article} {kind} of the {KINDS[what]}{driver}"
 
 
+def _swings(context: Context) -> float:
+    """The most swings of a response from -1 to 1 g that positions show, four readings of an axis to
+    each; 0 where no dial says where they stand."""
+    if "inclination" not in context or "tool_face" not in context:
+        return 0.0
+    u = np.round(unit_vector(context["inclination"], context["tool_face"]), 3)
+    return min(_MOST_SWINGS, min(len(np.unique(axis)) for axis in u.T) / 4.0)
+
+
+def _ripples(context: Context) -> tuple[str, ...]:
+    return _sines(np.arange(_LEAST_SWINGS, _swings(context) + 1e-9, _STEP))
+
+
+def _near(context: Context, value: str) -> tuple[str, ...]:
+    period = float(value.rpartition(":")[2])
+    return _sines(2.0 / period + _STEP * np.linspace(-1.0, 1.0, 2 * _FINER + 1))
+
+
+def _sines(swings: Array) -> tuple[str, ...]:
+    return tuple(f"response:xyz:sine:{2.0 / s:.4g}" for s in swings)
+
+
 FAMILIES = (
     Family(
         "shape",
-        "A form with a formula, tried where a curve without a name was found.",
+        "A form with a formula; too fine for a smooth curve, a sine of the response is tried.",
         "response:xyz:sine:0.5",
         shape,
-        lambda context: (),
+        _ripples,
+        _near,
+        unfounded=True,
     ),
 )

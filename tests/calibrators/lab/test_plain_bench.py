@@ -210,6 +210,19 @@ def test_a_bias_that_swings_with_a_period_of_its_own_is_named(seed: int, tmp_pat
     assert run.result.loop.verdict == "explained"
 
 
+def test_a_converter_too_fine_for_a_curve_is_found_under_noise_that_lasts(tmp_path: Path) -> None:
+    """No smooth curve shows four swings of the response: nothing was missing at 1.1 mg of 0.4."""
+    sine = (("response:xyz:sine:0.47:0.9", 15.54),)
+    bench = plain_bench.Bench(plain_bench.Plan(40004015, sine, noise="ar", n=60))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    (step,) = run.result.loop.steps
+    assert step.effect.startswith("shape@response:xyz:sine:")
+    assert float(step.effect.rpartition(":")[2]) == pytest.approx(0.47, rel=0.05)
+    assert not step.certain  # a formula, and no cause
+    assert run.result.loop.verdict == "explained"
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_scale_that_swings_with_the_supply_is_named(seed: int, tmp_path: Path) -> None:
     """It was a bias that swings with another period, for certain: the dials turn meanwhile."""
