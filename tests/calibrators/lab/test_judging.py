@@ -33,7 +33,7 @@ def errors_of(
 ) -> list[float]:
     """Inclination and tool-face (deg) and norm (mg) of one position."""
     one, other = (np.array([[direction(*map(np.array, a))]]) for a in (read, meant))
-    found = attitude_errors(Held(size * one, G * other, size * one - G * other), G)
+    found = attitude_errors(Held(size * one, G * other, size * one - G * other))
     return [float(found.inclination[0]), float(found.tool_face[0]), float(found.norm[0])]
 
 
@@ -58,6 +58,12 @@ def test_angles_are_compared_on_vectors(
 
 def test_the_size_is_compared_with_gravity() -> None:
     assert errors_of((10.0, 20.0), (10.0, 20.0), 1.003 * G)[2] == pytest.approx(3.0)
+
+
+def test_the_size_is_compared_with_what_a_swing_of_the_bench_makes_of_gravity() -> None:
+    one = G * direction(np.array(10.0), np.array(20.0))[None, None]
+    found = attitude_errors(Held(1.004 * one, 1.003 * one, 0.001 * one))
+    assert found.norm[0] == pytest.approx(1.0)
 
 
 def test_tool_face_means_nothing_within_three_degrees_of_the_vertical() -> None:

@@ -59,7 +59,7 @@ def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> Non
 
 
 def test_held_out_errors_reach_the_marks(repaired: LabRun) -> None:
-    left_out = attitude_errors(repaired.result.splits[0].final, 9.8061)
+    left_out = attitude_errors(repaired.result.splits[0].final)
     assert worst(left_out.inclination) <= 0.55
     assert rms(left_out.inclination) <= 0.16
     assert worst(left_out.tool_face) <= 0.90
@@ -73,7 +73,7 @@ def test_the_papers_split() -> None:
     settings = LabSettings(loop=False, declare=("inclination_zero", "inclination_scale"))
     train = tuple(range(1, 21))
     run = paper(LabRequest(gravity=9.8061, fixes=REPAIR, train=train, settings=settings))
-    test = attitude_errors(run.result.splits[-1].final, 9.8061)
+    test = attitude_errors(run.result.splits[-1].final)
     assert run.result.splits[-1].name == "test set"
     assert worst(test.inclination) <= 0.25
     assert rms(test.inclination) <= 0.19

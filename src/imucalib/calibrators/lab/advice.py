@@ -12,7 +12,7 @@ from imucalib.calibration.power import advice_of, hidden
 from imucalib.calibration.uncertainty import correcting
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
-from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
+from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.design import judge
 from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.faults import SCATTER
@@ -159,7 +159,7 @@ def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...
     if not asked:
         return ()
     split = result.splits[-1]
-    angles = attitude_errors(split.final, gravity_of(result.observations))
+    angles = attitude_errors(split.final)
     found = []
     angles_known = isinstance(result.observations.reference, KnownVector)
     for name, limit in asked.items():

@@ -31,8 +31,9 @@ class AttitudeErrors:
         return AttitudeErrors(self.inclination[rows], self.tool_face[rows], self.norm[rows])
 
 
-def attitude_errors(held: Held, gravity: float) -> AttitudeErrors:
-    """Angles are compared on vectors, unfolded, so that 91 degrees is not read as 89."""
+def attitude_errors(held: Held) -> AttitudeErrors:
+    """Angles are compared on vectors, unfolded, so that 91 degrees is not read as 89; sizes with
+    what is expected, which is not gravity where a swing of the bench is known."""
     corrected, expected = held.corrected[:, 0], held.expected[:, 0]
     i, t = angles_of(corrected)
     i0, t0 = angles_of(expected)
@@ -42,7 +43,7 @@ def attitude_errors(held: Held, gravity: float) -> AttitudeErrors:
     i = np.where(folded & steep, np.sign(i) * np.pi - i, i)
     turn = np.where(folded & steep, np.mod(turn, 2.0 * np.pi) - np.pi, turn)
     tool_face = np.where(np.abs(np.cos(i0)) > _LEAST_COSINE, turn / DEG, np.nan)
-    norm = (np.linalg.norm(corrected, axis=1) - gravity) / MG
+    norm = (np.linalg.norm(corrected, axis=1) - np.linalg.norm(expected, axis=1)) / MG
     return AttitudeErrors((i - i0) / DEG, tool_face, norm)
 
 

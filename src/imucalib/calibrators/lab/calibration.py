@@ -13,7 +13,7 @@ from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
-from imucalib.calibrators.lab.calibrate import LabResult, gravity_of
+from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.dial import dial_of
 from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.faults import Faults
@@ -126,11 +126,10 @@ def noise_block(fit: Fit) -> dict[str, Any]:
 
 def held_out_block(result: LabResult) -> list[dict[str, Any]]:
     """Errors on data that was not fitted, largest and rms, per split and model."""
-    gravity = gravity_of(result.observations)
     rows = []
     for split in result.splits:
         for name, held in (("base", split.base), ("final", split.final)):
-            found = attitude_errors(held, gravity)
+            found = attitude_errors(held)
             row: dict[str, Any] = {"split": split.name, "model": name, "positions": len(split.rows)}
             if isinstance(result.observations.reference, KnownVector):
                 row |= {
@@ -164,7 +163,7 @@ def _positions(result: LabResult) -> list[dict[str, Any]]:
     fit, whole = result.final, result.observations
     known = isinstance(whole.reference, KnownVector)
     held = errors(fit, fit.theta, whole)
-    angle = attitude_errors(held, gravity_of(whole))
+    angle = attitude_errors(held)
     used = set(result.used.tolist())
     rows = []
     for k, label in enumerate(whole.label):

@@ -8,7 +8,6 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.uncertainty import angle_uncertainty
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
-from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.errors import reading_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector
@@ -51,7 +50,7 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
     sigma = reading_noise(fit).whole
     found = angle_uncertainty(fit, i * DEG, t * DEG, run.request.gravity, sigma)
     held = result.splits[-1] if result.splits else None
-    left = attitude_errors(held.final, gravity_of(result.observations)) if held else None
+    left = attitude_errors(held.final) if held else None
     every = np.ones(i.size, np.bool_)
     flat = np.abs(i) <= _STEEPEST
 

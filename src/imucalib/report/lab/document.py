@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors, rms, worst
-from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.dial import bends, dial_words
 from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.run import LabRun
@@ -88,17 +87,16 @@ def _parameter_section(run: LabRun) -> Section:
 def _angle_section(run: LabRun) -> Section:
     result = run.result
     known = isinstance(result.observations.reference, KnownVector)
-    gravity = gravity_of(result.observations)
     rows: list[tuple[str, ...]] = []
 
     def row(name: str, errors: AttitudeErrors) -> None:
         rows.append((name, *_spreads(errors, known)))
 
-    row("fitted, base", attitude_errors(fitted(result.base), gravity))
-    row("fitted, final", attitude_errors(fitted(result.final), gravity))
+    row("fitted, base", attitude_errors(fitted(result.base)))
+    row("fitted, final", attitude_errors(fitted(result.final)))
     for split in result.splits:
-        row(f"{split.name}, base", attitude_errors(split.base, gravity))
-        row(f"{split.name}, final", attitude_errors(split.final, gravity))
+        row(f"{split.name}, base", attitude_errors(split.base))
+        row(f"{split.name}, final", attitude_errors(split.final))
     header = ("", "tool-face, deg", "inclination, deg", "|a|, mg") if known else ("", "|a|, mg")
     align = "l" + "r" * (len(header) - 1)
     note = "Largest / rms."
@@ -107,7 +105,7 @@ def _angle_section(run: LabRun) -> Section:
     blocks: list[Block] = [Table("Errors on the positions", header, tuple(rows), align, note)]
     loop = result.loop
     if loop and loop.records:
-        aside = attitude_errors(fitted(loop.final), gravity)
+        aside = attitude_errors(fitted(loop.final))
         bad = {r.row for r in loop.records}
         rest = aside.take(np.array([k for k in range(len(aside.norm)) if k not in bad]))
         blocks.append(

@@ -14,7 +14,7 @@ from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector, angles_of
 from imucalib.effects import known
 from imucalib.effects.covariate import COLUMN
-from imucalib.loop.held_out import Held, fitted
+from imucalib.loop.held_out import fitted
 from imucalib.report.document import Plot, Series
 from imucalib.report.sphere import sphere_map
 from imucalib.units import DEG, MG
@@ -48,15 +48,12 @@ def residual_plots(run: LabRun) -> tuple[Plot, ...]:
 
 def _errors(run: LabRun) -> tuple[AttitudeErrors, AttitudeErrors, bool]:
     """Before and after of the used rows, held out where each of them was; and whether they were."""
-    gravity = gravity_of(run.result.observations)
-
-    def of(held: Held) -> AttitudeErrors:
-        return attitude_errors(held, gravity)
-
     every = [s for s in run.result.splits if len(s.rows) == len(run.result.used)]
-    if every:
-        return of(every[-1].base), of(every[-1].final), True
-    return of(fitted(run.result.base)), of(fitted(run.result.final)), False
+    held = every[-1] if every else None
+    base, final = (
+        (held.base, held.final) if held else (fitted(run.result.base), fitted(run.result.final))
+    )
+    return attitude_errors(base), attitude_errors(final), held is not None
 
 
 def _plot(

@@ -6,7 +6,6 @@ import numpy as np
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibrators.lab.attitude import attitude_errors
-from imucalib.calibrators.lab.calibrate import gravity_of
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector, angles_of
 from imucalib.loop.held_out import errors as held_errors
@@ -18,13 +17,10 @@ from imucalib.units import DEG, MG
 def position_table(run: LabRun) -> Table:
     """Residual of every fitted position: raw axes, angles, |a|; leave-one-out beside it."""
     fit = run.result.final
-    gravity = gravity_of(fit.observations)
     residual = fit.residual()[:, 0] / MG
-    angle = attitude_errors(fitted(fit), gravity)
+    angle = attitude_errors(fitted(fit))
     split = run.result.splits[0] if run.result.splits else None
-    left = (
-        attitude_errors(split.final, gravity) if split and split.name == "leave one out" else angle
-    )
+    left = attitude_errors(split.final) if split and split.name == "leave one out" else angle
 
     def number(value: float, places: int) -> str:
         return "-" if not np.isfinite(value) else f"{value:.{places}f}"
@@ -91,7 +87,7 @@ def published_table(run: LabRun) -> Table:
     fit, whole = run.result.final, run.result.observations
     corrected = fit.model.correct(fit.theta, whole.reading, whole.context)[:, 0]
     inclination, tool_face = angles_of(corrected)
-    errors = attitude_errors(held_errors(fit, fit.theta, whole), gravity_of(whole))
+    errors = attitude_errors(held_errors(fit, fit.theta, whole))
     rows = []
     for k, label in enumerate(whole.label):
         shown = float(np.mod(tool_face[k] / DEG + 1.0, 360.0) - 1.0)
