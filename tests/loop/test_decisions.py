@@ -422,10 +422,11 @@ def test_smooth_curves_are_cosines_and_waves_of_less_and_less_size() -> None:
 def test_shared_noise_is_looked_for_in_a_dozen_rows_and_few_numbers(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def looked(n: int, numbers: int, order: bool = True) -> bool:
+    def looked(n: int, numbers: int, order: bool = True, dials: int = 0) -> bool:
         context = {"order": np.arange(float(n))} if order else {}
         own = SimpleNamespace(context=context, n=n, of_sessions=(), walk=None, shared=())
-        fit = SimpleNamespace(observations=own, at=SimpleNamespace(residual=np.zeros(numbers)))
+        at = SimpleNamespace(residual=np.zeros(numbers), free=dials)
+        fit = SimpleNamespace(observations=own, at=at)
         asked = []
         monkeypatch.setattr(shared, "with_noisy_axes", lambda fit: fit)
         monkeypatch.setattr(shared, "_tried", lambda bare, memories: asked.append(memories) or [])
@@ -439,6 +440,8 @@ def test_shared_noise_is_looked_for_in_a_dozen_rows_and_few_numbers(
     assert not looked(11, 33)
     assert looked(110, 330)
     assert not looked(111, 331)
+    assert looked(500, 1500, dials=2)
+    assert not looked(501, 1503, dials=2)
     assert not looked(20, 60, order=False)
 
 

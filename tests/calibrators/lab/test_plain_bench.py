@@ -210,6 +210,15 @@ def test_a_bias_that_swings_with_a_period_of_its_own_is_named(seed: int, tmp_pat
     assert run.result.loop.verdict == "explained"
 
 
+def test_noise_that_lasts_is_noise_on_a_long_sheet_too(tmp_path: Path) -> None:
+    """Beyond 110 rows it was not looked for: steps and swings stood for it."""
+    bench = plain_bench.Bench(plain_bench.Plan(4, (), noise="ar", n=130))
+    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
+    assert run.result.loop is not None
+    assert not run.result.loop.steps
+    assert run.result.final.observations.walk is not None
+
+
 def test_a_converter_too_fine_for_a_curve_is_found_under_noise_that_lasts(tmp_path: Path) -> None:
     """No smooth curve shows four swings of the response: nothing was missing at 1.1 mg of 0.4."""
     sine = (("response:xyz:sine:0.47:0.9", 15.54),)

@@ -19,7 +19,7 @@ from imucalib.core.observations import Observations, SharedNoise
 from imucalib.estimators.variance import estimate_noise
 from imucalib.loop.noise.axes import with_noisy_axes
 from imucalib.loop.noise.component import estimated, refitted
-from imucalib.loop.thresholds import SHARED_NATS, SHARED_NUMBERS
+from imucalib.loop.thresholds import SHARED_NATS, SHARED_NUMBERS, SHARED_ON_DIALS
 from imucalib.units import STANDARD_GRAVITY
 
 NAME = "shared noise"
@@ -39,10 +39,11 @@ _STARTS = ((1.0, 0.5), (0.4, 1.5))
 def with_shared_noise(fit: Fit) -> Fit:
     """The same model, refitted under the shared noise that the data ask for, if they ask for any.
 
-    Up to `SHARED_NUMBERS` numbers in one order; the noise is otherwise left as it is.
+    Up to `SHARED_NUMBERS` numbers in one order, `SHARED_ON_DIALS` of a bench; otherwise the noise
+    is left as it is.
     """
     own = fit.observations
-    if "order" not in own.context or own.n < _FEWEST or fit.at.residual.size > SHARED_NUMBERS:
+    if "order" not in own.context or own.n < _FEWEST or _too_many(fit):
         return fit
     alone = with_noisy_axes(fit)
     bare = alone.observations
@@ -56,10 +57,14 @@ def with_shared_noise(fit: Fit) -> Fit:
     return refitted(alone, replace(data, shared=(*bare.shared, shared)), best.noise)
 
 
+def _too_many(fit: Fit) -> bool:
+    return fit.at.residual.size > (SHARED_ON_DIALS if fit.at.free else SHARED_NUMBERS)
+
+
 def lead_over_a_walk(fit: Fit, nats: float) -> float:
     """Nats by which an effect, worth `nats` beside the fit, beats a bias that wanders slowly: over
     a whole recording the two can look alike."""
-    if "order" not in fit.observations.context or fit.at.residual.size > SHARED_NUMBERS:
+    if "order" not in fit.observations.context or _too_many(fit):
         return nats
     walk = fit.observations.walk
     shared = fit.observations.shared
@@ -77,7 +82,7 @@ def lead_over_a_scale(before: Fit, after: Fit, name: str) -> float:
     least its typical size, makes it an evidence (MacKay 1992, Laplace's method).
     """
     own = before.observations
-    if "order" not in own.context or before.at.residual.size > SHARED_NUMBERS:
+    if "order" not in own.context or _too_many(before):
         return math.inf
     along = own.reading.mean(axis=1)[..., None] / STANDARD_GRAVITY
     tried = _tried(own, tuple(own.n * share for share in _SLOW), along)
