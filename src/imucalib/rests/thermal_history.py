@@ -14,7 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.thermometer import believed
+from imucalib.rests.thermometer import believed, is_gone
 from imucalib.rests.windows import WindowBuilder, Windows, in_order
 
 _WINDOW = 10.0  # s
@@ -30,11 +30,6 @@ class ThermalHistory:
     time: Array
     values: Array
     gone: Array = field(default_factory=lambda: np.empty((0, 2)))
-
-    def silent(self, at: Array) -> Flags:
-        """(n,) whether the thermometer did not measure at times (s)."""
-        last = np.searchsorted(self.gone[:, 0], at, side="right") - 1
-        return np.asarray((last >= 0) & (at < np.append(self.gone[:, 1], -np.inf)[last]))
 
     def lagged(self, hours: float, at: Array) -> Array:
         """Temperature (°C) behind a lag of some hours, at times (s); it starts in equilibrium."""
@@ -135,7 +130,7 @@ def temperature_at(thermometer: Channel, at: Array) -> Array:
 def unheard(thermometer: Channel, history: ThermalHistory, at: Array) -> Flags:
     """(n,) whether there is no temperature at times (s): at a reading that is gone, and between it
     and its neighbours."""
-    t, bad = thermometer.t, history.silent(thermometer.t)
+    t, bad = thermometer.t, is_gone(history.gone, thermometer.t)
     after = np.minimum(np.searchsorted(t, at), t.size - 1)
     before = np.maximum(np.searchsorted(t, at, side="right") - 1, 0)
     return np.asarray(bad[after] | bad[before])

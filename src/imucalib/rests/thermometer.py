@@ -59,10 +59,14 @@ def temperature_in(w: Windows | None, gone: Array, start: Array, stop: Array) ->
         return np.full(start.size, np.nan)
     middle = 0.5 * (start + stop)
     found = np.interp(middle, 0.5 * (w.start + w.stop), w.mean[:, 0])
-    if gone.size:
-        last = np.searchsorted(gone[:, 0], middle, side="right") - 1
-        found[(last >= 0) & (middle < gone[last, 1])] = np.nan
+    found[is_gone(gone, middle)] = np.nan
     return np.asarray(found)
+
+
+def is_gone(gone: Array, at: Array) -> Flags:
+    """(n,) whether times (s) are within what a thermometer did not measure, (k, 2) s in order."""
+    last = np.searchsorted(gone[:, 0], at, side="right") - 1
+    return np.asarray((last >= 0) & (at < np.append(gone[:, 1], -np.inf)[last]))
 
 
 def mean_of_known(values: Array, starts: Index) -> Array:

@@ -214,9 +214,6 @@ def _part(
 
 def _grams(rest: Array, along: Array, weight: Array, at: Index) -> Array:
     """(P F, k, m, m) of blocks' columns (k, m) under every hypothesis."""
-    if at.shape[1] == 1:
-        each = np.square(rest).sum(axis=1)[:, None] + weight @ np.square(along)
-        return np.asarray(each.reshape(-1, each.shape[2])[:, at][..., None])
     one = rest[:, :, at].transpose(0, 2, 3, 1)
     two = along[:, :, at].transpose(0, 2, 3, 1)[:, None]
     own = (one @ one.swapaxes(-1, -2))[:, None]
