@@ -31,16 +31,17 @@ from imucalib.core.fit import Fit
 from imucalib.errors import ImucalError
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 from worlds.plain_bench import Bench, Plan, conditions, direction
-from worlds.plain_defects import DIALS, Conditions
+from worlds.plain_defects import DIALS, STEPS, Conditions
 
 __all__ = ["jobs", "rows", "trial"]
 
 Array = NDArray[np.float64]
 
 EFFECTS = (
-    "temperature_bias", "temperature_scale", "bias_drift", "scale_drift", "warm_up", "bias_step",
-    "hysteresis", "quadratic", "cubic", "asymmetry", "cross_axis", "inclination_zero",
-    "inclination_scale", "inclination_eccentricity", "inclination_wobble", "inclination_backlash",
+    "temperature_bias", "temperature_scale", "bias_drift", "scale_drift", "warm_up",
+    "bias_step", "scale_step", "inclination_step", "hysteresis", "quadratic", "cubic",
+    "asymmetry", "cross_axis", "inclination_zero", "inclination_scale",
+    "inclination_eccentricity", "inclination_wobble", "inclination_backlash",
     "tool_face_eccentricity", "tool_face_ellipticity", "tool_face_backlash", "base_tilt_across",
     "axis_non_orthogonality",
 )  # fmt: skip
@@ -158,8 +159,8 @@ def solved(bench: Bench, settings: LabSettings | None = None) -> LabRun:
 
 
 def _told(bench: Bench, name: str) -> str:
-    if name == "bias_step":
-        return f"bias_step@record{bench.conditions.at + 1}"
+    if name in STEPS:
+        return f"{name}@record{bench.conditions.at + 1}"
     # The phase of a sine is fitted.
     return f"shape@{name.rpartition(':')[0]}" if ":sine:" in name else name
 

@@ -32,6 +32,8 @@ EFFECTS: dict[str, Effect] = {
         name: named(name)
         for name in (
             "bias_step@2000s",
+            "scale_step@record12",
+            "inclination_step@record12",
             "curve@bias:order:0:1:4",
             "curve@bias:tool_face:0:6.2832:4",
             "curve@response:y:-1:1:6",

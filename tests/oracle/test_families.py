@@ -230,10 +230,32 @@ def test_a_tool_that_slipped_stands_turned_from_then_on() -> None:
         turned = along + np.cos(angle) * (turned - along) + np.sin(angle) * np.cross(axis, turned)
     expected = np.where(np.arange(N)[:, None] >= 11, turned - force, 0.0)
     np.testing.assert_allclose(added("slip@record12", theta, force, context), expected, atol=1e-12)
-    values = families()["slip"].values
-    assert values(Context(14, {"record": np.arange(14.0)})) == ()
-    dials = {"record": np.arange(14.0), "tool_face": np.zeros(14), "time": np.arange(14.0)}
-    assert values(Context(14, dials)) == ("record7", "record8", "record9")
+    for name in ("slip", "scale_step", "inclination_step"):
+        values = families()[name].values
+        assert values(Context(14, {"record": np.arange(14.0)})) == ()
+        dials = {"record": np.arange(14.0), "tool_face": np.zeros(14), "time": np.arange(14.0)}
+        assert values(Context(14, dials)) == ("record7", "record8", "record9")
+
+
+def test_a_scale_that_jumps_multiplies_each_axis_from_then_on() -> None:
+    force, context = world()
+    theta = np.array([3.0, -5.0, 8.0])
+    expected = np.where(np.arange(N)[:, None] >= 11, 1e-3 * theta * force, 0.0)
+    got = added("scale_step@record12", theta, force, context)
+    np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+def test_a_dial_whose_zero_moved_raises_every_inclination_from_then_on() -> None:
+    """A positive step raises the tool towards its own axis, whatever the tool-face."""
+    _, context = world()
+    i, t = context["inclination"], context["tool_face"]
+    later = i + np.where(np.arange(N) >= 11, np.deg2rad(2.0), 0.0)
+
+    def force(i: np.ndarray) -> np.ndarray:
+        return np.stack([np.cos(i) * np.sin(t), np.cos(i) * np.cos(t), np.sin(i)], axis=1)
+
+    got = added("inclination_step@record12", np.array([2.0]), force(i), context)
+    np.testing.assert_allclose(got, force(later) - force(i), atol=1e-12)
 
 
 def test_a_cycle_swings_with_its_period_in_rows() -> None:

@@ -59,6 +59,8 @@ def turned(x: Array, axis: Array, deg: float) -> Array:
     return along + np.cos(a) * (x - along) + np.sin(a) * np.cross(axis, x)
 
 
+#: What begins with a row.
+STEPS = ("bias_step", "scale_step", "inclination_step")
 #: Errors of the dials: name -> number of parameters, and (n,) deg added to inclination, tool-face.
 DIALS: dict[str, tuple[int, Angle]] = {
     "inclination_zero": (1, lambda c, p: (p[0] + 0 * c.order, 0 * c.order)),
@@ -68,6 +70,7 @@ DIALS: dict[str, tuple[int, Angle]] = {
     "inclination_wobble": (
         2, lambda c, p: (p[0] * sin(c.tool_face) + p[1] * cos(c.tool_face), 0 * c.order)),
     "inclination_backlash": (1, lambda c, p: (p[0] * c.approach_i, 0 * c.order)),
+    "inclination_step": (1, lambda c, p: (p[0] * (c.row >= c.at), 0 * c.order)),
     "tool_face_eccentricity": (
         2, lambda c, p: (0 * c.order, p[0] * sin(c.tool_face) + p[1] * cos(c.tool_face))),
     "tool_face_ellipticity": (
@@ -135,6 +138,7 @@ SENSOR: dict[str, tuple[int, Force]] = {
     "scale_drift": (3, lambda x, c, p: p * x * (c.order - 0.5)[:, None]),
     "warm_up": (3, lambda x, c, p: p * np.exp(-4 * c.order)[:, None]),
     "bias_step": (3, lambda x, c, p: p * (c.row >= c.at)[:, None]),
+    "scale_step": (3, lambda x, c, p: p * x * (c.row >= c.at)[:, None]),
     "hysteresis": (3, lambda x, c, p: p * c.previous),
     "quadratic": (3, lambda x, c, p: p * x**2),
     "cubic": (3, lambda x, c, p: p * x**3),

@@ -45,7 +45,9 @@ def bias_with(drive: Drive) -> Basis:
     return basis
 
 
-def _scale_with(drive: Drive) -> tuple[Basis, Basis]:
+def scale_with(drive: Drive) -> tuple[Basis, Basis]:
+    """Basis of a scale that follows a drive (n,), mg/g per unit of it; its slope by the force."""
+
     def basis(truth: Truth, context: Context) -> Array:
         one = np.eye(3) * 1e-3 * drive(context)[:, None, None, None]
         return np.asarray(one * truth.force[..., None])
@@ -105,7 +107,7 @@ EFFECTS = (
         ("temperature",),
         "mg/g/degC",
         0.2,
-        *_scale_with(_from_reference("temperature")),
+        *scale_with(_from_reference("temperature")),
         usual=0.8,
     ),
     _effect(
@@ -133,7 +135,7 @@ EFFECTS = (
             ("order",),
             "mg/g",
             1.0,
-            *_scale_with(_from_reference("order")),
+            *scale_with(_from_reference("order")),
         ),
         remedy="its scale moves: let it warm up, check its supply, or leave it out",
     ),
@@ -207,7 +209,7 @@ def _follows(value: str) -> Effect:
         "a column that the user names; its size is taken as a drift's",
         f"Repeat positions at two values of {name}, in mixed order.",
     )
-    basis = (bias_with(drive),) if what == "bias" else _scale_with(drive)
+    basis = (bias_with(drive),) if what == "bias" else scale_with(drive)
     return _effect(f"follows@{value}", words, (COLUMN + name,), size, 1.0, *basis)
 
 

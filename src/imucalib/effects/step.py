@@ -1,5 +1,5 @@
-"""What changes at an unknown moment: a bias that jumps (a knock, a new battery, a restart), a tool
-that slips in its clamp.
+"""What changes at an unknown moment: a bias that jumps (a knock, a new battery, a restart), a scale
+(an amplifier, a supply, another range), a tool that slips in its clamp, a dial whose zero moves.
 """
 
 import numpy as np
@@ -8,7 +8,8 @@ from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Family, Response, Rotation, Turn
 from imucalib.core.parameter import Parameter
-from imucalib.effects.covariate import bias_with
+from imucalib.effects.covariate import bias_with, scale_with
+from imucalib.effects.inclination import inclination_axis
 
 _SCANNED = 48  # times tried at first; the neighbours of the best one are tried after
 _FEWEST = 12  # observations on each side of a step
@@ -35,6 +36,24 @@ def _step(value: str, sentence: str, clock: str, at: float) -> Effect:
         (clock,),
         each=tuple(Parameter(f"step_{value}_{a}", "mg", 2.0, 300.0) for a in "xyz"),
         basis=bias_with(lambda context: (context[clock] >= at).astype(float)),
+    )
+
+
+def scale_step(value: str) -> Effect:
+    """The step of the scale from a record of a table on, "record17" (counted from 1); ValueError
+    otherwise."""
+    first = int(value.removeprefix("record"))
+    basis, slope = scale_with(lambda context: (context["record"] >= first - 1).astype(float))
+    return Response(
+        f"scale_step@{value}",
+        f"The scale jumps before record {first}.",
+        "y_i = x_i (1 + d_i [record >= first])",
+        "an amplifier, a supply or a range that changes within a run, practice",
+        "Repeat positions with each axis up and down on both sides of the jump.",
+        ("record", "tool_face"),
+        each=tuple(Parameter(f"scale_step_{value}_{a}", "mg/g", 1.0, 300.0) for a in "xyz"),
+        basis=basis,
+        basis_dx=slope,
     )
 
 
@@ -82,6 +101,26 @@ def _slipped(axis: int, first: int) -> Turn:
     return turn
 
 
+def inclination_step(value: str) -> Effect:
+    """The inclination dial whose zero moves before a record of a table, "record17" (counted from
+    1); ValueError otherwise."""
+    first = int(value.removeprefix("record"))
+
+    def turn(context: Context) -> tuple[Array, Array]:
+        return inclination_axis(context), (context["record"] >= first - 1.0)[:, None].astype(float)
+
+    return Rotation(
+        f"inclination_step@{value}",
+        f"The zero of the inclination dial moves before record {first}.",
+        "i = i_dial + d [record >= first]",
+        "0.1-1 deg where a dial is loose or a base is knocked, practice",
+        "Return to the first inclinations at the end.",
+        ("record", "inclination", "tool_face"),
+        named=(Parameter(f"inclination_step_{value}", "deg", 0.3, 20.0),),
+        turns=(turn,),
+    )
+
+
 def _on_dials(context: Context) -> tuple[str, ...]:
     """Gravity alone does not see how a tool stands."""
     return _records(context) if "tool_face" in context and "record" in context else ()
@@ -109,5 +148,13 @@ def _nearby(context: Context, value: str) -> tuple[str, ...]:
 
 FAMILIES = (
     Family("bias_step", "The bias jumps at one time.", "86400s", bias_step, _values, _nearby),
+    Family("scale_step", "The scale jumps at one record.", "record17", scale_step, _on_dials),
     Family("slip", "The tool stands turned from one record on.", "record17", slip, _on_dials),
+    Family(
+        "inclination_step",
+        "The zero of the inclination dial moves.",
+        "record17",
+        inclination_step,
+        _on_dials,
+    ),
 )
