@@ -31,19 +31,19 @@ from imucalib.core.fit import Fit
 from imucalib.errors import ImucalError
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 from worlds.plain_bench import Bench, Plan, conditions, direction
-from worlds.plain_defects import DIALS, STEPS, Conditions
+from worlds.plain_defects import AXES, DIALS, SCANNED, Conditions, member
 
 __all__ = ["jobs", "rows", "trial"]
 
 Array = NDArray[np.float64]
 
 EFFECTS = (
-    "temperature_bias", "temperature_scale", "bias_drift", "scale_drift", "warm_up",
-    "bias_step", "scale_step", "inclination_step", "hysteresis", "quadratic", "cubic",
-    "asymmetry", "cross_axis", "inclination_zero", "inclination_scale",
-    "inclination_eccentricity", "inclination_wobble", "inclination_backlash",
+    "temperature_bias", "temperature_square", "temperature_scale", "bias_drift", "scale_drift",
+    "warm_up", "bias_step", "scale_step", "inclination_step", "hysteresis", "approach_hysteresis",
+    "quadratic", "cubic", "asymmetry", "cross_axis", "inclination_zero", "inclination_scale",
+    "inclination_sag", "inclination_eccentricity", "inclination_wobble", "inclination_backlash",
     "tool_face_eccentricity", "tool_face_ellipticity", "tool_face_backlash", "base_tilt_across",
-    "axis_non_orthogonality",
+    "axis_non_orthogonality", "clamp_creep",
 )  # fmt: skip
 OUTSIDE = (
     "third_harmonic", "local_sine", "thermal_lag", "random_walk", "shock", "slip", "late_reading",
@@ -62,7 +62,7 @@ JUNK = (
     "temperature_bias", "temperature_scale", "bias_drift", "scale_drift", "warm_up", "quadratic",
     "cubic", "asymmetry", "cross_axis",
 )  # fmt: skip
-TURNING = {*DIALS, "base_tilt_across", "axis_non_orthogonality"}
+TURNING = {*DIALS, *AXES}
 
 
 def _recipes() -> Iterator[tuple[str, int, dict[str, object]]]:
@@ -159,8 +159,8 @@ def solved(bench: Bench, settings: LabSettings | None = None) -> LabRun:
 
 
 def _told(bench: Bench, name: str) -> str:
-    if name in STEPS:
-        return f"{name}@record{bench.conditions.at + 1}"
+    if name in SCANNED:
+        return member(name, bench.conditions.at)
     # The phase of a sine is fitted.
     return f"shape@{name.rpartition(':')[0]}" if ":sine:" in name else name
 
@@ -168,21 +168,24 @@ def _told(bench: Bench, name: str) -> str:
 def sensor_error(fit: Fit, bench: Bench) -> float:
     """mg rms of the vector."""
     reading, force, c = bench.fresh(400, bench.plan.seed)
-    away = corrected(fit, MG * reading, _context(fit, c, bench)) / MG - 1000.0 * force
+    away = corrected(fit, MG * reading, _context(fit, c, force, bench)) / MG - 1000.0 * force
     if TURNING & set(bench.size) or any(n.startswith("tool_face:") for n in bench.size):
         about = np.cross([0.0, 0.0, 1.0], force)
         away -= about * np.sum(away * about) / np.sum(about * about)
     return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
 
-def _context(fit: Fit, c: Conditions, bench: Bench) -> Context:
+def _context(fit: Fit, c: Conditions, force: Array, bench: Bench) -> Context:
     """The conditions as the command knows them, by name."""
     previous = STANDARD_GRAVITY * c.previous @ bench.turn().T
+    moved = (force - c.previous) @ bench.turn().T
+    side = np.sign(moved) * (np.abs(moved) > 0.02)
     mine = {
         "record": c.row, "order": c.order, "temperature": c.temperature,
         "inclination": DEG * c.inclination, "tool_face": DEG * c.tool_face,
         "inclination_approach": c.approach_i, "tool_face_approach": c.approach_t,
         **{f"previous_{a}": previous[:, k] for k, a in enumerate("xyz")},
+        **{f"approach_{a}": side[:, k] for k, a in enumerate("xyz")},
     }  # fmt: skip
     of = fit.observations.context
     # What is remembered of the temperature is that of the sheet's row.

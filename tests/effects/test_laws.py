@@ -34,6 +34,7 @@ EFFECTS: dict[str, Effect] = {
             "bias_step@2000s",
             "scale_step@record12",
             "inclination_step@record12",
+            "temperature_square@22C",
             "curve@bias:order:0:1:4",
             "curve@bias:tool_face:0:6.2832:4",
             "curve@response:y:-1:1:6",
@@ -53,8 +54,8 @@ EFFECTS: dict[str, Effect] = {
     },
 }
 UNITS = {
-    "mg", "deg", "1", "mg/g", "mg/g2", "mg/g3", "mg/degC", "mg/g/degC", "deg per 90 deg",
-    "%", "mm", "mm/g", "ms", "deg/s", "deg/s/g",
+    "mg", "deg", "1", "mg/g", "mg/g2", "mg/g3", "mg/degC", "mg/degC2", "mg/g/degC",
+    "deg per 90 deg",     "%", "mm", "mm/g", "ms", "deg/s", "deg/s/g",
 }  # fmt: skip
 #: What a sensor at rest can show; the others need an array's motion.
 AT_REST = {

@@ -48,6 +48,13 @@ def _mounting(p: Array, k: Known) -> Array:
     return x
 
 
+def _crept(p: Array, k: Known) -> Array:
+    x = k["x"]
+    for axis, deg in zip(np.eye(3), p, strict=True):
+        x = turned(x, np.broadcast_to(axis, x.shape), deg * (k["order"] - 0.5))
+    return x
+
+
 def _frame(p: Array, k: Known) -> Array:
     f = np.zeros((3, 3))
     xy, xz, yx, yz, zx, zy, x_less_y, y_less_z = p
@@ -152,6 +159,8 @@ BY_HAND: dict[str, tuple[str, Callable[[Array, Known], Array]]] = {
         lambda p, k: k["ω"] - p[0] * k["age"][:, None] * np.rad2deg(k["spin"])),
     "non_orthogonality": ("y_y = x_y + k_yx x_x;  y_z = x_z + k_zx x_x + k_zy x_y", _lower),
     "mounting": ("x' = Rz(m_z) Ry(m_y) Rx(m_x) x", _mounting),
+    "clamp_creep": (
+        "x' = Rz(c_z s) Ry(c_y s) Rx(c_x s) x,  s = order - 1/2, order from 0 to 1", _crept),
     "base_tilt_across": (
         "x' = x cos e + g e_axis sin e, e_axis along the inclination axis", _across),
     "axis_non_orthogonality": ("x' = R(h about the direction square to both axes) x", _square),

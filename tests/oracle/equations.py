@@ -99,6 +99,7 @@ def _plain(equation: str) -> str:
     text = re.split(r",\s+(?:j ≠|order from|φ =)", equation)[0]
     for power, digit in zip("²³⁵", "235", strict=True):
         text = text.replace(power, f"**{digit}")
+    text = text.replace("sign(x_i - x_i(previous position))", "side_i")
     text = text.replace("x_i(previous position)", "previous_i")
     text = re.sub(r"\|([^|]*)\|", r"abs(\1)", text)
     text = re.sub(r" ?°C| deg/s|(?<=\d) deg|_dial", "", text)

@@ -27,7 +27,7 @@ def world(seed: int) -> tuple[dict[str, np.ndarray], Truth, Context]:
         "previous": rng.normal(size=(N, 3)), "T": rng.uniform(10, 40, N),
         "order": np.sort(rng.uniform(0, 1, N)), "i": i, "t": t, "age": rng.uniform(-0.5, 0.5, N),
         "approach": rng.choice([-1.0, 1.0], N), "sweep": np.sort(rng.integers(0, SWEEPS, N)),
-        "day": rng.uniform(0, 1, N),
+        "day": rng.uniform(0, 1, N), "side": rng.choice([-1.0, 0.0, 1.0], (N, 3)),
     }  # fmt: skip
     known["later"] = (known["sweep"] > 0).astype(float)
     known["φ"] = 360.0 * known["day"]
@@ -38,6 +38,7 @@ def world(seed: int) -> tuple[dict[str, np.ndarray], Truth, Context]:
         "inclination_approach": known["approach"], "tool_face_approach": known["approach"],
         "time_of_day": 2.0 * np.pi * known["day"], "sample_age": known["age"][:, None],
         **{f"previous_{x}": g * known["previous"][:, k] for k, x in enumerate("xyz")},
+        **{f"approach_{x}": known["side"][:, k] for k, x in enumerate("xyz")},
     }  # fmt: skip
     motion = Motion(DEG * known["ω"][:, None], known["spin"][:, None], known["jerk"][:, None])
     context = Context(N, covariates, sweeps=SWEEPS, moving=True)
@@ -58,7 +59,7 @@ def expected(effect: Effect, theta: np.ndarray, known: dict[str, np.ndarray]) ->
         if entry.equation.startswith("i ="):
             return direction(angle, known["t"])
         return direction(known["i"], angle)
-    names = ("a", "ω", "T", "order", "previous", "later", "φ")
+    names = ("a", "ω", "T", "order", "previous", "side", "later", "φ")
     return evaluated(entry, theta, {n: known[n] for n in names} | {"x": known["a"]})
 
 

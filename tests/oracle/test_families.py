@@ -211,6 +211,24 @@ def test_a_gradient_follows_the_rate_of_the_temperature() -> None:
         np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
+def test_a_bias_turns_at_its_temperature() -> None:
+    force, context = world()
+    theta = np.array([0.5, -1.0, 2.0])
+    expected = 1e-3 * theta * (context["temperature"][:, None] - 22.5) ** 2
+    np.testing.assert_allclose(added("temperature_square@22.5C", theta, force, context), expected)
+
+
+def test_a_turning_point_is_tried_within_the_range_of_the_temperature() -> None:
+    """At its quarters, to a degree; near the best one to a fifth of it."""
+    scan = families()["temperature_square"]
+    context = Context(40, {"temperature": np.linspace(10.2, 30.2, 40)})
+    assert scan.values(context) == ("15C", "20C", "25C")
+    near = scan.nearby(context, "20C")
+    assert (near[0], near[1], near[-1]) == ("15C", "15.2C", "25C")
+    assert scan.values(Context(40)) == ()
+    assert scan.values(Context(40, {"temperature": np.linspace(20.1, 20.4, 40)})) == ()
+
+
 def test_a_step_comes_at_its_time() -> None:
     """From 1200 s on; the reading taken in that second is behind it."""
     force, context = world()

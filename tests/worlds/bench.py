@@ -40,6 +40,7 @@ def context_of(inclination: Array, tool_face: Array, rng: np.random.Generator) -
     """Every covariate of the catalogue, each independent of the others."""
     n = len(inclination)
     before = GRAVITY * unit_vector(np.roll(inclination, 1), np.roll(tool_face, 1))
+    side = np.sign(GRAVITY * unit_vector(inclination, tool_face) - before)
     covariates = {
         "record": np.arange(n, dtype=float),
         "order": np.linspace(0.0, 1.0, n),
@@ -52,6 +53,7 @@ def context_of(inclination: Array, tool_face: Array, rng: np.random.Generator) -
         "inclination_approach": np.sign(rng.permutation(n) - n / 2 + 0.5),
         "tool_face_approach": np.sign(rng.permutation(n) - n / 2 + 0.5),
         **{f"previous_{axis}": before[:, k] for k, axis in enumerate("xyz")},
+        **{f"approach_{axis}": side[:, k] for k, axis in enumerate("xyz")},
     }
     return Context(n, covariates, sweeps=4)
 

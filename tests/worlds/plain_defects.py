@@ -59,14 +59,15 @@ def turned(x: Array, axis: Array, deg: float) -> Array:
     return along + np.cos(a) * (x - along) + np.sin(a) * np.cross(axis, x)
 
 
-#: What begins with a row.
-STEPS = ("bias_step", "scale_step", "inclination_step")
+#: What a search has to find the moment or the place of.
+SCANNED = ("bias_step", "scale_step", "inclination_step", "temperature_square")
 #: Errors of the dials: name -> number of parameters, and (n,) deg added to inclination, tool-face.
 DIALS: dict[str, tuple[int, Angle]] = {
     "inclination_zero": (1, lambda c, p: (p[0] + 0 * c.order, 0 * c.order)),
     "inclination_scale": (1, lambda c, p: (p[0] * c.inclination / 90, 0 * c.order)),
     "inclination_eccentricity": (
         2, lambda c, p: (p[0] * sin(c.inclination) + p[1] * (1 - cos(c.inclination)), 0 * c.order)),
+    "inclination_sag": (1, lambda c, p: (p[0] * cos(c.inclination), 0 * c.order)),
     "inclination_wobble": (
         2, lambda c, p: (p[0] * sin(c.tool_face) + p[1] * cos(c.tool_face), 0 * c.order)),
     "inclination_backlash": (1, lambda c, p: (p[0] * c.approach_i, 0 * c.order)),
@@ -93,8 +94,18 @@ def axis_non_orthogonality(x: Array, c: C, p: Array) -> Array:
     return turned(x, np.stack([sin(t), cos(t), 0 * t], axis=1), p[0])
 
 
+def crept(x: Array, c: C, p: Array) -> Array:
+    """Turns about x, then y, then z that grow from minus to plus half of p deg."""
+    for axis, deg in zip(np.eye(3), p, strict=True):
+        a = np.deg2rad(deg * (c.order - 0.5))[:, None]
+        along = (x @ axis)[:, None] * axis
+        x = along + np.cos(a) * (x - along) + np.sin(a) * np.cross(axis, x)
+    return x
+
+
 #: Axes of the bench: name -> number of parameters, and the force (n, 3) in g as it truly is.
 AXES: dict[str, tuple[int, Force]] = {
+    "clamp_creep": (3, crept),
     "base_tilt_across": (1, base_tilt_across),
     "axis_non_orthogonality": (1, axis_non_orthogonality),
 }
@@ -122,6 +133,13 @@ def behind_play(warm: Array, width: float) -> Array:
     return np.array(found)
 
 
+def member(name: str, at: int) -> str:
+    """The member of a scan that is planted, of a step before row `at` (from 0); else nothing."""
+    if name == "temperature_square":
+        return f"{name}@22C"
+    return f"{name}@record{at + 1}" if name in SCANNED else ""
+
+
 def beyond(x: Array, limit: float) -> Array:
     return np.maximum(np.abs(x) - limit, 0.0) / (1.0 - limit)
 
@@ -129,6 +147,7 @@ def beyond(x: Array, limit: float) -> Array:
 #: Of the sensor: name -> number of parameters, and (n, 3) mg.
 SENSOR: dict[str, tuple[int, Force]] = {
     "temperature_bias": (3, lambda x, c, p: p * (c.temperature - 25)[:, None]),
+    "temperature_square": (3, lambda x, c, p: p * ((c.temperature - 22) ** 2)[:, None]),
     "temperature_scale": (3, lambda x, c, p: p * x * (c.temperature - 25)[:, None]),
     "temperature_non_orthogonality": (
         3, lambda x, c, p: tilted(x, np.append(p, np.zeros(3))) * (c.temperature - 25)[:, None]),
@@ -140,6 +159,8 @@ SENSOR: dict[str, tuple[int, Force]] = {
     "bias_step": (3, lambda x, c, p: p * (c.row >= c.at)[:, None]),
     "scale_step": (3, lambda x, c, p: p * x * (c.row >= c.at)[:, None]),
     "hysteresis": (3, lambda x, c, p: p * c.previous),
+    "approach_hysteresis": (3, lambda x, c, p: p * np.where(
+        np.abs(x - c.previous) > 0.02, np.sign(x - c.previous), 0.0)),
     "quadratic": (3, lambda x, c, p: p * x**2),
     "cubic": (3, lambda x, c, p: p * x**3),
     "asymmetry": (3, lambda x, c, p: p * np.abs(x)),

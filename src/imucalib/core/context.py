@@ -22,7 +22,9 @@ class Context:
     Names with a meaning for the catalogue: "order" (0..1 over the recording), "time",
     "temperature", "inclination", "tool_face", "sweep" (number of the run of rows with the same
     held angle), "inclination_approach" and "tool_face_approach" (-1, 0, +1: the direction from
-    which the setting was reached), "previous_x", "previous_y", "previous_z" (m/s²), "sample_age"
+    which the setting was reached), "previous_x", "previous_y", "previous_z" (m/s²), "approach_x",
+    "approach_y", "approach_z" (-1, 0, +1: the side from which an axis came to its reading, where
+    nothing lay between), "sample_age"
     ((n, K) sawtooth of unit span, the beat of each gyro's clock).
     `sweeps` counts those of the whole recording, so that a subset keeps the parameters' meaning.
     attitude : (K, 3, 3) from each triad's axes to the common ones, or None where they are the same

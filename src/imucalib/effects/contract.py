@@ -24,6 +24,7 @@ _CHANNELS = ("acceleration", "angular_rate")
 _COVARIATES = (
     "record", "order", "time", "temperature", "time_of_day", "inclination", "tool_face", "sweep",
     "inclination_approach", "tool_face_approach", "previous_x", "previous_y", "previous_z",
+    "approach_x", "approach_y", "approach_z",
 )  # fmt: skip
 _ROWS = 5
 

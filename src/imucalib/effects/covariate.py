@@ -1,5 +1,5 @@
-"""Bias and scale that follow a covariate: temperature, time, warm-up, the previous position, and
-any column of a table that the user names as a driver."""
+"""Bias and scale that follow a covariate: temperature, time, warm-up, and any
+column of a table that the user names as a driver."""
 
 import math
 from collections.abc import Callable
@@ -59,11 +59,6 @@ def scale_with(drive: Drive) -> tuple[Basis, Basis]:
         return out
 
     return basis, basis_dx
-
-
-def _previous(truth: Truth, context: Context) -> Array:
-    before = np.stack([context[f"previous_{a}"] for a in "xyz"], axis=-1)
-    return np.broadcast_to(np.eye(3) * 1e-3 * before[:, None, :, None], (*truth.shape, 3))
 
 
 def _effect(
@@ -164,19 +159,6 @@ EFFECTS = (
         "mg",
         2.0,
         bias_with(_step),
-    ),
-    _effect(
-        "hysteresis",
-        (
-            "The reading keeps a share of the previous position's.",
-            "y_i = x_i + h_i x_i(previous position)",
-            "about 1 mg/g, practice",
-            "Approach some positions from both sides.",
-        ),
-        ("previous_x", "previous_y", "previous_z"),
-        "mg/g",
-        1.0,
-        _previous,
     ),
 )
 

@@ -1,4 +1,4 @@
-"""The inclination axis of the bench: zero, gain, eccentricity, wobble, backlash.
+"""The inclination axis of the bench: zero, gain, sag, eccentricity, wobble, backlash.
 
 All turn the truth about the inclination axis, which lies at (cos t, -sin t, 0) in the tool's frame
 at tool-face t, whatever the inclination: turns of one axis commute, so they add.
@@ -51,6 +51,16 @@ EFFECTS = (
         ("inclination", "tool_face"),
         named=(Parameter("inclination_scale", "deg per 90 deg", 0.5, 10.0),),
         turns=(_about(lambda context: context["inclination"] / (np.pi / 2.0)),),
+    ),
+    Rotation(
+        "inclination_sag",
+        "The tool or its holder bends under its weight, most where it lies level.",
+        "i = i_dial + s cos i_dial",
+        "sag of assemblies in boreholes, ISCWSA; 0.1 deg on a bench, practice",
+        "Support the tool near its sensor, and compare.",
+        ("inclination", "tool_face"),
+        named=(Parameter("inclination_sag", "deg", 0.1, 5.0),),
+        turns=(_about(lambda context: np.cos(context["inclination"])),),
     ),
     Rotation(
         "inclination_eccentricity",

@@ -1,5 +1,7 @@
 """Attitude of the sensor triad in the tool: a rotation, invisible to the norm of a reading."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from imucalib.arrays import Array
@@ -8,10 +10,18 @@ from imucalib.core.effect import Rotation, Turn
 from imucalib.core.parameter import Parameter
 
 
-def _turn(axis: int) -> Turn:
+def _still(context: Context) -> Array:
+    return np.ones(context.n)
+
+
+def _steadily(context: Context) -> Array:
+    return context["order"] - 0.5
+
+
+def _turn(axis: int, share: Callable[[Context], Array] = _still) -> Turn:
     def turn(context: Context) -> tuple[Array, Array]:
         weight = np.zeros((context.n, 3))
-        weight[:, axis] = 1.0
+        weight[:, axis] = share(context)
         return np.broadcast_to(np.eye(3)[axis], (context.n, 3)), weight
 
     return turn
@@ -27,5 +37,15 @@ EFFECTS = (
         named=tuple(Parameter(f"mounting_{a}", "deg", 2.0, 200.0) for a in "xyz"),
         turns=(_turn(0), _turn(1), _turn(2)),
         stage="mounting",
+    ),
+    Rotation(
+        "clamp_creep",
+        "The tool turns steadily in its clamp; turns about x, then y, then z.",
+        "x' = Rz(c_z s) Ry(c_y s) Rx(c_x s) x,  s = order - 1/2, order from 0 to 1",
+        "0.1-1 deg where a clamp is soft or a bench settles, practice",
+        "Return to the first positions at the end.",
+        ("order", "tool_face"),
+        named=tuple(Parameter(f"clamp_creep_{a}", "deg", 0.3, 20.0) for a in "xyz"),
+        turns=tuple(_turn(axis, _steadily) for axis in range(3)),
     ),
 )

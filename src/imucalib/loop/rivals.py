@@ -36,7 +36,10 @@ UNLISTED = "unlisted_effect"
 _SURE = 2.0  # standard errors
 #: What says where the sensor points; harmonics of the tool-face that tell the phase of a swing, and
 #: the share of its power from which they do.
-_POSITION = ("response", "inclination", "tool_face", "previous_x", "previous_y", "previous_z")
+_POSITION = (
+    "response", "inclination", "tool_face",
+    *(f"{before}_{axis}" for before in ("previous", "approach") for axis in "xyz"),
+)  # fmt: skip
 _SWING, _HARMONICS, _IN_STEP = ("cycle@", "scale_cycle@"), 6, 0.8
 #: Turns by which two swings must part over a recording to be two.
 _APART = 1.5

@@ -10,6 +10,7 @@ import numpy as np
 from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.effects import known
+from imucalib.errors import NotConverged
 from imucalib.loop.candidates import correlated_noise, effect_candidates, family_candidates, probes
 from imucalib.loop.evidence import Score, score
 from imucalib.loop.found import LoopSettings, Step, Unexplained
@@ -237,7 +238,10 @@ def _refuted(before: Fit, after: Fit, least_nats: float, most_rms: float) -> str
         words = f"{gain:+.1f} nats" if gain < least_nats else f"{ratio:.3g} times the error"
         return f"{words} on data that it was not fitted to"
     # The correction itself, as a user will apply it, and not only the model run forwards.
-    times = fitted(after).rms() / fitted(before).rms()
+    try:
+        times = fitted(after).rms() / fitted(before).rms()
+    except NotConverged:
+        return "it has no inverse at the readings"
     return f"corrected readings are {times:.2g} times as far off" if times > WORSE else ""
 
 

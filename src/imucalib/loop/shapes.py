@@ -137,7 +137,9 @@ def _powers(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:
     middle, reach = 0.5 * float(u[0] + u[-1]), 0.5 * float(np.ptp(u))
     if what == "response":
         middle, reach = 0.0, 1.0
-    yield from ((float(k), middle, reach) for k in (2, 3, 4, 5))
+    # The square of a temperature has a name, and a turning point that is looked for.
+    powers = (3, 4, 5) if against == "temperature" else (2, 3, 4, 5)
+    yield from ((float(k), middle, reach) for k in powers)
 
 
 def _inside(u: Array, what: str, against: str) -> Iterator[tuple[float, ...]]:

@@ -13,6 +13,7 @@ from imucalib.report.document import Document, Facts, Section, Table, Text
 #: Needs as a list of a line each has them.
 _SHORT = {
     **{f"previous_{axis}": "previous reading" for axis in "xyz"},
+    **{f"approach_{axis}": "previous reading" for axis in "xyz"},
     **{f"{dial}_approach": "approach" for dial in ("inclination", "tool_face")},
 }
 

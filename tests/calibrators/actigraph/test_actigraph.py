@@ -209,12 +209,13 @@ def test_members_of_scans_keep_the_laws(name: str) -> None:
 
 
 def test_scans_know_their_members_by_name() -> None:
-    scans = {"bias_step", "slip", "scale_step", "inclination_step",
+    scans = {"bias_step", "slip", "scale_step", "inclination_step", "temperature_square",
              "thermal_lag", "cycle", "scale_cycle", "converter", "curve",
              "posture", "shape", "follows", "thermal_hysteresis", "third_degree", "session",
              "temperature_rate"}  # fmt: skip
     assert set(families()) == scans
     wrong = ("bias_step@later", "scale_step@2h", "inclination_step@row3",
+             "temperature_square@22",
              "converter@w", "thermal_lag@", "cycle@7h", "cycle@-2rows",
              "cycle@rows", "scale_cycle@0s", "follows@bias:1:2", "thermal_hysteresis@2",
              "thermal_hysteresis@0C", "thermal_hysteresis@C", "third_degree@w", "third_degree@xy",

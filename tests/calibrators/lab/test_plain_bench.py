@@ -40,8 +40,8 @@ def test_the_world_knows_nothing_of_the_code(module: object) -> None:
 
 def test_every_effect_that_a_sheet_can_show_is_planted() -> None:
     known = {e.name for e in catalogue().values() if e.stage in ("fixture", "sensor")}
-    assert set(PLANTED) <= known | {*plain_defects.STEPS}
-    assert len(PLANTED) == 27
+    assert set(PLANTED) <= known | {*plain_defects.SCANNED}
+    assert len(PLANTED) == 31
 
 
 @pytest.mark.parametrize("name", [*PLANTED, *FORMS])
@@ -52,7 +52,7 @@ def test_a_planted_effect_is_fitted_to_nothing(name: str, tmp_path: Path) -> Non
     bench.size = {name: 1e6 * p for name, p in bench.size.items()}
     bench.reading = bench.noted(bench.conditions, np.random.default_rng(0))
     told = f"shape@{name}" if ":" in name else name
-    told = f"{name}@record{bench.conditions.at + 1}" if name in plain_defects.STEPS else told
+    told = plain_defects.member(name, bench.conditions.at) or told
     settings = LabSettings(loop=False, declare=(told,))
     request = LabRequest(unit="mg", settings=settings)
     result = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), request).result

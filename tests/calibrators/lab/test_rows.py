@@ -91,6 +91,15 @@ def test_covariates_are_what_stood_before_and_when() -> None:
     assert before["previous_x"].tolist() == [1.0, 1.0, 2.0]
 
 
+def test_an_axis_comes_from_a_side_where_it_moved_by_more_than_0_02_g() -> None:
+    """The first row comes from nowhere; what lay between does not count as a side."""
+    x = [1.0, 2.0, 2.1, 1.8, 1.79]  # m/s²; 0.02 g is 0.196
+    sheet = table(x=x, y=[3.0] * 5)
+    found = still_observations(sheet, sheet.raw(), G).context.covariates
+    assert found["approach_x"].tolist() == [0.0, 1.0, 0.0, -1.0, 0.0]
+    assert found["approach_y"].tolist() == [0.0] * 5
+
+
 @pytest.mark.parametrize(
     ("inclination", "tool_face", "sweeps"),
     [

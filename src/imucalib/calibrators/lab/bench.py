@@ -28,6 +28,9 @@ from imucalib.units import (
     factor,
 )
 
+#: m/s² by which a reading moves, from which on its axis comes from a side.
+_MOVED = 0.02 * STANDARD_GRAVITY
+
 
 @dataclass(frozen=True)
 class RawUnit:
@@ -204,7 +207,10 @@ def _covariates(table: PositionTable, reading: Array) -> dict[str, Array]:
         "order": np.linspace(0.0, 1.0, table.n),
     }
     for axis, letter in enumerate("xyz"):
-        found[f"previous_{letter}"] = np.concatenate([reading[:1, axis], reading[:-1, axis]])
+        before = np.concatenate([reading[:1, axis], reading[:-1, axis]])
+        moved = reading[:, axis] - before
+        found[f"previous_{letter}"] = before
+        found[f"approach_{letter}"] = np.sign(moved) * (np.abs(moved) > _MOVED)
     optional: Mapping[str, str] = {
         "temperature": "temperature",
         "time": "time",
