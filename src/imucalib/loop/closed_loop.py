@@ -148,9 +148,7 @@ class _State:
         """Set aside the record that belongs least to the rest, if it stands out by itself and more
         than the best effect does: positions that carry an effect look like wrong records, and a
         wrong record looks like an effect."""
-        if len(self.records) >= self.rules.most_records:
-            return None
-        best = self.suspects[:1]
+        best = self.suspects[:1] if len(self.records) < self.rules.most_records else ()
         if not best or best[0].p > self.rules.record_alpha or best[0].evidence <= 0.0:
             return None
         if rival is not None and rival.evidence > best[0].evidence:
@@ -158,9 +156,11 @@ class _State:
         row = row_of(best[0].name)
         doubts = ((step.effect, name) for step in self.steps for name in step.aliases)
         trial = set_aside(self.fit, row)
-        if not trial.converged or not self._strange(self.fit, row, doubts):
+        # A record that nothing else predicts cannot be told from what it determines.
+        if not trial.converged or len(trial.null_directions) > len(self.fit.null_directions):
             return None
-        if abs(named_records(trial, ((best[0], row),))[0].size) < self.rules.gross:
+        small = abs(named_records(trial, ((best[0], row),))[0].size) < self.rules.gross
+        if small or not self._strange(self.fit, row, doubts):
             return None
         return replace(self, fit=trial, records=(*self.records, (best[0], row)))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Index
+from imucalib.arrays import Array, Index
 from imucalib.calibrators.lab.bench import RawUnit, held_settings
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.conventions import Conventions
@@ -19,8 +19,9 @@ from imucalib.core.known_direction import KnownDirection
 from imucalib.core.observations import Observations
 from imucalib.errors import UsageError
 from imucalib.loop.faults.conventions import misread_angles
-from imucalib.loop.faults.converter import CutOff, cut_off, mistaken_scale, step_of
+from imucalib.loop.faults.converter import CutOff, cut_off, mistaken_scale, rows_of, step_of
 from imucalib.loop.faults.directions import wrong_directions
+from imucalib.loop.faults.flat_top import flat_tops
 from imucalib.loop.faults.found import Fault
 from imucalib.loop.faults.search import row_faults
 from imucalib.loop.faults.sheet import Sheet, in_order
@@ -146,11 +147,11 @@ def look_for_faults(
     else (`keep_angles` makes it a question) and UnreadableInput where the axes are mirrored."""
     reading = whole.reading[rows, 0] / MG
     if request.reference != "vector":
-        questions = _converter_questions(cut_off(reading), table, rows)
+        questions = _converter_questions(_ends(reading), table, rows)
         return Faults(_of_directions(whole, rows, table), questions)
     conventions = request.settings.conventions
     sheet = sheet_of(table, whole, rows, conventions, request.gravity)
-    questions = _converter_questions(cut_off(reading, sheet.truth()), table, rows)
+    questions = _converter_questions(_ends(reading, sheet.truth()), table, rows)
     misread = misread_angles(sheet)
     if misread is not None:
         sentence, line = misread_words(sheet, misread, request)
@@ -177,6 +178,12 @@ def _of_directions(whole: Observations, rows: Index, table: PositionTable) -> tu
     )
 
 
+def _ends(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
+    """Ends at which readings stop: exactly, or within noise where that tells more rows."""
+    exact, about = cut_off(reading, truth), flat_tops(reading, truth)
+    return about if rows_of(about).size > rows_of(exact).size else exact
+
+
 def _converter_questions(
     ends: tuple[CutOff, ...], table: PositionTable, rows: Index
 ) -> tuple[str, ...]:
@@ -185,13 +192,13 @@ def _converter_questions(
         ranges.setdefault(f"{abs(end.value):.1f}", []).append(end)
     found = []
     for size, alike in ranges.items():
-        cut = np.unique(np.concatenate([end.rows for end in alike]))
+        cut = rows_of(alike)
         numbers = ",".join(str(int(table.row[rows[k]])) for k in cut)
         axes = ", ".join(dict.fromkeys("xyz"[end.axis] for end in alike))
         signs = {np.sign(end.value) for end in alike}
         sign = "±" if len(signs) == 2 else "-" if -1.0 in signs else ""
         found.append(
-            f"{axes} ends at {sign}{size} mg in rows {numbers}: the converter is saturated there; "
+            f"{axes} ends at {sign}{size} mg in rows {numbers}: the sensor is saturated there; "
             f"decide with --exclude {numbers}"
         )
     return tuple(found)

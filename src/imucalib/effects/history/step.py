@@ -50,7 +50,7 @@ def scale_step(value: str) -> Effect:
         "y_i = x_i (1 + d_i [record >= first])",
         "an amplifier, a supply or a range that changes within a run, practice",
         "Repeat positions with each axis up and down on both sides of the jump.",
-        ("record", "tool_face"),
+        ("record",),
         each=tuple(Parameter(f"scale_step_{value}_{a}", "mg/g", 1.0, 300.0) for a in "xyz"),
         basis=basis,
         basis_dx=slope,
@@ -131,6 +131,10 @@ def _of_records(context: Context) -> tuple[str, ...]:
     return () if "time" in context or "record" not in context else _records(context)
 
 
+def _of_tables(context: Context) -> tuple[str, ...]:
+    return _on_dials(context) or _of_records(context)
+
+
 def _records(context: Context) -> tuple[str, ...]:
     first = context["record"][_FEWEST_RECORDS : 1 - _FEWEST_RECORDS]
     picked = np.unique(np.linspace(0, first.size - 1, min(2 * _SCANNED, first.size)).astype(int))
@@ -148,7 +152,7 @@ def _nearby(context: Context, value: str) -> tuple[str, ...]:
 
 FAMILIES = (
     Family("bias_step", "The bias jumps at one time.", "86400s", bias_step, _values, _nearby),
-    Family("scale_step", "The scale jumps at one record.", "record17", scale_step, _on_dials),
+    Family("scale_step", "The scale jumps at one record.", "record17", scale_step, _of_tables),
     Family("slip", "The tool stands turned from one record on.", "record17", slip, _on_dials),
     Family(
         "inclination_step",

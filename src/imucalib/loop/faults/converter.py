@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,11 @@ class CutOff:
     axis: int
     value: float
     rows: Index
+
+
+def rows_of(ends: Sequence[CutOff]) -> Index:
+    """The rows, from 0, of all these ends."""
+    return np.unique(np.concatenate([np.zeros(0, np.intp), *(end.rows for end in ends)]))
 
 
 def cut_off(reading: Array, truth: Array | None = None) -> tuple[CutOff, ...]:
