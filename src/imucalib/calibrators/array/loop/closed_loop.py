@@ -87,6 +87,7 @@ def close_array_loop(
     end = close(first, rules)
     first, path = first.aside(), end.subject.aside()
     end = replace(end, subject=path)
+    earlier.ended = tuple(s.effect for s in path.steps if not (s.curve or s.aliases))
     gained = cross_fitted(halved or setup, moving, searched)
     refused: tuple[tuple[str, str], ...] = ()
     structure = path.corrected
