@@ -70,7 +70,6 @@ def close_array_loop(
     takes, or None for those of the search; asked : effects that the user declares, or keeps out of
     the search
     """
-
     earlier = Earlier()
 
     def started(chosen: Setup) -> MotionSubject:
