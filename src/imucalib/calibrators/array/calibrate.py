@@ -13,6 +13,7 @@ from imucalib.calibrators.array.drawing.check import compared, refuse_contradict
 from imucalib.calibrators.array.drawing.sketch import sketched
 from imucalib.calibrators.array.drawing.streams import (
     Streams,
+    noisy_alone,
     refuse_streams,
     stream_notes,
     streams,
@@ -138,7 +139,7 @@ def _laid(recording: Recording, request: ArrayRequest) -> _Laid:
     recording = in_package_axes(recording, request.board)
     log, board = array_log(recording, request.board)
     segments = still_segments(recording, request.still)
-    order = _order(segments, board, recording)
+    order = _order(segments, board, recording, log)
     if board.undrawn:
         board = sketched(log, segments, board, order)
         recording = in_package_axes(recording, board)
@@ -147,7 +148,7 @@ def _laid(recording: Recording, request: ArrayRequest) -> _Laid:
     taken = streams(log)
     if not request.as_drawn:
         refuse_streams(taken, board.imus, log.interval)
-        refuse_contradiction(compared(log, segments, board, order))
+        refuse_contradiction(compared(log, segments, board, order), request.agreeing)
     log = replace(log, clipped=log.clipped | taken.held)
     return _Laid(_without_values(recording), board, log, segments, order, taken)
 
@@ -161,9 +162,17 @@ def _without_values(recording: Recording) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
+def _order(segments: Segments, board: Board, recording: Recording, log: ArrayLog) -> list[int]:
     names = board.imus if set(board.imus) <= set(segments.triads) else segments.triads
     if segments.n == 0:
+        noisy = noisy_alone(log)
+        if noisy is not None:
+            raise Undetermined(
+                f"no rest found: the accelerometer of {board.imus[noisy]} is never still, where "
+                "all others are",
+                where=recording.path,
+                remedy="take the IMU off the board file, or look for a loose mount or a bad supply",
+            )
         raise Undetermined(
             "no rest found, so the accelerometers cannot be calibrated by gravity: "
             + refusals(segments.candidates),

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.drawing.streams import refuse_streams, stream_notes, streams
+from imucalib.calibrators.array.drawing.streams import (
+    noisy_alone,
+    refuse_streams,
+    stream_notes,
+    streams,
+)
 from imucalib.calibrators.array.log import ArrayLog, array_log
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Recording
@@ -99,3 +104,15 @@ def test_a_range_below_the_stated_one_is_seen(recording: Recording) -> None:
     (note,) = found.notes
     assert "gyro of imu2 ends at 500 deg/s" in note
     assert "not at its range of 2000" in note
+
+
+def test_one_accelerometer_that_is_never_still_is_told_from_a_board_that_shakes(
+    log: ArrayLog,
+) -> None:
+    rng = np.random.default_rng(5)
+    assert noisy_alone(log) is None
+    force = log.acceleration.copy()
+    force[:, 6] += 0.6 * rng.standard_normal(force[:, 6].shape)
+    assert noisy_alone(replace(log, acceleration=force)) == 6
+    shaken = log.acceleration + 0.6 * rng.standard_normal(log.acceleration.shape)
+    assert noisy_alone(replace(log, acceleration=shaken)) is None

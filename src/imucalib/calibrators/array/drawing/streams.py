@@ -18,6 +18,9 @@ _BETTER = 0.5  # of the misfit at no shift, that a shift must leave at most
 #: Times what sensors of its kind leave at their best shifts, up to which one that is late by a
 #: single sample is late, and not slow or late by a part of one.
 _ALIKE = 2.0
+#: Samples of a stretch whose noise is looked at, and how many there are at least; times the next
+#: noisiest from which one accelerometer alone is noisy.
+_STRETCH, _FEW_STRETCHES, _NOISY = 50, 8, 4.0
 _FEWEST, _MOST = 100, 1500  # moving samples that are looked at
 
 
@@ -78,6 +81,22 @@ def _shifts(log: ArrayLog, moving: Flags) -> Array:
                 found[k, kind] = lags[best]
     slow = (np.abs(found) == 1.0) & (least > _ALIKE * np.median(least, axis=0))
     return np.where(slow, 0.0, found)
+
+
+def noisy_alone(log: ArrayLog) -> int | None:
+    """The accelerometer that is far noisier than all others where the board is stillest, by what
+    consecutive readings differ by; None where there is none: then it is the board that shakes."""
+    step = np.diff(log.acceleration, axis=0)
+    parts = len(step) // _STRETCH
+    if parts < _FEW_STRETCHES or step.shape[1] < 3:
+        return None
+    size = np.sqrt(np.mean(
+        step[: parts * _STRETCH].reshape(parts, _STRETCH, -1, 3) ** 2, axis=(1, 3)
+    ))  # fmt: skip
+    quiet = np.argsort(np.median(size, axis=1))[: max(parts // 4, 1)]
+    own = np.median(size[quiet], axis=0)
+    worst = int(np.argmax(own))
+    return worst if own[worst] > _NOISY * float(np.delete(own, worst).max()) else None
 
 
 def stream_notes(found: Streams, imus: tuple[str, ...]) -> tuple[str, ...]:
