@@ -186,6 +186,7 @@ def refuse_streams(found: Streams, imus: tuple[str, ...], interval: float) -> No
     if wrong:
         raise Undetermined(
             "; ".join(wrong),
-            remedy="an array needs all sensors at the same instants: shift its stamps by so much, "
-            "or take the IMU off the board file (--as-drawn goes on as it is)",
+            remedy="an array needs all sensors at the same instants: shift its stamps by so much "
+            "(where its clock is its own, by more as time goes on), or take the IMU off the board "
+            "file (--as-drawn goes on as it is)",
         )
