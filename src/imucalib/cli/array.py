@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -100,10 +101,11 @@ def command(logs: tuple[Path, ...], **options: Any) -> int:
     request = _request(options, logs)
     mapping, quiet = mapping_of(options), options["quiet"]
     runs: list[ArrayRun] = []
-    for log in logs:
+    for k, log in enumerate(logs):
         note(f"{log}", quiet)
+        asked = replace(request, agreeing=tuple(one.name for one in logs[:k]))
         with calibrating_of(options) as say:
-            runs.append(calibrate_array(read(log, mapping), request, say))
+            runs.append(calibrate_array(read(log, mapping), asked, say))
         if options["save_draws"] is not None:
             target = options["save_draws"]
             path = target if len(logs) == 1 else target.with_stem(f"{target.stem}_{log.stem}")

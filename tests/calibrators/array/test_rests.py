@@ -117,6 +117,20 @@ def test_corrected_readings_are_the_force() -> None:
     assert np.abs(found.corrected(seen, late) - force[:, None]).max() < 0.03
 
 
+def test_a_gain_that_drifts_is_undone_at_every_time() -> None:
+    """An array whose rests showed it ended with a traceback."""
+    segments, board, _, offset = simulated(6, n=40)
+    late = np.linspace(0.0, 1.0, 40)
+    drift = 0.01 * np.linspace(-1.0, 1.0, K)
+    drifted = (segments.mean - offset) * (1.0 + late[:, None] * drift)[..., None] + offset
+    found = fitted(replace(segments, mean=drifted), board)
+    assert found.loop is not None
+    assert [s.effect for s in found.loop.steps] == ["scale_drift"]
+    seen = np.einsum("kij,nkj->nki", board.rotations, drifted)
+    force = found.corrected(seen, 0.5 * (segments.start + segments.stop))
+    assert np.linalg.norm(force, axis=2) == pytest.approx(np.full((40, K), G), rel=1e-3)
+
+
 def test_what_bends_at_rest_does_not_run_away_far_from_it() -> None:
     segments, board, _, _ = simulated(5, n=40)
     segments = replace(segments, mean=25.0 * np.tanh(segments.mean / 25.0))

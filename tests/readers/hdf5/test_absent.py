@@ -64,6 +64,15 @@ def test_chunks_that_were_never_written_are_missing(of: str, absent: slice, tmp_
     )
 
 
+def test_a_sensor_without_any_number_is_told_so(tmp_path: Path) -> None:
+    """Not that its time stands still, which sends the user to the clock."""
+    path = chunked(tmp_path / "dead.h5", slice(0, 0))
+    with h5py.File(path, "a") as file:
+        file["acc"][...] = np.nan
+    with pytest.raises(UnreadableInput, match="holds no number"):
+        readers.read(path)
+
+
 def test_a_table_with_absent_rows_is_refused(tmp_path: Path) -> None:
     path = chunked(tmp_path / "a.h5", slice(300, 400))
     with pytest.raises(UnreadableInput, match="not in the file"):

@@ -13,17 +13,19 @@ from imucalib.calibrators.array.drawing.check import compared, refuse_contradict
 from imucalib.calibrators.array.drawing.sketch import sketched
 from imucalib.calibrators.array.drawing.streams import (
     Streams,
+    noisy_alone,
     refuse_streams,
     stream_notes,
     streams,
 )
 from imucalib.calibrators.array.estimate.corrected import restated
-from imucalib.calibrators.array.estimate.covariance import with_stated_covariance
+from imucalib.calibrators.array.estimate.covariance import with_uneven
 from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
 from imucalib.calibrators.array.estimate.left import residual_of_each
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
 from imucalib.calibrators.array.estimate.size import frame_sd, gravity_sd, scale_by_turns
 from imucalib.calibrators.array.estimate.total import total_of
+from imucalib.calibrators.array.estimate.uneven import Uneven
 from imucalib.calibrators.array.left_beside import held_against_left
 from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part, of_alike_gyros
 from imucalib.calibrators.array.log import ArrayLog, array_log, in_package_axes
@@ -45,8 +47,10 @@ from imucalib.rests.refused import refusals
 from imucalib.rests.segments import Segments, still_segments
 
 Say = Callable[[str], None]
+_Fitted = tuple[MotionLoop | None, ArrayState | None, Uneven | None]
 SEARCH_SAMPLES = 600  # moving samples on which effects are searched
 HALVED_SAMPLES = 800  # moving samples of which each half is searched again
+_BROKEN_UP = ("the motion is too broken up for the search of the loop",)
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     say(f"{segments.n} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
     moving = moving_part(laid.log, rests, board.imus)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))
-    loop, state = _fitted_or_told(moving, rests, board, request)
+    loop, state, apart = _fitted_or_told(moving, rests, board, request)
     if loop is not None:
         loop = _doubted(loop, laid, rests)
         say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
@@ -100,11 +104,11 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     linear = linear_part(loop.final) if loop is not None else None
     if loop is None and state is not None:
         linear = of_alike_gyros(state, moving.gyros.gain)
-    gain = None if linear is None else linear.gyro_gain
-    factor = None if state is None else state.noise[1].factor
     gyros = scale_by_turns(
-        laid.log, segments, rests, moving, laid.order, gyro_gain=gain, factor=factor
-    )
+        laid.log, segments, rests, moving, laid.order,
+        gyro_gain=None if linear is None else linear.gyro_gain,
+        factor=None if state is None else state.noise[1].factor,
+    )  # fmt: skip
     total = total_of(
         found.mean, motion, scale=gyros.value, scale_sd=gyros.sd,
         gravity_sd=gravity_sd(request.gravity_source), frame_sd=frame_sd(rests),
@@ -112,12 +116,11 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     )  # fmt: skip
     final = restated(found, total, rng)
     say(f"{final.data.samples} samples: {final.convergence.sentence}")
-    broken = request.loop and loop is None
-    unsearched = ("the motion is too broken up for the search of the loop",) if broken else ()
+    unsearched = _BROKEN_UP if request.loop and loop is None else ()
     return finished(
         recording=laid.recording, board=board, request=request, segments=segments, rests=rests,
         moving=moving, final=final, total=total, gyros=gyros, loop=loop, state=state,
-        linear=linear, notes=(*laid.notes, *final.notes, *unsearched),
+        apart=apart, linear=linear, notes=(*laid.notes, *final.notes, *unsearched),
     )  # fmt: skip
 
 
@@ -136,7 +139,7 @@ def _laid(recording: Recording, request: ArrayRequest) -> _Laid:
     recording = in_package_axes(recording, request.board)
     log, board = array_log(recording, request.board)
     segments = still_segments(recording, request.still)
-    order = _order(segments, board, recording)
+    order = _order(segments, board, recording, log)
     if board.undrawn:
         board = sketched(log, segments, board, order)
         recording = in_package_axes(recording, board)
@@ -145,7 +148,7 @@ def _laid(recording: Recording, request: ArrayRequest) -> _Laid:
     taken = streams(log)
     if not request.as_drawn:
         refuse_streams(taken, board.imus, log.interval)
-        refuse_contradiction(compared(log, segments, board, order))
+        refuse_contradiction(compared(log, segments, board, order), request.agreeing)
     log = replace(log, clipped=log.clipped | taken.held)
     return _Laid(_without_values(recording), board, log, segments, order, taken)
 
@@ -159,9 +162,17 @@ def _without_values(recording: Recording) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
+def _order(segments: Segments, board: Board, recording: Recording, log: ArrayLog) -> list[int]:
     names = board.imus if set(board.imus) <= set(segments.triads) else segments.triads
     if segments.n == 0:
+        noisy = noisy_alone(log)
+        if noisy is not None:
+            raise Undetermined(
+                f"no rest found: the accelerometer of {board.imus[noisy]} is never still, where "
+                "all others are",
+                where=recording.path,
+                remedy="take the IMU off the board file, or look for a loose mount or a bad supply",
+            )
         raise Undetermined(
             "no rest found, so the accelerometers cannot be calibrated by gravity: "
             + refusals(segments.candidates),
@@ -172,9 +183,7 @@ def _order(segments: Segments, board: Board, recording: Recording) -> list[int]:
     return [segments.triads.index(name) for name in names]
 
 
-def _fitted_or_told(
-    moving: Moving, rests: RestFit, board: Board, request: ArrayRequest
-) -> tuple[MotionLoop | None, ArrayState | None]:
+def _fitted_or_told(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> _Fitted:
     try:
         return _fitted(moving, rests, board, request)
     except np.linalg.LinAlgError as error:
@@ -185,11 +194,9 @@ def _fitted_or_told(
         ) from error
 
 
-def _fitted(
-    moving: Moving, rests: RestFit, board: Board, request: ArrayRequest
-) -> tuple[MotionLoop | None, ArrayState | None]:
-    """The search and the joint fit of all informative samples; no search where none is wanted, no
-    fit where the motion is too broken up."""
+def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> _Fitted:
+    """The search and the joint fit of all informative samples, and where positions differ from part
+    to part of the motion; no search where none is wanted, no fit where it is too broken up."""
     robust = request.accelerometer_sigma == "estimate"
     most = samples_taken(moving, request.samples)
     setup = array_setup(moving, board, min(most, SEARCH_SAMPLES), robust=robust)
@@ -199,11 +206,11 @@ def _fitted(
                 "the motion is too broken up to fit declared effects",
                 remedy="record longer stretches without gaps and clipping",
             )
-        return None, None
+        return None, None, None
     terms = rest_terms(rests)
     if not (request.loop or request.asked.declare):
         state = _unsearched(moving.levelled, board, terms, most, robust=robust)
-        return None, with_stated_covariance(state, shared_by_neighbours(state, gyro=False))
+        return None, *with_uneven(state, shared_by_neighbours(state, gyro=False))
     loop = close_array_loop(
         setup, terms, moving, np.random.default_rng(request.seed),
         replace(ARRAY_RULES, curves=request.curves, draws=request.draws),
@@ -211,7 +218,7 @@ def _fitted(
         asked=replace(request.asked, search=request.loop),
     )  # fmt: skip
     loop = with_rests(loop, rests.loop)
-    return loop, loop.final
+    return loop, loop.final, None  # the loop has told of its parts
 
 
 def _unsearched(

@@ -33,6 +33,7 @@ class ArrayRequest:
     distances : between IMUs, measured otherwise; accepted : what may stay unexplained
     still : what counts as a rest
     as_drawn : whether axes and places are those of the board file, whatever the log says
+    agreeing : other logs that are calibrated along and agree with the board file
     draws : simulated data sets of the search; extra_effects : of the user's own files
     limits : name -> largest allowed value; command : the line that was typed"""
 
@@ -55,6 +56,7 @@ class ArrayRequest:
     distances: tuple[Distance, ...] = ()
     accepted: Accepted = field(default_factory=Accepted)
     as_drawn: bool = False
+    agreeing: tuple[str, ...] = ()
     checkpoint: Path | None = None
     seed: int = 0
     draws: int = 499

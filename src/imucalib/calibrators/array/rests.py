@@ -112,7 +112,8 @@ class RestFit:
             e for e in self.fit.model.effects
             if isinstance(e, Response) and e.basis_dx is not None and e.name not in BASE
         )  # fmt: skip
-        still, most = Truth(np.zeros((1, *force.shape[1:]))), _FARTHEST * self.gravity
+        # Of as many rows as there are times: what a force adds may follow these.
+        still, most = Truth(np.broadcast_to(0.0, force.shape)), _FARTHEST * self.gravity
         for _ in range(3 if bent else 0):
             # What bends at one g says nothing at six: a power may even turn back there. The
             # motion has its own say on larger forces.
@@ -133,7 +134,7 @@ class RestFit:
         # An effect gives the columns of all triads beside it: a few samples at a time.
         for start in range(0, len(t), _AT_A_TIME):
             part = slice(start, start + _AT_A_TIME)
-            some = truth if truth.shape[0] == 1 else Truth(truth.force[part])
+            some = Truth(truth.force[part])
             context = rest_context(t[part], self.start, self.stop, data.triads)
             for effect in effects:
                 theta = self.fit.theta[slices[effect.name]]

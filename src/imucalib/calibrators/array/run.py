@@ -21,6 +21,7 @@ from imucalib.calibrators.array.estimate.left import (
 )
 from imucalib.calibrators.array.estimate.size import GyroScale
 from imucalib.calibrators.array.estimate.total import Total
+from imucalib.calibrators.array.estimate.uneven import Uneven
 from imucalib.calibrators.array.findings import array_errors, array_findings
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
@@ -65,6 +66,7 @@ def finished(
     gyros: GyroScale,
     loop: MotionLoop | None,
     state: ArrayState | None,
+    apart: Uneven | None,
     linear: LinearPart | None,
     notes: tuple[str, ...],
 ) -> ArrayRun:
@@ -72,7 +74,7 @@ def finished(
     residual = residual_in_motion(loop, state, final, moving)
     noise = (_rms(rests.noise), _rms(rests.gyro_noise))
     errors = array_errors(loop, noise, board.count, residual)
-    left = what_is_left(residual, rests, loop, request.accepted)
+    left = what_is_left(residual, rests, loop, request.accepted, apart)
     outcome = Outcome(
         "array", errors, _provenance(recording, request),
         findings=array_findings(loop) if loop else None, reasons=left_in_words(loop, left),

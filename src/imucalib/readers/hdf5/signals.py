@@ -151,7 +151,8 @@ def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
     steps = stepping([t[g] for t, g in zip(stamps, good, strict=True)])
     if steps is None:
         if found.rate is None:
-            raise UnreadableInput(f"{signal.name}: the time never advances", where=file.where)
+            why = "the time never advances" if any(g.any() for g in good) else "holds no number"
+            raise UnreadableInput(f"{signal.name}: {why}", where=file.where)
         steps = Stepping(1.0 / found.rate, 1.75 / found.rate)
     rate = found.rate or 1.0 / steps.step
     where = f"{file.where}: {found.parts[0].path}"

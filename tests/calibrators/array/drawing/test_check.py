@@ -14,7 +14,7 @@ from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibrators.array.board import Board, read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.drawing.axes import SIGNED, common_gyro_axes, in_words
-from imucalib.calibrators.array.drawing.check import Drawn, compared
+from imucalib.calibrators.array.drawing.check import Drawn, compared, refuse_contradiction
 from imucalib.calibrators.array.log import array_log, in_package_axes
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
@@ -138,6 +138,20 @@ def test_a_drawing_in_another_unit_is_told(recording: Recording, tmp_path: Path)
     assert "times as large as drawn" in found.faults[0]
     mended = with_lines(found.lines, tmp_path / "b.yaml")
     assert np.allclose(mended.positions, BOARD.positions, rtol=0.1, atol=1e-4)
+
+
+def test_one_of_several_logs_does_not_change_the_board_file_of_all(recording: Recording) -> None:
+    """Cables exchanged in one log of two: the lines that fit it would contradict the other."""
+    found = seen(exchanged(recording, "imu2", "imu5"), BOARD)
+    with pytest.raises(Undetermined, match="imu2 and imu5 are exchanged") as alone:
+        refuse_contradiction(found)
+    with pytest.raises(Undetermined) as beside:
+        refuse_contradiction(found, ("first.h5",))
+    assert alone.value.remedy.startswith("in the board file write")
+    assert beside.value.remedy.startswith("the board file fits first.h5 as it is")
+    lines = "\n".join(found.lines)
+    assert alone.value.remedy.endswith(lines)
+    assert beside.value.remedy.endswith(lines)
 
 
 def test_it_ends_with_the_lines_or_goes_on_as_drawn(recording: Recording) -> None:

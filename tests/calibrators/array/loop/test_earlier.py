@@ -10,9 +10,9 @@ import pytest
 from imucalib.calibrators.array.loop import state as fits
 from imucalib.calibrators.array.loop.declared import declared_term
 from imucalib.calibrators.array.loop.earlier import Earlier, drawn_state
+from imucalib.calibrators.array.loop.refits.twins import _twins
 from imucalib.calibrators.array.loop.setup import part_of
 from imucalib.calibrators.array.loop.state import Behind, settled
-from imucalib.calibrators.array.loop.twins.refits import _twins
 from worlds.boards import BoardPlan
 from worlds.twisted_board import fitted
 

@@ -9,7 +9,7 @@ import pytest
 
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
-from imucalib.calibrators.array.loop.twins.refits import nearest, open_twins
+from imucalib.calibrators.array.loop.refits.twins import nearest, open_twins
 from worlds.array_stories import closed
 from worlds.boards import Array, made_board
 from worlds.odd_boards import PLAN, Moved, Plant, Planted, odd_log, plain, shifted, slow

@@ -6,6 +6,7 @@ say; and the accelerometers' differences show who stands where.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -211,15 +212,20 @@ def _turned(values: Array, turns: Array, own: Array) -> Array:
     return np.asarray(np.einsum("kij,nkj->nki", turns @ own @ turns.transpose(0, 2, 1), values))
 
 
-def refuse_contradiction(found: Drawn) -> None:
-    """Raise Undetermined with the lines of the board file that fit the log."""
+def refuse_contradiction(found: Drawn, agreeing: Sequence[str] = ()) -> None:
+    """Raise Undetermined with the lines of the board file that fit the log. agreeing : other logs
+    that the board file fits as it is, so that it must not be changed for this one."""
     if not found.faults:
         return
     lines = found.lines
     more = f"\n  # and {len(lines) - _SHOWN} more" if len(lines) > _SHOWN else ""
+    what = "in the board file write these lines for theirs (--as-drawn keeps it as it is)"
+    if agreeing:
+        what = (
+            f"the board file fits {', '.join(agreeing)} as it is, and one holds for all logs: "
+            "leave this one out, or turn and exchange its sensors in the recording. Its own lines"
+        )
     raise Undetermined(
         f"the recording contradicts the board file: {'; '.join(found.faults[:_SHOWN])}",
-        remedy="in the board file write these lines for theirs (--as-drawn keeps it as it is):\n"
-        + "\n".join(lines[:_SHOWN])
-        + more,
+        remedy=f"{what}:\n" + "\n".join(lines[:_SHOWN]) + more,
     )

@@ -1,4 +1,5 @@
-"""Readings that are not a sensor's own of that instant: lost, repeated, late by whole samples."""
+"""Readings that are not a sensor's own of that instant: lost, repeated, late by whole samples, or
+spikes that no other sensor knows of."""
 
 from __future__ import annotations
 
@@ -18,6 +19,13 @@ _BETTER = 0.5  # of the misfit at no shift, that a shift must leave at most
 #: Times what sensors of its kind leave at their best shifts, up to which one that is late by a
 #: single sample is late, and not slow or late by a part of one.
 _ALIKE = 2.0
+#: Quantile of a sensor's distances from what the others say, and times it from which a reading is
+#: none of its own.
+_RARE, _SPIKE = 0.99, 10.0
+_TURNING = 7  # columns of the rate's products, and of one
+#: Samples of a stretch whose noise is looked at, and how many there are at least; times the next
+#: noisiest from which one accelerometer alone is noisy.
+_STRETCH, _FEW_STRETCHES, _NOISY = 50, 8, 4.0
 _FEWEST, _MOST = 100, 1500  # moving samples that are looked at
 
 
@@ -25,11 +33,13 @@ _FEWEST, _MOST = 100, 1500  # moving samples that are looked at
 class Streams:
     """lost : share of the instants that the log lacks; repeated : (K, 2) share of the moving
     samples in which accelerometer and gyro read exactly what they read before; shift : (K, 2)
-    samples by which they are late; held : (N,) samples in motion with a repeated reading"""
+    samples by which they are late; spikes : (K, 2) moving samples in which they alone read what
+    nobody else does; held : (N,) samples in motion with a repeated reading or a spike"""
 
     lost: float
     repeated: Array
     shift: Array
+    spikes: Array
     held: Flags
 
 
@@ -43,7 +53,47 @@ def streams(log: ArrayLog) -> Streams:
         same[1:, :, kind] = np.all(values[1:] == values[:-1], axis=2)
     same &= moving[:, None, None]
     repeated = same.sum(axis=0) / max(int(moving.sum()), 1)
-    return Streams(lost, repeated, _shifts(log, moving), np.asarray(same.any(axis=(1, 2))))
+    spikes = _spikes(log, moving & ~log.clipped)
+    held = np.asarray((same | spikes).any(axis=(1, 2)))
+    return Streams(lost, repeated, _shifts(log, moving), spikes.sum(axis=0), held)
+
+
+def _spikes(log: ArrayLog, looked: Flags) -> Flags:
+    """(N, K, 2) of each sample the reading that is farthest from what all others of its kind say of
+    it, where that is many times farther than one in a hundred is: in samples `looked` (N,). Tails
+    of noise go on from there by a few times (six on measured logs), a broken transfer by hundreds,
+    and a few of these are worth more than all else where noise is taken for Gaussian."""
+    rows = np.flatnonzero(looked)
+    found = np.zeros((*log.rate.shape[:2], 2), dtype=np.bool_)
+    width = 3 * log.rate.shape[1] + _TURNING
+    if len(rows) < 5 * width:
+        return found
+    rate = log.rate[rows].mean(axis=1)
+    turning = [rate * rate, rate * np.roll(rate, 1, axis=1), np.ones((len(rows), 1))]
+    for kind, values in enumerate((log.acceleration, log.rate)):
+        told = np.concatenate([values[rows].reshape(len(rows), -1), *turning], axis=1)
+        kept = np.ones(len(rows), dtype=np.bool_)
+        for _ in range(2):  # again without those that are found
+            far = _from_others(told, kept)
+            far /= np.maximum(np.quantile(far[kept], _RARE, axis=0), 1e-300)
+            kept = far.max(axis=1) < _SPIKE
+        found[rows[~kept], far[~kept].argmax(axis=1), kind] = True
+    return found
+
+
+def _from_others(told: Array, kept: Flags) -> Array:
+    """(n, K) how far each of the triads in columns `told` (n, 3 K + m) is from what all other
+    columns say of it by least squares over the rows `kept`."""
+    gram, k = told[kept].T @ told[kept], (told.shape[1] - _TURNING) // 3
+    far = np.empty((len(told), k))
+    for one in range(k):
+        own = np.arange(3 * one, 3 * one + 3)
+        others = np.delete(np.arange(told.shape[1]), own)
+        slope = np.linalg.lstsq(
+            gram[np.ix_(others, others)], gram[np.ix_(others, own)], rcond=1e-14
+        )[0]
+        far[:, one] = np.linalg.norm(told[:, own] - told[:, others] @ slope, axis=1)
+    return far
 
 
 def _shifts(log: ArrayLog, moving: Flags) -> Array:
@@ -80,6 +130,22 @@ def _shifts(log: ArrayLog, moving: Flags) -> Array:
     return np.where(slow, 0.0, found)
 
 
+def noisy_alone(log: ArrayLog) -> int | None:
+    """The accelerometer that is far noisier than all others where the board is stillest, by what
+    consecutive readings differ by; None where there is none: then it is the board that shakes."""
+    step = np.diff(log.acceleration, axis=0)
+    parts = len(step) // _STRETCH
+    if parts < _FEW_STRETCHES or step.shape[1] < 3:
+        return None
+    size = np.sqrt(np.mean(
+        step[: parts * _STRETCH].reshape(parts, _STRETCH, -1, 3) ** 2, axis=(1, 3)
+    ))  # fmt: skip
+    quiet = np.argsort(np.median(size, axis=1))[: max(parts // 4, 1)]
+    own = np.median(size[quiet], axis=0)
+    worst = int(np.argmax(own))
+    return worst if own[worst] > _NOISY * float(np.delete(own, worst).max()) else None
+
+
 def stream_notes(found: Streams, imus: tuple[str, ...]) -> tuple[str, ...]:
     """Lost and repeated samples with their share, in words."""
     notes = []
@@ -91,6 +157,12 @@ def stream_notes(found: Streams, imus: tuple[str, ...]) -> tuple[str, ...]:
             "samples; these are left out"
             for name, share in zip(imus, found.repeated[:, kind], strict=True)
             if share > _TOLD
+        ]
+        notes += [
+            f"the {sensor} of {name} has {count:.0f} spikes in motion, which no other sensor knows "
+            "of; these samples are left out: look for a broken transfer or a loose contact"
+            for name, count in zip(imus, found.spikes[:, kind], strict=True)
+            if count
         ]
     return tuple(notes)
 
@@ -114,6 +186,7 @@ def refuse_streams(found: Streams, imus: tuple[str, ...], interval: float) -> No
     if wrong:
         raise Undetermined(
             "; ".join(wrong),
-            remedy="an array needs all sensors at the same instants: shift its stamps by so much, "
-            "or take the IMU off the board file (--as-drawn goes on as it is)",
+            remedy="an array needs all sensors at the same instants: shift its stamps by so much "
+            "(where its clock is its own, by more as time goes on), or take the IMU off the board "
+            "file (--as-drawn goes on as it is)",
         )

@@ -39,14 +39,10 @@ def _sandwich(state: ArrayState) -> tuple[Array, Array]:
     return 0.5 * (found + found.T), own @ bread[:, : state.positions]
 
 
-def with_stated_covariance(state: ArrayState, factor: float = 1.0) -> ArrayState:
-    """The state with that covariance; factor : how many times fewer samples noise that neighbours
-    share leaves."""
-    return replace(state, covariance=factor * stated_covariance(state))
-
-
 def with_uneven(state: ArrayState, factor: float) -> tuple[ArrayState, Uneven | None]:
-    """The same, positions known no better than parts of the motion agree on them."""
+    """The state with that covariance, positions known no better than parts of the motion agree on
+    them, and where they do not; factor : how many times fewer samples noise that neighbours share
+    leaves."""
     covariance, pulls = _sandwich(state)
     covariance *= factor
     found = uneven(state, pulls, factor)

@@ -9,6 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.outcome import Left
+from imucalib.calibrators.array.estimate.uneven import POSITIONS, Uneven
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.held_out import NORMAL_MAD
 from imucalib.calibrators.array.loop.state import ArrayState
@@ -83,10 +84,12 @@ def _whole(state: ArrayState) -> tuple[Array, Array]:
 
 
 def what_is_left(
-    residual: Residual, rests: RestFit, loop: MotionLoop | None, accepted: Accepted
-) -> tuple[Left, ...]:
+    residual: Residual, rests: RestFit, loop: MotionLoop | None, accepted: Accepted,
+    apart: Uneven | None = None,
+) -> tuple[Left, ...]:  # fmt: skip
     """Residuals beyond the noise at rest, those of an IMU that stands out by itself, and how far
-    structure that is not explained would move the positions."""
+    structure that is not explained would move the positions; apart : how far parts of the motion
+    do, where nothing was searched."""
     noise = (float(np.sqrt(np.mean(v**2))) for v in (rests.noise, rests.gyro_noise))
     values = (residual.acceleration / MG, residual.rate / DEG)
     beyond = [
@@ -99,12 +102,17 @@ def what_is_left(
         *_single(residual, rests, accepted),
     )
     if loop is None:
-        return found
+        return found if apart is None else (_uneven(apart, accepted), *found)
     moved = list(loop.moved.values())
     if loop.suspected:
         # What is corrected and not proved could as well not be.
         moved.append(float(np.sqrt(np.mean((loop.final.r - loop.base.r)[1:] ** 2))))
     return (Left("positions", 1e3 * max(moved, default=0.0), accepted.mm, "mm"), *found)
+
+
+def _uneven(apart: Uneven, accepted: Accepted) -> Left:
+    moved = 1e3 * float(apart.spread.max())
+    return Left(POSITIONS + apart.driver, moved, accepted.mm, "mm")
 
 
 def _beyond(value: float, noise: float) -> float:

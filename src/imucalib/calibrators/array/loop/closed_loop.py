@@ -70,7 +70,6 @@ def close_array_loop(
     takes, or None for those of the search; asked : effects that the user declares, or keeps out of
     the search
     """
-
     earlier = Earlier()
 
     def started(chosen: Setup) -> MotionSubject:
@@ -87,6 +86,7 @@ def close_array_loop(
     end = close(first, rules)
     first, path = first.aside(), end.subject.aside()
     end = replace(end, subject=path)
+    earlier.ended = tuple(s.effect for s in path.steps if not (s.curve or s.aliases))
     gained = cross_fitted(halved or setup, moving, searched)
     refused: tuple[tuple[str, str], ...] = ()
     structure = path.corrected

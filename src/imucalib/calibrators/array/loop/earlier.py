@@ -24,9 +24,13 @@ _ALIKE = 0.25
 
 
 class Earlier:
-    """Fits by the names of what is in them, and chance by the size of the noise."""
+    """Fits by the names of what is in them, and chance by the size of the noise.
+
+    ended : effects with which the search of the whole has ended, without those that have rivals
+    """
 
     def __init__(self) -> None:
+        self.ended: tuple[str, ...] = ()
         self._fits: dict[frozenset[str], ArrayState] = {}
         self._chance: list[tuple[Array, Array]] = []
 

@@ -72,13 +72,15 @@ def _shapes(sensor: str, square: Squares, speed: Array, noise: SensorNoise) -> l
 def _each(
     sensor: str, square: Squares, speed: Array, noise: SensorNoise, imus: tuple[str, ...]
 ) -> list[NoiseTest]:
-    """One IMU that is noisier than the others: its mean weighted square against theirs."""
+    """One IMU that is noisier than the others: likelihood ratio of two variances against one."""
     own, found = power_of_each(noise, square, speed), []
+    every = len(square.length) * square.numbers
     for k, imu in enumerate(imus):
-        ratio = own[k] / max(float(np.delete(own, k).mean()), 1e-300)
-        n = len(square.length) * float(square.numbers[k])
-        gain = 0.5 * n * (ratio - 1.0 - np.log(ratio)) if ratio > 1.0 else 0.0
-        found.append(_test(f"{sensor} noise of {imu}", imu, float(gain)))
+        n, rest = float(every[k]), float(np.delete(every, k).sum())
+        one, two = float(own[k]), max(float(np.delete(own, k).mean()), 1e-300)
+        both = (n * one + rest * two) / (n + rest)
+        gain = 0.5 * (n * np.log(both / max(one, 1e-300)) + rest * np.log(both / two))
+        found.append(_test(f"{sensor} noise of {imu}", imu, float(gain) if one > two else 0.0))
     return found
 
 

@@ -112,6 +112,14 @@ class Search(Searched):
         as its own, with its columns."""
         return shared_ahead(state, self.entries[name], self.beside(name))
 
+    def aliases(self, chosen: Score) -> tuple[str, ...]:
+        """Other effects that have nearly as many nats as the chosen one; of a curve none."""
+        if chosen.candidate.kind != "effect":
+            return ()
+        near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
+        others = (s for s in self.scores if s.candidate.kind == "effect" and s.name != chosen.name)
+        return tuple(s.name for s in others if s.evidence >= near)
+
     def moves(self, name: str) -> float:
         """m rms over the positions' coordinates: what taking a candidate in would move them by, or
         how far it says that one IMU moves; zero for noise, which has no columns."""

@@ -20,10 +20,11 @@ from imucalib.calibrators.array.loop.curves import CURVE
 from imucalib.calibrators.array.loop.earlier import Earlier
 from imucalib.calibrators.array.loop.held_out import Residuals, held_out_residuals
 from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
+from imucalib.calibrators.array.loop.refits.shared_lag import with_shared_first
+from imucalib.calibrators.array.loop.refits.together import taken_together
+from imucalib.calibrators.array.loop.refits.twins import told_apart
 from imucalib.calibrators.array.loop.search import Search, search
 from imucalib.calibrators.array.loop.state import ArrayState, settled
-from imucalib.calibrators.array.loop.twins.refits import told_apart
-from imucalib.calibrators.array.loop.twins.shared_lag import with_shared_first
 from imucalib.calibrators.array.loop.worth import (
     not_held_out,
     refitted,
@@ -117,6 +118,10 @@ class MotionSubject:
         if late.p > self.rules.alpha:
             return Refused(chosen.name, shared_noise(late.p))
         left_out = self.left_out.union(rejected)
+        several = taken_together(self.searched, self.state, self.earlier, left_out)
+        if several is not None:
+            grown = self._with(several.state, *several.scores)
+            return self._owing(grown, several.scores[0], rejected)
         chosen, tried = with_shared_first(self.searched, chosen, self.earlier, left_out, self.rules)
         if tried.state is None:
             return Refused(chosen.name, tried.reason)
@@ -126,41 +131,36 @@ class MotionSubject:
         if late.p > self.rules.alpha:
             return Refused(chosen.name, shared_noise(late.p))
         left_out = left_out.union(*(twins_of(name) for name in rejected))
-        gains = self.searched.held_out(chosen.name)
-        grown = self._with(tried.state, chosen, gains, tried.rivals)
+        grown = self._with(tried.state, chosen, twins=tried.rivals)
         lost = ((name, chosen.evidence) for name in tried.lost)
         grown = replace(grown, left_out=left_out, lost=(*self.lost, *lost))
         return self._owing(grown, chosen, rejected)
 
     def _with(
-        self, trial: ArrayState, chosen: Score, gains: tuple[float, float],
-        twins: tuple[str, ...] = (),
-    ) -> MotionSubject:  # fmt: skip
-        """With one step more, whose effect is the last term of the trial; twins : that would do as
-        well."""
+        self, trial: ArrayState, *scores: Score, twins: tuple[str, ...] = ()
+    ) -> MotionSubject:
+        """With more steps, whose effects are the last terms of the trial, in their order; twins :
+        that would do as well."""
         after = held_out_residuals(trial)
-        near = max(chosen.evidence - 3.0, chosen.evidence / 2.0)
-        curve = chosen.candidate.kind != "effect"
-        aliases = () if curve else tuple(
-            s.name for s in self.searched.scores
-            if s.candidate.kind == "effect" and s.name != chosen.name and s.evidence >= near
-        )  # fmt: skip
-        step = Step(
-            effect=trial.terms[-1].name,
-            p=chosen.p,
-            draws=chosen.draws,
-            evidence=chosen.evidence,
-            checked=self.residuals.against(after),
-            aliases=(*twins, *aliases, *self._would_leave(chosen.evidence)),
-            value=size_in_words(trial, trial.terms[-1]),
-            gains=gains,
-            curve=curve,
+        steps = tuple(
+            Step(
+                effect=term.name,
+                p=chosen.p,
+                draws=chosen.draws,
+                evidence=chosen.evidence,
+                checked=self.residuals.against(after),
+                aliases=(*twins, *self.searched.aliases(chosen), *self._would_leave(chosen)),
+                value=size_in_words(trial, term),
+                gains=self.searched.held_out(chosen.name),
+                curve=chosen.candidate.kind != "effect",
+            )
+            for term, chosen in zip(trial.terms[-len(scores) :], scores, strict=True)
         )
-        return replace(self, state=trial, residuals=after, steps=(*self.steps, step))
+        return replace(self, state=trial, residuals=after, steps=(*self.steps, *steps))
 
-    def _would_leave(self, nats: float) -> tuple[str, ...]:
+    def _would_leave(self, chosen: Score) -> tuple[str, ...]:
         """What a smaller effect could be of twins whose fits are lost: nothing is known of it."""
-        return tuple(f"what {name} would leave" for name, own in self.lost if own > nats)
+        return tuple(f"what {name} would leave" for name, own in self.lost if own > chosen.evidence)
 
     def _owing(
         self, grown: MotionSubject, chosen: Score, rejected: Collection[str]
@@ -204,11 +204,11 @@ class MotionSubject:
         term = replace(term, name=CURVE + term.name)
         if min(gains) <= 0.0:
             return None
-        trial = refitted(self.state, term, self.earlier)
+        trial = refitted(self.state, self.earlier, term)
         if trial is None or why_not(self.state, trial):
             return None
         corrected = (*self.corrected, without_a_name(chosen))
-        return replace(self._with(trial, chosen, gains), corrected=corrected)
+        return replace(self._with(trial, chosen), corrected=corrected)
 
     def eliminated(self) -> MotionSubject:
         path = self._told_apart()

@@ -148,9 +148,9 @@ def settled_or_lost(
         return None
 
 
-def refitted(state: ArrayState, term: Term, earlier: Earlier) -> ArrayState | None:
-    """The joint fit with one term more; None where it runs away."""
-    found = settled_or_lost(earlier.begun(replace(state, terms=(*state.terms, term))))
+def refitted(state: ArrayState, earlier: Earlier, *more: Term) -> ArrayState | None:
+    """The joint fit with more terms; None where it runs away."""
+    found = settled_or_lost(earlier.begun(replace(state, terms=(*state.terms, *more))))
     return earlier.kept(found) if found is not None and found.converged else found
 
 

@@ -42,12 +42,12 @@ def best_of_twins(
     left_out : effects that are not tried; margin : nats up to which another twin would do as well
     """
     twins = [twin for twin in twins_of(term.name) if twin not in left_out]
-    trial = refitted(state, term, earlier)
+    trial = refitted(state, earlier, term)
     reason = DIVERGED if trial is None else why_not(state, trial)
     if trial is not None and trial.converged:
         fits = _twins(trial, term.name, twins, margin)
     else:
-        fits = {twin: refitted(state, _as_twin(term, twin), earlier) for twin in twins}
+        fits = {twin: refitted(state, earlier, _as_twin(term, twin)) for twin in twins}
     fits[term.name] = trial
     if trial is not None and twins:
         fits[term.name] = _as_near(trial, term.name, fits, margin)

@@ -13,10 +13,10 @@ import numpy as np
 
 from imucalib.calibrators.array.loop.catalogue import array_catalogue, twins_of
 from imucalib.calibrators.array.loop.earlier import Earlier
+from imucalib.calibrators.array.loop.refits.twins import Tried, best_of_twins
 from imucalib.calibrators.array.loop.search import Search
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term, lagging, typical_of
-from imucalib.calibrators.array.loop.twins.refits import Tried, best_of_twins
 from imucalib.calibrators.array.loop.worth import not_held_out, settled_or_lost
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings

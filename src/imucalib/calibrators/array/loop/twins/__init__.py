@@ -1,1 +1,0 @@
-"""Lags that look alike."""
