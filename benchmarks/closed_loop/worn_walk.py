@@ -2,6 +2,7 @@
 
     python benchmarks/closed_loop/worn_walk.py clean 40        # per noise
     python benchmarks/closed_loop/worn_walk.py planted 6       # per effect, noise and strength
+    python benchmarks/closed_loop/worn_walk.py outside 4       # what no name says, per noise
     python benchmarks/closed_loop/worn_walk.py junk 60         # effects declared that are not there
 
 The equations are written anew here. λ is the length of the effect's columns in units of the true
@@ -44,6 +45,29 @@ EFFECTS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
     "converter": lambda x, t, u, c: c * np.sin(2 * np.pi * x / 0.45 + 1.0),
     "dead_band": lambda x, t, u, c: c * np.clip(x / 0.05, -1.0, 1.0),
 }
+#: What no name of the catalogue says; hours from -72 to 72.
+OUTSIDE: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
+    "harmonic": lambda x, t, u, c: c * np.sin(6.0 * np.pi * x),
+    "local_sine": lambda x, t, u, c: (
+        c * np.sin(2 * np.pi * x / 0.15) * np.exp(-0.5 * ((x - 0.4) / 0.25) ** 2)
+    ),
+    "soft_saturation": lambda x, t, u, c: c * np.sign(x) * np.maximum(np.abs(x) - 0.7, 0.0) ** 2,
+    "scale_swing": lambda x, t, u, c: c * x * np.sin(2 * np.pi * 144.0 * u / 7.0)[:, None],
+    "bias_swing": lambda x, t, u, c: c * np.sin(2 * np.pi * 144.0 * u / 7.0)[:, None],
+    "scale_jump": lambda x, t, u, c: c * x * (u[:, None] > 0.12),
+    "slow_walk": lambda x, t, u, c: c * _slow(u),
+    "scale_walk": lambda x, t, u, c: c * x * _slow(u),
+    "shock": lambda x, t, u, c: (
+        c * ((u > 0.1) * np.exp(-np.clip(144.0 * (u - 0.1) / 12.0, 0.0, 50.0)))[:, None]
+    ),
+}
+
+
+def _slow(u: Array) -> Array:
+    """(n, 3) of a random walk, always the same."""
+    steps = np.random.default_rng(99).standard_normal((2001, 3)) / 2001**0.5
+    course, grid = np.cumsum(steps, axis=0), np.linspace(-0.5, 0.5, 2001)
+    return np.column_stack([np.interp(u, grid, one) for one in course.T])
 
 
 def world(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
@@ -122,7 +146,7 @@ class Case:
         u = time / SPAN - 0.5
         if effect:
             self.size = rng.standard_normal(3)
-            one = EFFECTS[effect](direction, warm - 25.0, u, self.size)
+            one = self.added(direction, warm - 25.0, u)
             self.size *= aim / strength(one, direction, self.gain, time, tau, windows)
         scatter = (
             rng.standard_t(3, (RUNS, 3)) / 3**0.5
@@ -141,8 +165,12 @@ class Case:
     def sensed(self, x: Array, warm: Array, u: Array) -> Array:
         out = G * x @ self.gain.T + MG * self.bias
         if self.effect:
-            out = out + MG * EFFECTS[self.effect](x, warm - 25.0, u, self.size)
+            out = out + MG * self.added(x, warm - 25.0, u)
         return out
+
+    def added(self, x: Array, excess: Array, u: Array) -> Array:
+        """(n, 3) mg, the effect."""
+        return {**EFFECTS, **OUTSIDE}[self.effect](x, excess, u, self.size)
 
     def solved(self, request: ActigraphRequest) -> ActigraphResult:
         return calibrate(self.runs, self.scan, request, np.random.default_rng(0))
@@ -229,6 +257,23 @@ def planted(count: int, aims: tuple[float, ...] = (10.0, 15.0)) -> None:
           f"{np.quantile(ratios, 0.9):.2f}; explained and worse {wrong}")  # fmt: skip
 
 
+def outside(count: int, aims: tuple[float, ...] = (30.0, 60.0)) -> None:
+    """What a correction without a cause is worth: true error after over before."""
+    for effect in OUTSIDE:
+        for aim in aims:
+            ratios, sure = list[float](), 0
+            for noise in ("white", "walk 2 h"):
+                for seed in range(count):
+                    case = Case(noise, effect, aim, 7000 + seed)
+                    result = case.solved(ActigraphRequest())
+                    assert result.loop is not None
+                    ratios.append(case.error(result.final) / case.error(result.base))
+                    sure += any(s.certain and "@" not in s.effect for s in result.loop.steps)
+            print(f"{effect:16s} λ {aim:4.0f}: after / before {np.median(ratios):.2f}, largest "
+                  f"{max(ratios):.2f}; a name as certain {sure} of {len(ratios)}",
+                  flush=True)  # fmt: skip
+
+
 def junk(count: int) -> None:
     """What the held-out error says of three effects that are not there, and new recordings say."""
     told, new = np.zeros(count), np.zeros(count)
@@ -249,5 +294,7 @@ def junk(count: int) -> None:
 
 if __name__ == "__main__":
     started = clock.process_time()
-    {"clean": clean, "planted": planted, "junk": junk}[sys.argv[1]](int(sys.argv[2]))
+    {"clean": clean, "planted": planted, "outside": outside, "junk": junk}[sys.argv[1]](
+        int(sys.argv[2])
+    )
     print(f"{clock.process_time() - started:.0f} CPU s")

@@ -245,7 +245,8 @@ def test_what_was_refused_is_told_where_no_bar_lets_so_much_through(
         SimpleNamespace(name="bias_step", found=strong, reason="it does not hold out"),
     ]
     chance = np.array([[1.0, 2.0, 12.0], [0.0, 0.0, 0.0]])
-    found = looked_like(refused, chance, {"at": "time", "cubic": ""}.__getitem__)  # type: ignore[arg-type]
+    drivers = {"at": "time", "cubic": ""}
+    found = looked_like(refused, (), chance, drivers.__getitem__)  # type: ignore[arg-type]
     assert [u.name for u in found] == [
         f"what looks like {name} and was not taken: it does not hold out" for name in told
     ]
@@ -262,13 +263,11 @@ def test_what_a_step_calls_its_alias_is_no_structure_of_its_own() -> None:
         SimpleNamespace(name=name, reason="so", found=scored(member, 20.0 - k, (0,)))
         for k, (name, member) in enumerate(names.items())
     ]
-    problem = SimpleNamespace(effect=lambda _: SimpleNamespace(needs=("time", "temperature")))
-    search = SimpleNamespace(refused=refused)
-    found = SimpleNamespace(problem=problem, search=search, chances=[np.zeros((2, 9))])
-    (left,) = engine._refused(found, steps)  # type: ignore[arg-type]
+    chance = np.zeros((2, 9))
+    (left,) = looked_like(refused, steps, chance, str.upper)  # type: ignore[arg-type]
     assert left.name == "what looks like thermal_lag and was not taken: so"
-    assert left.driver == "time and temperature"
-    (first,) = engine._refused(found, ())  # type: ignore[arg-type]
+    assert left.driver == "THERMAL_LAG@1H"
+    (first,) = looked_like(refused, (), chance, str.upper)  # type: ignore[arg-type]
     assert first.name.startswith("what looks like bias_step@7200s")
 
 

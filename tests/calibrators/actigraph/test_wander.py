@@ -164,8 +164,11 @@ def test_a_swing_of_seven_hours_is_not_nothing(
     def swing(x: Any, t: Any, u: Any, c: Any) -> Any:
         return c * (x if of_scale else 1.0) * np.sin(2.0 * np.pi * 144.0 / 7.0 * u)[:, None]
 
-    loop = of(worn, monkeypatch, swing, 12.0).solved(WANTED).loop
-    assert (loop.verdict, loop.steps) == ("unexplained", ())
+    case = of(worn, monkeypatch, swing, 12.0)
+    result = case.solved(WANTED)
+    loop = result.loop
+    assert (loop.verdict, loop.named) == ("unexplained", ())
+    assert case.error(result.final) < 0.7 * case.error(result.base)
     what = "scale" if of_scale else "bias"
     assert loop.unexplained[0].name.startswith(f"the {what} swings with a period of ")
     assert 6.8 <= float(loop.unexplained[0].name.split()[-2]) <= 7.2

@@ -55,7 +55,11 @@ class Problem:
             return []
         context = self.small.observations.context
         near = family.nearby(context, entry.name.partition("@")[2])
-        found, _ = effect_candidates(self.small, [family.member(value) for value in near])
+        return self.columns_of([family.member(value) for value in near])
+
+    def columns_of(self, effects: Sequence[Effect]) -> list[tuple[str, Array]]:
+        """Names of effects that can be tried, with their columns (n, c)."""
+        found, _ = effect_candidates(self.small, effects)
         unit = self.small.at.sigma[:, :1] / MG / self.noise.scatter
         return [(c.name, c.columns * unit) for c in found]
 
@@ -72,6 +76,10 @@ class Problem:
         found = self.effects.get(name) or known(name)
         assert found is not None, name
         return found
+
+    def drivers(self, name: str) -> str:
+        """What drives an effect, in words."""
+        return " and ".join(self.effect(name).needs)
 
     def model(self, taken: Sequence[Taken]) -> Model:
         return Model((*self.fit.model.effects, *(self.effect(t.found.entry.name) for t in taken)))

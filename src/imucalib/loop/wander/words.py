@@ -207,11 +207,14 @@ def _apart(bank: Bank, terms: Terms, own: Scored, rival: Scored) -> float:
 
 
 def looked_like(
-    refused: Sequence[Refused], chance: Array, driver: Callable[[str], str]
-) -> tuple[Unexplained, ...]:
+    refused: Sequence[Refused], steps: Sequence[Step], chance: Array,
+    driver: Callable[[str], str],
+) -> tuple[Unexplained, ...]:  # fmt: skip
     """The strongest of what was not taken: too strong to be one of the accidents that a bar allows,
-    it is structure without a name."""
-    strong = [r for r in refused if r.found.evidence > STRONG]
+    it is structure without a name; what a step calls its alias is told there."""
+    told = {name.partition("@")[0] for step in steps for name in step.aliases}
+    new = [r for r in refused if r.name.partition("@")[0] not in told]
+    strong = [r for r in new if r.found.evidence > STRONG]
     if not strong:
         return ()
     most = max(strong, key=lambda r: r.found.evidence)
