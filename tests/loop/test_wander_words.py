@@ -134,6 +134,8 @@ def test_what_gravity_shows_as_a_part_of_an_effect_would_do_as_well() -> None:
     found = SimpleNamespace(found=scored("cross_axis", 300.0, (2,)), rivals=(), alike=())
     bank, terms = SimpleNamespace(white=np.zeros((1, 3, 3))), Terms(np.arange(2), np.ones(2), 2)
     assert aliases(bank, terms, found) == ("squares_across",)  # type: ignore[arg-type]
+    found.found = scored("squares_across", 300.0, (2,))
+    assert aliases(bank, terms, found) == ("cross_axis",)  # type: ignore[arg-type]
     found = SimpleNamespace(found=scored("cubic", 300.0, (2,)), rivals=())
     assert aliases(bank, terms, found) == ()  # type: ignore[arg-type]
 

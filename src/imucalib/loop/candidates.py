@@ -13,6 +13,7 @@ from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
 from imucalib.core.model import Prediction
 from imucalib.core.truth import Truth
+from imucalib.effects import known
 from imucalib.effects.covariate import COLUMN
 from imucalib.loop.evidence import Candidate
 from imucalib.units import DEG, MG
@@ -71,7 +72,7 @@ def effect_candidates(
         if effect.name in fit.model.names:
             continue
         reason = effect.missing(fit.observations.context)
-        if effect.part_of and not fit.observations.reference.directed:
+        if not fit.observations.reference.directed and _no_smaller(effect, fit):
             reason = f"by the size of gravity alone it is a part of {effect.part_of}"
         if reason or not effect.parameters(fit.observations.context):
             missing[effect.name] = reason or "it has no parameter on these data"
@@ -79,6 +80,13 @@ def effect_candidates(
         columns = effect_columns(fit, effect, prediction)
         found.append(Candidate(effect.name, "effect", columns))
     return tuple(found), missing
+
+
+def _no_smaller(effect: Effect, fit: Fit) -> bool:
+    """Whether what holds an effect has no more numbers than it, so that nothing speaks for the
+    part: a part with fewer leads the whole by those that it does without."""
+    whole, context = known(effect.part_of), fit.observations.context
+    return whole is not None and len(effect.parameters(context)) >= len(whole.parameters(context))
 
 
 def fitted_prediction(fit: Fit) -> Prediction:

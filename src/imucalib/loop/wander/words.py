@@ -181,8 +181,15 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
             least = own.evidence - STRONG
         if rival.evidence >= least or alike:
             out.append(entry.name)
-    parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
-    return _best_of_each_scan([*out, *parts])
+    return _best_of_each_scan([*out, *_of_one_whole(own.entry.name)])
+
+
+def _of_one_whole(name: str) -> list[str]:
+    """What the size of gravity alone shows as a part of an effect, and what that is a part of."""
+    effects = catalogue()
+    parts = [effect.name for effect in effects.values() if effect.part_of == name]
+    own = effects[name].part_of if name in effects else ""
+    return [*parts, *([own] if own else [])]
 
 
 def _best_of_each_scan(names: Sequence[str]) -> tuple[str, ...]:
