@@ -161,7 +161,9 @@ def search(
     known = (quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows) / MG**2
     asked = {family.name for family in tried.families}
     probes = tuple(families()[n] for n in _PROBED if n not in asked)
-    return close(base, Asked(tried.effects, tried.families, known, request.rules, probes), rng)
+    # Parts follow what moves with time, and tell whether it does: no curve may do so before.
+    rules = replace(request.rules, curves=request.rules.curves and request.every is None)
+    return close(base, Asked(tried.effects, tried.families, known, rules, probes), rng)
 
 
 def wanted(request: ActigraphRequest) -> Searched:
