@@ -27,7 +27,7 @@ _APART, _ALIKE = 2.0, 3.0
 #: Kinds of structure that is told with a driver, and is no noise.
 _STRUCTURE = ("swing", "course", "jump", "stretch")
 #: What follows the past of the temperature, of whatever value.
-_PAST = ("thermal_lag", "thermal_hysteresis", "temperature_rate")
+PAST = ("thermal_lag", "thermal_hysteresis", "temperature_rate")
 #: What follows its present. A past of it is one of thirteen that were tried, and a day samples them
 #: seldom: it leads the present by as much as a form of the temperature has to.
 _NOW = "temperature_bias"
@@ -149,7 +149,7 @@ def _beside(taken: Taken, every: Sequence[Taken]) -> tuple[str, ...]:
     leaves as much."""
     own = taken.found.entry
     others = [t.found.entry for t in every if t is not taken]
-    if own.name.partition("@")[0] in _PAST:
+    if own.name.partition("@")[0] in PAST:
         return (UNLISTED,) if any(e.kind == own.kind for e in others) else ()
     return tuple(e.name for e in others if e.kind in _OF_RESPONSE.get(own.kind, ()))
 
@@ -177,7 +177,7 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
         else:
             alike = _apart(bank, terms, own, rival) < _APART
         least = own.evidence if entry.wide else near
-        if entry.name == _NOW and own.entry.name.partition("@")[0] in _PAST:
+        if entry.name == _NOW and own.entry.name.partition("@")[0] in PAST:
             least = own.evidence - STRONG
         if rival.evidence >= least or alike:
             out.append(entry.name)
