@@ -206,20 +206,22 @@ class Case:
 
 
 def clean(count: int) -> None:
-    total = claimed = wrong = 0
+    total = claimed = wrong = followed = 0
     for noise in NOISES:
         names = []
         for seed in range(count):
             result = Case(noise, "", 0.0, 1000 + seed).solved(ActigraphRequest())
             loop = result.loop
             assert loop is not None
-            if loop.steps:
+            followed += bool(loop.curves)
+            if loop.named:
                 gain = loop.difference.gain if loop.difference else np.nan
-                names.append(f"{loop.steps[0].effect} {loop.verdict} {gain:+.3f}")
+                names.append(f"{loop.named[0].effect} {loop.verdict} {gain:+.3f}")
                 wrong += loop.verdict.startswith("explained")
         claimed, total = claimed + len(names), total + count
         print(f"{noise:12s} {len(names)} of {count}: {', '.join(names)}", flush=True)
-    print(f"an effect claimed in {claimed} of {total}; explained {wrong}")
+    print(f"an effect claimed in {claimed} of {total}; explained {wrong}; "
+          f"corrected without a name {followed}")  # fmt: skip
 
 
 def planted(count: int, aims: tuple[float, ...] = (10.0, 15.0)) -> None:

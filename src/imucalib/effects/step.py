@@ -25,6 +25,12 @@ def bias_step(value: str) -> Effect:
     return _step(value, f"The bias jumps {at / 3600.0:.2f} h after the start.", "time", at)
 
 
+def moment_of(name: str) -> float:
+    """s after the recording's start at which a step of this name jumps; NaN for any other name."""
+    family, _, value = name.partition("@")
+    return float(value[:-1]) if family == "bias_step" and value.endswith("s") else float("nan")
+
+
 def _step(value: str, sentence: str, clock: str, at: float) -> Effect:
     return Response(
         f"bias_step@{value}",

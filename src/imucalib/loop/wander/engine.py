@@ -18,6 +18,7 @@ from imucalib.loop.design import Fold, folds_of
 from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained
 from imucalib.loop.held_out import Held
 from imucalib.loop.separation.worn import ambiguities
+from imucalib.loop.wander import report
 from imucalib.loop.wander.bank import Bank, parts_of
 from imucalib.loop.wander.beside.every import beside_all
 from imucalib.loop.wander.chance import by_chance, sure
@@ -32,7 +33,6 @@ from imucalib.loop.wander.likelihood import Level, Terms, best_level
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.probes import left_over as probed_of
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
-from imucalib.loop.wander.report import held_difference, predicted, walks_of_note
 from imucalib.loop.wander.scores import Scored
 from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import (
@@ -199,20 +199,21 @@ def _told(
     rng: np.random.Generator,
 ) -> Closed:  # fmt: skip
     problem, bars = found.problem, found.bars
-    each = predicted(problem, folds, Rules(
+    near = report.walks_of_note(found.search)
+    each = report.predicted(problem, folds, Rules(
         lambda bank, terms, turn, scores: (bars[min(turn, len(bars) - 1)],),
-        asked.rules.most_effects, problem.finer, problem.forms, True, walks_of_note(found.search),
+        asked.rules.most_effects, problem.finer, problem.forms, True, near,
     ))  # fmt: skip
-    gained = held_difference(each, folds)
+    gained = report.held_difference(each, folds)
     if found.search.taken:
         steps = steps_of(problem, found.search, found.chances)
-        kept = confirmed(found.search, steps, bars, problem.terms, each, gained)
+        beside = partial(report.beside_its_moment, each, folds, problem.time)
+        kept = confirmed(found.search, steps, bars, problem.terms, each, beside)
         found = replace(found, search=kept)
     found, final, precision = _undoable(found)
-    plain = steps_of(problem, found.search, found.chances)
-    steps = beside_all(problem, found.search, plain, final)
-    ways = partial(ways_left, problem)
-    bent = corrected(problem, found.search, each, folds, ways, asked.rules)
+    steps = steps_of(problem, found.search, found.chances)
+    steps = beside_all(problem, found.search, steps, final)
+    bent = corrected(problem, found.search, each, folds, partial(ways_left, problem), asked.rules)
     if bent.steps:
         each = bent.each
         _, final, precision = _undoable(replace(found, search=bent.search))
@@ -232,7 +233,7 @@ def _told(
     loop = replace(
         _loop(found, final, steps, left_over),
         steps=(*beside_left(found.search, steps, left_over), *bent.steps),
-        difference=held_difference(each, folds) if bent.steps else gained,
+        difference=report.held_difference(each, folds) if bent.steps else gained,
         doubted=bool(found.search.taken) and not gained.proved,
         wander=last.wandering,
     )

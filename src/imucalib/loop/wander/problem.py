@@ -48,6 +48,11 @@ class Problem:
     families: Mapping[str, Family]
     made: dict[str, list[tuple[str, Array]]] = field(default_factory=dict, repr=False)
 
+    @property
+    def time(self) -> Array:
+        """(n,) s of all rows."""
+        return self.fit.observations.context["time"]
+
     def finer(self, entry: Entry) -> list[tuple[str, Array]]:
         """Values of a scan near one of its values, with their columns."""
         family = self.families.get(entry.family)

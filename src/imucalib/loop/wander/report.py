@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
+from imucalib.effects.step import moment_of
 from imucalib.errors import NotConverged
 from imucalib.loop.design import Fold
 from imucalib.loop.difference import Difference, difference, with_density
@@ -91,12 +92,32 @@ def predicted_by(problem: Problem, folds: Sequence[Fold], searches: Sequence[Sea
     return Predicted(before, after, np.array(gains), tuple(ends))
 
 
-def held_difference(each: Predicted, folds: Sequence[Fold]) -> Difference:
-    """The difference of the mean errors in m/s², with what the log density of the blocks gains."""
+def held_difference(
+    each: Predicted, folds: Sequence[Fold], but: frozenset[int] = frozenset()
+) -> Difference:
+    """The difference of the mean errors in m/s², with what the log density of the blocks gains.
+
+    but : blocks that take no part
+    """
     part = part_of(folds)
-    before, after = (np.abs(held.error[:, 0, 0]) for held in (each.before, each.after))
-    found = difference(before, after, part, len(folds), "mean")
-    return with_density(found, each.gains, decides=False)
+    rows = ~np.isin(part, list(but))
+    before, after = (np.abs(held.error[rows, 0, 0]) for held in (each.before, each.after))
+    found = difference(before, after, part[rows], len(folds) - len(but), "mean")
+    nats = np.delete(each.gains, list(but))
+    return with_density(found, nats, decides=False)
+
+
+def beside_its_moment(
+    each: Predicted, folds: Sequence[Fold], time: Array, taken: Taken
+) -> Difference:
+    """What the blocks gain but for the one in which an effect begins: without it nobody knows when.
+
+    time : (n,) s of the rows
+    """
+    at = moment_of(taken.found.entry.name)
+    spans = [time[np.setdiff1d(np.arange(time.size), fold.rest)] for fold in folds]
+    inside = (k for k, span in enumerate(spans) if span.min() <= at <= span.max())
+    return held_difference(each, folds, frozenset(inside))
 
 
 def part_of(folds: Sequence[Fold]) -> NDArray[np.intp]:
