@@ -70,11 +70,17 @@ def _slow(u: Array) -> Array:
     return np.column_stack([np.interp(u, grid, one) for one in course.T])
 
 
-def world(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """time (n,), direction (n, 3), temperature (n,), windows (n,)."""
-    time = np.sort(rng.uniform(0.0, SPAN, RUNS))
+def habits_of(rng: np.random.Generator) -> Array:
     habit = rng.standard_normal((HABITS, 3))
-    habit /= np.linalg.norm(habit, axis=1, keepdims=True)
+    return np.asarray(habit / np.linalg.norm(habit, axis=1, keepdims=True))
+
+
+def world(
+    rng: np.random.Generator, known: Array | None = None
+) -> tuple[Array, Array, Array, Array]:
+    """time (n,), direction (n, 3), temperature (n,), windows (n,). known : habits of the wrist"""
+    time = np.sort(rng.uniform(0.0, SPAN, RUNS))
+    habit = habits_of(rng) if known is None else known
     direction = habit[rng.integers(0, HABITS, RUNS)] + 0.15 * rng.standard_normal((RUNS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     warm = 30.0 + 2.0 * np.sin(2 * np.pi * time / (24 * HOUR) + rng.uniform(0, 6))
@@ -141,6 +147,9 @@ class Case:
         rng = np.random.default_rng(seed)
         tau = NOISES[noise]
         time, direction, warm, windows = world(rng)
+        again = np.random.default_rng(seed)
+        again.uniform(0.0, SPAN, RUNS)  # what `world` drew before the habits
+        self.habits = habits_of(again)
         self.gain, self.bias = gain_and_bias(rng)
         self.effect, self.size = effect, np.zeros(3)
         u = time / SPAN - 0.5
@@ -186,10 +195,14 @@ class Case:
         got = fit.model.correct(fit.theta, reading[:, None], whole.take(rows))[:, 0]
         return float(np.mean(np.abs(np.linalg.norm(got, axis=1) - G))) / MG
 
-    def anew(self, fit: Fit, k: int) -> float:
-        """mg, mean | |a| - g | on another recording of the same clean sensor, with its noise."""
+    def anew(self, fit: Fit, k: int, *, same: bool) -> float:
+        """mg, mean | |a| - g | on another recording of the same clean sensor, with its noise.
+
+        same : with the habits and the temperatures of the first
+        """
         rng = np.random.default_rng((k, 7))
-        time, direction, warm, windows = world(rng)
+        time, direction, warm, windows = world(rng, self.habits if same else None)
+        warm = np.interp(time, self.time, self.warm) if same else warm
         off = SCATTER * rng.standard_normal((RUNS, 3))
         off += WINDOW * rng.standard_normal((RUNS, 3)) / np.sqrt(windows)[:, None]
         reading = self.sensed(direction, warm, time / SPAN - 0.5) + MG * off
@@ -278,7 +291,7 @@ def outside(count: int, aims: tuple[float, ...] = (30.0, 60.0)) -> None:
 
 def junk(count: int) -> None:
     """What the held-out error says of three effects that are not there, and new recordings say."""
-    told, new = np.zeros(count), np.zeros(count)
+    told, new = np.zeros(count), np.zeros((count, 2))
     names = ("temperature_bias", "temperature_scale", "bias_drift", "scale_drift", "warm_up",
              "quadratic", "cubic", "asymmetry", "cross_axis")  # fmt: skip
     for n in range(count):
@@ -286,12 +299,15 @@ def junk(count: int) -> None:
         some = tuple(str(name) for name in rng.choice(names, 3, replace=False))
         plain, full = (case.solved(ActigraphRequest(loop=False, declare=d)) for d in ((), some))
         told[n] = np.mean(full.base_held.size) / MG - np.mean(plain.base_held.size) / MG
-        pairs = [(case.anew(full.base, k), case.anew(plain.base, k)) for k in range(10)]
-        new[n] = float(np.mean([a - b for a, b in pairs]))
+        for j, same in enumerate((True, False)):
+            pairs = [[case.anew(r.base, k, same=same) for r in (full, plain)] for k in range(10)]
+            new[n, j] = float(np.mean([a - b for a, b in pairs]))
     draws = np.random.default_rng(0).integers(0, count, (2000, count))
-    low, high = np.quantile(told[draws].mean(1) / new[draws].mean(1), (0.025, 0.975))
-    print(f"junk: held out {told.mean():+.4f} mg, on new recordings {new.mean():+.4f} mg; "
-          f"ratio {told.mean() / new.mean():.2f} ({low:.2f} to {high:.2f})")  # fmt: skip
+    for j, habits in enumerate(("the same habits", "other habits")):
+        low, high = np.quantile(told[draws].mean(1) / new[draws, j].mean(1), (0.025, 0.975))
+        print(f"junk: held out {told.mean():+.4f} mg, on new recordings with {habits} "
+              f"{new[:, j].mean():+.4f} mg; ratio {told.mean() / new[:, j].mean():.2f} "
+              f"({low:.2f} to {high:.2f})")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -26,8 +26,10 @@ def bias_step(value: str) -> Effect:
 
 
 def moment_of(name: str) -> float:
-    """s after the recording's start at which a step of this name jumps; NaN for any other name."""
+    """s after the start at which an effect of this name jumps; NaN where it does not."""
     family, _, value = name.partition("@")
+    if ":time:step:" in value:
+        return float(value.rpartition(":")[2])
     return float(value[:-1]) if family == "bias_step" and value.endswith("s") else float("nan")
 
 

@@ -110,14 +110,18 @@ def held_difference(
 def beside_its_moment(
     each: Predicted, folds: Sequence[Fold], time: Array, taken: Taken
 ) -> Difference:
-    """What the blocks gain but for the one in which an effect begins: without it nobody knows when.
+    """What the blocks gain but for the one in which an effect begins."""
+    return held_difference(each, folds, blocks_of(taken.found.entry.name, folds, time))
+
+
+def blocks_of(name: str, folds: Sequence[Fold], time: Array) -> frozenset[int]:
+    """Blocks, gap included, in which an effect of this name begins: without one nobody knows when.
 
     time : (n,) s of the rows
     """
-    at = moment_of(taken.found.entry.name)
+    at = moment_of(name)
     spans = [time[np.setdiff1d(np.arange(time.size), fold.rest)] for fold in folds]
-    inside = (k for k, span in enumerate(spans) if span.min() <= at <= span.max())
-    return held_difference(each, folds, frozenset(inside))
+    return frozenset(k for k, span in enumerate(spans) if span.min() <= at <= span.max())
 
 
 def part_of(folds: Sequence[Fold]) -> NDArray[np.intp]:

@@ -15,7 +15,6 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.effects import known
 from imucalib.loop.design import Fold
-from imucalib.loop.difference import difference
 from imucalib.loop.found import Checked, LoopSettings, Step, Unexplained
 from imucalib.loop.wander.bank import Mask
 from imucalib.loop.wander.beside.parts import narrowed
@@ -24,7 +23,7 @@ from imucalib.loop.wander.left.strongest import Told, Way, chance_bar, strongest
 from imucalib.loop.wander.left.wandering import WANDER, follows, wandering
 from imucalib.loop.wander.likelihood import Terms, best_level, levels
 from imucalib.loop.wander.problem import Problem
-from imucalib.loop.wander.report import Predicted, part_of, predicted_by
+from imucalib.loop.wander.report import Predicted, blocks_of, held_difference, predicted_by
 from imucalib.loop.wander.scores import SIZES, Entry, Scored, beside, joined, kind_of
 
 #: Corrections at most; share of the searches without a block that must find one again; nats behind
@@ -101,7 +100,11 @@ def _trial(
         len(new.taken) > len(old.taken) for new, old in zip(searches, each.searches, strict=True)
     )
     after = predicted_by(problem, folds, searches)
-    if again < _AGAIN * len(folds) or not _holds(each, after, folds, alone=not follow):
+    but = blocks_of(taken.found.entry.name, folds, problem.time)
+    both = replace(after, before=each.after, gains=after.gains - each.gains)
+    gained = held_difference(both, folds, but)
+    held = gained.nats > 0.0 and (gained.gain if follow else gained.plain_low) > 0.0
+    if again < _AGAIN * len(folds) or not held:
         return None
     errors = [float(np.mean(np.abs(held.error))) for held in (each.after, after.after)]
     step = Step(
@@ -130,14 +133,6 @@ def _each(problem: Problem, each: Predicted, near: Sequence[Way], *, always: boo
             search, _ = _with(problem, search, near[best], split.train)  # noqa: PLW2901
         searches.append(search)
     return searches
-
-
-def _holds(before: Predicted, after: Predicted, folds: Sequence[Fold], *, alone: bool) -> bool:
-    """Whether the blocks gain, and where they decide alone their error falls beyond doubt."""
-    sizes = [np.abs(each.after.error[:, 0, 0]) for each in (before, after)]
-    found = difference(sizes[0], sizes[1], part_of(folds), len(folds), "mean")
-    dense = float((after.gains - before.gains).sum()) > 0.0
-    return dense and (found.plain_low if alone else found.gain) > 0.0
 
 
 def _gains(search: Search, keep: Mask, blocks: Sequence[Array]) -> Array:
