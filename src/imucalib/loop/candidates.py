@@ -63,16 +63,21 @@ def _beside(fit: Fit, effect: Effect) -> Array:
 
 
 def effect_candidates(
-    fit: Fit, effects: Iterable[Effect]
+    fit: Fit, effects: Iterable[Effect], *, parts: bool = False
 ) -> tuple[tuple[Candidate, ...], dict[str, str]]:
-    """Candidates of all effects that the context can carry, and why the others cannot be tested."""
+    """Candidates of all effects that the context can carry, and why the others cannot be tested.
+
+    parts : whether what gravity's size shows as a part of another effect is tried by itself, where
+        that has more numbers: in two dozen rows it only raises the bar
+    """
     found, missing = [], {}
     prediction = fitted_prediction(fit)
     for effect in effects:
         if effect.name in fit.model.names:
             continue
         reason = effect.missing(fit.observations.context)
-        if not fit.observations.reference.directed and _no_smaller(effect, fit):
+        undirected = bool(effect.part_of) and not fit.observations.reference.directed
+        if undirected and (not parts or _no_smaller(effect, fit)):
             reason = f"by the size of gravity alone it is a part of {effect.part_of}"
         if reason or not effect.parameters(fit.observations.context):
             missing[effect.name] = reason or "it has no parameter on these data"

@@ -36,9 +36,17 @@ def test_structure_is_corrected_and_told(worn: ModuleType, effect: str, by: str,
     assert case.error(result.final) < 0.5 * case.error(result.base)
 
 
-def test_who_wants_no_curves_is_told_alone(worn: ModuleType) -> None:
-    request = ActigraphRequest(rules=LoopSettings(curves=False))
-    loop = worn.Case("white", "scale_swing", 60.0, 7000).solved(request).loop
+@pytest.mark.parametrize(
+    "request_",
+    [
+        ActigraphRequest(rules=LoopSettings(curves=False)),
+        ActigraphRequest(without=("curve",)),
+        ActigraphRequest(every=86400.0),
+    ],
+    ids=["no curves", "without", "in parts"],
+)
+def test_who_wants_no_curves_is_told_alone(worn: ModuleType, request_: ActigraphRequest) -> None:
+    loop = worn.Case("white", "scale_swing", 60.0, 7000).solved(request_).loop
     assert not loop.curves
     assert "the scale swings with a period of 7 h" in {one.name for one in loop.unexplained}
 

@@ -162,7 +162,8 @@ def search(
     asked = {family.name for family in tried.families}
     probes = tuple(families()[n] for n in _PROBED if n not in asked)
     # Parts follow what moves with time, and tell whether it does: no curve may do so before.
-    rules = replace(request.rules, curves=request.rules.curves and request.every is None)
+    bends = request.rules.curves and "curve" in asked and request.every is None
+    rules = replace(request.rules, curves=bends)
     return close(base, Asked(tried.effects, tried.families, known, rules, probes), rng)
 
 

@@ -137,7 +137,7 @@ def problem_of(
         some = np.unique(np.linspace(0, len(values) - 1, min(len(values), _OF_A_SCAN)).astype(int))
         for effect in (family.member(values[k]) for k in some if len(values)):
             tried[effect.name], family_of[effect.name] = effect, family.name
-    candidates, missing = effect_candidates(small, tried.values())
+    candidates, missing = effect_candidates(small, tried.values(), parts=True)
     misfit, base, seen = natural(small)
     unit = small.at.sigma[:, :1] / MG
     p = base.shape[1]
