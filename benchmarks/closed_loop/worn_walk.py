@@ -2,6 +2,7 @@
 
     python benchmarks/closed_loop/worn_walk.py clean 40        # per noise
     python benchmarks/closed_loop/worn_walk.py planted 6       # per effect, noise and strength
+    python benchmarks/closed_loop/worn_walk.py outside 4       # what no name says, per noise
     python benchmarks/closed_loop/worn_walk.py junk 60         # effects declared that are not there
 
 The equations are written anew here. λ is the length of the effect's columns in units of the true
@@ -44,13 +45,42 @@ EFFECTS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
     "converter": lambda x, t, u, c: c * np.sin(2 * np.pi * x / 0.45 + 1.0),
     "dead_band": lambda x, t, u, c: c * np.clip(x / 0.05, -1.0, 1.0),
 }
+#: What no name of the catalogue says; hours from -72 to 72.
+OUTSIDE: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
+    "harmonic": lambda x, t, u, c: c * np.sin(6.0 * np.pi * x),
+    "local_sine": lambda x, t, u, c: (
+        c * np.sin(2 * np.pi * x / 0.15) * np.exp(-0.5 * ((x - 0.4) / 0.25) ** 2)
+    ),
+    "soft_saturation": lambda x, t, u, c: c * np.sign(x) * np.maximum(np.abs(x) - 0.7, 0.0) ** 2,
+    "scale_swing": lambda x, t, u, c: c * x * np.sin(2 * np.pi * 144.0 * u / 7.0)[:, None],
+    "bias_swing": lambda x, t, u, c: c * np.sin(2 * np.pi * 144.0 * u / 7.0)[:, None],
+    "scale_jump": lambda x, t, u, c: c * x * (u[:, None] > 0.12),
+    "slow_walk": lambda x, t, u, c: c * _slow(u),
+    "scale_walk": lambda x, t, u, c: c * x * _slow(u),
+    "shock": lambda x, t, u, c: (
+        c * ((u > 0.1) * np.exp(-np.clip(144.0 * (u - 0.1) / 12.0, 0.0, 50.0)))[:, None]
+    ),
+}
 
 
-def world(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """time (n,), direction (n, 3), temperature (n,), windows (n,)."""
-    time = np.sort(rng.uniform(0.0, SPAN, RUNS))
+def _slow(u: Array) -> Array:
+    """(n, 3) of a random walk, always the same."""
+    steps = np.random.default_rng(99).standard_normal((2001, 3)) / 2001**0.5
+    course, grid = np.cumsum(steps, axis=0), np.linspace(-0.5, 0.5, 2001)
+    return np.column_stack([np.interp(u, grid, one) for one in course.T])
+
+
+def habits_of(rng: np.random.Generator) -> Array:
     habit = rng.standard_normal((HABITS, 3))
-    habit /= np.linalg.norm(habit, axis=1, keepdims=True)
+    return np.asarray(habit / np.linalg.norm(habit, axis=1, keepdims=True))
+
+
+def world(
+    rng: np.random.Generator, known: Array | None = None
+) -> tuple[Array, Array, Array, Array]:
+    """time (n,), direction (n, 3), temperature (n,), windows (n,). known : habits of the wrist"""
+    time = np.sort(rng.uniform(0.0, SPAN, RUNS))
+    habit = habits_of(rng) if known is None else known
     direction = habit[rng.integers(0, HABITS, RUNS)] + 0.15 * rng.standard_normal((RUNS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     warm = 30.0 + 2.0 * np.sin(2 * np.pi * time / (24 * HOUR) + rng.uniform(0, 6))
@@ -117,12 +147,15 @@ class Case:
         rng = np.random.default_rng(seed)
         tau = NOISES[noise]
         time, direction, warm, windows = world(rng)
+        again = np.random.default_rng(seed)
+        again.uniform(0.0, SPAN, RUNS)  # what `world` drew before the habits
+        self.habits = habits_of(again)
         self.gain, self.bias = gain_and_bias(rng)
         self.effect, self.size = effect, np.zeros(3)
         u = time / SPAN - 0.5
         if effect:
             self.size = rng.standard_normal(3)
-            one = EFFECTS[effect](direction, warm - 25.0, u, self.size)
+            one = self.added(direction, warm - 25.0, u)
             self.size *= aim / strength(one, direction, self.gain, time, tau, windows)
         scatter = (
             rng.standard_t(3, (RUNS, 3)) / 3**0.5
@@ -141,8 +174,12 @@ class Case:
     def sensed(self, x: Array, warm: Array, u: Array) -> Array:
         out = G * x @ self.gain.T + MG * self.bias
         if self.effect:
-            out = out + MG * EFFECTS[self.effect](x, warm - 25.0, u, self.size)
+            out = out + MG * self.added(x, warm - 25.0, u)
         return out
+
+    def added(self, x: Array, excess: Array, u: Array) -> Array:
+        """(n, 3) mg, the effect."""
+        return {**EFFECTS, **OUTSIDE}[self.effect](x, excess, u, self.size)
 
     def solved(self, request: ActigraphRequest) -> ActigraphResult:
         return calibrate(self.runs, self.scan, request, np.random.default_rng(0))
@@ -158,10 +195,14 @@ class Case:
         got = fit.model.correct(fit.theta, reading[:, None], whole.take(rows))[:, 0]
         return float(np.mean(np.abs(np.linalg.norm(got, axis=1) - G))) / MG
 
-    def anew(self, fit: Fit, k: int) -> float:
-        """mg, mean | |a| - g | on another recording of the same clean sensor, with its noise."""
+    def anew(self, fit: Fit, k: int, *, same: bool) -> float:
+        """mg, mean | |a| - g | on another recording of the same clean sensor, with its noise.
+
+        same : with the habits and the temperatures of the first
+        """
         rng = np.random.default_rng((k, 7))
-        time, direction, warm, windows = world(rng)
+        time, direction, warm, windows = world(rng, self.habits if same else None)
+        warm = np.interp(time, self.time, self.warm) if same else warm
         off = SCATTER * rng.standard_normal((RUNS, 3))
         off += WINDOW * rng.standard_normal((RUNS, 3)) / np.sqrt(windows)[:, None]
         reading = self.sensed(direction, warm, time / SPAN - 0.5) + MG * off
@@ -178,20 +219,22 @@ class Case:
 
 
 def clean(count: int) -> None:
-    total = claimed = wrong = 0
+    total = claimed = wrong = followed = 0
     for noise in NOISES:
         names = []
         for seed in range(count):
             result = Case(noise, "", 0.0, 1000 + seed).solved(ActigraphRequest())
             loop = result.loop
             assert loop is not None
-            if loop.steps:
+            followed += bool(loop.curves)
+            if loop.named:
                 gain = loop.difference.gain if loop.difference else np.nan
-                names.append(f"{loop.steps[0].effect} {loop.verdict} {gain:+.3f}")
+                names.append(f"{loop.named[0].effect} {loop.verdict} {gain:+.3f}")
                 wrong += loop.verdict.startswith("explained")
         claimed, total = claimed + len(names), total + count
         print(f"{noise:12s} {len(names)} of {count}: {', '.join(names)}", flush=True)
-    print(f"an effect claimed in {claimed} of {total}; explained {wrong}")
+    print(f"an effect claimed in {claimed} of {total}; explained {wrong}; "
+          f"corrected without a name {followed}")  # fmt: skip
 
 
 def planted(count: int, aims: tuple[float, ...] = (10.0, 15.0)) -> None:
@@ -229,9 +272,26 @@ def planted(count: int, aims: tuple[float, ...] = (10.0, 15.0)) -> None:
           f"{np.quantile(ratios, 0.9):.2f}; explained and worse {wrong}")  # fmt: skip
 
 
+def outside(count: int, aims: tuple[float, ...] = (30.0, 60.0)) -> None:
+    """What a correction without a cause is worth: true error after over before."""
+    for effect in OUTSIDE:
+        for aim in aims:
+            ratios, sure = list[float](), 0
+            for noise in ("white", "walk 2 h"):
+                for seed in range(count):
+                    case = Case(noise, effect, aim, 7000 + seed)
+                    result = case.solved(ActigraphRequest())
+                    assert result.loop is not None
+                    ratios.append(case.error(result.final) / case.error(result.base))
+                    sure += any(s.certain and "@" not in s.effect for s in result.loop.steps)
+            print(f"{effect:16s} λ {aim:4.0f}: after / before {np.median(ratios):.2f}, largest "
+                  f"{max(ratios):.2f}; a name as certain {sure} of {len(ratios)}",
+                  flush=True)  # fmt: skip
+
+
 def junk(count: int) -> None:
     """What the held-out error says of three effects that are not there, and new recordings say."""
-    told, new = np.zeros(count), np.zeros(count)
+    told, new = np.zeros(count), np.zeros((count, 2))
     names = ("temperature_bias", "temperature_scale", "bias_drift", "scale_drift", "warm_up",
              "quadratic", "cubic", "asymmetry", "cross_axis")  # fmt: skip
     for n in range(count):
@@ -239,15 +299,20 @@ def junk(count: int) -> None:
         some = tuple(str(name) for name in rng.choice(names, 3, replace=False))
         plain, full = (case.solved(ActigraphRequest(loop=False, declare=d)) for d in ((), some))
         told[n] = np.mean(full.base_held.size) / MG - np.mean(plain.base_held.size) / MG
-        pairs = [(case.anew(full.base, k), case.anew(plain.base, k)) for k in range(10)]
-        new[n] = float(np.mean([a - b for a, b in pairs]))
+        for j, same in enumerate((True, False)):
+            pairs = [[case.anew(r.base, k, same=same) for r in (full, plain)] for k in range(10)]
+            new[n, j] = float(np.mean([a - b for a, b in pairs]))
     draws = np.random.default_rng(0).integers(0, count, (2000, count))
-    low, high = np.quantile(told[draws].mean(1) / new[draws].mean(1), (0.025, 0.975))
-    print(f"junk: held out {told.mean():+.4f} mg, on new recordings {new.mean():+.4f} mg; "
-          f"ratio {told.mean() / new.mean():.2f} ({low:.2f} to {high:.2f})")  # fmt: skip
+    for j, habits in enumerate(("the same habits", "other habits")):
+        low, high = np.quantile(told[draws].mean(1) / new[draws, j].mean(1), (0.025, 0.975))
+        print(f"junk: held out {told.mean():+.4f} mg, on new recordings with {habits} "
+              f"{new[:, j].mean():+.4f} mg; ratio {told.mean() / new[:, j].mean():.2f} "
+              f"({low:.2f} to {high:.2f})")  # fmt: skip
 
 
 if __name__ == "__main__":
     started = clock.process_time()
-    {"clean": clean, "planted": planted, "junk": junk}[sys.argv[1]](int(sys.argv[2]))
+    {"clean": clean, "planted": planted, "outside": outside, "junk": junk}[sys.argv[1]](
+        int(sys.argv[2])
+    )
     print(f"{clock.process_time() - started:.0f} CPU s")

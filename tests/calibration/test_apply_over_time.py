@@ -352,3 +352,33 @@ def test_parts_keep_what_the_search_found_in_the_whole(tmp_path: Path) -> None:
     recording = Recording(channels, "made", "made", "", start_ns=0)
     out = apply_to_recording(calibration, recording).channels["imu0/acceleration"].values
     assert np.allclose(out, force, atol=1.0 * MG)
+
+
+@pytest.fixture(scope="module")
+def daily(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    plan = WeekPlan(days=3.0, plant={"time_of_day": (3.0, -2.0, 1.0, 2.0, 2.0, -3.0)})
+    request = ActigraphRequest(only=("time_of_day",))
+    return calibrated(plan, request, tmp_path_factory.mktemp("daily"))
+
+
+@pytest.mark.parametrize("dated", [0, None])
+@pytest.mark.parametrize("date", [0, None])
+def test_a_recording_without_a_date_has_the_day_of_its_calibration(
+    daily: Calibration, dated: int | None, date: int | None
+) -> None:
+    """The file that was calibrated lost what was found in it, for want of a date. A date of the
+    recording alone says nothing of the hours of a calibration that has none."""
+    clock = {**daily.facts["clock"], "start_ns": dated}
+    calibration = replace(daily, facts={**daily.facts, "clock": clock})
+    t = np.arange(0.0, 172800.0, 3600.0)
+    force = G * np.tile([0.6, 0.0, 0.8], (t.size, 1))
+    reading = MODEL.predict(THETA, force[:, None], Context(t.size)).reading[:, 0]
+    angle = 2.0 * np.pi * t[:, None] / 86400.0
+    swing = np.array([3.0, -2.0, 1.0]) * np.cos(angle) + np.array([2.0, 2.0, -3.0]) * np.sin(angle)
+    channel = Channel(t, reading + MG * swing, "m/s2", "acceleration", "imu0", 1 / 3600.0)
+    recording = Recording({"imu0/acceleration": channel}, "made", "made", "", start_ns=date)
+    out = apply_to_recording(calibration, recording)
+    away = np.linalg.norm(out.channels["imu0/acceleration"].values - force, axis=1) / MG
+    said = any("time_of_day is left out" in note for note in out.notes)
+    assert said == (dated is None and date is not None)
+    assert (away.max() < 1.0) != said

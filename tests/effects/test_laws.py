@@ -48,6 +48,8 @@ EFFECTS: dict[str, Effect] = {
             "shape@bias:order:saw_tooth:0.3:0.1",
             "shape@bias:temperature:kink:22",
             "shape@bias:order:step:0.4",
+            "shape@scale:temperature:kink:22",
+            "curve@scale:order:0:1:3",
             "curve@inclination:temperature:10:40:3",
             "curve@tool_face:tool_face:0:6.2832:4",
         )

@@ -8,9 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from imucalib.loop.design import Fold
 from imucalib.loop.difference import Difference
 from imucalib.loop.found import Step
 from imucalib.loop.wander.confirm import _doubt
+from imucalib.loop.wander.report import beside_its_moment
 from imucalib.loop.wander.scores import Entry
 
 LIKELY = Difference(2.0, 1.0, -0.1, 1.5, 0.1, 10, nats=4.0, nats_low=1.0)
@@ -65,3 +67,31 @@ def test_a_form_is_found_again_in_every_name_of_its_driver(again: int, stays: bo
     )
     each = SimpleNamespace(found=found)
     assert (_doubt(taken, step, 9.0, each, LIKELY) == "") == stays  # type: ignore[arg-type]
+
+
+def test_the_block_in_which_a_bias_jumps_says_nothing_of_the_jump() -> None:
+    """Four hours of ten rows each, left out with the row on either side; in the third, whose jump
+    nobody can time without it, all is lost."""
+    time = 360.0 * np.arange(40.0)
+    rows = np.arange(40).reshape(4, 10)
+    near = [np.arange(max(r[0] - 1, 0), min(r[-1] + 2, 40)) for r in rows]
+    folds = [Fold(r, np.setdiff1d(np.arange(40), n)) for r, n in zip(rows, near, strict=True)]
+    after = np.where(np.arange(40) // 10 == 2, 50.0, 1.0)
+    each = SimpleNamespace(
+        before=SimpleNamespace(error=np.full((40, 1, 1), 2.0)),
+        after=SimpleNamespace(error=after[:, None, None]),
+        gains=np.array([8.0, 9.0, -500.0, 10.0]),
+    )
+
+    def gained(name: str) -> Difference:
+        taken = SimpleNamespace(found=SimpleNamespace(entry=SimpleNamespace(name=name)))
+        return beside_its_moment(each, folds, time, taken)  # type: ignore[arg-type]
+
+    assert gained("bias_step@9000s").nats == 27.0
+    assert gained("bias_step@9000s").likely
+    assert gained("bias_step@9000s").gain == pytest.approx(1.0)
+    # Within the gap of two blocks neither is one that knows it.
+    assert gained("bias_step@10700s").nats == 17.0
+    for name in ("bias_drift", "bias_step@record9", "thermal_lag@1h"):
+        assert gained(name).nats == -473.0
+        assert not gained(name).likely

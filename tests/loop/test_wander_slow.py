@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from imucalib.loop.found import Step
 from imucalib.loop.wander.bank import bank_of
 from imucalib.loop.wander.beside.changes import beside_changes
+from imucalib.loop.wander.beside.every import unsure_together
 from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Level, Terms
 from imucalib.loop.wander.scores import Entry, Scored
@@ -67,7 +69,7 @@ def scaled(data: Any) -> tuple[Any, Terms, Any]:
 
 def leads(walk: Walk, step: float) -> np.ndarray:
     every = [recording(seed, walk, step) for seed in range(6)]
-    return np.array([lead(*each, each[0].course.seen) for each in every])
+    return np.array([lead(b, terms, [taken], b.course.seen) for b, terms, taken in every])
 
 
 def test_a_step_leads_slow_walks_and_a_slow_walk_is_no_step() -> None:
@@ -77,7 +79,7 @@ def test_a_step_leads_slow_walks_and_a_slow_walk_is_no_step() -> None:
 
 
 @pytest.mark.parametrize(("step", "walk", "alone"), [(4.0, 0.0, True), (0.0, 30.0, False)])
-def test_only_what_time_drives_has_the_slow_walk_as_its_rival(
+def test_only_what_may_follow_time_has_the_slow_walk_as_its_rival(
     step: float, walk: float, alone: bool
 ) -> None:
     bank, terms, taken = recording(1, Walk(walk, SPAN), step)
@@ -87,6 +89,26 @@ def test_only_what_time_drives_has_the_slow_walk_as_its_rival(
     found = beside_slow_walks(*as_found(bank, terms, (cubic, taken)), told)
     assert found[0] is told[0]
     assert found[1].aliases == (("lag",) if alone else ("lag", "wandering_bias"))
+
+
+def test_what_follows_the_past_of_the_temperature_leads_a_slow_walk_by_more() -> None:
+    """The same columns and the same data, by three nats or by ten."""
+    bank, terms, taken = recording(2, Walk(0.0, 1.0), 1.6)
+    gained = lead(bank, terms, [taken], bank.course.seen)
+    assert 3.0 < gained < 10.0
+    told = (Step("step", 0.01, 99, 9.0, (), ()),)
+    for name, kind, sure in (("step", "time", True), ("thermal_lag@1h", "temperature", False)):
+        entry = replace(taken.found.entry, name=name, kind=kind)
+        one = SimpleNamespace(found=SimpleNamespace(entry=entry), size=taken.size)
+        found = beside_slow_walks(*as_found(bank, terms, (one,)), told)
+        assert (found[0].aliases == ()) == sure
+
+
+def test_what_may_stand_for_another_step_is_unsure_with_it() -> None:
+    lag = Step("thermal_lag@1h", 0.01, 99, 30.0, (), ("bias_step@7200s",))
+    jump, cubic = (Step(name, 0.01, 99, 13.0, (), ()) for name in ("bias_step@7300s", "cubic"))
+    found = unsure_together((lag, jump, cubic))
+    assert [step.aliases for step in found] == [lag.aliases, ("thermal_lag@1h",), ()]
 
 
 STEP = Step("scale_drift", 0.01, 99, 20.0, (), ())

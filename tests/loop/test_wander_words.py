@@ -134,6 +134,8 @@ def test_what_gravity_shows_as_a_part_of_an_effect_would_do_as_well() -> None:
     found = SimpleNamespace(found=scored("cross_axis", 300.0, (2,)), rivals=(), alike=())
     bank, terms = SimpleNamespace(white=np.zeros((1, 3, 3))), Terms(np.arange(2), np.ones(2), 2)
     assert aliases(bank, terms, found) == ("squares_across",)  # type: ignore[arg-type]
+    found.found = scored("squares_across", 300.0, (2,))
+    assert aliases(bank, terms, found) == ("cross_axis",)  # type: ignore[arg-type]
     found = SimpleNamespace(found=scored("cubic", 300.0, (2,)), rivals=())
     assert aliases(bank, terms, found) == ()  # type: ignore[arg-type]
 
@@ -245,7 +247,8 @@ def test_what_was_refused_is_told_where_no_bar_lets_so_much_through(
         SimpleNamespace(name="bias_step", found=strong, reason="it does not hold out"),
     ]
     chance = np.array([[1.0, 2.0, 12.0], [0.0, 0.0, 0.0]])
-    found = looked_like(refused, chance, {"at": "time", "cubic": ""}.__getitem__)  # type: ignore[arg-type]
+    drivers = {"at": "time", "cubic": ""}
+    found = looked_like(refused, (), chance, drivers.__getitem__)  # type: ignore[arg-type]
     assert [u.name for u in found] == [
         f"what looks like {name} and was not taken: it does not hold out" for name in told
     ]
@@ -262,13 +265,11 @@ def test_what_a_step_calls_its_alias_is_no_structure_of_its_own() -> None:
         SimpleNamespace(name=name, reason="so", found=scored(member, 20.0 - k, (0,)))
         for k, (name, member) in enumerate(names.items())
     ]
-    problem = SimpleNamespace(effect=lambda _: SimpleNamespace(needs=("time", "temperature")))
-    search = SimpleNamespace(refused=refused)
-    found = SimpleNamespace(problem=problem, search=search, chances=[np.zeros((2, 9))])
-    (left,) = engine._refused(found, steps)  # type: ignore[arg-type]
+    chance = np.zeros((2, 9))
+    (left,) = looked_like(refused, steps, chance, str.upper)  # type: ignore[arg-type]
     assert left.name == "what looks like thermal_lag and was not taken: so"
-    assert left.driver == "time and temperature"
-    (first,) = engine._refused(found, ())  # type: ignore[arg-type]
+    assert left.driver == "THERMAL_LAG@1H"
+    (first,) = looked_like(refused, (), chance, str.upper)  # type: ignore[arg-type]
     assert first.name.startswith("what looks like bias_step@7200s")
 
 

@@ -116,6 +116,22 @@ def test_a_form_of_the_temperature(kind: str) -> None:
     np.testing.assert_allclose(added(name, theta, force, context), expected, atol=1e-12)
 
 
+def test_a_scale_against_time_swings_jumps_and_moves_by_axis() -> None:
+    """The reading of an axis grows by a share of itself, in thousandths; the rougher waves of a
+    course are the smaller ones."""
+    force, context = world()
+    time, theta = context["time"], np.random.default_rng(6).normal(size=6)
+    waves = np.stack([np.sin(2 * np.pi * time / 900.0), np.cos(2 * np.pi * time / 900.0)], axis=1)
+    got = added("shape@scale:time:sine:900", theta, force, context)
+    np.testing.assert_allclose(got, 1e-3 * force * (waves @ theta.reshape(3, 2).T), atol=1e-12)
+    late = np.where(time < 1200.0, 0.0, 1.0)[:, None]
+    got = added("shape@scale:time:step:1200", theta[:3], force, context)
+    np.testing.assert_allclose(got, 1e-3 * force * late * theta[:3], atol=1e-12)
+    for what in ("bias", "scale"):
+        sizes = [p.typical for p in named(f"curve@{what}:time:0:3540:4").parameters(context)]
+        np.testing.assert_allclose(sizes, [1.0, 1 / 2, 1 / 3, 1 / 4] * 3)
+
+
 def test_a_form_of_an_angle_is_in_degrees() -> None:
     """Tool-face read too small by 0.3 deg sin(2π t / 120°) + 0.2 deg cos(...): gravity turns by
     it about the tool's axis. See the convention of tool_face_zero for the sense."""

@@ -226,15 +226,16 @@ def _swing(
 
 
 def _clock(calibration: Calibration, recording: Recording, channel: Channel) -> dict[str, Array]:
-    """Time as the calibration counts it, where it says how: drifts and steps belong to its time."""
+    """Time as the calibration counts it, where it says how: drifts and steps belong to its time,
+    and a recording without a date counts as the one that was calibrated."""
     clock = calibration.facts.get("clock")
     if not clock:
         return {}
-    start, shift = recording.start_ns, 0.0
-    if start is not None and clock["start_ns"] is not None:
-        shift = (start - int(clock["start_ns"])) / 1e9
+    own, dated = recording.start_ns, clock["start_ns"]
+    shift = 0.0 if own is None or dated is None else (own - int(dated)) / 1e9
     time = channel.t + shift
     known = {"time": time, "order": time / float(clock["span_s"])}
-    if start is not None:
+    if own is None or dated is not None:
+        start = int(dated or 0) if own is None else own
         known["time_of_day"] = 2.0 * np.pi * ((channel.t + start / 1e9 % 86400.0) / 86400.0 % 1.0)
     return known

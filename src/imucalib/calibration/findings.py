@@ -180,7 +180,7 @@ def _step(step: Step, loop: FitLoop) -> FoundStep:
     check = Check("leave-one-out error, rms", "mg", before / MG, after / MG)
     curve = ""
     if step.curve:
-        what, against = step.effect.removeprefix("curve@").split(":")[:2]
+        what, against = step.effect.partition("@")[2].split(":")[:2]
         curve = f"{what} against {against}".replace("_", "-")
     own = tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect)
     form = known(step.effect) if step.formed else None

@@ -1,4 +1,4 @@
-"""What a form of one number bends: the bias, the response of axes, or an angle of the bench."""
+"""What a form of one number bends: bias, scale, the response of axes, or an angle of the bench."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,8 +14,9 @@ from imucalib.effects.inclination import inclination_axis
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: What is bent -> words for it.
-KINDS = {"bias": "bias", "response": "response", "inclination": "inclination error",
-         "tool_face": "tool-face error"}  # fmt: skip
+KINDS = {"bias": "bias", "scale": "scale", "response": "response",
+         "inclination": "inclination error", "tool_face": "tool-face error"}  # fmt: skip
+_PER_MILLE = 1e-3  # mg/g
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Form:
     values: Callable[[Array], Array]
     slope: Callable[[Array], Array]
     labels: tuple[str, ...]
+    typical: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ def bent(words: Words, what: str, against: str, form: Form) -> Effect:
         return _response(words, against, form)
     if what == "bias":
         return _bias(words, against, form)
+    if what == "scale":
+        return _scale(words, against, form)
     if what in KINDS:
         return _angle(words, what, against, form)
     raise ValueError(f"'{what}' cannot be bent")
@@ -64,12 +68,35 @@ def _bias(words: Words, name: str, form: Form) -> Effect:
         every = np.broadcast_to(block, (*truth.shape, 3, shapes.shape[1]))
         return np.asarray(every.reshape(*truth.shape, -1))
 
-    each = tuple(
-        Parameter(f"{words.prefix}_{name}_{a}{k}", "mg", 1.0, 300.0)
-        for a in "xyz"
-        for k in form.labels
-    )
+    each = _sizes(f"{words.prefix}_{name}", "mg", 300.0, form)
     return Response(*words.described, (name,), each=each, basis=basis)
+
+
+def _scale(words: Words, name: str, form: Form) -> Effect:
+    def shapes(context: Context) -> Array:
+        """(n, 3, 3 m) of the gain of each axis."""
+        own = _PER_MILLE * form.values(context[name])
+        block = np.eye(3)[:, :, None] * own[:, None, None, :]
+        return np.asarray(block.reshape(*block.shape[:2], -1))
+
+    def basis(truth: Truth, context: Context) -> Array:
+        return np.asarray(truth.force[..., None] * shapes(context)[:, None])
+
+    def basis_dx(truth: Truth, context: Context) -> Array:
+        each = shapes(context)[:, None, ..., None] * np.eye(3)[:, None]
+        return np.broadcast_to(each, (*truth.shape, *each.shape[-2:]))
+
+    each = _sizes(f"{words.prefix}_scale_{name}", "mg/g", 50.0, form)
+    return Response(*words.described, (name,), each=each, basis=basis, basis_dx=basis_dx)
+
+
+def _sizes(prefix: str, unit: str, plausible: float, form: Form) -> tuple[Parameter, ...]:
+    typical = form.typical or (1.0,) * len(form.labels)
+    return tuple(
+        Parameter(f"{prefix}_{a}{k}", unit, size, plausible)
+        for a in "xyz"
+        for k, size in zip(form.labels, typical, strict=True)
+    )
 
 
 def _response(words: Words, letters: str, form: Form) -> Effect:

@@ -59,7 +59,10 @@ def _of_covariate(name: str, low: float, high: float, terms: int) -> Form:
         unit = np.clip((v - low) / (high - low), 0.0, 1.0)
         return np.asarray(np.cos(np.pi * np.arange(1, terms + 1) * unit[..., None]))
 
-    return Form(values, values, tuple(str(k) for k in range(terms)))
+    labels = tuple(str(k) for k in range(terms))
+    if name == "time":  # what drifts without end is the smaller the quicker
+        return Form(values, values, labels, tuple(1.0 / k for k in range(1, terms + 1)))
+    return Form(values, values, labels)
 
 
 _OF_TEMPERATURE = 4  # terms

@@ -143,6 +143,7 @@ class Loop(Generic[S]):
         last one before any step; missing : why effects could not be tested
     unexplained : structure that no effect carries, also where a curve corrects it
     difference : of the errors on data that took no part in the whole search, before and after
+    doubted : whether names by themselves have not proved a gain, where curves stand beside them
     wander : of the noise
     """
 
@@ -156,6 +157,7 @@ class Loop(Generic[S]):
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
     difference: Difference | None = None
+    doubted: bool = False
     wander: Wander | None = None
 
     @property
@@ -171,7 +173,8 @@ class Loop(Generic[S]):
     @property
     def suspected(self) -> bool:
         """Whether a cause is named that held-out data have not proved."""
-        return bool(self.named) and self.difference is not None and not self.difference.proved
+        unproved = self.difference is not None and not self.difference.proved
+        return bool(self.named) and (self.doubted or unproved)
 
     @property
     def beyond_doubt(self) -> bool:

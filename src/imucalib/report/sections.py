@@ -16,6 +16,7 @@ from imucalib.units import MG
 #: How reasons begin that the card tells in full.
 _LEFT = ("unexplained structure", "structure that no effect")
 _UNPROVED = "held-out data do not prove what was found"
+_NAMELESS = "what stays has no name yet"
 _TONE: dict[Status, Tone] = {"ok": "ok", "marginal": "warning", "weak": "warning", "failed": "bad"}
 
 
@@ -51,9 +52,10 @@ def verdict(outcome: Outcome, head: str, beside: Sequence[str] = ()) -> Text:
     known = ("record errors",) * bool(outcome.undecided) + _LEFT
     told = [r for r in outcome.reasons if not r.startswith(known)]
     if len(told) < len(outcome.reasons) and not outcome.undecided:
-        told.append("what stays has no name yet")
+        told.append(_NAMELESS)
     if outcome.status == "marginal" and not (told or beside or outcome.undecided):
-        told.append(_UNPROVED)
+        suspected = outcome.findings is not None and outcome.findings.verdict == "suspected"
+        told.append(_UNPROVED if suspected else _NAMELESS)
     why = [f"{r[0].upper()}{r[1:]}" for r in (*told, *beside)]
     text = " ".join([head, *(f"{t}." for t in (*outcome.broken, *outcome.undecided, *why))])
     return Text(text, _TONE[outcome.status])

@@ -26,6 +26,14 @@ def bias_step(value: str) -> Effect:
     return _step(value, f"The bias jumps {at / 3600.0:.2f} h after the start.", "time", at)
 
 
+def moment_of(name: str) -> float:
+    """s after the start at which an effect of this name jumps; NaN where it does not."""
+    family, _, value = name.partition("@")
+    if ":time:step:" in value:
+        return float(value.rpartition(":")[2])
+    return float(value[:-1]) if family == "bias_step" and value.endswith("s") else float("nan")
+
+
 def _step(value: str, sentence: str, clock: str, at: float) -> Effect:
     return Response(
         f"bias_step@{value}",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,16 +28,16 @@ def confirmed(
     bars: Sequence[Array],
     base: Terms,
     each: Predicted,
-    gained: Difference,
+    gained: Callable[[Taken], Difference],
 ) -> Search:
     """The search without the effects that there is a reason to doubt.
 
     steps : of the search, with their aliases; bars : of its rounds, (2,) each
-    gained : on the blocks
+    gained : on the blocks that may tell of an effect
     """
     doubted = list[Refused]()
     for taken, step, bar in zip(search.taken, steps, bars, strict=False):
-        if why := _doubt(taken, step, float(bar[0]), each, gained):
+        if why := _doubt(taken, step, float(bar[0]), each, gained(taken)):
             doubted.append(Refused(step.effect, taken.found, why))
     return without(search, doubted, base)
 

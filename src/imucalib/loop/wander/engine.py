@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,10 @@ from imucalib.core.effect import Effect, Family
 from imucalib.core.fit import Fit
 from imucalib.errors import NotConverged
 from imucalib.loop.design import Fold, folds_of
-from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained, Wander
+from imucalib.loop.found import FitLoop, LoopSettings, Step, Unexplained
 from imucalib.loop.held_out import Held
 from imucalib.loop.separation.worn import ambiguities
+from imucalib.loop.wander import report
 from imucalib.loop.wander.bank import Bank, parts_of
 from imucalib.loop.wander.beside.every import beside_all
 from imucalib.loop.wander.chance import by_chance, sure
@@ -25,15 +27,12 @@ from imucalib.loop.wander.confirm import confirmed, without
 from imucalib.loop.wander.final import fitted
 from imucalib.loop.wander.held_blocks import solved
 from imucalib.loop.wander.left.axes import or_noise
-from imucalib.loop.wander.left.courses import courses
-from imucalib.loop.wander.left.stretch import stretches
-from imucalib.loop.wander.left.strongest import strongest
-from imucalib.loop.wander.left.swing import swings
+from imucalib.loop.wander.left.corrected import corrected
+from imucalib.loop.wander.left.ways import ways_left
 from imucalib.loop.wander.likelihood import Level, Terms, best_level
 from imucalib.loop.wander.noise import Noise, noise_of
 from imucalib.loop.wander.probes import left_over as probed_of
 from imucalib.loop.wander.problem import Problem, base_precision, problem_of
-from imucalib.loop.wander.report import held_difference, predicted, walks_of_note
 from imucalib.loop.wander.scores import Scored
 from imucalib.loop.wander.sums import sums_of
 from imucalib.loop.wander.words import (
@@ -183,36 +182,16 @@ def _undoable(found: _Pass) -> tuple[_Pass, Fit, Array]:
     return found, found.problem.fit, base_precision(found.problem.fit)
 
 
-def _left(
-    found: _Pass, final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked,
-    rng: np.random.Generator, *, refused: tuple[Unexplained, ...],
-) -> tuple[Unexplained, ...]:  # fmt: skip
-    """Structure that the search could not name: of axes, and what wanders beside all that it did
-    name. What one axis has to itself looks like its noise, which is told beside nothing else."""
-    ways = [*swings(found.problem, found.search), *courses(found.problem, found.search)]
-    lasting = stretches(found.problem, found.search)
-    told, probed = strongest(found.search, ways, lasting), tuple[Unexplained, ...]()
-    if asked.probes:
-        probed = probed_of(
-            final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),
-            draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
-        )  # fmt: skip
-    if not (refused or probed):
-        told = or_noise(told, final, last, asked.known)
-    return (*refused, *probed, *told, *unexplained(_wander(last)))
-
-
-def _refused(found: _Pass, steps: Sequence[Step]) -> tuple[Unexplained, ...]:
-    """Strong structure that was not taken; what a step calls its alias is told there."""
-    problem = found.problem
-    told = {name.partition("@")[0] for step in steps for name in step.aliases}
-    new = [r for r in found.search.refused if r.name.partition("@")[0] not in told]
-    return looked_like(new, found.chances[-1], lambda n: " and ".join(problem.effect(n).needs))
-
-
-def _wander(noise: Noise) -> Wander:
-    sd = noise.scatter * float(np.sqrt(noise.walk.rho))
-    return Wander(noise.wander, noise.walk.tau / 3600.0, noise.scatter, noise.evidence, sd)
+def _probed(
+    final: Fit, last: Noise, folds: tuple[Fold, ...], asked: Asked, rng: np.random.Generator
+) -> tuple[Unexplained, ...]:
+    """What the user keeps out of a search, in what it leaves over."""
+    if not asked.probes:
+        return ()
+    return probed_of(
+        final, last, asked.probes, folds, rows=min(asked.rules.most_scored, _ROWS),
+        draws=asked.rules.draws, alpha=min(asked.rules.alpha, _ALPHA), rng=rng,
+    )  # fmt: skip
 
 
 def _told(
@@ -220,39 +199,62 @@ def _told(
     rng: np.random.Generator,
 ) -> Closed:  # fmt: skip
     problem, bars = found.problem, found.bars
-    rules = Rules(
+    near = report.walks_of_note(found.search)
+    each = report.predicted(problem, folds, Rules(
         lambda bank, terms, turn, scores: (bars[min(turn, len(bars) - 1)],),
-        asked.rules.most_effects, problem.finer, problem.forms, True, walks_of_note(found.search),
-    )  # fmt: skip
-    each = predicted(problem, folds, rules)
-    gained = held_difference(each, folds)
+        asked.rules.most_effects, problem.finer, problem.forms, True, near,
+    ))  # fmt: skip
+    gained = report.held_difference(each, folds)
     if found.search.taken:
         steps = steps_of(problem, found.search, found.chances)
-        left = confirmed(found.search, steps, bars, problem.terms, each, gained)
-        found = replace(found, search=left)
+        beside = partial(report.beside_its_moment, each, folds, problem.time)
+        kept = confirmed(found.search, steps, bars, problem.terms, each, beside)
+        found = replace(found, search=kept)
     found, final, precision = _undoable(found)
-    last = noise_of(final, asked.known, part, precision, problem.terms.base)
-    if found.search.taken:
-        with suppress(NotConverged):  # else it stays as it is, which has an inverse
-            final = fitted(final.model, final.observations, last, final.theta, precision)
     steps = steps_of(problem, found.search, found.chances)
     steps = beside_all(problem, found.search, steps, final)
-    left_over = _left(found, final, last, folds, asked, rng, refused=_refused(found, steps))
-    loop = FitLoop(
+    bent = corrected(problem, found.search, each, folds, partial(ways_left, problem), asked.rules)
+    if bent.steps:
+        each = bent.each
+        _, final, precision = _undoable(replace(found, search=bent.search))
+    last = noise_of(final, asked.known, part, precision, problem.terms.base)
+    if found.search.taken or bent.steps:
+        with suppress(NotConverged):  # else it stays as it is, which has an inverse
+            final = fitted(final.model, final.observations, last, final.theta, precision)
+    refused = looked_like(
+        found.search.refused,
+        steps,
+        found.chances[-1],
+        lambda n: " and ".join(problem.effect(n).needs),
+    )
+    refused = (*refused, *_probed(final, last, folds, asked, rng))
+    told = bent.told if refused else or_noise(bent.told, final, last, asked.known)
+    left_over = (*refused, *told, *unexplained(last.wandering))
+    loop = replace(
+        _loop(found, final, steps, left_over),
+        steps=(*beside_left(found.search, steps, left_over), *bent.steps),
+        difference=report.held_difference(each, folds) if bent.steps else gained,
+        doubted=bool(found.search.taken) and not gained.proved,
+        wander=last.wandering,
+    )
+    return Closed(loop, each.before, each.after if loop.steps else each.before, last.light)
+
+
+def _loop(
+    found: _Pass, final: Fit, steps: tuple[Step, ...], left: tuple[Unexplained, ...]
+) -> FitLoop:
+    problem, chances, bars = found.problem, found.chances, found.bars
+    return FitLoop(
         base=problem.fit,
         final=final,
         plain=problem.fit,
         as_recorded=final,
-        steps=beside_left(found.search, steps, left_over),
         ambiguous=ambiguities(problem, found.search, steps),
         sums=sums_of(problem, found.level, problem.fit),
         rejected=tuple((r.name, r.reason) for r in found.search.refused),
-        unexplained=left_over,
-        scores=scores_of(problem, found.search.last, found.chances[-1], bars[-1]),
-        first_scores=scores_of(problem, found.search.first, found.chances[0], bars[0]),
+        unexplained=left,
+        scores=scores_of(problem, found.search.last, chances[-1], bars[-1]),
+        first_scores=scores_of(problem, found.search.first, chances[0], bars[0]),
         missing=problem.missing,
         bar=float(bars[0][0]),
-        difference=gained,
-        wander=_wander(last),
     )
-    return Closed(loop, each.before, each.after if loop.steps else each.before, last.light)

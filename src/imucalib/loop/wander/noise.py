@@ -10,6 +10,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.balance import Balanced
 from imucalib.core.fit import Fit
+from imucalib.loop.found import Wander
 from imucalib.loop.wander.bank import Bank, bank_of, walks_of
 from imucalib.loop.wander.held_blocks import solved
 from imucalib.loop.wander.likelihood import Level, Terms, levels
@@ -44,6 +45,12 @@ class Noise:
     wander: float
     light: int
     walks: tuple[Walk, ...]
+
+    @property
+    def wandering(self) -> Wander:
+        """The walk as it is told."""
+        sd = self.scatter * float(np.sqrt(self.walk.rho))
+        return Wander(self.wander, self.walk.tau / 3600.0, self.scatter, self.evidence, sd)
 
     @property
     def sigma(self) -> Array:

@@ -48,6 +48,11 @@ class Problem:
     families: Mapping[str, Family]
     made: dict[str, list[tuple[str, Array]]] = field(default_factory=dict, repr=False)
 
+    @property
+    def time(self) -> Array:
+        """(n,) s of all rows."""
+        return self.fit.observations.context["time"]
+
     def finer(self, entry: Entry) -> list[tuple[str, Array]]:
         """Values of a scan near one of its values, with their columns."""
         family = self.families.get(entry.family)
@@ -55,7 +60,11 @@ class Problem:
             return []
         context = self.small.observations.context
         near = family.nearby(context, entry.name.partition("@")[2])
-        found, _ = effect_candidates(self.small, [family.member(value) for value in near])
+        return self.columns_of([family.member(value) for value in near])
+
+    def columns_of(self, effects: Sequence[Effect]) -> list[tuple[str, Array]]:
+        """Names of effects that can be tried, with their columns (n, c)."""
+        found, _ = effect_candidates(self.small, effects)
         unit = self.small.at.sigma[:, :1] / MG / self.noise.scatter
         return [(c.name, c.columns * unit) for c in found]
 
@@ -72,6 +81,10 @@ class Problem:
         found = self.effects.get(name) or known(name)
         assert found is not None, name
         return found
+
+    def drivers(self, name: str) -> str:
+        """What drives an effect, in words."""
+        return " and ".join(self.effect(name).needs)
 
     def model(self, taken: Sequence[Taken]) -> Model:
         return Model((*self.fit.model.effects, *(self.effect(t.found.entry.name) for t in taken)))
@@ -124,7 +137,7 @@ def problem_of(
         some = np.unique(np.linspace(0, len(values) - 1, min(len(values), _OF_A_SCAN)).astype(int))
         for effect in (family.member(values[k]) for k in some if len(values)):
             tried[effect.name], family_of[effect.name] = effect, family.name
-    candidates, missing = effect_candidates(small, tried.values())
+    candidates, missing = effect_candidates(small, tried.values(), parts=True)
     misfit, base, seen = natural(small)
     unit = small.at.sigma[:, :1] / MG
     p = base.shape[1]

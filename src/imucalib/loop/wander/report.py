@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
+from imucalib.effects.step import moment_of
 from imucalib.errors import NotConverged
 from imucalib.loop.design import Fold
 from imucalib.loop.difference import Difference, difference, with_density
 from imucalib.loop.held_out import Held, errors
+from imucalib.loop.wander.beside.parts import narrowed
 from imucalib.loop.wander.choice import Rules, Search, Taken, search
 from imucalib.loop.wander.forms import driver_of
 from imucalib.loop.wander.held_blocks import judged, solved
@@ -23,13 +25,22 @@ from imucalib.loop.wander.problem import Problem
 @dataclass(frozen=True)
 class Predicted:
     """Every row predicted without its block, before and after; gains : (k,) nats that each block's
-    density gains; found : names or scans that the search without each block took, and the
-    drivers that forms may bend with"""
+    density gains; searches : without each block, their banks of what they took alone"""
 
     before: Held
     after: Held
     gains: Array
-    found: tuple[frozenset[str], ...]
+    searches: tuple[Search, ...]
+
+    @property
+    def found(self) -> tuple[frozenset[str], ...]:
+        """Names or scans that the search without each block took, and the drivers that forms may
+        bend with."""
+        each = ([t.found.entry for t in search.taken] for search in self.searches)
+        return tuple(
+            frozenset({e.name.partition("@")[0] for e in taken} | {driver_of(e) for e in taken})
+            for taken in each
+        )
 
 
 def walks_of_note(found: Search) -> frozenset[int]:
@@ -40,54 +51,85 @@ def walks_of_note(found: Search) -> frozenset[int]:
 
 def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicted:
     """Steps of the whole search, without one block and its gap at a time."""
-    bank, data = problem.bank, problem.fit.observations
-    parts: list[tuple[Held, Held]] = []
-    gains, names = list[float](), list[frozenset[str]]()
-    for k, (fold, split) in enumerate(zip(folds, problem.splits, strict=True)):
+    bank, searches = problem.bank, list[Search]()
+    for k, split in enumerate(problem.splits):
         others = [s for j, s in enumerate(problem.splits) if j != k]
         found = search(bank, problem.terms, problem.entries, others, split.train, rules)
+        searches.append(narrowed(problem.terms, found))
+    return predicted_by(problem, folds, searches)
+
+
+def predicted_by(problem: Problem, folds: Sequence[Fold], searches: Sequence[Search]) -> Predicted:
+    """What searches without one block each, in their order, foretell of it."""
+    data, ends, gains = problem.fit.observations, list[Search](), list[float]()
+    parts: list[tuple[Held, Held]] = []
+    for fold, split, found in zip(folds, problem.splits, searches, strict=True):
+        bank = found.bank
         plain = best_level(bank, problem.terms, split.train)
         held = data.take(fold.rows)
 
         def errors_of(terms: Terms, walk: int, taken: tuple[Taken, ...]) -> Held:
-            values = solved(found.bank, terms, walk, split.train)  # noqa: B023
+            values = solved(bank, terms, walk, split.train)  # noqa: B023
             fit = replace(problem.fit, model=problem.model(taken))
             return errors(fit, problem.theta(values, taken), held)  # noqa: B023
 
         before = errors_of(problem.terms, plain.walk, ())
-        after = before
-        gain = 0.0
+        after, gain, end = before, 0.0, found
         if found.taken:
             try:
                 after = errors_of(found.terms, found.level.walk, found.taken)
             except NotConverged:  # what has no inverse corrects nothing
-                found = replace(found, taken=())
+                end = replace(found, terms=problem.terms, level=plain, taken=())
             else:
                 one = judged(bank, problem.terms, plain.walk, [split])
-                two = judged(found.bank, found.terms, found.level.walk, [split])
+                two = judged(bank, found.terms, found.level.walk, [split])
                 gain = float(two.nats[0] - one.nats[0])
         parts.append((before, after))
         gains.append(gain)
-        taken = [t.found.entry for t in found.taken]
-        own = {entry.name.partition("@")[0] for entry in taken}
-        names.append(frozenset(own | {driver_of(entry) for entry in taken}))
+        ends.append(end)
     order = np.argsort(np.concatenate([fold.rows for fold in folds]))
-    return Predicted(
-        _joined([a for a, _ in parts], order),
-        _joined([b for _, b in parts], order),
-        np.array(gains),
-        tuple(names),
-    )
+    before, after = (_joined([pair[k] for pair in parts], order) for k in (0, 1))
+    return Predicted(before, after, np.array(gains), tuple(ends))
 
 
-def held_difference(each: Predicted, folds: Sequence[Fold]) -> Difference:
-    """The difference of the mean errors in m/s², with what the log density of the blocks gains."""
+def held_difference(
+    each: Predicted, folds: Sequence[Fold], but: frozenset[int] = frozenset()
+) -> Difference:
+    """The difference of the mean errors in m/s², with what the log density of the blocks gains.
+
+    but : blocks that take no part
+    """
+    part = part_of(folds)
+    rows = ~np.isin(part, list(but))
+    before, after = (np.abs(held.error[rows, 0, 0]) for held in (each.before, each.after))
+    found = difference(before, after, part[rows], len(folds) - len(but), "mean")
+    nats = np.delete(each.gains, list(but))
+    return with_density(found, nats, decides=False)
+
+
+def beside_its_moment(
+    each: Predicted, folds: Sequence[Fold], time: Array, taken: Taken
+) -> Difference:
+    """What the blocks gain but for the one in which an effect begins."""
+    return held_difference(each, folds, blocks_of(taken.found.entry.name, folds, time))
+
+
+def blocks_of(name: str, folds: Sequence[Fold], time: Array) -> frozenset[int]:
+    """Blocks, gap included, in which an effect of this name begins: without one nobody knows when.
+
+    time : (n,) s of the rows
+    """
+    at = moment_of(name)
+    spans = [time[np.setdiff1d(np.arange(time.size), fold.rest)] for fold in folds]
+    return frozenset(k for k, span in enumerate(spans) if span.min() <= at <= span.max())
+
+
+def part_of(folds: Sequence[Fold]) -> NDArray[np.intp]:
+    """(n,) the block of every row."""
     part = np.empty(sum(fold.rows.size for fold in folds), dtype=np.intp)
     for k, fold in enumerate(folds):
         part[fold.rows] = k
-    before, after = (np.abs(held.error[:, 0, 0]) for held in (each.before, each.after))
-    found = difference(before, after, part, len(folds), "mean")
-    return with_density(found, each.gains, decides=False)
+    return part
 
 
 def _joined(parts: list[Held], order: NDArray[np.intp]) -> Held:

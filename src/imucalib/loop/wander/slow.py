@@ -25,13 +25,14 @@ from imucalib.effects import catalogue
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.found import Step
 from imucalib.loop.noise.shared import WANDERING
-from imucalib.loop.thresholds import MARGIN
+from imucalib.loop.thresholds import MARGIN, STRONG
 from imucalib.loop.wander.bank import Bank, bank_of
 from imucalib.loop.wander.beside.parts import Rivals, held_against
 from imucalib.loop.wander.choice import Search, Taken
 from imucalib.loop.wander.likelihood import Terms, levels
 from imucalib.loop.wander.problem import Problem
 from imucalib.loop.wander.walk import Course, Walk
+from imucalib.loop.wander.words import PAST
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: Memories of a slow walk in recordings, and its variances over a run's, as fine as the search's.
@@ -41,20 +42,27 @@ _CLOCK, _DAY, _HARMONICS = "time_of_day", 86400.0, 2
 
 
 def beside_slow_walks(problem: Problem, found: Search, steps: Sequence[Step]) -> tuple[Step, ...]:
-    """The steps; with those that do not lead a slow walk by three nats, what wanders there."""
+    """The steps; with those that do not lead a slow walk by three nats, alone or all together, what
+    wanders there. A temperature that moves within hours is a course of time as well, and its past
+    one of thirteen, which has to lead by ten."""
+    moved = [taken for taken in found.taken if not taken.found.entry.of_response]
+    wanders = _wanders(problem, found.bank) if moved else {}
+
+    def led(some: Sequence[Taken]) -> list[str]:
+        others = problem.terms
+        for other in found.taken:
+            if not any(other is one for one in some):
+                others = others.plus(other.found.entry.columns, other.size)
+        past = any(one.found.entry.name.partition("@")[0] in PAST for one in some)
+        least = STRONG if past else MARGIN
+        return [w for w, seen in wanders.items() if lead(found.bank, others, some, seen) < least]
+
+    every = led(moved) if len(moved) > 1 else []
     out = list[Step]()
     for taken, step in zip(found.taken, steps, strict=True):
-        if taken.found.entry.timed:
-            others = problem.terms
-            for other in found.taken:
-                if other is not taken:
-                    others = others.plus(other.found.entry.columns, other.size)
-            near = [
-                name
-                for name, seen in _wanders(problem, found.bank).items()
-                if lead(found.bank, others, taken, seen) < MARGIN
-            ]
-            step = replace(step, aliases=(*step.aliases, *near))  # noqa: PLW2901
+        if any(taken is one for one in moved):
+            names = dict.fromkeys((*step.aliases, *led([taken]), *every))
+            step = replace(step, aliases=tuple(names))  # noqa: PLW2901
         out.append(step)
     return tuple(out)
 
@@ -69,16 +77,19 @@ def _wanders(problem: Problem, bank: Bank) -> dict[str, Array]:
     return found
 
 
-def lead(bank: Bank, others: Terms, taken: Taken, seen: Array) -> float:
-    """Nats by which an effect beside other terms leads the likeliest slow walk without it.
+def lead(bank: Bank, others: Terms, some: Sequence[Taken], seen: Array) -> float:
+    """Nats by which effects beside other terms lead the likeliest slow walk without them.
 
     seen : (n, q) what |a| sees of the slow walks
     """
-    columns = np.concatenate([others.columns, taken.found.entry.columns])
+    columns = np.concatenate([others.columns, *(taken.found.entry.columns for taken in some)])
     every, slow = np.append(columns, bank.data), slower(bank)
     at, keep = np.arange(columns.size), np.ones(1, dtype=bool)
     without = Terms(at[: others.columns.size], others.precision, others.base)
-    within = without.plus(at[others.columns.size :], taken.size)
+    within, start = without, others.columns.size
+    for taken in some:
+        stop = start + taken.found.entry.columns.size
+        within, start = within.plus(at[start:stop], taken.size), stop
     one = through(bank, bank.walks, every)
     with_it, known = (max(x.nats for x in levels(one, t, keep)) for t in (within, without))
     course = replace(bank.course, seen=seen)

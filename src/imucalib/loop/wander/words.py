@@ -27,7 +27,7 @@ _APART, _ALIKE = 2.0, 3.0
 #: Kinds of structure that is told with a driver, and is no noise.
 _STRUCTURE = ("swing", "course", "jump", "stretch")
 #: What follows the past of the temperature, of whatever value.
-_PAST = ("thermal_lag", "thermal_hysteresis", "temperature_rate")
+PAST = ("thermal_lag", "thermal_hysteresis", "temperature_rate")
 #: What follows its present. A past of it is one of thirteen that were tried, and a day samples them
 #: seldom: it leads the present by as much as a form of the temperature has to.
 _NOW = "temperature_bias"
@@ -149,7 +149,7 @@ def _beside(taken: Taken, every: Sequence[Taken]) -> tuple[str, ...]:
     leaves as much."""
     own = taken.found.entry
     others = [t.found.entry for t in every if t is not taken]
-    if own.name.partition("@")[0] in _PAST:
+    if own.name.partition("@")[0] in PAST:
         return (UNLISTED,) if any(e.kind == own.kind for e in others) else ()
     return tuple(e.name for e in others if e.kind in _OF_RESPONSE.get(own.kind, ()))
 
@@ -177,12 +177,19 @@ def aliases(bank: Bank, terms: Terms, taken: Taken) -> tuple[str, ...]:
         else:
             alike = _apart(bank, terms, own, rival) < _APART
         least = own.evidence if entry.wide else near
-        if entry.name == _NOW and own.entry.name.partition("@")[0] in _PAST:
+        if entry.name == _NOW and own.entry.name.partition("@")[0] in PAST:
             least = own.evidence - STRONG
         if rival.evidence >= least or alike:
             out.append(entry.name)
-    parts = (effect.name for effect in catalogue().values() if effect.part_of == own.entry.name)
-    return _best_of_each_scan([*out, *parts])
+    return _best_of_each_scan([*out, *_of_one_whole(own.entry.name)])
+
+
+def _of_one_whole(name: str) -> list[str]:
+    """What the size of gravity alone shows as a part of an effect, and what that is a part of."""
+    effects = catalogue()
+    parts = [effect.name for effect in effects.values() if effect.part_of == name]
+    own = effects[name].part_of if name in effects else ""
+    return [*parts, *([own] if own else [])]
 
 
 def _best_of_each_scan(names: Sequence[str]) -> tuple[str, ...]:
@@ -207,11 +214,14 @@ def _apart(bank: Bank, terms: Terms, own: Scored, rival: Scored) -> float:
 
 
 def looked_like(
-    refused: Sequence[Refused], chance: Array, driver: Callable[[str], str]
-) -> tuple[Unexplained, ...]:
+    refused: Sequence[Refused], steps: Sequence[Step], chance: Array,
+    driver: Callable[[str], str],
+) -> tuple[Unexplained, ...]:  # fmt: skip
     """The strongest of what was not taken: too strong to be one of the accidents that a bar allows,
-    it is structure without a name."""
-    strong = [r for r in refused if r.found.evidence > STRONG]
+    it is structure without a name; what a step calls its alias is told there."""
+    told = {name.partition("@")[0] for step in steps for name in step.aliases}
+    new = [r for r in refused if r.name.partition("@")[0] not in told]
+    strong = [r for r in new if r.found.evidence > STRONG]
     if not strong:
         return ()
     most = max(strong, key=lambda r: r.found.evidence)

@@ -92,7 +92,7 @@ def _warmth(problem: Problem) -> Array:
 
 def _instead_of_all(problem: Problem, found: Search, rivals: Rivals) -> str:
     """The change that explains as much as everything together that time drives; else nothing."""
-    search = narrowed(problem, found, [taken.found.entry.name for taken in found.taken])
+    search = narrowed(problem.terms, found)
     columns, entries = rivals.entries(search.bank.columns.shape[1])
     bank, terms = search.bank.plus(columns), problem.terms
     own = list[Index]()

@@ -24,10 +24,28 @@ def beside_all(
     steps = beside_the_day(problem, found, steps)
     steps = beside_changes(problem, found, steps)
     steps = beside_courses(problem, found, steps)
-    steps = beside_slow_walks(problem, found, steps)
+    steps = unsure_together(beside_slow_walks(problem, found, steps))
     return tuple(
         replace(step, aliases=(*step.aliases, UNLISTED))
         if beyond_usual(final, step.effect)
         else step
         for step in steps
     )
+
+
+def unsure_together(steps: Sequence[Step]) -> tuple[Step, ...]:
+    """The steps; with what may stand in the place of another one as well, that other: a jump of the
+    bias beside a lag that may be such a jump is found only if it is none."""
+    return tuple(
+        replace(step, aliases=tuple(dict.fromkeys((*step.aliases, *_who_may_be(step, steps)))))
+        for step in steps
+    )
+
+
+def _who_may_be(step: Step, steps: Sequence[Step]) -> list[str]:
+    own = step.effect.partition("@")[0]
+    return [
+        other.effect
+        for other in steps
+        if other is not step and own in {name.partition("@")[0] for name in other.aliases}
+    ]

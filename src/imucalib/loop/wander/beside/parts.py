@@ -11,6 +11,7 @@ from imucalib.arrays import Array, Index
 from imucalib.loop.found import Step
 from imucalib.loop.wander.bank import Bank
 from imucalib.loop.wander.choice import Search
+from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.problem import Problem
 from imucalib.loop.wander.scores import Entry
 from imucalib.loop.wander.words import with_rivals
@@ -66,20 +67,19 @@ class Rivals:
         return np.concatenate(list(self.kept.values()), axis=1), entries
 
 
-def narrowed(problem: Problem, found: Search, names: Sequence[str]) -> Search:
-    """The search with what it took of some names, its bank without the columns of candidates."""
-    bank, at = found.bank, problem.terms.columns.size
-    picked, taken = [problem.terms.columns], []
+def narrowed(base: Terms, found: Search) -> Search:
+    """The search with a bank of the base model, what it took, and the data alone."""
+    bank, terms = found.bank, base
+    picked, taken = [base.columns], []
     for one in found.taken:
         own = one.found.entry
-        columns = np.arange(at, at + own.columns.size)
-        at += columns.size
+        columns = terms.columns.size + np.arange(own.columns.size)
+        terms = terms.plus(columns, one.size)
         picked.append(own.columns)
         entry = replace(own, columns=columns)
         taken.append(replace(one, found=replace(one.found, entry=entry)))
     every = np.concatenate([*picked, [bank.data]])
-    kept = tuple(one for one in taken if one.found.entry.name in names)
-    return replace(found, bank=bank.only(every), taken=kept)
+    return replace(found, bank=bank.only(every), terms=terms, taken=tuple(taken))
 
 
 def held_against(
@@ -88,7 +88,7 @@ def held_against(
     """The steps with those of the rivals that would do as well in the place of each."""
     if not rivals.made or not steps:
         return tuple(steps)
-    search = narrowed(problem, found, [t.found.entry.name for t in found.taken])
+    search = narrowed(problem.terms, found)
     columns, entries = rivals.entries(search.bank.columns.shape[1])
     search = replace(search, bank=search.bank.plus(columns))
     return with_rivals(problem, search, steps, entries)

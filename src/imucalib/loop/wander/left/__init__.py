@@ -1,1 +1,1 @@
-"""Structure that is left beside all that a search took, told and not corrected."""
+"""Structure left beside all that a search took: told, and corrected where that holds out."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.effects.bent import KINDS
 from imucalib.loop.wander.beside.courses import waves
 from imucalib.loop.wander.beside.parts import driven
 from imucalib.loop.wander.choice import Search
@@ -18,8 +19,9 @@ from imucalib.loop.wander.left.strongest import Way
 from imucalib.loop.wander.left.swing import even_parts
 from imucalib.loop.wander.problem import Problem
 
-#: Parts of the recording between which one may jump; waves of a course, rougher ones smaller.
-_JUMPS, _TERMS = 24, 4
+#: Parts of the recording between which one may jump; waves of a course, rougher ones smaller, and
+#: of one that corrects.
+_JUMPS, _TERMS, FINE = 24, 4, 24
 #: What each part of the base model is in words. A bias that moves with time is what wanders.
 _WORDS = {"bias": "bias", "scale": "scale", "axes": "angle between the axes"}
 _IN_TIME = ("scale", "axes")
@@ -31,15 +33,25 @@ def courses(problem: Problem, found: Search) -> list[Way]:
     ways = _jumps(parts, time)
     for word in _IN_TIME:
         if word in parts:
-            drive = driven(parts[word], waves(time, _TERMS))
-            ways.append(Way(f"the {_WORDS[word]} moves with time", "time", "course", drive))
+            drive, words = driven(parts[word], waves(time, _TERMS)), f"the {_WORDS[word]} moves"
+            by = curve_of(word, "time", time, FINE)
+            ways.append(Way(f"{words} with time", "time", "course", drive, effect=by))
     context = problem.small.observations.context
     if "temperature" in context:
-        drives = waves(context["temperature"], _TERMS)
+        warm = context["temperature"]
+        drives = waves(warm, _TERMS)
         for word, columns in parts.items():
             words = f"the {_WORDS[word]} follows the temperature in a way of its own"
-            ways.append(Way(words, "temperature", "course", driven(columns, drives)))
+            own, by = driven(columns, drives), curve_of(word, "temperature", warm, _TERMS)
+            ways.append(Way(words, "temperature", "course", own, effect=by))
     return ways
+
+
+def curve_of(word: str, driver: str, values: Array, terms: int) -> str:
+    """The name of the curve that corrects it; empty for angles, which none bends."""
+    if word not in KINDS:
+        return ""
+    return f"curve@{word}:{driver}:{values.min():.10g}:{values.max():.10g}:{terms}"
 
 
 def _jumps(parts: dict[str, Array], time: Array) -> list[Way]:
@@ -48,7 +60,9 @@ def _jumps(parts: dict[str, Array], time: Array) -> list[Way]:
         late = np.where(time >= at, 1.0, 0.0)[:, None]
         where = f"jumps {at / 3600.0:.2g} h after the start"
         own = {word: driven(parts[word], late) for word in _IN_TIME if word in parts}
-        ways += [Way(f"the {_WORDS[w]} {where}", "time", "jump", x) for w, x in own.items()]
+        for word, columns in own.items():
+            by = f"shape@{word}:time:step:{at:.10g}" if word in KINDS else ""
+            ways.append(Way(f"the {_WORDS[word]} {where}", "time", "jump", columns, effect=by))
         if len(own) == len(_IN_TIME) and "bias" in parts:
             bias = driven(parts["bias"], late)
             every = np.column_stack([bias, *own.values()])

@@ -64,7 +64,7 @@ def stretches(problem: Problem, found: Search) -> list[Way]:
     if course.time.size < _RUNS or "bias" not in parts:
         return []
     bias, every = parts["bias"], np.column_stack(list(parts.values()))
-    root, rest = np.sqrt(course.variance)[:, None], _rest(found)
+    root, rest = np.sqrt(course.variance)[:, None], rest_of(found)
     walk, ways = bank.walks[found.level.walk], list[Way]()
     for left in (rest, beside(course, walk, rest)) if walk.rho > 0.0 else (rest,):
         for columns, word in ((bias, "bias"), (every, "calibration")):
@@ -78,7 +78,7 @@ def stretches(problem: Problem, found: Search) -> list[Way]:
     return ways
 
 
-def _rest(found: Search) -> Array:
+def rest_of(found: Search) -> Array:
     """(n,) of the data beside all that was taken, without a walk."""
     bank, terms = found.bank, found.terms
     base, data = bank.columns[:, terms.columns], bank.columns[:, bank.data]

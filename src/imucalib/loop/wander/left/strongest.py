@@ -30,7 +30,8 @@ _CHANCE = 1e-3
 class Way:
     """words : what is told; driver, kind : as `Unexplained` has them; columns : (n, c) in units of
     a run's scatter, about one in the mean; within : those of them that a search has tried, which it
-    must lead; among : how many it was chosen from by the data"""
+    must lead; among : how many it was chosen from by the data; effect : the name of one that can
+    correct it, or empty"""
 
     words: str
     driver: str
@@ -38,46 +39,56 @@ class Way:
     columns: Array
     within: Array | None = None
     among: int = 1
+    effect: str = ""
 
 
-def strongest(found: Search, *groups: Sequence[Way]) -> tuple[Unexplained, ...]:
+@dataclass(frozen=True)
+class Told:
+    """A way with what is told of it."""
+
+    way: Way
+    structure: Unexplained
+
+
+def strongest(found: Search, *groups: Sequence[Way]) -> Told | None:
     """The likeliest way of all groups beside all that was taken, where its chance among those of
     its group is a thousandth at most."""
     ways = [way for group in groups for way in group]
     if not ways:
-        return ()
+        return None
     ends = np.cumsum([len(group) for group in groups])[:-1]
     first = np.split(_beside_own(found, [way.columns for way in ways]), ends)
-    told = [
-        one
-        for group, own in zip(groups, first, strict=True)
-        for one in _of_group(found, group, own)
-    ]
-    return tuple(sorted(told, key=lambda one: -one.evidence)[:1])
+    each = (_of_group(found, group, own) for group, own in zip(groups, first, strict=True))
+    told = [one for one in each if one is not None]
+    return max(told, key=lambda one: one.structure.evidence, default=None)
 
 
-def _of_group(found: Search, ways: Sequence[Way], first: Array) -> tuple[Unexplained, ...]:
+def chance_bar(ways: int, walks: int) -> float:
+    """Nats that the likeliest of so many ways reaches by a chance of a thousandth at most."""
+    return float(np.log(ways * walks * len(SIZES) / _CHANCE))
+
+
+def _of_group(found: Search, ways: Sequence[Way], first: Array) -> Told | None:
     """first : (ways,) nats that each gains under the noise as it is, or where that is white"""
     if not ways:
-        return ()
+        return None
     bank = found.bank
     walks = (*bank.walks, *slower(bank))
-    tried = sum(way.among for way in ways) * len(SIZES) * len(walks)
-    bar = float(np.log(tried / _CHANCE))
+    bar = chance_bar(sum(way.among for way in ways), len(walks))
     while True:
         best = int(np.argmax(first))
         if first[best] < bar:
-            return ()
+            return None
         way = ways[best]
         lead = _lead(found, walks, way.columns)
         if way.within is None or lead >= _lead(found, walks, way.within) + MARGIN:
             break
         first[[one.within is not None for one in ways]] = -np.inf  # others of it are no more
     if lead < bar:
-        return ()
+        return None
     chance = _CHANCE * float(np.exp(bar - lead))
     share = 1.0 - float(np.exp(-2.0 * lead / bank.course.time.size))
-    return (Unexplained(way.words, way.driver, way.kind, chance, lead, share),)
+    return Told(way, Unexplained(way.words, way.driver, way.kind, chance, lead, share))
 
 
 def _beside_own(found: Search, blocks: list[Array]) -> Array:

@@ -29,9 +29,12 @@ def swings(problem: Problem, found: Search) -> list[Way]:
     parts = even_parts(problem, found)
     some = {name: parts[name] for name in _SWINGS if name in parts}
     return [
-        Way(_words(name, time, count), "time", "swing", _waves(columns, time, count))
+        Way(
+            _words(name, time, count), "time", "swing", _waves(columns, time, count),
+            effect=f"shape@{name}:time:sine:{np.ptp(time) / count:.6g}",
+        )
         for (name, columns), count in product(some.items(), _counts(time))
-    ]
+    ]  # fmt: skip
 
 
 def even_parts(problem: Problem, found: Search) -> dict[str, Array]:
