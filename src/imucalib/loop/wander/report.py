@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.effects.step import moment_of
+from imucalib.effects.history.step import moment_of
 from imucalib.errors import NotConverged
 from imucalib.loop.design import Fold
 from imucalib.loop.difference import Difference, difference, with_density
