@@ -103,6 +103,18 @@ def test_a_swing_in_step_with_the_tool_face_may_be_the_tool_face(period: float, 
     assert keeps_step(context, swing) is same
 
 
+@pytest.mark.parametrize(
+    ("rows", "same"), [("8", True), ("7.2", True), ("6", False), ("13", False)]
+)
+def test_a_swing_at_nearly_the_pace_of_the_tool_face_may_be_its_own(rows: str, same: bool) -> None:
+    """A sag with the tool-face that grew with the inclination was a certain swing of the scale: of
+    40 rows with eight a turn, five turns; 5.6 are near them, 6.7 are not."""
+    dials = {"record": np.arange(40.0), "tool_face": np.tile(np.arange(8) * np.pi / 4.0, 5)}
+    swing = known(f"scale_cycle@{rows}rows")
+    assert swing is not None
+    assert keeps_step(Context(40, dials), swing) is same
+
+
 def test_a_swing_in_step_with_the_temperature_may_be_the_temperature() -> None:
     """Its change runs a quarter of a swing ahead of it."""
     rng = np.random.default_rng(3)

@@ -265,8 +265,10 @@ def test_a_tool_that_slipped_stands_turned_from_then_on() -> None:
     expected = np.where(np.arange(N)[:, None] >= 11, turned - force, 0.0)
     np.testing.assert_allclose(added("slip@record12", theta, force, context), expected, atol=1e-12)
     for name in ("slip", "scale_step", "inclination_step"):
-        values = families()[name].values
-        assert values(Context(14, {"record": np.arange(14.0)})) == ()
+        values, bare = families()[name].values, {"record": np.arange(14.0)}
+        without_dials = values(Context(14, bare))
+        assert bool(without_dials) is (name == "scale_step")
+        assert values(Context(14, bare | {"time": np.arange(14.0)})) == ()
         dials = {"record": np.arange(14.0), "tool_face": np.zeros(14), "time": np.arange(14.0)}
         assert values(Context(14, dials)) == ("record7", "record8", "record9")
 

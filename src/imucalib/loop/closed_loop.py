@@ -31,6 +31,7 @@ from imucalib.loop.noise.doubts import noise_doubts
 from imucalib.loop.noise.shared import with_shared_noise
 from imucalib.loop.records import (
     extended,
+    foreseen,
     held_out_rms,
     least_strange,
     named_records,
@@ -156,11 +157,9 @@ class _State:
         row = row_of(best[0].name)
         doubts = ((step.effect, name) for step in self.steps for name in step.aliases)
         trial = set_aside(self.fit, row)
-        # A record that nothing else predicts cannot be told from what it determines.
-        if not trial.converged or len(trial.null_directions) > len(self.fit.null_directions):
+        if not foreseen(self.fit, trial) or not self._strange(self.fit, row, doubts):
             return None
-        small = abs(named_records(trial, ((best[0], row),))[0].size) < self.rules.gross
-        if small or not self._strange(self.fit, row, doubts):
+        if abs(named_records(trial, ((best[0], row),))[0].size) < self.rules.gross:
             return None
         return replace(self, fit=trial, records=(*self.records, (best[0], row)))
 

@@ -100,7 +100,7 @@ def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> Rec
         sd = float(np.sqrt(expected.covariance[axis, axis])) / MG
         return said(channel=channel, size=size, sd=sd, unit="mg", likely=likely, fix=fix)
     away = _angle_away(fit, row, channel) / DEG
-    sd = fit.noise.sd[fit.noise.component.index(channel)] / DEG
+    sd = _angle_sd(fit, row, channel) / DEG
     name = channel.replace(" setting", "")
     return said(channel=name, size=away, sd=sd, unit="deg", likely=likely, fix=fix)
 
@@ -156,6 +156,17 @@ def _angle_away(fit: Fit, row: int, component: str) -> float:
         return float(inclination - reference.inclination[row])
     away = float(tool_face - reference.tool_face[row])
     return float(np.mod(away + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def _angle_sd(fit: Fit, row: int, component: str) -> float:
+    """Standard deviation (rad) of `_angle_away`: of the setting, and of the reading across it."""
+    reference = fit.observations.reference
+    assert isinstance(reference, KnownVector | KnownDirection)
+    setting = fit.noise.sd[fit.noise.component.index(component)]
+    across = fit.noise.factor * float(fit.observations.sigma[row].max()) / reference.gravity
+    if isinstance(reference, KnownVector) and not component.startswith("inclination"):
+        across /= max(float(np.cos(reference.inclination[row])), across)
+    return float(np.hypot(setting, across))
 
 
 def _wrong_face(stood: Array, meant: Array) -> str:

@@ -59,11 +59,22 @@ def set_aside(fit: Fit, row: int) -> Fit:
     observations = fit.observations
     triads = observations.reading.shape[1]
     known = fit.at.keep.shape[2] == 3 * triads
-    effect = record_error(row, observations.label[row], "xyz" if known or triads > 1 else "x")
+    # One number for one: its size is that of gravity, which the axis along gravity shows best.
+    along = "xyz"[int(np.argmax(np.abs(observations.reading[row, 0])))]
+    axes = "xyz" if known or triads > 1 else along
+    effect = record_error(_number(fit, row), observations.label[row], axes)
     nominal = observations.reference.truth(_settled(fit))
     predicted = fit.model.predict(fit.theta, nominal, observations.context).reading
     off = (observations.reading[row, 0] - predicted[row, 0]) / MG
     return extended(fit, effect, off if known else None)
+
+
+def foreseen(fit: Fit, aside: Fit) -> bool:
+    """Whether the other records tell what one that was set aside should have been. Of several
+    triads a rest leaves its attitude open, which no record has to tell."""
+    alone = fit.observations.reading.shape[1] == 1
+    opened = len(aside.null_directions) > len(fit.null_directions)
+    return aside.converged and not (alone and opened)
 
 
 def _settled(fit: Fit) -> Array:
@@ -79,17 +90,23 @@ def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[Recor
 def record_names(fit: Fit, row: int | None = None) -> tuple[str, ...]:
     """Names of the record errors in a fit's model, of one row or of all."""
     every = [name for name in fit.model.names if is_record_error(name)]
-    return tuple(n for n in every if row is None or _row_aside(n) == row)
+    return tuple(n for n in every if row is None or _number_of(n) == _number(fit, row))
 
 
-def _row_aside(name: str) -> int:
+def _number(fit: Fit, row: int) -> int:
+    """Number of a record in the whole recording, which a subset keeps; row : of the fit's."""
+    return int(fit.observations.context["record"][row])
+
+
+def _number_of(name: str) -> int:
     return int(name.split("_")[2])
 
 
 def held_out_rms(fit: Fit) -> float:
     """Held-out error (m/s², rms) over the records that are not set aside, to first order."""
-    aside = [_row_aside(name) for name in record_names(fit)]
-    sizes = np.delete(left_out_sizes(fit), aside)
+    aside = [_number_of(name) for name in record_names(fit)]
+    every = fit.observations.context.covariates.get("record", np.arange(fit.observations.n))
+    sizes = left_out_sizes(fit)[~np.isin(every, aside)]
     return float(np.sqrt(np.mean(sizes**2)))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Effect
+from imucalib.core.effect import Effect, Response
 from imucalib.core.fit import Fit
 from imucalib.effects import across, known
 from imucalib.effects.thermal.lag import PREFIX, covariate
@@ -24,7 +24,7 @@ from imucalib.loop.found import FitLoop, LoopSettings, Step
 from imucalib.loop.noise.shared import (
     WANDERING,
     WANDERING_SCALE,
-    lead_over_a_scale,
+    imitated_by_a_scale,
     lead_over_a_walk,
 )
 from imucalib.loop.records import extended, reduced
@@ -41,6 +41,9 @@ _POSITION = (
     *(f"{before}_{axis}" for before in ("previous", "approach") for axis in "xyz"),
 )  # fmt: skip
 _SWING, _HARMONICS, _IN_STEP = ("cycle@", "scale_cycle@"), 6, 0.8
+#: Share of a tool-face's turning that goes at one pace, from which on it has one, and turns over a
+#: recording by which what changes the size of what it causes, as the inclination, moves that pace.
+_PACED, _MOVED = 0.5, 0.5
 #: Turns by which two swings must part over a recording to be two.
 _APART = 1.5
 #: Covariates by which time drives an effect.
@@ -128,15 +131,15 @@ def _driver(covariate: str) -> str:
 
 
 def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tuple[str, ...]:
-    """What would do as well and has no name: a bias that wanders slowly, or the scale beside one
-    that swings, unless the effect leads it by `margin` nats; and whatever else where its size is
-    beyond what data sheets tell, where the model holds a form of the same driver that has no cause,
-    where a swing keeps step or beats, where a lag is the longest that was tried, or where a
-    polynomial has no cause of its own."""
+    """What would do as well and has no name: a bias that wanders slowly, or the scale beside what
+    goes with the force, unless the effect leads it by `margin` nats; and whatever else where its
+    size is beyond what data sheets tell, where the model holds a form of the same driver that has
+    no cause, where a swing keeps step or beats, where a lag is the longest that was tried, or where
+    a polynomial has no cause of its own."""
     walk = lead_over_a_walk(before, chosen.evidence) < margin
-    scale = chosen.name.startswith(_SWING[1])
-    scaled = scale and lead_over_a_scale(before, after, chosen.name) < margin
     effect = known(chosen.name)
+    forced = isinstance(effect, Response) and effect.basis_dx is not None
+    scaled = forced and imitated_by_a_scale(before, after, chosen.name, margin)
     alike = effect is not None and (
         _course(effect.needs) in _of_forms(before.model.names)
         or _swings_in_step(before, chosen.name)
@@ -207,16 +210,29 @@ def _swings_in_step(before: Fit, name: str) -> bool:
 
 def keeps_step(context: Context, swing: Effect) -> bool:
     """Whether the phase of a swing is told by the tool-face, or by the temperature and its change:
-    then either may be its cause."""
+    then either may be its cause. So, of a scale, may a tool-face that turns at nearly its
+    pace: what goes with that and changes its size, as with the inclination, beats."""
     angle = 2.0 * np.pi * context[swing.needs[0]] / _number(swing.name.partition("@")[2])
     wave = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     t = context["tool_face"]
     turns = min(_HARMONICS, max(1, len(np.unique(np.round(np.mod(t, 2.0 * np.pi), 6))) // 2))
+    scale = swing.name.startswith(_SWING[1])
+    if scale and any(_beats_with(angle, k * t) for k in range(1, turns + 1)):
+        return True
     columns = [f(k * t) for k in range(1, turns + 1) for f in (np.cos, np.sin)]
     if "temperature" in context and np.ptp(context["temperature"]) > 0.0:
         warm = context["temperature"] - context["temperature"].mean()
         return max(_told(wave, columns), _told(wave, [warm, warm**2, np.gradient(warm)])) > _IN_STEP
     return _told(wave, columns) > _IN_STEP
+
+
+def _beats_with(angle: Array, turned: Array) -> bool:
+    """Whether a swing's angle (n,) and that of a tool-face part by less than `_MOVED` turns over
+    the recording, either way round."""
+    share = (angle - angle[0]) / (angle[-1] - angle[0])
+    apart = np.linspace(-_MOVED, _MOVED, 41)[:, None] * 2.0 * np.pi * share
+    power = [np.abs(np.exp(1j * (turned + way * angle + apart)).mean(axis=1)) for way in (-1, 1)]
+    return bool(np.max(power) ** 2 > _PACED)
 
 
 def _told(wave: Array, columns: list[Array]) -> float:

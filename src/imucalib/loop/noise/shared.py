@@ -7,7 +7,6 @@ again after every effect: what an effect explains, it no longer holds.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +29,8 @@ _MEMORY, _LONGEST = (1.5, 4.0, 12.0), 1.0 / 6.0
 _FEWEST = 12
 #: Memories, in recordings, of what passes for a drift or a step.
 _SLOW = (0.2, 0.5, 2.0)
+#: Of these the one that is tried first where a scale wanders, and nats by which memories differ.
+_MIDDLE, _FAR = 0.5, 10.0
 _JITTER = 1e-9
 #: Starts of the estimate: what neighbours share can stand in for the noise of a reading and for
 #: settings.
@@ -75,22 +76,32 @@ def lead_over_a_walk(fit: Fit, nats: float) -> float:
     return fit.log_likelihood + nats - max(slow, fit.log_likelihood)
 
 
-def lead_over_a_scale(before: Fit, after: Fit, name: str) -> float:
-    """Nats by which an effect, fitted, beats a scale of all axes that wanders slowly, in its place.
+def imitated_by_a_scale(before: Fit, after: Fit, name: str, margin: float) -> bool:
+    """Whether a scale that wanders slowly, of all axes together or of each by itself, comes within
+    `margin` nats of an effect, fitted.
 
     The effect's restricted likelihood is of flat numbers: a prior as wide as each turned out, at
     least its typical size, makes it an evidence (MacKay 1992, Laplace's method).
     """
     own = before.observations
     if "order" not in own.context or _too_many(before):
-        return math.inf
-    along = own.reading.mean(axis=1)[..., None] / STANDARD_GRAVITY
-    tried = _tried(own, tuple(own.n * share for share in _SLOW), along)
-    walk = max(estimated(before, data, _STARTS).log_likelihood for data in tried)
+        return False
     part = after.model.slices(own.context)[name]
     typical = np.array([p.typical for p in after.parameters[part]])
     width = np.maximum(np.abs(after.theta[part]), typical)
-    return after.log_likelihood - float(np.sum(np.log(width) + 0.5)) - walk
+    effect = after.log_likelihood - float(np.sum(np.log(width) + 0.5))
+    along = own.reading.mean(axis=1)[..., None] / STANDARD_GRAVITY
+    for share in sorted(_SLOW, key=lambda share: abs(share - _MIDDLE)):
+        leads = [
+            effect - estimated(before, data, _STARTS).log_likelihood
+            for basis in (along, along * np.eye(3))
+            for data in _tried(own, (own.n * share,), basis)
+        ]
+        if min(leads) < margin:
+            return True
+        if min(leads) > margin + _FAR:  # other memories change this by less
+            return False
+    return False
 
 
 def _without(noise: Noise) -> Noise:
