@@ -184,13 +184,28 @@ def _nearby(context: Context, value: str) -> tuple[str, ...]:
 
 FAMILIES = (
     Family("bias_step", "The bias jumps at one time.", "86400s", bias_step, _values, _nearby),
-    Family("scale_step", "The scale jumps at one record.", "record17", scale_step, _of_tables),
-    Family("slip", "The tool stands turned from one record on.", "record17", slip, _ways),
+    Family(
+        "scale_step",
+        "The scale jumps at one record.",
+        "record17",
+        scale_step,
+        _of_tables,
+        unfounded=True,
+    ),
+    Family(
+        "slip",
+        "The tool stands turned from one record on.",
+        "record17",
+        slip,
+        _ways,
+        unfounded=True,
+    ),
     Family(
         "inclination_step",
         "The zero of the inclination dial moves.",
         "record17",
         inclination_step,
         _on_dials,
+        unfounded=True,
     ),
 )
