@@ -242,6 +242,8 @@ def test_a_turning_point_is_tried_within_the_range_of_the_temperature() -> None:
     near = scan.nearby(context, "20C")
     assert (near[0], near[1], near[-1]) == ("15C", "15.2C", "25C")
     assert scan.values(Context(40)) == ()
+    two = np.where(np.arange(40) < 20, 20.0, 30.0) + np.tile([-0.5, 0.5], 20)
+    assert scan.values(Context(40, {"temperature": two})) == ()  # as good as a line
     assert scan.values(Context(40, {"temperature": np.linspace(20.1, 20.4, 40)})) == ()
 
 
