@@ -34,6 +34,8 @@ EFFECTS: dict[str, Effect] = {
             "bias_step@2000s",
             "scale_step@record12",
             "inclination_step@record12",
+            "slip@record12",
+            "slip@record12:z",
             "temperature_square@22C",
             "curve@bias:order:0:1:4",
             "curve@bias:tool_face:0:6.2832:4",

@@ -273,7 +273,7 @@ def test_a_curve_corrects_without_a_name() -> None:
 FORMS = {
     "shape@bias:order:sine": lambda order: np.sin(2.0 * np.pi * order / 0.4 + 0.7),
     "shape@bias:order:kink": lambda order: 3.0 * np.abs(order - 0.4),
-    "shape@bias:temperature:power": lambda warm: ((warm - 25.0) / 12.0) ** 2,
+    "shape@bias:temperature:power": lambda warm: ((warm - 25.0) / 12.0) ** 3,
 }
 
 

@@ -87,9 +87,9 @@ def test_what_settles_after_each_setting_is_nothing_certain(tmp_path: Path, seed
     sheet = _creeping(tmp_path / "sheet.csv", seed)
     loop = run_lab(read_position_table(sheet), LabRequest()).result.loop
     assert loop is not None
-    (step,) = loop.steps
+    step = loop.steps[0]
     assert step.effect.startswith("thermal_lag")
-    assert not step.certain
+    assert not any(s.certain for s in loop.steps)  # what is left of it may look like anything
     assert UNLISTED in step.aliases  # 3 mg/°C: no data sheet has it
 
 

@@ -242,6 +242,8 @@ def test_a_turning_point_is_tried_within_the_range_of_the_temperature() -> None:
     near = scan.nearby(context, "20C")
     assert (near[0], near[1], near[-1]) == ("15C", "15.2C", "25C")
     assert scan.values(Context(40)) == ()
+    two = np.where(np.arange(40) < 20, 20.0, 30.0) + np.tile([-0.5, 0.5], 20)
+    assert scan.values(Context(40, {"temperature": two})) == ()  # as good as a line
     assert scan.values(Context(40, {"temperature": np.linspace(20.1, 20.4, 40)})) == ()
 
 
@@ -264,13 +266,19 @@ def test_a_tool_that_slipped_stands_turned_from_then_on() -> None:
         turned = along + np.cos(angle) * (turned - along) + np.sin(angle) * np.cross(axis, turned)
     expected = np.where(np.arange(N)[:, None] >= 11, turned - force, 0.0)
     np.testing.assert_allclose(added("slip@record12", theta, force, context), expected, atol=1e-12)
+    own = added("slip@record12", theta * [0.0, 0.0, 1.0], force, context)
+    np.testing.assert_allclose(added("slip@record12:z", theta[2:], force, context), own, atol=1e-12)
     for name in ("slip", "scale_step", "inclination_step"):
         values, bare = families()[name].values, {"record": np.arange(14.0)}
         without_dials = values(Context(14, bare))
         assert bool(without_dials) is (name == "scale_step")
         assert values(Context(14, bare | {"time": np.arange(14.0)})) == ()
         dials = {"record": np.arange(14.0), "tool_face": np.zeros(14), "time": np.arange(14.0)}
-        assert values(Context(14, dials)) == ("record7", "record8", "record9")
+        tried = tuple(r for r in values(Context(14, dials)) if not r.endswith(":z"))
+        assert tried == ("record7", "record8", "record9")
+    assert [r for r in families()["slip"].values(Context(14, dials)) if r.endswith(":z")] == [
+        "record7:z", "record8:z", "record9:z",
+    ]  # fmt: skip
 
 
 def test_a_scale_that_jumps_multiplies_each_axis_from_then_on() -> None:

@@ -41,7 +41,7 @@ from imucalib.loop.records import (
     row_of,
     set_aside,
 )
-from imucalib.loop.rivals import aliases, beside, without_a_name
+from imucalib.loop.rivals import UNLISTED, aliases, beside, without_a_name
 from imucalib.loop.search import choose, effect_named, looked_like, search, unexplained
 from imucalib.loop.subject import Refused, Searched, close
 from imucalib.loop.thresholds import KEEP, SUSPECTS
@@ -191,13 +191,14 @@ class _State:
             rivals = aliases(self.fit, self.effects, chosen, scores, self.rules) or rivals
         if not curve:
             rivals += without_a_name(self.fit, fit, chosen, self.rules.margin)
+            rivals += (UNLISTED,) * any(UNLISTED in step.aliases for step in self.steps)
         step = Step(
             chosen.name,
             chosen.p,
             chosen.draws,
             chosen.evidence,
             (Checked("error", "m/s2", held_out_rms(self.fit), held_out_rms(fit)),),
-            rivals,
+            tuple(dict.fromkeys(rivals)),
             curve=curve,
             e_value=math.nan if curve else self._e_value(scores),
         )

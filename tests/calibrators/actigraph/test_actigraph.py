@@ -214,7 +214,7 @@ def test_scans_know_their_members_by_name() -> None:
              "posture", "shape", "follows", "thermal_hysteresis", "third_degree", "session",
              "temperature_rate"}  # fmt: skip
     assert set(families()) == scans
-    wrong = ("bias_step@later", "scale_step@2h", "inclination_step@row3",
+    wrong = ("bias_step@later", "scale_step@2h", "inclination_step@row3", "slip@record3:x",
              "temperature_square@22",
              "converter@w", "thermal_lag@", "cycle@7h", "cycle@-2rows",
              "cycle@rows", "scale_cycle@0s", "follows@bias:1:2", "thermal_hysteresis@2",

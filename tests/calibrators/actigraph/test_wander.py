@@ -89,7 +89,7 @@ def test_a_square_of_the_temperature_is_no_straight_line(
     """The recording is at 30 °C on average, which the sizes are 5 °C from."""
     case = of(worn, monkeypatch, lambda x, t, u, c: c * (t[:, None] - middle) ** 2, 30.0)
     result = case.solved(WANTED)
-    assert result.loop.steps[0].effect.startswith("shape@bias:temperature:")
+    assert result.loop.steps[0].effect.startswith("temperature_square@")
     assert case.error(result.final) < 0.3 * case.error(result.base)
 
 

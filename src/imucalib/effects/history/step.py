@@ -20,7 +20,7 @@ def bias_step(value: str) -> Effect:
     """The step at a time such as "86400s" after the recording's start, or from a record of a table
     on, "record17" (counted from 1); ValueError otherwise."""
     if value.startswith("record"):
-        first = int(value.removeprefix("record"))
+        first = _first(value)
         return _step(value, f"The bias jumps before record {first}.", "record", first - 1)
     at = float(value.removesuffix("s"))
     return _step(value, f"The bias jumps {at / 3600.0:.2f} h after the start.", "time", at)
@@ -50,7 +50,7 @@ def _step(value: str, sentence: str, clock: str, at: float) -> Effect:
 def scale_step(value: str) -> Effect:
     """The step of the scale from a record of a table on, "record17" (counted from 1); ValueError
     otherwise."""
-    first = int(value.removeprefix("record"))
+    first = _first(value)
     basis, slope = scale_with(lambda context: (context["record"] >= first - 1).astype(float))
     return Response(
         f"scale_step@{value}",
@@ -63,6 +63,13 @@ def scale_step(value: str) -> Effect:
         basis=basis,
         basis_dx=slope,
     )
+
+
+def _first(value: str) -> int:
+    """17 of "record17", counted from 1; ValueError otherwise."""
+    if not value.startswith("record"):
+        raise ValueError(f"no record: {value}")
+    return int(value.removeprefix("record"))
 
 
 def _text(time: float) -> str:
@@ -86,25 +93,38 @@ def _values(context: Context) -> tuple[str, ...]:
 
 
 def slip(value: str) -> Effect:
-    """The slip from a record of a table on, "record17" (counted from 1); ValueError otherwise."""
-    first = int(value.removeprefix("record"))
+    """The slip from a record of a table on, "record17" (counted from 1), in any way, or about the
+    tool's own axis, "record17:z"; ValueError otherwise."""
+    record, _, axes = value.partition(":")
+    first = _first(record)
+    if axes not in ("", "z"):
+        raise ValueError(f"no way to slip: {value}")
+    own = " about its own axis" if axes else ""
+    name = f"slip_{value}".replace(":", "_")
     return Rotation(
         f"slip@{value}",
-        f"From record {first} on the tool stands turned in its clamp.",
-        "x' = Rz(s_z) Ry(s_y) Rx(s_x) x from that record on",
+        f"From record {first} on the tool stands turned{own} in its clamp.",
+        "x' = Rz(s_z) Ry(s_y) Rx(s_x) x from that record on"
+        if not axes
+        else "x' = Rz(s_z) x from that record on",
         "0.1-1 deg where a clamp is touched or a bench is knocked, practice",
         "Return to the first position at the end.",
         ("record", "tool_face"),
-        named=tuple(Parameter(f"slip_{value}_{a}", "deg", 0.3, 20.0) for a in "xyz"),
-        turns=(_slipped(0, first - 1), _slipped(1, first - 1), _slipped(2, first - 1)),
+        named=tuple(
+            Parameter(name if axes else f"{name}_{a}", "deg", 0.3, 20.0) for a in axes or "xyz"
+        ),
+        turns=tuple(_slipped(axes or "xyz", a, first - 1) for a in axes or "xyz"),
     )
 
 
-def _slipped(axis: int, first: int) -> Turn:
+def _slipped(axes: str, axis: str, first: int) -> Turn:
+    """The turn about one of the axes that have an angle."""
+    own = np.eye(len(axes))[axes.index(axis)]
+
     def turn(context: Context) -> tuple[Array, Array]:
-        weight = np.zeros((context.n, 3))
-        weight[:, axis] = context["record"] >= first
-        return np.broadcast_to(np.eye(3)[axis], (context.n, 3)), weight
+        later = context["record"] >= first
+        about = np.eye(3)["xyz".index(axis)]
+        return np.broadcast_to(about, (context.n, 3)), later[:, None] * own
 
     return turn
 
@@ -112,7 +132,7 @@ def _slipped(axis: int, first: int) -> Turn:
 def inclination_step(value: str) -> Effect:
     """The inclination dial whose zero moves before a record of a table, "record17" (counted from
     1); ValueError otherwise."""
-    first = int(value.removeprefix("record"))
+    first = _first(value)
 
     def turn(context: Context) -> tuple[Array, Array]:
         return inclination_axis(context), (context["record"] >= first - 1.0)[:, None].astype(float)
@@ -132,6 +152,10 @@ def inclination_step(value: str) -> Effect:
 def _on_dials(context: Context) -> tuple[str, ...]:
     """Gravity alone does not see how a tool stands."""
     return _records(context) if "tool_face" in context and "record" in context else ()
+
+
+def _ways(context: Context) -> tuple[str, ...]:
+    return tuple(record + way for record in _on_dials(context) for way in ("", ":z"))
 
 
 def _of_records(context: Context) -> tuple[str, ...]:
@@ -160,13 +184,28 @@ def _nearby(context: Context, value: str) -> tuple[str, ...]:
 
 FAMILIES = (
     Family("bias_step", "The bias jumps at one time.", "86400s", bias_step, _values, _nearby),
-    Family("scale_step", "The scale jumps at one record.", "record17", scale_step, _of_tables),
-    Family("slip", "The tool stands turned from one record on.", "record17", slip, _on_dials),
+    Family(
+        "scale_step",
+        "The scale jumps at one record.",
+        "record17",
+        scale_step,
+        _of_tables,
+        unfounded=True,
+    ),
+    Family(
+        "slip",
+        "The tool stands turned from one record on.",
+        "record17",
+        slip,
+        _ways,
+        unfounded=True,
+    ),
     Family(
         "inclination_step",
         "The zero of the inclination dial moves.",
         "record17",
         inclination_step,
         _on_dials,
+        unfounded=True,
     ),
 )
