@@ -100,7 +100,7 @@ def test_advice_names_the_row_of_a_slip_whatever_was_left_out(tmp_path: Path) ->
     request = LabRequest(unit="mg", exclude=(3,), settings=settings)
     run = run_lab(read_position_table(path), request)
     (told,) = [text for text in run.outcome.advice if "clamp" in text]
-    assert told.startswith("From row 19 on the tool stands turned in its clamp.")
+    assert told.startswith("From row 19 on the tool stands turned about its own axis in its clamp.")
     assert "Return to the first position at the end" in told
 
 
