@@ -20,7 +20,8 @@ def inclination_axis(context: Context) -> Array:
     return np.stack([np.cos(t), -np.sin(t), np.zeros_like(t)], axis=-1)
 
 
-def _about(*weights: Callable[[Context], Array]) -> Callable[[Context], tuple[Array, Array]]:
+def about(*weights: Callable[[Context], Array]) -> Callable[[Context], tuple[Array, Array]]:
+    """A turn about the inclination axis, of each parameter its weight (n,)."""
     return lambda context: (
         inclination_axis(context),
         np.stack([weight(context) for weight in weights], axis=-1),
@@ -40,7 +41,7 @@ EFFECTS = (
         "Set inclinations of both signs; a spirit level on the base tells the two causes apart.",
         ("inclination", "tool_face"),
         named=(Parameter("inclination_zero", "deg", 0.5, 10.0),),
-        turns=(_about(_ones),),
+        turns=(about(_ones),),
     ),
     Rotation(
         "inclination_scale",
@@ -50,7 +51,7 @@ EFFECTS = (
         "Set inclinations over a half turn, both signs.",
         ("inclination", "tool_face"),
         named=(Parameter("inclination_scale", "deg per 90 deg", 0.5, 10.0),),
-        turns=(_about(lambda context: context["inclination"] / (np.pi / 2.0)),),
+        turns=(about(lambda context: context["inclination"] / (np.pi / 2.0)),),
     ),
     Rotation(
         "inclination_sag",
@@ -60,7 +61,7 @@ EFFECTS = (
         "Support the tool near its sensor, and compare.",
         ("inclination", "tool_face"),
         named=(Parameter("inclination_sag", "deg", 0.1, 5.0),),
-        turns=(_about(lambda context: np.cos(context["inclination"])),),
+        turns=(about(lambda context: np.cos(context["inclination"])),),
     ),
     Rotation(
         "inclination_eccentricity",
@@ -74,7 +75,7 @@ EFFECTS = (
             Parameter("inclination_eccentricity_cos", "deg", 0.1, 5.0),
         ),
         turns=(
-            _about(
+            about(
                 lambda context: np.sin(context["inclination"]),
                 lambda context: 1.0 - np.cos(context["inclination"]),
             ),
@@ -92,7 +93,7 @@ EFFECTS = (
             Parameter("inclination_wobble_cos", "deg", 0.1, 5.0),
         ),
         turns=(
-            _about(
+            about(
                 lambda context: np.sin(context["tool_face"]),
                 lambda context: np.cos(context["tool_face"]),
             ),
@@ -106,6 +107,6 @@ EFFECTS = (
         "Approach some settings from above and from below.",
         ("inclination", "tool_face", "inclination_approach"),
         named=(Parameter("inclination_backlash", "deg", 0.1, 5.0),),
-        turns=(_about(lambda context: context["inclination_approach"]),),
+        turns=(about(lambda context: context["inclination_approach"]),),
     ),
 )

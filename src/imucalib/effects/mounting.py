@@ -18,13 +18,17 @@ def _steadily(context: Context) -> Array:
     return context["order"] - 0.5
 
 
-def _turn(axis: int, share: Callable[[Context], Array] = _still) -> Turn:
-    def turn(context: Context) -> tuple[Array, Array]:
-        weight = np.zeros((context.n, 3))
-        weight[:, axis] = share(context)
-        return np.broadcast_to(np.eye(3)[axis], (context.n, 3)), weight
+def turns_about(axes: str, share: Callable[[Context], Array]) -> tuple[Turn, ...]:
+    """Turns about axes of the tool in their order, of each its own angle times a share (n,)."""
 
-    return turn
+    def turn(axis: str, own: Array) -> Turn:
+        along = np.eye(3)["xyz".index(axis)]
+        return lambda context: (
+            np.broadcast_to(along, (context.n, 3)),
+            share(context)[:, None] * own,
+        )
+
+    return tuple(turn(axis, own) for axis, own in zip(axes, np.eye(len(axes)), strict=True))
 
 
 EFFECTS = (
@@ -35,7 +39,7 @@ EFFECTS = (
         "paper 004 eq. (3): the three parameters that the full M has beyond eq. (4)",
         "Needs directions that are known in the tool's frame; gravity alone cannot show it.",
         named=tuple(Parameter(f"mounting_{a}", "deg", 2.0, 200.0) for a in "xyz"),
-        turns=(_turn(0), _turn(1), _turn(2)),
+        turns=turns_about("xyz", _still),
         stage="mounting",
     ),
     Rotation(
@@ -46,6 +50,6 @@ EFFECTS = (
         "Return to the first positions at the end.",
         ("order", "tool_face"),
         named=tuple(Parameter(f"clamp_creep_{a}", "deg", 0.3, 20.0) for a in "xyz"),
-        turns=tuple(_turn(axis, _steadily) for axis in range(3)),
+        turns=turns_about("xyz", _steadily),
     ),
 )

@@ -6,10 +6,11 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response, Rotation, Turn
+from imucalib.core.effect import Effect, Family, Response, Rotation
 from imucalib.core.parameter import Parameter
-from imucalib.effects.covariate import bias_with, scale_with
-from imucalib.effects.inclination import inclination_axis
+from imucalib.effects.covariate import Drive, bias_with, scale_with
+from imucalib.effects.inclination import about
+from imucalib.effects.mounting import turns_about
 
 _SCANNED = 48  # times tried at first; the neighbours of the best one are tried after
 _FEWEST = 12  # observations on each side of a step
@@ -51,7 +52,7 @@ def scale_step(value: str) -> Effect:
     """The step of the scale from a record of a table on, "record17" (counted from 1); ValueError
     otherwise."""
     first = _first(value)
-    basis, slope = scale_with(lambda context: (context["record"] >= first - 1).astype(float))
+    basis, slope = scale_with(_since(first))
     return Response(
         f"scale_step@{value}",
         f"The scale jumps before record {first}.",
@@ -70,6 +71,11 @@ def _first(value: str) -> int:
     if not value.startswith("record"):
         raise ValueError(f"no record: {value}")
     return int(value.removeprefix("record"))
+
+
+def _since(first: int) -> Drive:
+    """1 from a record on, counted from 1, and 0 before."""
+    return lambda context: (context["record"] >= first - 1).astype(float)
 
 
 def _text(time: float) -> str:
@@ -113,30 +119,14 @@ def slip(value: str) -> Effect:
         named=tuple(
             Parameter(name if axes else f"{name}_{a}", "deg", 0.3, 20.0) for a in axes or "xyz"
         ),
-        turns=tuple(_slipped(axes or "xyz", a, first - 1) for a in axes or "xyz"),
+        turns=turns_about(axes or "xyz", _since(first)),
     )
-
-
-def _slipped(axes: str, axis: str, first: int) -> Turn:
-    """The turn about one of the axes that have an angle."""
-    own = np.eye(len(axes))[axes.index(axis)]
-
-    def turn(context: Context) -> tuple[Array, Array]:
-        later = context["record"] >= first
-        about = np.eye(3)["xyz".index(axis)]
-        return np.broadcast_to(about, (context.n, 3)), later[:, None] * own
-
-    return turn
 
 
 def inclination_step(value: str) -> Effect:
     """The inclination dial whose zero moves before a record of a table, "record17" (counted from
     1); ValueError otherwise."""
     first = _first(value)
-
-    def turn(context: Context) -> tuple[Array, Array]:
-        return inclination_axis(context), (context["record"] >= first - 1.0)[:, None].astype(float)
-
     return Rotation(
         f"inclination_step@{value}",
         f"The zero of the inclination dial moves before record {first}.",
@@ -145,7 +135,7 @@ def inclination_step(value: str) -> Effect:
         "Return to the first inclinations at the end.",
         ("record", "inclination", "tool_face"),
         named=(Parameter(f"inclination_step_{value}", "deg", 0.3, 20.0),),
-        turns=(turn,),
+        turns=(about(_since(first)),),
     )
 
 

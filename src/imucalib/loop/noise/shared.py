@@ -27,10 +27,9 @@ WANDERING, WANDERING_SCALE = "wandering_bias", "wandering_scale"
 #: Observations after which it forgets, as tried; beyond a sixth of all it is a drift.
 _MEMORY, _LONGEST = (1.5, 4.0, 12.0), 1.0 / 6.0
 _FEWEST = 12
-#: Memories, in recordings, of what passes for a drift or a step.
-_SLOW = (0.2, 0.5, 2.0)
-#: Of these the one that is tried first where a scale wanders, and nats by which memories differ.
-_MIDDLE, _FAR = 0.5, 10.0
+#: Memories, in recordings, of what passes for a drift or a step, the middle one first, and nats
+#: beyond which the others do not change what it says.
+_SLOW, _FAR = (0.5, 0.2, 2.0), 10.0
 _JITTER = 1e-9
 #: Starts of the estimate: what neighbours share can stand in for the noise of a reading and for
 #: settings.
@@ -91,7 +90,7 @@ def imitated_by_a_scale(before: Fit, after: Fit, name: str, margin: float) -> bo
     width = np.maximum(np.abs(after.theta[part]), typical)
     effect = after.log_likelihood - float(np.sum(np.log(width) + 0.5))
     along = own.reading.mean(axis=1)[..., None] / STANDARD_GRAVITY
-    for share in sorted(_SLOW, key=lambda share: abs(share - _MIDDLE)):
+    for share in _SLOW:
         leads = [
             effect - estimated(before, data, _STARTS).log_likelihood
             for basis in (along, along * np.eye(3))
@@ -99,7 +98,7 @@ def imitated_by_a_scale(before: Fit, after: Fit, name: str, margin: float) -> bo
         ]
         if min(leads) < margin:
             return True
-        if min(leads) > margin + _FAR:  # other memories change this by less
+        if min(leads) > margin + _FAR:
             return False
     return False
 
