@@ -20,6 +20,11 @@ def is_record_error(name: str) -> bool:
     return name.startswith(_PREFIX)
 
 
+def record_of(name: str) -> int:
+    """The record that an effect of this name sets aside; -1 of any other effect."""
+    return int(name[len(_PREFIX) :].partition("_")[0]) if is_record_error(name) else -1
+
+
 def record_error(record: int, label: str, axes: str = "xyz") -> Response:
     """Free error of some axes of the observation whose covariate "record" equals `record`."""
     columns = ["xyz".index(a) for a in axes]

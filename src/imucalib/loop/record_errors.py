@@ -12,7 +12,7 @@ from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.references import KnownNorm, KnownVector, angles_of
-from imucalib.effects.record_error import is_record_error
+from imucalib.effects.record_error import record_of
 from imucalib.loop.held_out import theta_without, without_records
 from imucalib.units import DEG, MG
 
@@ -51,29 +51,14 @@ class Prediction:
         return float(away @ np.linalg.solve(self.covariance, away))
 
 
-def predict_record(fit: Fit, row: int) -> Prediction:
-    """Predict one record (K = 1) from all others, setting errors included."""
-    rows = np.array([row])
-    theta = theta_without(fit, rows)
-    one = fit.observations.take(rows)
-    reference = one.reference
-    eta = np.zeros(reference.eta_size)
-    slices = fit.model.slices(one.context)
-    for name, part in slices.items():
-        if is_record_error(name):
-            theta[part] = 0.0
-    predicted = fit.model.predict(theta, reference.truth(eta), one.context)
-    directions = reference.directions(eta)
-    free = (predicted.d_truth @ directions.derivative)[0, 0]
-    spread = np.array([fit.noise.sd[fit.noise.component.index(c)] for c in directions.component])
-    noise = np.diag((fit.noise.factor * one.sigma[0, 0]) ** 2)
-    for shared, sd in zip(one.shared, fit.noise.sd[fit.at.free :], strict=True):
-        basis = np.eye(3) if shared.basis is None else shared.basis[0]
-        noise += sd**2 * basis @ basis.T
-    slope = predicted.d_theta[0, 0]
-    known = [k for n, s in slices.items() if not is_record_error(n) for k in range(s.start, s.stop)]
-    covariance = slope[:, known] @ fit.covariance[np.ix_(known, known)] @ slope[:, known].T
-    return Prediction(predicted.reading[0, 0], noise + covariance + (free * spread**2) @ free.T)
+def predict_record(aside: Fit, row: int) -> Prediction:
+    """Predict one record (K = 1) from all others, from a fit in which its numbers are free: what
+    rows at the same setting tell of the setting's error is part of it."""
+    where = aside.model.slices(aside.observations.context)
+    name = next(n for n in where if record_of(n) == int(aside.observations.context["record"][row]))
+    own = where[name]
+    mean = aside.observations.reading[row, 0] - MG * aside.theta[own]
+    return Prediction(mean, MG**2 * aside.covariance[own, own])
 
 
 def diagnose(fit: Fit, row: int, channel: str, p: float, evidence: float) -> RecordError:
@@ -181,6 +166,7 @@ def _wrong_face(stood: Array, meant: Array) -> str:
 
 _SAME_FACE = float(np.cos(5.0 * DEG))
 _NEAR = 16.3  # chi-square with 3 degrees of freedom, p = 0.001
+_FAR = 4.0  # standard deviations of an angle that no hand sets
 
 
 def _slip(
@@ -224,5 +210,8 @@ def _wrong_angle(fit: Fit, row: int) -> tuple[str, tuple[tuple[str, float], ...]
         return "no single slip explains it", ()
     if isinstance(reference, KnownDirection):
         return _wrong_face(corrected / np.linalg.norm(corrected), reference.direction[row]), ()
+    angles = [name for name in fit.noise.component[: fit.at.free] if name]
+    if all(abs(_angle_away(fit, row, a)) < _FAR * _angle_sd(fit, row, a) for a in angles):
+        return "no single slip explains it", ()
     inclination, tool_face = (float(a) / DEG for a in angles_of(corrected))
     return f"angle: the tool stood at inclination {inclination:.1f}, tool-face {tool_face:.1f}", ()

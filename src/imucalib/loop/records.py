@@ -11,7 +11,7 @@ from imucalib.core.balance import Noise
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
-from imucalib.effects.record_error import is_record_error, record_error
+from imucalib.effects.record_error import is_record_error, record_error, record_of
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import record_candidates
 from imucalib.loop.evidence import Score, score
@@ -90,7 +90,7 @@ def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[Recor
 def record_names(fit: Fit, row: int | None = None) -> tuple[str, ...]:
     """Names of the record errors in a fit's model, of one row or of all."""
     every = [name for name in fit.model.names if is_record_error(name)]
-    return tuple(n for n in every if row is None or _number_of(n) == _number(fit, row))
+    return tuple(n for n in every if row is None or record_of(n) == _number(fit, row))
 
 
 def _number(fit: Fit, row: int) -> int:
@@ -98,13 +98,9 @@ def _number(fit: Fit, row: int) -> int:
     return int(fit.observations.context["record"][row])
 
 
-def _number_of(name: str) -> int:
-    return int(name.split("_")[2])
-
-
 def held_out_rms(fit: Fit) -> float:
     """Held-out error (m/s², rms) over the records that are not set aside, to first order."""
-    aside = [_number_of(name) for name in record_names(fit)]
+    aside = [record_of(name) for name in record_names(fit)]
     every = fit.observations.context.covariates.get("record", np.arange(fit.observations.n))
     sizes = left_out_sizes(fit)[~np.isin(every, aside)]
     return float(np.sqrt(np.mean(sizes**2)))
