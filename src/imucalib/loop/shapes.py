@@ -16,14 +16,16 @@ from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.loop.candidates import effect_candidates, fitted_prediction
-from imucalib.loop.evidence import Score, apart, score
+from imucalib.loop.evidence import Score, score
 from imucalib.loop.search import scan_evidence
-from imucalib.loop.thresholds import MARGIN, NEAR
+from imucalib.loop.thresholds import MARGIN
 from imucalib.units import DEG, STANDARD_GRAVITY
 
 _ANGLES = ("tool_face", "inclination")
 _FINER, _HARMONICS = 9, 12
-_SAME = 0.01  # λ sin(angle) of two ways to write one function
+#: Sine of the angle between two ways to write one function, beside what is in the model: a kink at
+#: a hundredth of a g is asymmetry.
+_ITSELF = 0.1
 
 
 @dataclass(frozen=True)
@@ -46,14 +48,27 @@ def form_of(fit: Fit, curve: Score, rng: np.random.Generator) -> Formed | None:
     found = _scored(fit, what, against, every, rng)
     if not found:
         return None
-    of_kind = {kind: scan_evidence(members) for kind, members in found.items()}
-    best = max(of_kind, key=lambda kind: of_kind[kind])
+    return _finer(fit, curve, what, against, every, found, rng)
+
+
+def _finer(
+    fit: Fit,
+    curve: Score,
+    what: str,
+    against: str,
+    every: dict[str, list[tuple[float, ...]]],
+    found: dict[str, list[Score]],
+    rng: np.random.Generator,
+) -> Formed:
+    """The best of what was scanned, its numbers looked for once more around the best ones."""
+    best = max(found, key=lambda kind: scan_evidence(found[kind]))
     top = max(found[best], key=lambda s: s.evidence)
     near = _between(every[best], _numbers_of(top.name))
     finer = _scored(fit, what, against, {best: near}, rng).get(best, [])
     top = max([top, *finer], key=lambda s: s.evidence)
     effect = known(top.name)
     assert effect is not None, top.name
+    of_kind = {kind: scan_evidence(members) for kind, members in found.items()}
     rivals = tuple(
         max(found[kind], key=lambda s: s.evidence).name
         for kind, nats in of_kind.items()
@@ -83,14 +98,40 @@ def better_form(fit: Fit, effect: Effect, named: Score, rng: np.random.Generator
         return None
     if effect.needs and effect.needs[0] not in context.covariates:
         return None
-    driver = f"bias:{effect.needs[0]}" if effect.needs else "response:xyz"
-    form = form_of(fit, replace(named, candidate=replace(named.candidate, curve=driver)), rng)
-    # A form of the same covariate has the same cause; one of the response has another.
-    near = 0.0 if effect.needs else NEAR
-    if form is None or form.score.evidence <= named.evidence - near:
+    what, against = ("bias", effect.needs[0]) if effect.needs else ("response", "xyz")
+    driver = _driver(fit, what, against)
+    every = {kind: list(_numbers(kind, driver, what, against)) for kind in _GRIDS}
+    scanned = _scored(fit, what, against, every, rng)
+    found = _others(fit, effect, scanned)
+    if not found:
         return None
-    (same, other), _ = effect_candidates(fit, [effect, form.effect])
-    return form if apart(fit, same, other) > _SAME else None
+    of_kind = {kind: scan_evidence(members) for kind, members in found.items()}
+    best = max(of_kind, key=lambda kind: of_kind[kind])
+    # A form of the same covariate has the same cause; one of the response has another, and nothing
+    # says which of them it would be.
+    together = float(np.logaddexp.reduce(list(of_kind.values())))
+    if (of_kind[best] <= named.evidence) if effect.needs else (together <= named.evidence - MARGIN):
+        return None
+    return _finer(fit, named, what, against, every, found, rng)
+
+
+def _others(fit: Fit, effect: Effect, found: dict[str, list[Score]]) -> dict[str, list[Score]]:
+    """Without the forms that are the effect itself."""
+    white, basis = fit.white_basis()
+    (own,), _ = effect_candidates(fit, [effect])
+
+    def projected(columns: Array) -> Array:
+        rest = white(columns)
+        return np.asarray(rest - basis @ (basis.T @ rest))
+
+    span = np.linalg.qr(projected(own.columns))[0]
+
+    def itself(score: Score) -> bool:
+        rest = projected(score.candidate.columns)
+        return bool(np.linalg.norm(rest - span @ (span.T @ rest)) < _ITSELF * np.linalg.norm(rest))
+
+    left = {kind: [s for s in members if not itself(s)] for kind, members in found.items()}
+    return {kind: members for kind, members in left.items() if members}
 
 
 def _scored(

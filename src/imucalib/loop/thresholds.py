@@ -21,10 +21,6 @@ ABSORBED = 1e-5
 APART = 2.0
 #: Nats by which a curve must beat the best effect to be weighed beside it: odds of 20.
 MARGIN = 3.0
-#: Nats by which a name must lead the forms of the response to be certain: a saturation at 0.6 g lay
-#: 0.4 to 3.4 nats below the cube that was named in 5 of 8 sheets and above it in 3, a true cube of
-#: the same strength (λ 10 to 25) led it by 0.6 to 18 nats.
-NEAR = 1.0
 #: Nats that an effect must gain in the left-out density (odds of 2.7), and share of the left-out
 #: error that may be left, here and for a curve, which has nothing but the data to speak for it.
 HELD_OUT_NATS, HELD_OUT_RMS = 1.0, 1.0

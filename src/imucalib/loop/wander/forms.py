@@ -18,7 +18,7 @@ from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.shapes import forms_of
-from imucalib.loop.thresholds import MARGIN, NEAR, STRONG
+from imucalib.loop.thresholds import MARGIN, STRONG
 from imucalib.loop.wander.bank import Bank, Mask
 from imucalib.loop.wander.likelihood import Terms
 from imucalib.loop.wander.scores import SIZES, Entry, Scored, beside, joined
@@ -77,7 +77,7 @@ def rival_form(
             for kind, k in kinds.items()}  # fmt: skip
     kind = max(mean, key=lambda kind: mean[kind])
     together = float(np.logaddexp.reduce(list(mean.values())))
-    near = together > best[0] - NEAR if named.entry.kind == "shape" else mean[kind] > best[0]
+    near = together > best[0] - MARGIN if named.entry.kind == "shape" else mean[kind] > best[0]
     if not near:
         return None
     at = max(kinds[kind], key=lambda k: best[k])
