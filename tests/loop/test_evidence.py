@@ -31,6 +31,7 @@ from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.held_out import errors, fitted, held_out, left_out_sizes
 from imucalib.loop.noise import grid as evidence_grid
 from imucalib.loop.record_errors import diagnose
+from imucalib.loop.records import set_aside
 from imucalib.units import MG
 from worlds.bench import (
     BASE,
@@ -300,7 +301,7 @@ def test_a_gross_error_of_one_record_is_found(row: int, axis: str) -> None:
     fit = fit_model(base, noisy.with_reading(reading))
     best = score(fit, record_candidates(fit), np.random.default_rng(0), draws=99)[0]
     assert (best.name, best.p) == (f"{row}:{axis}", 1 / 100)
-    found = diagnose(fit, row, axis, best.p, best.evidence)
+    found = diagnose(set_aside(fit, row), row, axis, best.p, best.evidence)
     assert abs(found.size - 30.0) < 4.5 * found.sd
     assert found.where == f"row {row + 1}"
 

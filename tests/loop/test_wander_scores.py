@@ -145,10 +145,10 @@ def test_a_form_outdoes_a_response_by_three_nats_of_the_mean_over_its_values(
 
 @pytest.mark.parametrize(
     ("kind", "lead", "rival"),
-    [("shape", 1.6, True), ("shape", 1.8, False), ("temperature", -0.1, True),
+    [("shape", 3.6, True), ("shape", 3.8, False), ("temperature", -0.1, True),
      ("temperature", 0.1, False)],
 )  # fmt: skip
-def test_a_certain_response_leads_all_forms_together_by_a_nat(
+def test_a_certain_response_leads_all_forms_together_by_three_nats(
     monkeypatch: pytest.MonkeyPatch, kind: str, lead: float, rival: bool
 ) -> None:
     """Two kinds alike are 0.7 nats more than one; a form of the same covariate has to lead."""

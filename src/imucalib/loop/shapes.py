@@ -43,34 +43,38 @@ def form_of(fit: Fit, curve: Score, rng: np.random.Generator) -> Formed | None:
     curve : the score of a probe, whose `curve` says what is bent and by which driver
     """
     what, against, *_ = curve.candidate.curve.split(":")
+    scan = _scanned(fit, what, against, rng)
+    return _best_of(fit, curve, scan, rng) if scan.found else None
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """Of each kind of form what was tried, and the scores."""
+
+    what: str
+    against: str
+    tried: dict[str, list[tuple[float, ...]]]
+    found: dict[str, list[Score]]
+
+
+def _scanned(fit: Fit, what: str, against: str, rng: np.random.Generator) -> _Scan:
     driver = _driver(fit, what, against)
-    every = {kind: list(_numbers(kind, driver, what, against)) for kind in _GRIDS}
-    found = _scored(fit, what, against, every, rng)
-    if not found:
-        return None
-    return _finer(fit, curve, what, against, every, found, rng)
+    tried = {kind: list(_numbers(kind, driver, what, against)) for kind in _GRIDS}
+    return _Scan(what, against, tried, _scored(fit, what, against, tried, rng))
 
 
-def _finer(
-    fit: Fit,
-    curve: Score,
-    what: str,
-    against: str,
-    every: dict[str, list[tuple[float, ...]]],
-    found: dict[str, list[Score]],
-    rng: np.random.Generator,
-) -> Formed:
+def _best_of(fit: Fit, curve: Score, scan: _Scan, rng: np.random.Generator) -> Formed:
     """The best of what was scanned, its numbers looked for once more around the best ones."""
-    best = max(found, key=lambda kind: scan_evidence(found[kind]))
-    top = max(found[best], key=lambda s: s.evidence)
-    near = _between(every[best], _numbers_of(top.name))
-    finer = _scored(fit, what, against, {best: near}, rng).get(best, [])
+    of_kind = {kind: scan_evidence(members) for kind, members in scan.found.items()}
+    best = max(of_kind, key=lambda kind: of_kind[kind])
+    top = max(scan.found[best], key=lambda s: s.evidence)
+    near = _between(scan.tried[best], _numbers_of(top.name))
+    finer = _scored(fit, scan.what, scan.against, {best: near}, rng).get(best, [])
     top = max([top, *finer], key=lambda s: s.evidence)
     effect = known(top.name)
     assert effect is not None, top.name
-    of_kind = {kind: scan_evidence(members) for kind, members in found.items()}
     rivals = tuple(
-        max(found[kind], key=lambda s: s.evidence).name
+        max(scan.found[kind], key=lambda s: s.evidence).name
         for kind, nats in of_kind.items()
         if kind != best and nats > of_kind[best] - MARGIN
     )
@@ -99,20 +103,16 @@ def better_form(fit: Fit, effect: Effect, named: Score, rng: np.random.Generator
     if effect.needs and effect.needs[0] not in context.covariates:
         return None
     what, against = ("bias", effect.needs[0]) if effect.needs else ("response", "xyz")
-    driver = _driver(fit, what, against)
-    every = {kind: list(_numbers(kind, driver, what, against)) for kind in _GRIDS}
-    scanned = _scored(fit, what, against, every, rng)
-    found = _others(fit, effect, scanned)
-    if not found:
+    scan = _scanned(fit, what, against, rng)
+    scan = replace(scan, found=_others(fit, effect, scan.found))
+    if not scan.found:
         return None
-    of_kind = {kind: scan_evidence(members) for kind, members in found.items()}
-    best = max(of_kind, key=lambda kind: of_kind[kind])
+    nats = [scan_evidence(members) for members in scan.found.values()]
     # A form of the same covariate has the same cause; one of the response has another, and nothing
     # says which of them it would be.
-    together = float(np.logaddexp.reduce(list(of_kind.values())))
-    if (of_kind[best] <= named.evidence) if effect.needs else (together <= named.evidence - MARGIN):
-        return None
-    return _finer(fit, named, what, against, every, found, rng)
+    together = float(np.logaddexp.reduce(nats))
+    behind = max(nats) <= named.evidence if effect.needs else together <= named.evidence - MARGIN
+    return None if behind else _best_of(fit, named, scan, rng)
 
 
 def _others(fit: Fit, effect: Effect, found: dict[str, list[Score]]) -> dict[str, list[Score]]:
