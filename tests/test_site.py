@@ -107,3 +107,15 @@ def test_the_site_is_built_by_make_and_by_the_workflow() -> None:
     assert rule
     assert "mkdocs build --strict" in rule[1]
     assert "make site" in (ROOT / ".github/workflows/ci.yml").read_text()
+
+
+def test_the_benchmarks_page_names_what_is_there() -> None:
+    """Every script that it names exists, and every one that is called by itself is named."""
+    folder = ROOT / "benchmarks"
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    here = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
+    named = set(re.findall(r"`([\w/]+\.py)`", text))
+    whole = tuple(re.findall(r"`([\w/]+/)`", text))
+    called = {name for name, path in here.items() if "__main__" in path.read_text(encoding="utf-8")}
+    assert named <= set(here)
+    assert {name for name in called if not name.startswith(whole)} <= named
