@@ -106,3 +106,9 @@ def test_a_bias_is_no_offset_and_one_posture_tells_none(
     rest = bias * _directions(rng, 1) + out / np.linalg.norm(out, axis=1, keepdims=True)
     assert zero_g(rest + rng.normal(0.0, 0.002, rest.shape)) is None
     assert zero_g(rest[:5]) is None
+
+
+def test_a_recording_of_one_value_has_no_sphere() -> None:
+    """Not even a warning of numpy's, which would reach the user's screen."""
+    with np.errstate(all="raise"):
+        assert zero_g(np.tile([0.5, 0.25, 8.0], (64, 1))) is None

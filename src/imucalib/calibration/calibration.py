@@ -35,6 +35,8 @@ class StoredParameter:
 
 #: Stages of parameters that no correction of a reading undoes.
 NEVER_APPLIED = ("fixture", "array")
+#: Covariates by which time drives an effect: a later reading finds what they have come to.
+PASSING = ("order", "record", "time")
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,15 @@ class Calibration:
         """(p, p) of the θ of `model`, in its order, whatever the order of the file's parameters."""
         at = self.places(model)
         return np.asarray(self.covariance[np.ix_(at, at)])
+
+    def unrecorded(self, covariate: str) -> float:
+        """Where an effect acts whose covariate was not recorded: what time has brought about stays,
+        so times stand at the end of what was calibrated, all else in the middle of its range.
+
+        Raises KeyError when not even the range is known.
+        """
+        low, high = self.valid[covariate]
+        return high if covariate in PASSING else 0.5 * (low + high)
 
     def apply(self, reading: Array, context: Context | None = None) -> Array:
         """Correct readings (n, 3) in m/s² to specific force (n, 3) in m/s² in the tool's frame.

@@ -2,7 +2,8 @@
 reaches.
 
 An effect whose covariate was not recorded acts as in the middle of what was calibrated, which
-leaves the least of it; that, and samples beyond the calibrated range, are counted and told.
+leaves the least of it, or as at its end where time drives it; that, and samples beyond the
+calibrated range, are counted and told.
 """
 
 from __future__ import annotations
@@ -13,12 +14,11 @@ from itertools import product
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.calibration import PASSING, Calibration
 from imucalib.calibration.series import CalibrationPart, part_at, parts_of
 from imucalib.calibration.undo import Undo
 from imucalib.core.context import Context
 from imucalib.core.effect import Effect
-from imucalib.core.model import Model
 from imucalib.core.truth import Truth
 from imucalib.effects.thermal.lag import PREFIX, counts_rows
 from imucalib.errors import UnreadableInput
@@ -191,34 +191,32 @@ class Correction:
                         where=recording.path,
                         remedy="record it, or calibrate with --without " + effect.name,
                     )
-                size = _swing(effect, theta[slices[effect.name]], model, valid, lost)
+                size = _swing(effect, theta[slices[effect.name]], self.calibration, lost)
                 self._held[_held_words(effect.name, lost, valid, size)] = None
-        return found | {name: np.full(n, 0.5 * sum(valid[name])) for name in absent}
+        usual = self.calibration.unrecorded
+        return found | {name: np.full(n, usual(name)) for name in absent}
 
 
 def _held_words(effect: str, lost: list[str], valid: Spans, size: float) -> str:
     spans = ", ".join(f"{valid[name][0]:.3g} to {valid[name][1]:.3g}" for name in lost)
     names = ", ".join(lost)
+    places = {name: "at the end" if name in PASSING else "in the middle" for name in lost}
+    where = " and ".join(dict.fromkeys(places.values()))
     return (
         f"{effect} is left out, for the recording has no {names}: it acts as "
-        f"in the middle of what was calibrated ({spans}), which leaves up to {size / MG:.2g} mg"
+        f"{where} of what was calibrated ({spans}), which leaves up to {size / MG:.2g} mg"
     )
 
 
-def _swing(
-    effect: Effect,
-    theta: Array,
-    model: Model,
-    valid: Spans,
-    lost: list[str],
-) -> float:
-    """m/s², how far the effect goes from the middle of its covariates' range to its ends, at most,
-    with gravity along any axis."""
-    ends = np.array(list(product(*[(0.5 * sum(valid[n]), *valid[n]) for n in lost])))
+def _swing(effect: Effect, theta: Array, calibration: Calibration, lost: list[str]) -> float:
+    """m/s², how far the effect goes from where it is taken to act to the ends of its covariates'
+    ranges, at most, with gravity along any axis."""
+    valid, usual = calibration.valid, calibration.unrecorded
+    ends = np.array(list(product(*[(usual(n), *valid[n]) for n in lost])))
     along = STANDARD_GRAVITY * np.concatenate([np.eye(3), -np.eye(3)])
     force = np.tile(along, (len(ends), 1))
     every = {n: np.repeat(ends[:, k], len(along)) for k, n in enumerate(lost)}
-    rest = {n: np.full(len(force), 0.5 * sum(valid[n])) for n in effect.needs if n not in every}
+    rest = {n: np.full(len(force), usual(n)) for n in effect.needs if n not in every}
     context = Context(len(force), {**rest, **every})
     delta = effect.act(theta, Truth(force[:, None]), context).delta[:, 0]
     moved = delta.reshape(len(ends), len(along), 3) - delta[: len(along)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.calibration import PASSING, Calibration
 from imucalib.calibration.series import parts_of
 from imucalib.core.context import Context
 from imucalib.core.sphere import even_directions
@@ -19,7 +19,8 @@ _LINEAR = {"mounting", "bias", "scale", "non_orthogonality"}
 @dataclass(frozen=True)
 class Sphere:
     """Readings (n, 3) m/s² of 1 g in every direction, at the ends and the middle of all ranges that
-    were calibrated: force (n, 3) m/s², and the context."""
+    were calibrated, times that mean nothing later at their end: force (n, 3) m/s², and the
+    context."""
 
     force: Array
     reading: Array
@@ -36,6 +37,8 @@ def sphere_of(calibration: Calibration) -> Sphere:
     known = {}
     for name in needed:
         low, high = calibration.valid[name]
+        if name in PASSING and "clock" not in calibration.facts:
+            low = high
         known[name] = np.repeat([low + s * (high - low) for s in shares], len(one))
     context = Context(len(force), known)
     return Sphere(force, model.predict(theta, force[:, None], context).reading[:, 0], context)

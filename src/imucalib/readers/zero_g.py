@@ -55,7 +55,7 @@ def zero_g(rest: Array) -> ZeroG | None:
     out = own - centre
     away = float(np.median(np.abs(np.linalg.norm(out, axis=1) - radius)))
     least = float(np.linalg.eigvalsh(np.cov(out.T))[0])
-    if away > _NEAR * radius or least < _SPREAD * radius**2:
+    if not radius or away > _NEAR * radius or least < _SPREAD * radius**2:
         return None
     level = middle + scale * centre
     if not 1.0 < np.linalg.norm(level) / (scale * radius) < _FARTHEST:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import NEVER_APPLIED, Calibration
+from imucalib.calibration.calibration import NEVER_APPLIED, PASSING, Calibration
 from imucalib.calibration.checking.misfit import Misfits, Part
 from imucalib.calibration.checking.noise import FAMILIES, CheckNoise
 from imucalib.core.balance import Balanced, balance
@@ -114,7 +114,7 @@ def _fitting(part: Acting, context: Context) -> tuple[Acting, tuple[str, ...]]:
 def _complete(
     calibration: Calibration, model: Model, observations: Observations
 ) -> tuple[Observations, tuple[str, ...]]:
-    """With covariates that were not recorded in the middle of what was calibrated; times are the
+    """With covariates that were not recorded where a later reading finds them; times are the
     calibration's own and mean nothing later."""
     context, notes = observations.context, []
     needed = {name for effect in model.effects for name in effect.needs}
@@ -126,9 +126,10 @@ def _complete(
                 f"the calibration's effects need {name}, which the recording lacks",
                 remedy="record it, or calibrate without those effects (--without)",
             )
-        middle = 0.5 * sum(calibration.valid[name])
-        found[name] = np.full(context.n, middle)
-        notes.append(f"{name} is taken as in the middle of the calibration, {middle:.3g}")
+        value = calibration.unrecorded(name)
+        found[name] = np.full(context.n, value)
+        where = "at the end" if name in PASSING else "in the middle"
+        notes.append(f"{name} is taken as {where} of the calibration, {value:.3g}")
     return replace(observations, context=replace(context, covariates=found)), tuple(notes)
 
 

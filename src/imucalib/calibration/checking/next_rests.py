@@ -104,9 +104,9 @@ def _pool(calibration: Calibration, noise: CheckNoise, directed: bool) -> Misfit
     rests are joined."""
     part = acting(calibration, fixture=False)
     along, n = attitudes(), len(attitudes())
-    middle = {name: np.full(n, 0.5 * sum(span)) for name, span in calibration.valid.items()}
+    usual = {name: np.full(n, calibration.unrecorded(name)) for name in calibration.valid}
     previous = {f"previous_{a}": np.zeros(n) for a in "xyz"}
-    context = Context(n, {**previous, **middle})
+    context = Context(n, {**previous, **usual})
     force = calibration.gravity * along[:, None]
     reading = part.model.predict(part.theta, force, context).reading
     reference: Reference = KnownNorm(n, calibration.gravity)

@@ -33,7 +33,7 @@ class CalibratedSensor(Protocol):
 
 @dataclass(frozen=True)
 class OneSensor:
-    """A calibration with covariates in the middle of what it was calibrated for."""
+    """A calibration with covariates where a later reading finds them."""
 
     calibration: Calibration
     part: Acting
@@ -43,9 +43,9 @@ class OneSensor:
         return self.calibration.covariance[np.ix_(self.part.at, self.part.at)]
 
     def _context(self, n: int) -> Context:
-        middle = {k: np.full(n, 0.5 * sum(span)) for k, span in self.calibration.valid.items()}
+        usual = {k: np.full(n, self.calibration.unrecorded(k)) for k in self.calibration.valid}
         before = {f"previous_{axis}": np.zeros(n) for axis in "xyz"}
-        return Context(n, {**before, **middle})
+        return Context(n, {**before, **usual})
 
     def reading(self, force: Array) -> Array:
         part, context = self.part, self._context(len(force))
