@@ -99,7 +99,7 @@ def _trial(
     again = sum(
         len(new.taken) > len(old.taken) for new, old in zip(searches, each.searches, strict=True)
     )
-    after = predicted_by(problem, folds, searches)
+    after = predicted_by(problem, folds, searches, each.before)
     but = blocks_of(taken.found.entry.name, folds, problem.time)
     both = replace(after, before=each.after, gains=after.gains - each.gains)
     gained = held_difference(both, folds, but)
