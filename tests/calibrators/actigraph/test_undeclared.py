@@ -69,6 +69,21 @@ def test_a_step_of_the_bias_alone_stays_certain(loop_of: Callable[..., Any], see
     assert loop.unexplained == ()
 
 
+@pytest.mark.parametrize(
+    ("at", "hours", "seed"), [(0.07, 60.0, 1), (0.07, 60.0, 3), (0.3, 30.0, 3)]
+)
+def test_a_knock_that_recovers_is_no_certain_step(
+    loop_of: Callable[..., Any], at: float, hours: float, seed: int
+) -> None:
+    def knocked(x: Any, t: Any, u: Any, c: Any) -> Any:
+        since = np.maximum(144.0 * (u - at), 0.0)
+        return c[0] * ((u > at) * np.exp(-since / hours))[:, None]
+
+    loop = loop_of(knocked, 30.0, seed)
+    assert loop.verdict != "nothing missing"
+    assert not any(step.certain for step in loop.steps)
+
+
 LEFT: dict[str, tuple[Planted, str]] = {
     "axes": (lambda x, t, u, c: late(u) * tilted(x, c[0]), "the angle between the axes jumps"),
     "warmth": (
