@@ -122,12 +122,25 @@ def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width:
     assert certain <= {"thermal_hysteresis", "temperature_bias"}
 
 
-def ahead_of_its_inside(warm: Any, hours: Any) -> Any:
-    """°C, of a case whose inside trails it by twenty minutes."""
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_a_long_lag_leaves_is_no_certain_swing_of_the_day(
+    loop_of: Callable[..., Any], seed: int
+) -> None:
+    def late_warmth(x: Any, t: Any, u: Any, c: Any) -> Any:
+        hours = 144.0 * u
+        return c[0] * (t - 5.0 - ahead_of_its_inside(t, hours, 300.0))[:, None]
+
+    loop = loop_of(late_warmth, 30.0, seed)
+    assert not any(step.certain for step in loop.steps if step.effect == "time_of_day")
+    assert not any(step.certain for step in loop.steps if len(loop.steps) > 1)
+
+
+def ahead_of_its_inside(warm: Any, hours: Any, minutes: float = 20.0) -> Any:
+    """°C, of a case whose inside trails it by so many minutes."""
     grid = np.arange(hours[0], hours[-1], 1.0 / 60.0)
     inside, found = warm[0], []
     for value in np.interp(grid, hours, warm):
-        inside += (value - inside) / 20.0
+        inside += (value - inside) / minutes
         found.append(inside)
     return warm - np.interp(hours, grid, found)
 

@@ -28,7 +28,7 @@ def beside_all(
     steps = beside_plays(problem, found, steps)
     steps = unsure_together(beside_slow_walks(problem, found, steps))
     return tuple(
-        replace(step, aliases=(*step.aliases, UNLISTED))
+        replace(step, aliases=tuple(dict.fromkeys((*step.aliases, UNLISTED))))
         if beyond_usual(final, step.effect)
         else step
         for step in steps
