@@ -84,6 +84,15 @@ def test_a_knock_that_recovers_is_no_certain_step(
     assert not any(step.certain for step in loop.steps)
 
 
+def test_what_is_missing_makes_no_postures_few(loop_of: Callable[..., Any]) -> None:
+    def saturating(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return 900.0 * np.tanh(x / 0.9) / np.tanh(1.0) - 1000.0 * x
+
+    loop = loop_of(saturating, 0.0, 1)
+    assert loop is not None
+    assert loop.verdict != "nothing missing"
+
+
 LEFT: dict[str, tuple[Planted, str]] = {
     "axes": (lambda x, t, u, c: late(u) * tilted(x, c[0]), "the angle between the axes jumps"),
     "warmth": (
