@@ -146,6 +146,31 @@ def test_parts_add_up_to_folds() -> None:
             assert np.allclose(summed, direct, rtol=1e-9, atol=1e-9)
 
 
+def test_products_that_are_kept_are_those_of_the_columns() -> None:
+    """Whatever was made before: of fewer walks, of fewer columns, or of more."""
+    bank, terms, folds, columns = made()
+    split = splits_of(folds, bank.course.part)[1]
+    fewer = bank.under(WALKS[-1:])
+    assert fewer.walks == (WALKS[0], WALKS[-1])
+    some = np.array([0, 1, 2, bank.data])
+    fewer.over(1, np.ones_like(split.train))
+    fewer.products(some, split.train)
+    fewer.by_part(1, some)
+    new = columns[:, :2] * columns[:, 4:6]
+    more = fewer.plus(new)
+    picked = np.array([2, 0, 8, 9, more.data])
+    fresh = bank_of(bank.course, fewer.walks, np.column_stack([columns, new])[:, picked])
+    for own, at in ((more, picked), (more.only(picked), np.arange(5))):
+        assert np.allclose(own.products(at, split.train), fresh.products(np.arange(5), split.train))
+        assert np.allclose(own.by_part(1, at), fresh.by_part(1, np.arange(5)))
+    here, there = (levels(b, terms, split.train) for b in (fewer, bank))
+    assert [x.nats for x in here] == pytest.approx([there[0].nats, there[-1].nats])
+    moved = more.only(np.array([2, 1, 0, more.data]))
+    order = np.array([2, 1, 0, 3])
+    whole = fewer.products(some, split.train)[:, order[:, None], order]
+    assert np.allclose(moved.products(np.arange(4), split.train), whole)
+
+
 def marginal(x: Array, y: Array, v: Array, sd: Array, freedom: int) -> float:
     """The likelihood of y with normal parameters of these sd, s² profiled, from n by n matrices."""
     whole = v + (x * sd**2) @ x.T

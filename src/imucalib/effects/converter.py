@@ -4,11 +4,13 @@ A sum of cosines over the input from -1.06 to 1.06 g, without their constant and
 which are bias and scale. Beyond that range the curve keeps its value at the edge.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response
+from imucalib.core.effect import Action, Effect, Family, Response
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.units import MG, STANDARD_GRAVITY
@@ -49,7 +51,23 @@ def curve_slope(u: Array) -> Array:
     return np.asarray(np.where((np.abs(u) <= _REACH)[..., None], slope, 0.0))
 
 
+@dataclass(frozen=True)
 class _Converter(Response):
+    """axes : whose input each curve takes, in the parameters' order"""
+
+    axes: tuple[int, ...] = ()
+
+    def act(self, theta: Array, truth: Truth, context: Context) -> Action:
+        """Each curve depends on one input alone: its slope needs no (n, 3, m, 3)."""
+        if truth.shape[1] != 1 or not theta.any():
+            return super().act(theta, truth, context)
+        basis = self.basis(truth, context)
+        d_x = np.zeros((*truth.shape, 3))
+        for axis, own in zip(self.axes, theta.reshape(-1, TERMS), strict=True):
+            slope = curve_slope(truth.force[..., axis] / STANDARD_GRAVITY) @ own
+            d_x[..., axis, axis] += MG / STANDARD_GRAVITY * slope
+        return Action(np.asarray(basis @ theta), basis, d_x)
+
     def missing(self, context: Context) -> str:
         if context.n < _FEWEST:
             return f"fewer than {_FEWEST} observations"
@@ -89,6 +107,7 @@ def converter(axes: str) -> Effect:
         each=each,
         basis=basis,
         basis_dx=basis_dx,
+        axes=tuple(columns),
     )
 
 

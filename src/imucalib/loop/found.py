@@ -26,8 +26,9 @@ class LoopSettings:
     the best catalogue effect; draws : simulated data sets per search; declared : whether the
     observations' sigma is a noise that the user stands for; bar : evidence in nats that decides
     instead of simulated data, where a search of the whole data has set it; curves : whether
-    structure without a name is corrected by a smooth curve, where that holds out; gross : mg, the
-    smallest error that makes a record wrong"""
+    structure without a name is corrected by a smooth curve, where that holds out; quicker : s, of
+    what moves with time only what swings in less is, where it is said; gross : mg, the smallest
+    error that makes a record wrong"""
 
     alpha: float = ALPHA
     record_alpha: float = RECORD_ALPHA
@@ -35,6 +36,7 @@ class LoopSettings:
     declared: bool = False
     bar: float | None = None
     curves: bool = True
+    quicker: float | None = None
     gross: float = 0.0
     margin: float = MARGIN
     draws: int = 1000

@@ -43,6 +43,10 @@ class Held:
         """(n,) m/s², length of each observation's error, root mean square over its triads."""
         return np.asarray(np.sqrt(np.mean(np.sum(self.error**2, axis=-1), axis=-1)))
 
+    def of(self, rows: Index) -> Held:
+        """Those of some observations."""
+        return Held(self.corrected[rows], self.expected[rows], self.error[rows])
+
     def rms(self, rows: Index | slice = slice(None)) -> float:
         """Root mean square length of the error, m/s²."""
         return float(np.sqrt(np.mean(np.sum(self.error[rows] ** 2, axis=-1))))

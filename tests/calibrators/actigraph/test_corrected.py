@@ -41,14 +41,31 @@ def test_structure_is_corrected_and_told(worn: ModuleType, effect: str, by: str,
     [
         ActigraphRequest(rules=LoopSettings(curves=False)),
         ActigraphRequest(without=("curve",)),
-        ActigraphRequest(every=86400.0),
     ],
-    ids=["no curves", "without", "in parts"],
+    ids=["no curves", "without"],
 )
 def test_who_wants_no_curves_is_told_alone(worn: ModuleType, request_: ActigraphRequest) -> None:
     loop = worn.Case("white", "scale_swing", 60.0, 7000).solved(request_).loop
     assert not loop.curves
     assert "the scale swings with a period of 7 h" in {one.name for one in loop.unexplained}
+
+
+@pytest.mark.parametrize("effect", ["scale_swing", "bias_swing"])
+def test_what_swings_within_a_part_no_part_follows(worn: ModuleType, effect: str) -> None:
+    case = worn.Case("white", effect, 60.0, 7000)
+    daily = case.solved(ActigraphRequest(every=86400.0))
+    assert [step.effect.partition(":sine:")[0] for step in daily.loop.curves] == [
+        f"shape@{effect.partition('_')[0]}:time"
+    ]
+    assert case.error(daily.final) < 0.5 * case.error(daily.base)
+    assert not case.solved(ActigraphRequest(every=6 * 3600.0)).loop.curves
+
+
+@pytest.mark.parametrize("effect", ["scale_walk", "slow_walk", "scale_jump"])
+def test_what_parts_follow_no_curve_does(worn: ModuleType, effect: str) -> None:
+    loop = worn.Case("white", effect, 60.0, 7000).solved(ActigraphRequest(every=86400.0)).loop
+    assert not loop.curves
+    assert loop.unexplained
 
 
 def test_a_walk_of_the_size_of_the_scatter_is_noise(worn: ModuleType) -> None:

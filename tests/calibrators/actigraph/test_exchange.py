@@ -65,6 +65,23 @@ def test_one_sensor_with_errors_is_no_exchange(plan: WeekPlan) -> None:
         assert exchange_in(simulated_week(plan, seed).runs) is None
 
 
+JUMPS = {
+    "biases": lambda x: x + 0.0098 * np.array([60.0, -40.0, 30.0]),
+    "one scale": lambda x: x * np.array([1.02, 1.0, 1.0]),
+    "scales": lambda x: x * 1.01,
+    "angles": lambda x: x + np.stack([0.0 * x[:, 0], 0.02 * x[:, 0], 0.01 * x[:, 1]], axis=1),
+}
+
+
+@pytest.mark.parametrize("part", JUMPS)
+def test_where_one_part_jumps_it_is_the_same_sensor(part: str) -> None:
+    for seed in range(3):
+        runs = simulated_week(WeekPlan(days=3.0), seed).runs
+        late = (runs.time >= WHEN)[:, None]
+        mean = np.where(late, JUMPS[part](runs.mean), runs.mean)
+        assert exchange_in(replace(runs, mean=mean)) is None
+
+
 def test_two_sensors_are_refused_and_their_parts_calibrated() -> None:
     runs, scanned = two_sensors(1), simulated_week(WeekPlan(days=3.0), 1).scanned
     with pytest.raises(Undetermined, match="another sensor") as caught:

@@ -69,6 +69,30 @@ def test_a_step_of_the_bias_alone_stays_certain(loop_of: Callable[..., Any], see
     assert loop.unexplained == ()
 
 
+@pytest.mark.parametrize(
+    ("at", "hours", "seed"), [(0.07, 60.0, 1), (0.07, 60.0, 3), (0.3, 30.0, 3)]
+)
+def test_a_knock_that_recovers_is_no_certain_step(
+    loop_of: Callable[..., Any], at: float, hours: float, seed: int
+) -> None:
+    def knocked(x: Any, t: Any, u: Any, c: Any) -> Any:
+        since = np.maximum(144.0 * (u - at), 0.0)
+        return c[0] * ((u > at) * np.exp(-since / hours))[:, None]
+
+    loop = loop_of(knocked, 30.0, seed)
+    assert loop.verdict != "nothing missing"
+    assert not any(step.certain for step in loop.steps)
+
+
+def test_what_is_missing_makes_no_postures_few(loop_of: Callable[..., Any]) -> None:
+    def saturating(x: Any, t: Any, u: Any, c: Any) -> Any:
+        return 900.0 * np.tanh(x / 0.9) / np.tanh(1.0) - 1000.0 * x
+
+    loop = loop_of(saturating, 0.0, 1)
+    assert loop is not None
+    assert loop.verdict != "nothing missing"
+
+
 LEFT: dict[str, tuple[Planted, str]] = {
     "axes": (lambda x, t, u, c: late(u) * tilted(x, c[0]), "the angle between the axes jumps"),
     "warmth": (
@@ -107,12 +131,25 @@ def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width:
     assert certain <= {"thermal_hysteresis", "temperature_bias"}
 
 
-def ahead_of_its_inside(warm: Any, hours: Any) -> Any:
-    """°C, of a case whose inside trails it by twenty minutes."""
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_a_long_lag_leaves_is_no_certain_swing_of_the_day(
+    loop_of: Callable[..., Any], seed: int
+) -> None:
+    def late_warmth(x: Any, t: Any, u: Any, c: Any) -> Any:
+        hours = 144.0 * u
+        return c[0] * (t - 5.0 - ahead_of_its_inside(t, hours, 300.0))[:, None]
+
+    loop = loop_of(late_warmth, 30.0, seed)
+    assert not any(step.certain for step in loop.steps if step.effect == "time_of_day")
+    assert not any(step.certain for step in loop.steps if len(loop.steps) > 1)
+
+
+def ahead_of_its_inside(warm: Any, hours: Any, minutes: float = 20.0) -> Any:
+    """°C, of a case whose inside trails it by so many minutes."""
     grid = np.arange(hours[0], hours[-1], 1.0 / 60.0)
     inside, found = warm[0], []
     for value in np.interp(grid, hours, warm):
-        inside += (value - inside) / 20.0
+        inside += (value - inside) / minutes
         found.append(inside)
     return warm - np.interp(hours, grid, found)
 

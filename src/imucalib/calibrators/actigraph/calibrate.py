@@ -161,9 +161,10 @@ def search(
     known = (quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows) / MG**2
     asked = {family.name for family in tried.families}
     probes = tuple(families()[n] for n in _PROBED if n not in asked)
-    # Parts follow what moves with time, and tell whether it does: no curve may do so before.
-    bends = request.rules.curves and "curve" in asked and request.every is None
-    rules = replace(request.rules, curves=bends)
+    # Parts follow what moves with time, and tell whether it does: no curve may do so before. What
+    # swings within a part no part follows.
+    bends = request.rules.curves and "curve" in asked
+    rules = replace(request.rules, curves=bends, quicker=request.every)
     return close(base, Asked(tried.effects, tried.families, known, rules, probes), rng)
 
 

@@ -1,4 +1,5 @@
-"""Another sensor from some moment on: all nine parameters jump, which no step of a bias does.
+"""Another sensor from some moment on: all nine parameters jump, which no step of biases, of scales
+or of angles does.
 
 About nominal values |v| - g is linear in the nine parameters: Σ b_i u_i + g Σ s_ij u_i u_j with
 u = v/|v|. Gram matrices that grow run by run give the best split without a fit for each.
@@ -19,7 +20,12 @@ from imucalib.units import MG
 
 _FEWEST = 20  # posture runs on either side
 _SPLITS = 400  # moments that are tried at most, before the last is found among its neighbours
-_CLEARER = 6.0  # times that it leaves less scatter than a bias that steps: a drift leaves a quarter
+_CLEARER = (
+    6.0  # times that it leaves less scatter than one part that steps: a drift leaves a quarter
+)
+#: Columns of the biases, of the scales and of the angles: where one of them alone jumps, it is the
+#: same sensor.
+_PARTS = ([0, 1, 2], [3, 6, 8], [4, 5, 7])
 _JUMP = 5e-3  # of a scale or an angle, below which it is the same sensor
 
 
@@ -53,8 +59,8 @@ def exchange_in(runs: PostureRuns) -> Exchange | None:
     fine = rows[np.abs(rows - near) <= max(rows.size // _SPLITS, 1)]
     row = int(fine[np.argmin(_left(columns, off, fine))])
     late = np.arange(runs.n) >= row
-    stepped = np.hstack([columns, columns[:, :3] * late[:, None]])
-    whole = float(np.sum(_rest(stepped, off) ** 2))
+    stepped = (np.hstack([columns, columns[:, one] * late[:, None]]) for one in _PARTS)
+    whole = min(float(np.sum(_rest(one, off) ** 2)) for one in stepped)
     both = np.hstack([columns, columns * late[:, None]])
     found, rest = np.linalg.lstsq(both, off, rcond=1e-9)[0], _rest(both, off)
     jump = np.asarray(found[9:], np.float64)

@@ -11,6 +11,7 @@ from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
+from imucalib.effects.history.previous import covariates_before
 from imucalib.effects.thermal import rate
 from imucalib.rests.runs import PostureRuns, Scan
 from imucalib.rests.thermal_history import history_of
@@ -61,12 +62,11 @@ def hours(time: float) -> str:
 def covariates_of(runs: PostureRuns, scanned: Scan) -> dict[str, Array]:
     """What the effects may depend on. Temperature only where it varies."""
     span = max(scanned.stop, 1.0)
-    before = np.concatenate([runs.mean[:1], runs.mean[:-1]])
     found = {
         "record": np.arange(runs.n, dtype=float),
         "time": runs.time,
         "order": runs.time / span,
-        **{f"previous_{a}": before[:, k] for k, a in enumerate("xyz")},
+        **covariates_before(runs.mean),
     }
     if span > 1.5 * _DAY:
         start = (scanned.start_ns or 0) / 1e9 % _DAY

@@ -19,11 +19,14 @@ from imucalib.core.prior import Prior, independent
 from imucalib.errors import NotConverged
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.rests.runs import PostureRuns
+from imucalib.units import MG
 
 NINE = ("bias", "scale", "non_orthogonality")
 #: A combination that is known worse than this share of its typical size is weakly determined: what
 #: data sheets say of it then counts for more than a tenth of what is known.
 _WEAK = 1.0 / 3.0
+#: m/s², runs at rest scatter by no more: what is beyond is something that the model lacks.
+_SCATTER = 5.0 * MG
 #: With fewer postures a parameter than this, their scatter has a prior too: 1 mg.
 _ENOUGH = 3
 
@@ -76,7 +79,15 @@ def is_weak(fit: Fit) -> bool:
     own = np.concatenate([np.arange(slices[n].start, slices[n].stop) for n in NINE])
     some = np.zeros((own.size, len(fit.theta)))
     some[np.arange(own.size), own] = [1.0 / fit.parameters[k].typical for k in own]
-    return known_worse(fit, some)
+    return known_worse(fit, some * _as_noise(fit))
+
+
+def _as_noise(fit: Fit) -> float:
+    """Share of the scatter of many runs that may be noise: postures are not few because something
+    else is missing, which only a search can tell."""
+    if fit.prior is not None or fit.observations.n <= _ENOUGH * len(fit.theta):
+        return 1.0
+    return min(1.0, _SCATTER / float(np.median(fit.at.sigma)))
 
 
 def known_worse(fit: Fit, root: Array) -> bool:

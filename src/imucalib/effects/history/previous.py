@@ -6,11 +6,22 @@ from imucalib.arrays import Array
 from imucalib.core.context import Context
 from imucalib.core.effect import Basis, Response, three
 from imucalib.core.truth import Truth
-from imucalib.units import MG
+from imucalib.units import MG, STANDARD_GRAVITY
 
 _BEFORE = ("previous_x", "previous_y", "previous_z")
 _IDENTIFY = "Approach some positions from both sides."
 _SIDE = ("approach_x", "approach_y", "approach_z")
+#: m/s², a smaller move of an axis has no side.
+_MOVED = 0.02 * STANDARD_GRAVITY
+
+
+def covariates_before(reading: Array) -> dict[str, Array]:
+    """Of rests (n, 3) m/s² in order of time each axis' reading before (n,) m/s², and the side from
+    which it came (n,), -1, 0 or 1; the first stands for what was before it."""
+    before = np.concatenate([reading[:1], reading[:-1]])
+    moved = reading - before
+    side = np.sign(moved) * (np.abs(moved) > _MOVED)
+    return dict(zip((*_BEFORE, *_SIDE), (*before.T, *side.T), strict=True))
 
 
 def _each_axis(names: tuple[str, ...], unit: float) -> Basis:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.loop.design import Fold
-from imucalib.loop.wander.walk import Course, Walk, log_det, whitened
+from imucalib.loop.wander.walk import Course, Walk, among, log_det, whitened
 
 Mask = NDArray[np.bool_]
 
@@ -76,6 +76,8 @@ class Bank:
     _kept: dict[tuple[bytes, bytes], Array] = field(default_factory=dict, repr=False)
     _out: dict[bytes, Bank] = field(default_factory=dict, repr=False)
     _added: dict[bytes, Bank] = field(default_factory=dict, repr=False)
+    #: The bank that lacks the last of the columns.
+    _fewer: Bank | None = field(default=None, repr=False)
     #: What scores keep of the whole data between searches with and without simulated data.
     made: dict[tuple[int, bytes, bytes], object] = field(default_factory=dict, repr=False)
 
@@ -119,9 +121,7 @@ class Bank:
         """(parts, c, c) products of some columns, part by part."""
         key = (walk, columns.tobytes())
         if key not in self._sums:
-            if walk not in self._rows:  # blocks are predicted by one model after the other
-                self._rows[walk] = self.white(walk, np.arange(self.columns.shape[1]))
-            picked = self.white(walk, columns)
+            picked = self._every_row(walk)[:, columns]
             edges = np.searchsorted(self.course.part, np.arange(self.course.parts + 1))
             self._sums[key] = np.stack([picked[a:b].T @ picked[a:b] for a, b in pairwise(edges)])
         return self._sums[key]
@@ -131,13 +131,51 @@ class Bank:
         key = columns.tobytes()
         if key not in self._added:  # searches without one block after the other end at the same
             every = np.column_stack([self.columns, columns])
-            self._added[key] = Bank(self.course, self.walks, every, self.data, self.log_det)
+            added = Bank(self.course, self.walks, every, self.data, self.log_det, _fewer=self)
+            # Products of columns that stay where they are.
+            added._kept.update(self._kept)
+            added._sums.update(self._sums)
+            self._added[key] = added
         return self._added[key]
 
     def only(self, columns: Index) -> Bank:
-        """Some of the columns, the data last of them."""
+        """Some of the columns, the data last of them, with the products that were made of them."""
         picked = self.columns[:, columns]
-        return Bank(self.course, self.walks, picked, columns.size - 1, self.log_det)
+        out = Bank(self.course, self.walks, picked, columns.size - 1, self.log_det)
+        place = np.full(self.columns.shape[1], -1, np.intp)
+        place[columns] = np.arange(columns.size)
+
+        def moved(key: bytes) -> bytes:
+            now = place[np.frombuffer(key, np.intp)]
+            return b"" if np.any(now < 0) else now.tobytes()
+
+        for (key, keep), products in self._kept.items():
+            if now := moved(key):
+                out._kept[now, keep] = products
+        for (walk, key), sums in self._sums.items():
+            if now := moved(key):
+                out._sums[walk, now] = sums
+        return out
+
+    def under(self, walks: Collection[Walk]) -> Bank:
+        """With no other walks than these and the first; what was made for them is kept."""
+        some = [k for k, walk in enumerate(self.walks) if not k or walk in walks]
+        own = among(self.course, self.walks, some)
+        out = Bank(self.course, own, self.columns, self.data, self.log_det[some])
+        for now, k in enumerate(some):
+            for had, has in ((self._whole, out._whole), (self._rows, out._rows)):
+                if k in had:
+                    has[now] = had[k]
+        return out
+
+    def _every_row(self, walk: int) -> Array:
+        """(n, m) all columns under one walk: blocks are predicted by one model after the other."""
+        if walk not in self._rows:
+            had = None if self._fewer is None else self._fewer._rows.get(walk)
+            start = 0 if had is None else had.shape[1]
+            new = self.white(walk, np.arange(start, self.columns.shape[1]))
+            self._rows[walk] = new if had is None else np.column_stack([had, new])
+        return self._rows[walk]
 
     def _gram(self, walk: int) -> Array:
         """(m, m) of all rows; made for a few walks at once."""

@@ -14,6 +14,7 @@ from imucalib.loop.wander.held_blocks import Judged, inside, judged, judged_each
 from imucalib.loop.wander.likelihood import Level, Terms, best_level
 from imucalib.loop.wander.noise import usable_walks
 from imucalib.loop.wander.scores import Entry, Scored, finest, middle_of_best, scored
+from imucalib.loop.wander.walk import Walk
 
 #: Standard errors by which the density must gain over the blocks; what is driven by time lies in
 #: the same blocks as what it claims to explain, and has to gain more.
@@ -86,12 +87,12 @@ class Rules:
     finer: Finer
     forms: Forms
     same_tau: bool = False
-    near: frozenset[int] = frozenset()
+    near: frozenset[Walk] = frozenset()
 
     def walks(self, bank: Bank, level: Level) -> tuple[int, ...]:
         """Those under which candidates are scored beside a model with this noise."""
         usable = usable_walks(bank, level, same_tau=self.same_tau)
-        return tuple(walk for walk in usable if walk in self.near) or usable
+        return tuple(walk for walk in usable if bank.walks[walk] in self.near) or usable
 
 
 def search(

@@ -20,6 +20,7 @@ from imucalib.loop.wander.forms import driver_of
 from imucalib.loop.wander.held_blocks import judged, solved
 from imucalib.loop.wander.likelihood import Terms, best_level
 from imucalib.loop.wander.problem import Problem
+from imucalib.loop.wander.walk import Walk
 
 
 @dataclass(frozen=True)
@@ -43,15 +44,18 @@ class Predicted:
         )
 
 
-def walks_of_note(found: Search) -> frozenset[int]:
+def walks_of_note(found: Search) -> frozenset[Walk]:
     """Walks under which some candidate came near its best, in any round of a search."""
     rounds = [*(taken.rivals for taken in found.taken), found.last]
-    return frozenset(walk for scores in rounds for score in scores for walk in score.near)
+    near = {walk for scores in rounds for score in scores for walk in score.near}
+    return frozenset(found.bank.walks[walk] for walk in near)
 
 
 def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicted:
-    """Steps of the whole search, without one block and its gap at a time."""
-    bank, searches = problem.bank, list[Search]()
+    """Steps of the whole search, without one block and its gap at a time, under the walks that
+    decide something and none."""
+    searches = list[Search]()
+    bank = problem.bank.under(rules.near) if rules.near else problem.bank
     for k, split in enumerate(problem.splits):
         others = [s for j, s in enumerate(problem.splits) if j != k]
         found = search(bank, problem.terms, problem.entries, others, split.train, rules)
@@ -59,8 +63,13 @@ def predicted(problem: Problem, folds: Sequence[Fold], rules: Rules) -> Predicte
     return predicted_by(problem, folds, searches)
 
 
-def predicted_by(problem: Problem, folds: Sequence[Fold], searches: Sequence[Search]) -> Predicted:
-    """What searches without one block each, in their order, foretell of it."""
+def predicted_by(
+    problem: Problem, folds: Sequence[Fold], searches: Sequence[Search], known: Held | None = None
+) -> Predicted:
+    """What searches without one block each, in their order, foretell of it.
+
+    known : what the base foretells, where that was asked before
+    """
     data, ends, gains = problem.fit.observations, list[Search](), list[float]()
     parts: list[tuple[Held, Held]] = []
     for fold, split, found in zip(folds, problem.splits, searches, strict=True):
@@ -73,7 +82,7 @@ def predicted_by(problem: Problem, folds: Sequence[Fold], searches: Sequence[Sea
             fit = replace(problem.fit, model=problem.model(taken))
             return errors(fit, problem.theta(values, taken), held)  # noqa: B023
 
-        before = errors_of(problem.terms, plain.walk, ())
+        before = errors_of(problem.terms, plain.walk, ()) if known is None else known.of(fold.rows)
         after, gain, end = before, 0.0, found
         if found.taken:
             try:

@@ -38,6 +38,7 @@ SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
 _ROUNDING = 1e-6
 
 _TIME = ("order", "time", "time_of_day")
+_BEFORE = ("previous", "approach")
 #: Families whose members are free functions of the response: of an axis, of the whole posture.
 _FREE = {"converter": "curve", "posture": "posture"}
 
@@ -48,7 +49,7 @@ def kind_of(effect: Effect) -> str:
         return "time"
     if any(n.startswith("temperature") for n in effect.needs):
         return "temperature"
-    if any(n.startswith("previous") for n in effect.needs):
+    if any(n.startswith(_BEFORE) for n in effect.needs):
         return "history"
     return _FREE.get(effect.name.partition("@")[0], "shape")
 

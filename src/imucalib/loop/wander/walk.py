@@ -92,6 +92,17 @@ def whitened(
     return out, steps.log_det
 
 
+def among(course: Course, walks: tuple[Walk, ...], some: Sequence[int]) -> tuple[Walk, ...]:
+    """Some of the walks, whose filters are those of all."""
+    picked, steps = tuple(walks[k] for k in some), _filter(course, walks)
+    at = list(some)
+    course.filters[picked] = _Filter(
+        steps.white[:, at], steps.seen[:, at], steps.keep[:, at], steps.gain[:, at],
+        steps.log_det[at],
+    )  # fmt: skip
+    return picked
+
+
 def log_det(course: Course, walks: tuple[Walk, ...]) -> Array:
     """(walks, parts) log|V| of every part."""
     return _filter(course, walks).log_det
@@ -114,7 +125,8 @@ def _filter(course: Course, walks: tuple[Walk, ...]) -> _Filter:
     h = course.seen[rows] * real[..., None]
     variance = np.where(real, course.variance[rows], 1.0)
     whole = np.zeros((len(h), len(walks), _BLOCK + q, _BLOCK + q))
-    whole[..., :_BLOCK, :_BLOCK] = (near * (h @ h.transpose(0, 2, 1))).swapaxes(0, 1)
+    alike = h @ h.transpose(0, 2, 1)
+    np.multiply(near.swapaxes(0, 1), alike[:, None], out=whole[..., :_BLOCK, :_BLOCK])
     whole[..., _BLOCK:, :_BLOCK] = (near[:, :, -1, None] * h.transpose(0, 2, 1)).swapaxes(0, 1)
     diagonal, below = np.arange(_BLOCK), np.arange(_BLOCK, _BLOCK + q)
     whole[..., diagonal, diagonal] += variance[:, None]
@@ -160,12 +172,15 @@ def _inverse(lower: Array) -> Array:
     out, b = np.zeros_like(lower), lower.shape[-1]
     diagonal = np.arange(b)
     out[..., diagonal, diagonal] = 1.0 / lower[..., diagonal, diagonal]
-    size = 1
+    even = diagonal[::2]
+    each = out[..., even, even] * out[..., even + 1, even + 1]
+    out[..., even + 1, even] = -lower[..., even + 1, even] * each
+    size = 2
     while size < b:
         for start in range(0, b, 2 * size):
             above, below = slice(start, start + size), slice(start + size, start + 2 * size)
             across = lower[..., below, above] @ out[..., above, above]
-            out[..., below, above] = -out[..., below, below] @ across
+            np.matmul(-out[..., below, below], across, out=out[..., below, above])
         size *= 2
     return out
 

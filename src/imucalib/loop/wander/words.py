@@ -30,6 +30,7 @@ _STRUCTURE = ("swing", "course", "jump", "stretch")
 PAST = ("thermal_lag", "thermal_hysteresis", "temperature_rate")
 #: What follows its present. A past of it is one of thirteen that were tried, and a day samples them
 #: seldom: it leads the present by as much as a form of the temperature has to.
+_CLOCK = "time_of_day"
 _NOW = "temperature_bias"
 #: Kinds of response, each with the free functions that hold what it leaves.
 _OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture", "shape"), "posture": ("curve",)}
@@ -146,11 +147,14 @@ def _beside(taken: Taken, every: Sequence[Taken]) -> tuple[str, ...]:
     """Free functions of the response that were taken as well: what needs one beside its name has
     another form than the name's. So has what follows the past of the temperature where something
     else follows the temperature too: a play of another width, or a thermometer whose clock is late,
-    leaves as much."""
+    leaves as much. The temperature swings once a day, and so does what a longer lag leaves."""
     own = taken.found.entry
     others = [t.found.entry for t in every if t is not taken]
     if own.name.partition("@")[0] in PAST:
-        return (UNLISTED,) if any(e.kind == own.kind for e in others) else ()
+        also = any(e.kind == own.kind or e.name.endswith(_CLOCK) for e in others)
+        return (UNLISTED,) if also else ()
+    if own.name.endswith(_CLOCK) and any(e.name.partition("@")[0] in PAST for e in others):
+        return (UNLISTED,)
     return tuple(e.name for e in others if e.kind in _OF_RESPONSE.get(own.kind, ()))
 
 

@@ -28,6 +28,9 @@ _JUMPS = 32
 #: mg, mg/g: what a jump is like.
 _SIZE = 2.0
 _STEP = "bias_step"
+#: Times of recovery, as shares of what is left of the recording: a knock relaxes, and one that
+#: takes far longer than was seen is a step.
+_RECOVERED = (0.3, 1.0)
 
 
 def beside_changes(problem: Problem, found: Search, steps: Sequence[Step]) -> tuple[Step, ...]:
@@ -64,6 +67,10 @@ def _changes(problem: Problem, found: Search) -> Rivals:
         for word in ("scale", "axes"):
             key = f"{word}@{at}"
             rivals.add(f"{word}_step@{at:.0f}s", {key: own[key]} if key in own else {})
+        if "bias" in parts:
+            for hours, drive in _recoveries(bank.course.time, at):
+                name = f"recovering_step@{at:.0f}s:{hours:.3g}h"
+                rivals.add(name, {name: driven(parts["bias"], drive)})
         if len(own) > 1:
             rivals.add(f"calibration_step@{at:.0f}s", own, wide=True)
         if warm.size and "bias" in parts:
@@ -71,6 +78,19 @@ def _changes(problem: Problem, found: Search) -> Rivals:
             both = {f"bias@{at}": own[f"bias@{at}"], key: driven(parts["bias"], late * warm)}
             rivals.add(f"temperature_step@{at:.0f}s", both, wide=True)
     return rivals
+
+
+def _recoveries(time: Array, at: float) -> list[tuple[float, Array]]:
+    """Hours of recovery from a jump at a moment (s), each with its course (n, 1), times (n,) s."""
+    since = np.maximum(time - at, 0.0)
+    late, left = time >= at, max(float(time[-1]) - at, 1e-300)
+    return [
+        (
+            share * left / 3600.0,
+            np.where(late, _SIZE * np.exp(-since / (share * left)), 0.0)[:, None],
+        )
+        for share in _RECOVERED
+    ]
 
 
 def _moments(found: Search) -> list[float]:

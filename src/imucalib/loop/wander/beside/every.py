@@ -10,6 +10,7 @@ from imucalib.loop.found import Step
 from imucalib.loop.rivals import UNLISTED, beyond_usual
 from imucalib.loop.wander.beside.changes import beside_changes
 from imucalib.loop.wander.beside.courses import beside_courses
+from imucalib.loop.wander.beside.plays import beside_plays
 from imucalib.loop.wander.choice import Search
 from imucalib.loop.wander.problem import Problem
 from imucalib.loop.wander.slow import beside_slow_walks, beside_the_day
@@ -24,9 +25,10 @@ def beside_all(
     steps = beside_the_day(problem, found, steps)
     steps = beside_changes(problem, found, steps)
     steps = beside_courses(problem, found, steps)
+    steps = beside_plays(problem, found, steps)
     steps = unsure_together(beside_slow_walks(problem, found, steps))
     return tuple(
-        replace(step, aliases=(*step.aliases, UNLISTED))
+        replace(step, aliases=tuple(dict.fromkeys((*step.aliases, UNLISTED))))
         if beyond_usual(final, step.effect)
         else step
         for step in steps

@@ -56,8 +56,8 @@ def corrected(
     steps, told = list[Step](), list[Unexplained]()
     left = strongest(now, *(groups := ways(now)))
     while left is not None and rules.curves and len(steps) < _MOST:
-        able = [[way for way in group if way.effect] for group in groups]
-        found = left if left.way.effect else strongest(now, *able)
+        able = [[way for way in group if _may(way, rules.quicker)] for group in groups]
+        found = left if _may(left.way, rules.quicker) else strongest(now, *able)
         trial = None if found is None else _trial(problem, now, each, folds, found, able)
         if found is None or trial is None:
             break
@@ -65,8 +65,8 @@ def corrected(
         steps.append(replace(step, draws=rules.draws))
         told.append(found.structure)
         left = strongest(now, *(groups := ways(now)))
-    wander = wandering(problem, now)
-    if rules.curves and wander is not None:
+    wander = wandering(problem, now) if rules.curves and rules.quicker is None else None
+    if wander is not None:
         trial = _trial(problem, now, each, folds, wander, [[wander.way]])
         if trial is not None:
             now, each, step = trial
@@ -74,6 +74,14 @@ def corrected(
             told.append(wander.structure)
     rest = () if left is None else (left.structure,)
     return Corrected(now, tuple(steps), (*told, *rest), each)
+
+
+def _may(way: Way, quicker: float | None) -> bool:
+    """Whether a way may be corrected: of what moves with time, where parts follow it, only what
+    swings in less than so many seconds."""
+    if not way.effect or quicker is None or way.driver != "time":
+        return bool(way.effect)
+    return way.kind == "swing" and float(way.effect.rpartition(":")[2]) < quicker
 
 
 def _of_the_base(problem: Problem, each: Predicted) -> Predicted:
@@ -99,7 +107,7 @@ def _trial(
     again = sum(
         len(new.taken) > len(old.taken) for new, old in zip(searches, each.searches, strict=True)
     )
-    after = predicted_by(problem, folds, searches)
+    after = predicted_by(problem, folds, searches, each.before)
     but = blocks_of(taken.found.entry.name, folds, problem.time)
     both = replace(after, before=each.after, gains=after.gains - each.gains)
     gained = held_difference(both, folds, but)
