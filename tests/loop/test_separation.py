@@ -21,7 +21,7 @@ from imucalib.loop.separation.angle import Pair, apart, pairs_of
 from imucalib.loop.separation.choice import Pool, separating, total_of
 from imucalib.loop.separation.plan import FEWEST, separation
 from imucalib.loop.separation.products import Ambiguity, Products
-from imucalib.loop.separation.prospect import Added, Drawn, alone, ends, weights
+from imucalib.loop.separation.prospect import Added, Drawn, alone, ends, taken_out, weights
 from imucalib.loop.separation.soon import in_order, soon
 from imucalib.units import MG
 from worlds.bench import base_model
@@ -98,7 +98,7 @@ def test_the_angle_is_that_of_least_squares() -> None:
     rows, theta = np.random.default_rng(2).standard_normal((60, len(one.columns))), np.ones(3)
     at, other = one.blocks["quadratic"], one.blocks["asymmetry"]
     rest = np.concatenate([one.own, other])
-    pair = Pair("quadratic", "asymmetry", at, rest, theta[:, None])
+    pair = Pair("quadratic", "asymmetry", at, other, one.own, theta[:, None])
     signal = rows[:, at] @ theta
     left = signal - rows[:, rest] @ np.linalg.lstsq(rows[:, rest], signal, rcond=None)[0]
     found = apart(rows.T @ rows, (pair,))
@@ -249,8 +249,8 @@ def test_a_rival_is_alone_by_evidence_and_by_what_the_others_cannot_explain(size
         "true", ("base",), tuple("abcdefg"), names, dict(zip(names, found, strict=True)), {},
         Products(rows.T @ rows, rows.T @ y[:, 0], 1.0, 11.0), 9.0,
     )  # fmt: skip
-    data = Drawn(rows.T @ rows, rows.T @ y, np.sum(y**2, axis=0), 11.0)
-    share = alone(one, data, "true", names[1:])
+    data = Drawn(rows.T @ y, np.sum(y**2, axis=0), 11.0)
+    share = alone(one, taken_out(one, rows.T @ rows), data, "true", names[1:])
     assert 0.03 < share.mean() < 0.97
     expected = [judged(rows, y[:, k], found) for k in range(300)]
     np.testing.assert_array_equal(share, expected)
@@ -267,3 +267,17 @@ def test_how_many_of_another_choice_is_found_by_looking_at_a_few(goal: float) ->
 
     assert repeated._beside(reached, 24, goal) == plan.beside(every, 24, goal)
     assert len(looked) < 12
+
+
+@pytest.mark.parametrize("least", [*range(1, 25), 99])
+def test_how_often_is_the_fewest_that_ends_it(least: int) -> None:
+    asked: list[int] = []
+
+    def after(k: int) -> tuple[int, dict[str, float]]:
+        asked.append(k)
+        return -k, {"a": 1.0, "b": 1.0 if k >= least else 0.0}
+
+    count, best, ended = repeated._fewest(after)
+    assert count == min(least, repeated.MOST) == -best
+    assert (ended["b"] == 1.0) == (least <= repeated.MOST)
+    assert len(asked) <= 10

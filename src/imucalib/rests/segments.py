@@ -41,6 +41,7 @@ class Segments:
     temperature : (n, K) mean temperature, °C; NaN without a thermometer
     noise : (K, 3) standard deviation of one acceleration sample at rest
     rate_noise : (K, 3) the same of the angular rate; NaN without a gyroscope
+    step, rate_step : (K, 3) resolution of both, 0 where it is not known
     moving : share of the recording's windows that are not still
     notes : what was left out, one sentence each
     candidates : everything that may have been a rest, with what refused it
@@ -58,6 +59,8 @@ class Segments:
     temperature: Array
     noise: Array
     rate_noise: Array
+    step: Array
+    rate_step: Array
     moving: float
     notes: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
@@ -159,10 +162,12 @@ def _measured(rests: list[Candidate], every: list[Seen], passed: _Pass) -> Segme
     mean, variance = np.full((n, k, 3), np.nan), np.full((n, k, 3), np.nan)
     rate, temperature = np.full((n, k, 3), np.nan), np.full((n, k), np.nan)
     noise, rate_noise = np.full((k, 3), np.nan), np.full((k, 3), np.nan)
+    step, rate_step = np.zeros((k, 3)), np.zeros((k, 3))
     for one in every:
         at = triads.index(one.sensor.triad)
         turning = one.sensor.quantity == "angular_rate"
         (rate_noise if turning else noise)[at] = one.sensor.noise
+        (rate_step if turning else step)[at] = one.sensor.step
         for i, rest in enumerate(rests):
             inside = (rest.start, rest.stop)
             own = _statistics(one, inside, passed.samples)
@@ -188,6 +193,8 @@ def _measured(rests: list[Candidate], every: list[Seen], passed: _Pass) -> Segme
         temperature=temperature,
         noise=noise,
         rate_noise=rate_noise,
+        step=step,
+        rate_step=rate_step,
         moving=max(1.0 - float(one.kinds.still.mean()) for one in every),
     )
 

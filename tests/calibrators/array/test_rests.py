@@ -14,7 +14,7 @@ from imucalib.calibrators.array.observations import own_noise
 from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.errors import Undetermined
 from imucalib.rests.segments import Segments
-from imucalib.units import MG
+from imucalib.units import DEG, MG
 
 Array = NDArray[np.float64]
 G = 9.8
@@ -68,6 +68,8 @@ def simulated(seed: int, n: int = 20, warm: float = 0.0) -> tuple[Segments, Boar
         temperature=np.full((n, K), np.nan),
         noise=0.02 * ones,
         rate_noise=1e-3 * ones,
+        step=0.0 * ones,
+        rate_step=0.0 * ones,
         moving=0.1,
     )
     return segments, board, gain, offset
@@ -254,3 +256,50 @@ def test_only_and_without_hold_at_rest() -> None:
         loop = fitted(segments, board, asked).loop
         assert loop is not None
         assert not {"warm_up", "bias_drift"} & {s.effect for s in loop.steps}
+
+
+def coarse(segments: Segments, step: float, rate_step: float, bias: Array) -> Segments:
+    """The same as a chip imu3 would have it that rounds far above its noise; bias : (3,) rad/s of
+    its gyro beside what it has"""
+    mean, rate, noise, rate_noise = (
+        x.copy() for x in (segments.mean, segments.rate, segments.noise, segments.rate_noise)
+    )
+    steps, rate_steps = np.zeros((K, 3)), np.zeros((K, 3))
+    steps[3], rate_steps[3] = step, rate_step
+    mean[:, 3] = np.round(mean[:, 3] / step) * step
+    rate[:, 3] += bias
+    rate[:, 3] = np.round(rate[:, 3] / rate_step) * rate_step
+    noise[3], rate_noise[3] = step / 12**0.5, rate_step / 12**0.5
+    return replace(
+        segments, mean=mean, rate=rate, noise=noise, rate_noise=rate_noise, step=steps,
+        rate_step=rate_steps,
+    )  # fmt: skip
+
+
+def test_what_rounding_leaves_is_stated() -> None:
+    """16 mg and 1 deg/s: samples by the hundred do not average them."""
+    z, slow = [], []
+    for seed in range(12):
+        segments, board, gain, offset = simulated(seed)
+        bias = np.random.default_rng(seed).uniform(-DEG, DEG, 3)
+        made = coarse(segments, 16.0 * MG, DEG, bias)
+        found = fitted(made, board, Asked(search=False))
+        sd = np.sqrt(np.diag(found.covariance.reshape(12 * K, 12 * K))).reshape(K, 12)
+        z.append((found.gain - gain).reshape(K, 9) / sd[:, :9])
+        z.append((found.offset(np.array([found.stop]))[0] - offset) / sd[:, 9:])
+        true = board.rotations[3] @ (bias + segments.rate[:, 3].mean(axis=0))
+        slow.append((found.gyro_bias[0, 3] - true) / found.gyro_bias_sd[3])
+    for size in (np.concatenate([part.ravel() for part in z]), np.concatenate([p[3] for p in z])):
+        assert 0.85 < np.sqrt(np.mean(size**2)) < 1.15  # 720 numbers, and 144 of the coarse one
+    assert 0.75 < np.sqrt(np.mean(np.square(slow))) < 1.25  # 36 numbers
+
+
+def test_what_rounding_leaves_is_no_effect() -> None:
+    named = []
+    for seed in range(6):
+        segments, board, _, _ = simulated(seed)
+        found = fitted(coarse(segments, 16.0 * MG, DEG, np.zeros(3)), board)
+        assert found.loop is not None
+        named += [s.effect for s in found.loop.steps]
+        named += [u.name for u in found.loop.unexplained]
+    assert named == []

@@ -83,9 +83,24 @@ def observations_of(
 
 
 def own_noise(segments: Segments, order: list[int]) -> Array:
-    """(n, K, 3) m/s², what its samples' noise leaves of each rest's mean."""
+    """(n, K, 3) m/s², what its samples' noise and their rounding leave of each rest's mean."""
     noise = np.maximum(segments.noise[order], _QUIET * np.median(segments.noise[order]))
-    return np.asarray(noise / np.sqrt(segments.samples[:, order])[..., None])
+    averaged = noise / np.sqrt(segments.samples[:, order])[..., None]
+    return np.hypot(averaged, rounding(segments.step[order], segments.noise[order]))
+
+
+def rounding(step: Array, noise: Array, *, alike: bool = False) -> Array:
+    """Standard deviation of what rounding to a step leaves of the mean of however many samples, by
+    the noise that they show; the harmonics of the saw-tooth that rounding is, of which noise of
+    half a step leaves nothing (Widrow and Kollar, Quantization Noise, 2008, chapter 4).
+
+    alike : whether all rests read the same: between two steps rounding alone makes noise of a half
+    """
+    below = np.maximum(noise**2 - step**2 / (4.0 if alike else 12.0), 0.0)
+    ratio = 4.0 * np.pi**2 * below / np.maximum(step, 1e-100) ** 2
+    k = np.arange(1.0, 41.0)
+    harmonics = np.exp(-ratio[..., None] * k**2) / k**2
+    return np.asarray(step * np.sqrt(harmonics.sum(axis=-1) / 2.0) / np.pi)
 
 
 def weighted(data: Observations, own: Array) -> Observations:

@@ -23,6 +23,7 @@ from imucalib.calibrators.array.observations import (
     observations_of,
     own_noise,
     rest_context,
+    rounding,
     weighted,
 )
 from imucalib.core.effect import Effect, Response
@@ -183,9 +184,7 @@ def fit_rests(
     gain, covariance = in_the_mean_frame(fit, board.rotations)
     _refuse_vague(gain, covariance, board)
     middle = data.context["time"]
-    drift, drift_sd = gyro_drift(
-        np.einsum("kij,nkj->nki", board.rotations, segments.rate[:, order]), middle
-    )
+    drift, drift_sd = _gyro_drift(segments, board, order, middle)
     return RestFit(
         fit=fit,
         loop=loop,
@@ -199,6 +198,16 @@ def fit_rests(
         start=float(middle[0]),
         stop=float(middle[-1]),
     )
+
+
+def _gyro_drift(
+    segments: Segments, board: Board, order: list[int], t: Array
+) -> tuple[Array, Array]:
+    """As `gyro_drift` has it, in board axes; with what rounding leaves, the same in every rest."""
+    turn = board.rotations
+    drift, sd = gyro_drift(np.einsum("kij,nkj->nki", turn, segments.rate[:, order]), t)
+    coarse = rounding(segments.rate_step[order], segments.rate_noise[order], alike=True)
+    return drift, np.sqrt(sd**2 + np.einsum("kij,kj->ki", turn**2, coarse**2))
 
 
 def _searched(model: Model, data: Observations, asked: Asked, seed: int) -> FitLoop:

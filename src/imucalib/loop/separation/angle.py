@@ -24,13 +24,14 @@ _DRAWS, _FEW = 24, 0.15
 
 @dataclass(frozen=True)
 class Pair:
-    """truth, other : rivals; own, rest : their columns, `rest` with the base's; size : (k, draws)
-    of the truth"""
+    """truth, other : rivals; own, rest : their columns; base : those of the base model; size :
+    (k, draws) of the truth"""
 
     truth: str
     other: str
     own: Index
     rest: Index
+    base: Index
     size: Array
 
 
@@ -43,7 +44,7 @@ def pairs_of(ambiguity: Ambiguity, seed: int = 0) -> tuple[Pair, ...]:
         size = ambiguity.sizes[truth]
         drawn = size.drawn(rng, _DRAWS, np.ones(_DRAWS))[-at.size :]
         found += [
-            Pair(truth, other, at, np.concatenate([ambiguity.own, b]), drawn)
+            Pair(truth, other, at, b, ambiguity.own, drawn)
             for other, b in ambiguity.blocks.items()
             if other != truth
         ]
@@ -51,17 +52,28 @@ def pairs_of(ambiguity: Ambiguity, seed: int = 0) -> tuple[Pair, ...]:
 
 
 def apart(gram: Array, pairs: Sequence[Pair]) -> Array:
-    """(..., pairs) expected λ sin(angle) with products of all columns (..., P, P)."""
-    return np.stack([_apart(gram, pair) for pair in pairs], axis=-1)
-
-
-def _apart(gram: Array, pair: Pair) -> Array:
-    inside = gram[..., pair.rest[:, None], pair.rest]
-    across = gram[..., pair.rest[:, None], pair.own]
+    """(..., pairs) expected λ sin(angle) with products of all columns (..., P, P); pairs : of one
+    ambiguity."""
+    # The base is taken out once for all pairs: with many IMUs it has most of the columns.
+    base = pairs[0].base
+    every = np.unique(np.concatenate([at for pair in pairs for at in (pair.own, pair.rest)]))
     # A little of each diagonal: columns that nothing tells apart must not end the computation.
-    little = 1e-10 * np.einsum("...ii->...i", inside) + 1e-12
-    inside = inside + little[..., None] * np.eye(len(pair.rest))
-    left = gram[..., pair.own[:, None], pair.own]
-    left = left - across.swapaxes(-1, -2) @ np.linalg.solve(inside, across)
-    square = np.einsum("kd,...kl,ld->...d", pair.size, left, pair.size)
-    return np.asarray(np.sqrt(np.maximum(np.quantile(square, _FEW, axis=-1), 0.0)))
+    little = 1e-10 * np.einsum("...ii->...i", gram) + 1e-12
+    left = _without(gram, base, every, little[..., base])
+
+    def one(pair: Pair) -> Array:
+        own, rest = np.searchsorted(every, pair.own), np.searchsorted(every, pair.rest)
+        apart = _without(left, rest, own, little[..., pair.rest])
+        square = np.einsum("kd,...kl,ld->...d", pair.size, apart, pair.size)
+        return np.asarray(np.sqrt(np.maximum(np.quantile(square, _FEW, axis=-1), 0.0)))
+
+    return np.stack([one(pair) for pair in pairs], axis=-1)
+
+
+def _without(gram: Array, out: Index, kept: Index, little: Array) -> Array:
+    """(..., k, k) products of the kept columns with others taken out; little : (..., o) that is
+    added to the diagonal of these"""
+    inside = gram[..., out[:, None], out] + little[..., None] * np.eye(len(out))
+    across = gram[..., out[:, None], kept]
+    back = across.swapaxes(-1, -2) @ np.linalg.solve(inside, across)
+    return np.asarray(gram[..., kept[:, None], kept] - back)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -129,7 +129,7 @@ def can_be_told(ambiguity: Ambiguity, pool: Pool, pair: Pair) -> bool:
     """Whether any number of candidates would tell the truth of a pair from the other."""
     gram = ambiguity.products.gram + _ANY_NUMBER * pool.gram.mean(axis=0)
     left = float(apart(gram, (pair,))[0])
-    alone = Pair(pair.truth, "", pair.own, ambiguity.own, pair.size)
+    alone = replace(pair, other="", rest=pair.rest[:0])
     return left > _SAME * float(apart(gram, (alone,))[0])
 
 

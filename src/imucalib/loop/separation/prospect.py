@@ -19,9 +19,8 @@ from imucalib.loop.thresholds import APART, MARGIN
 
 @dataclass(frozen=True)
 class Drawn:
-    """Data sets with all columns' products. gram : (P, P); along : (P, draws); power : (draws,)"""
+    """Data sets. along : (P, draws) with all columns; power : (draws,)"""
 
-    gram: Array
     along: Array
     power: Array
     numbers: float
@@ -46,31 +45,42 @@ def ends(
 
     against : truth -> the rivals that it has to stand apart from
     """
+    out = taken_out(ambiguity, ambiguity.products.gram + added.gram)
+    root = _root_of(added.gram)
     return {
         truth: float(
-            np.mean(alone(ambiguity, drawn(ambiguity, truth, added, rng, draws), truth, o))
+            np.mean(
+                alone(
+                    ambiguity, out, _drawn(ambiguity, truth, added.numbers, root, rng, draws),
+                    truth, others,
+                )
+            )
         )
-        for truth, o in against.items()
-    }
+        for truth, others in against.items()
+    }  # fmt: skip
 
 
-def drawn(
-    ambiguity: Ambiguity, truth: str, added: Added, rng: np.random.Generator, draws: int
-) -> Drawn:
+def _root_of(gram: Array) -> Array:
+    """(P, r) root of the products of new data."""
+    values, vectors = eigen(gram)
+    use = values > 1e-12 * max(float(values[-1]), 1e-300)
+    return np.asarray(vectors[:, use] * np.sqrt(values[use]))
+
+
+def _drawn(
+    ambiguity: Ambiguity, truth: str, numbers: float, root: Array, rng: np.random.Generator,
+    draws: int,
+) -> Drawn:  # fmt: skip
     """The recording as it is, and new data with sizes that it allows: their noise as uncertain as
-    it has left it."""
-    old, gram, numbers = ambiguity.products, added.gram, added.numbers
+    it has left it; numbers, root (P, r) : of the new data"""
+    old = ambiguity.products
     scale = np.sqrt(ambiguity.dof / rng.chisquare(max(ambiguity.dof, 1.0), draws))
     size = ambiguity.sizes[truth]
     theta = size.drawn(rng, draws, scale)
-    values, vectors = eigen(gram)
-    use = values > 1e-12 * max(float(values[-1]), 1e-300)
-    root = vectors[:, use] * np.sqrt(values[use])
     white = rng.standard_normal((root.shape[1], draws)) * scale
     clean = root[size.at].T @ theta
     beside = rng.chisquare(max(numbers - root.shape[1], 1e-9), draws) * scale**2
     return Drawn(
-        old.gram + gram,
         old.along[:, None] + root @ (clean + white),
         old.power + np.sum((clean + white) ** 2, axis=0) + beside,
         old.numbers + numbers,
@@ -78,11 +88,11 @@ def drawn(
 
 
 def alone(
-    ambiguity: Ambiguity, data: Drawn, truth: str, others: Sequence[str]
+    ambiguity: Ambiguity, out: TakenOut, data: Drawn, truth: str, others: Sequence[str]
 ) -> NDArray[np.bool_]:
     """(draws,) whether the truth has the most evidence and none of the others would do as well."""
     found = [ambiguity.blocks[name] for name in (truth, *others)]
-    gram, along, power, freedom = _without_base(ambiguity, data)
+    gram, (along, power, freedom) = out.gram, out.of(data)
     nats = _nats(gram, along, power, found, freedom)
     best = nats[0]
     near = np.maximum(best - MARGIN, 0.5 * best)
@@ -97,24 +107,43 @@ def alone(
 def weights(ambiguity: Ambiguity) -> Mapping[str, float]:
     """How likely the recording makes each rival, all of them alike beforehand; sum 1."""
     p = ambiguity.products
-    data = Drawn(p.gram, p.along[:, None], np.array([p.power]), p.numbers)
+    data = Drawn(p.along[:, None], np.array([p.power]), p.numbers)
     found = [ambiguity.blocks[name] for name in ambiguity.rivals]
-    nats = _nats(*_without_base(ambiguity, data)[:3], found, round(p.numbers) - ambiguity.first)
+    out = taken_out(ambiguity, p.gram)
+    along, power, freedom = out.of(data)
+    nats = _nats(out.gram, along, power, found, freedom)
     share = np.exp(nats[:, 0] - nats[:, 0].max())
     return dict(zip(ambiguity.rivals, (share / share.sum()).tolist(), strict=True))
 
 
-def _without_base(ambiguity: Ambiguity, data: Drawn) -> tuple[Array, Array, Array, int]:
-    """Products, those with the data, its power and its degrees of freedom, the base taken out."""
+@dataclass(frozen=True)
+class TakenOut:
+    """The base taken out of data with the same columns. gram : (P, P) of what it leaves; carry :
+    (b, P) base per unit of each column; factor : of its own products"""
+
+    gram: Array
+    carry: Array
+    factor: tuple[Array, Array]
+
+    def of(self, data: Drawn) -> tuple[Array, Array, int]:
+        """Products with the data, its power and its degrees of freedom."""
+        from scipy.linalg import lu_solve
+
+        own = data.along[: len(self.carry)]
+        used = np.einsum("pd,pd->d", own, lu_solve(self.factor, own))
+        power = np.maximum(data.power - used, 1e-300)
+        return data.along - self.carry.T @ own, power, round(data.numbers) - len(own)
+
+
+def taken_out(ambiguity: Ambiguity, gram: Array) -> TakenOut:
+    """gram : (P, P) products of all columns"""
+    from scipy.linalg import lu_factor, lu_solve
+
     own = ambiguity.own
-    base = data.gram[np.ix_(own, own)]
-    base = base + np.diag(1e-10 * np.diag(base) + 1e-12)
-    carry = np.linalg.solve(base, data.gram[own])
-    gram = data.gram - data.gram[:, own] @ carry
-    along = data.along - carry.T @ data.along[own]
-    used = np.einsum("pd,pd->d", data.along[own], np.linalg.solve(base, data.along[own]))
-    power = np.maximum(data.power - used, 1e-300)
-    return gram, along, power, round(data.numbers) - len(own)
+    base = gram[np.ix_(own, own)]
+    factor = lu_factor(base + np.diag(1e-10 * np.diag(base) + 1e-12))
+    carry = np.asarray(lu_solve(factor, gram[own]))
+    return TakenOut(gram - gram[:, own] @ carry, carry, factor)
 
 
 def _nats(

@@ -32,14 +32,16 @@ def repeated(ambiguity: Ambiguity, menu: Pool, rng: np.random.Generator) -> Sepa
     if not pairs:
         return _told(ambiguity, never=never)
     worth = separating(old, pairs)
-    best, count, ended = 0, 0, dict[str, float]()
-    while count < MOST:
-        count += 1
-        best = int(np.argmax(worth(count * menu.gram)))
-        added = Added(count * menu.gram[best], count * menu.numbers)
-        ended = dict(ends(ambiguity, added, rng, _DRAWS, against))
-        if min(ended.values()) >= ENOUGH:
-            break
+    seed = int(rng.integers(2**63))
+
+    def after(k: int) -> tuple[int, Mapping[str, float]]:
+        """The best candidate k times, and how often each rival has ended: by the same draws, so
+        that more of it does not seem to tell less."""
+        best = int(np.argmax(worth(k * menu.gram)))
+        added = Added(k * menu.gram[best], k * menu.numbers)
+        return best, ends(ambiguity, added, np.random.default_rng(seed), _DRAWS, against)
+
+    count, best, ended = _fewest(after)
 
     def reached(k: int, some: Array) -> float:
         """The median over some candidates (n, P, P), each k times."""
@@ -58,6 +60,24 @@ def repeated(ambiguity: Ambiguity, menu: Pool, rng: np.random.Generator) -> Sepa
         informative=_beside(lambda k: reached(k, menu.gram[most : most + 1]), count, goal),
         random=_beside(lambda k: reached(k, menu.gram), count, goal),
     )
+
+
+def _fewest(
+    after: Callable[[int], tuple[int, Mapping[str, float]]],
+) -> tuple[int, int, Mapping[str, float]]:
+    """The fewest times that end it, or the most that are tried; with what these have."""
+    known: dict[int, tuple[int, Mapping[str, float]]] = {}
+
+    def over(k: int) -> bool:
+        known[k] = after(k)
+        return min(known[k][1].values()) >= ENOUGH
+
+    least, most = 1, 1
+    while not over(most) and most < MOST:
+        least, most = most + 1, min(2 * most, MOST)
+    # Between a number that was too few and one that is enough, the others by halving.
+    count = least + bisect_left(range(least, most), True, key=over)
+    return (count, *known[count])
 
 
 def _beside(reached: Callable[[int], float], count: int, goal: float) -> Beside:

@@ -259,6 +259,7 @@ def test_the_size_is_the_regression_on_the_drawing() -> None:
 
 def test_a_rests_noise_falls_with_its_samples_but_not_to_nothing() -> None:
     rests_of = SimpleNamespace(noise=np.array([[1.0, 2.0, 0.0], [2.0, 2.0, 4.0]]),
+                               step=np.zeros((2, 3)),
                                samples=np.array([[4, 100], [25, 16]]))  # fmt: skip
     found = own_noise(rests_of, [1, 0])  # type: ignore[arg-type]
     np.testing.assert_allclose(found[0, 0], np.array([2.0, 2.0, 4.0]) / 10.0)

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.drawing.streams import (
     noisy_alone,
@@ -80,6 +82,22 @@ def test_a_late_chip_is_told(log: ArrayLog, late: int, kind: str) -> None:
         refuse_streams(found, BOARD.imus, log.interval)
     assert caught.value.exit_code == 4
     assert np.count_nonzero(found.shift) == 1
+
+
+def between(values: Array, late: float) -> Array:
+    """(N, 3) readings of so many samples before, by a cubic spline."""
+    at = np.arange(len(values), dtype=np.float64)
+    return np.asarray(CubicSpline(at, values)(np.maximum(at - late, 0.0)))
+
+
+def test_both_sensors_of_a_late_chip_are_told(log: ArrayLog) -> None:
+    """12 ms at 100 Hz: one sample later its gyro is as alike the others as these are, and the
+    accelerometer, which shows the two that are left far better, is three times farther."""
+    force, rate = log.acceleration.copy(), log.rate.copy()
+    force[:, 5], rate[:, 5] = between(force[:, 5], 1.2), between(rate[:, 5], 1.2)
+    found = streams(replace(log, acceleration=force, rate=rate))
+    assert found.shift[5].tolist() == [1.0, 1.0]
+    assert np.count_nonzero(found.shift) == 2
 
 
 @pytest.mark.parametrize("kind", ["acceleration", "rate"])

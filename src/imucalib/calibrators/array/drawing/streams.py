@@ -101,7 +101,8 @@ def _shifts(log: ArrayLog, moving: Flags) -> Array:
     others of its kind say, by least squares (forces of a rigid board are affine in the place; with
     few IMUs the products of the rate and its change stand for those that are missing). Late by one
     sample is what becomes as alike as the others are: a slow filter, or a lag of a part of one,
-    does not, and is the loop's to name."""
+    does not, and is the loop's to name. An IMU has one clock: with one of its sensors the other is
+    late whose best shift is the same, though it answers to the part of a sample that is left."""
     count = log.rate.shape[1]
     found, least = np.zeros((count, 2)), np.full((count, 2), np.inf)
     rows = np.flatnonzero(moving[_FAR:-_FAR]) + _FAR
@@ -127,6 +128,7 @@ def _shifts(log: ArrayLog, moving: Flags) -> Array:
             if misfit[best] < _BETTER * misfit[_FAR]:
                 found[k, kind] = lags[best]
     slow = (np.abs(found) == 1.0) & (least > _ALIKE * np.median(least, axis=0))
+    slow &= slow[:, ::-1] | (found != found[:, ::-1])
     return np.where(slow, 0.0, found)
 
 

@@ -36,10 +36,16 @@ _NO_ERROR = 1e-12  # m/s² or rad/s
 
 @dataclass(frozen=True)
 class Gained:
-    """acceleration (m/s²), rate (rad/s) : median absolute deviations before and after"""
+    """acceleration (m/s²), rate (rad/s) : median absolute deviations before and after
+
+    own : the same of the sensors' own errors, residuals over the root of what the motion leaves of
+    them. One of few chips that counts little leaves the motion to the others, which then agree with
+    it whatever they read: only against that has an error grown
+    """
 
     acceleration: Difference
     rate: Difference
+    own: tuple[Difference, Difference]
 
     @property
     def before(self) -> Residuals:
@@ -57,9 +63,8 @@ class Gained:
     @property
     def proved(self) -> bool:
         """Whether one sensor has gained beyond chance, and the other lost nothing that counts."""
-        both = (self.acceleration, self.rate)
-        lost = any(d.high < 0.0 and d.after > (1.0 + _COUNTS) * d.before for d in both)
-        return any(d.proved for d in both) and not lost
+        lost = any(d.high < 0.0 and d.after > (1.0 + _COUNTS) * d.before for d in self.own)
+        return any(d.proved for d in (self.acceleration, self.rate)) and not lost
 
     @property
     def refutes(self) -> bool:
@@ -67,9 +72,7 @@ class Gained:
         Where a half of the motion shows too little for its search to find an effect as it is,
         errors are the same but for what noise makes of them: that says nothing against what the
         whole shows, nor for it."""
-        grown = (
-            d.high < 0.0 and d.gain < -_HARM * d.before for d in (self.acceleration, self.rate)
-        )
+        grown = (d.high < 0.0 and d.gain < -_HARM * d.before for d in self.own)
         return self.principal.gain < 0.0 and any(grown)
 
 
@@ -90,9 +93,11 @@ def cross_fitted(setup: Setup, moving: Moving, searched: Searching) -> Gained | 
         blocks.append(test.block[silent])
     before, after = (np.concatenate(sizes, axis=1) for sizes in zip(*parts, strict=True))
     block = np.concatenate(blocks)
-    acceleration, rate = (difference_of_medians(before[k], after[k], block, _HALVES)
-                          for k in range(2))  # fmt: skip
-    return Gained(acceleration, rate)
+    acceleration, rate, *own = (
+        difference_of_medians(one, two, block, _HALVES)
+        for one, two in zip(before, after, strict=True)
+    )
+    return Gained(acceleration, rate, (own[0], own[1]))
 
 
 def _predicted(path: MotionSubject, setup: Setup, moving: Moving) -> ArrayState:
@@ -105,9 +110,12 @@ def _predicted(path: MotionSubject, setup: Setup, moving: Moving) -> ArrayState:
 
 
 def _sizes(state: ArrayState, rows: Flags) -> Array:
-    """(2, n, 3 K) m/s² and rad/s: what is left of the samples `rows` (inner,)."""
+    """(4, n, 3 K) m/s² and rad/s: what is left of the samples `rows` (inner,) of accelerometers and
+    gyros, and the same over the root of the share that the motion leaves."""
     off, inner = state.sampled.off, state.setup.inner[rows]
-    return np.abs([x[inner].reshape(len(inner), -1) for x in (off.acceleration, off.rate)])
+    left = np.abs([off.acceleration[inner], off.rate[inner]])
+    share = np.stack([kept.share[inner] for kept in state.sampled.kept])[..., None]
+    return np.concatenate([left, left / np.sqrt(share)]).reshape(4, len(inner), -1)
 
 
 def difference_of_medians(before: Array, after: Array, block: Index, folds: int) -> Difference:

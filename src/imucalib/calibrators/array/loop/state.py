@@ -16,6 +16,7 @@ from imucalib.calibrators.array.estimate.base import Base
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.terms import Term, lagging, lost, sensed
+from imucalib.estimators.array.followed import not_followed
 from imucalib.estimators.array.gram import beside_motion, gradient, gram
 from imucalib.estimators.array.noise import SensorNoise, Squares, chosen_noise, log_density, scaled
 from imucalib.estimators.array.reduced import inverse_root
@@ -137,9 +138,9 @@ def _with_scale(state: ArrayState, off: Readings | None = None) -> ArrayState:
 def _shaped(state: ArrayState) -> tuple[SensorNoise, SensorNoise]:
     a, g, speed = state.squares()
     some = np.linspace(0, len(speed) - 1, min(len(speed), 250)).astype(np.intp)
-    first = state.setup.first[some]
-    found = [chosen_noise(x[some], speed[some], first, robust=True) for x in (a, g)]
-    return scaled(found[0], a, speed), scaled(found[1], g, speed)
+    first, rows = state.setup.first[some], state.setup.inner[some]
+    one, two = (chosen_noise(x[some], speed[some], first, robust=True) for x in (a, g))
+    return scaled(one, a, speed), scaled(not_followed(two, state.sampled, rows), g, speed)
 
 
 def _climbed(state: ArrayState, close: float, least: float = -np.inf) -> ArrayState:
@@ -191,8 +192,7 @@ def _measured(state: ArrayState) -> ArrayState:
 def _of_values(state: ArrayState, off: Readings | None = None) -> float:
     """Nats of the data and of the terms' values; off : other residuals than those of the state."""
     a, g, speed = state.squares(off)
-    nats = float(log_density(state.noise[0], a, speed).sum())
-    nats += float(log_density(state.noise[1], g, speed).sum())
+    nats = sum(float(log_density(*x, speed).sum()) for x in zip(state.noise, (a, g), strict=True))
     for term in state.terms:
         nats -= 0.5 * float(np.sum((term.value / term.sd) ** 2) + 2.0 * np.log(term.sd).sum())
     return nats
