@@ -15,7 +15,7 @@ from imucalib.calibration.provenance import provenance_of
 from imucalib.report.card import card_of, error_worth
 from imucalib.report.data import shown_dict
 from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
-from imucalib.report.gain import gain_plot
+from imucalib.report.gain import gain_plot, refuted_words
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import PAGE, render_text
 from imucalib.report.sphere import projected
@@ -129,3 +129,11 @@ def test_a_card_of_a_result_that_passes_has_no_caution() -> None:
         made = replace(document(tone), card=left).calm()  # type: ignore[arg-type]
         assert made.card is not None
         assert made.card.found[0].tone == shown
+
+
+def test_what_stood_out_and_was_refused_by_other_data_is_told() -> None:
+    gain = Gain(2.11, 2.2, -0.4, 0.2, False, "mg")
+    words = refuted_words(Findings("nothing missing", refuted=("bias_step@record26",), gain=gain))
+    assert "bias_step@record26 stood out by more than chance" in words
+    assert "2.11 mg without, 2.2 with" in words
+    assert refuted_words(Findings("nothing missing")) == "no candidate passes the search"

@@ -121,6 +121,7 @@ class Findings:
     steps: tuple[FoundStep, ...] = ()
     records: tuple[RecordError, ...] = ()
     rejected: tuple[tuple[str, str], ...] = ()
+    refuted: tuple[str, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
     scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
@@ -151,6 +152,7 @@ def findings_of(
         steps=tuple(_step(step, loop) for step in loop.steps),
         records=loop.records,
         rejected=loop.rejected,
+        refuted=loop.refuted,
         unexplained=loop.unexplained,
         scores=loop.scores,
         missing=loop.missing,

@@ -110,6 +110,7 @@ def judged(loop: FitLoop, held: CrossFit, metric: Metric) -> FitLoop:
         as_recorded=loop.plain,
         steps=(),
         rejected=(*loop.rejected, *((s.effect, why) for s in loop.steps)),
+        refuted=tuple(s.effect for s in loop.steps),
         unexplained=(*loop.unexplained, *strong),
         difference=found,
     )

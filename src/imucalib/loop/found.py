@@ -143,6 +143,8 @@ class Loop(Generic[S]):
 
     records : that do not belong to the rest; scores, first_scores : of the last search, and of the
         last one before any step; missing : why effects could not be tested
+    refuted : of what was rejected, steps that were taken and put back, since data that took no part
+        in the whole search refuse them
     unexplained : structure that no effect carries, also where a curve corrects it
     difference : of the errors on data that took no part in the whole search, before and after
     doubted : whether names by themselves have not proved a gain, where curves stand beside them
@@ -154,6 +156,7 @@ class Loop(Generic[S]):
     records: tuple[RecordError, ...] = ()
     steps: tuple[Step, ...] = ()
     rejected: tuple[tuple[str, str], ...] = ()
+    refuted: tuple[str, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
     scores: tuple[Score, ...] = ()
     first_scores: tuple[Score, ...] = ()

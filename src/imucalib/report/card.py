@@ -10,7 +10,7 @@ from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.report.document import Card, Text, Tone, Worth
-from imucalib.report.gain import density_words
+from imucalib.report.gain import density_words, refuted_words
 from imucalib.significant_digits import plus_minus, two_digits
 from imucalib.units import MG
 
@@ -96,7 +96,8 @@ def _found(found: Findings) -> tuple[Text, ...]:
     if found.verdict == "not run":
         lines.append(Text("What the model lacks was not searched for."))
     elif not (lines or found.records):
-        lines.append(Text("Nothing is missing from the model, as far as these data show.", "ok"))
+        why = f": {refuted_words(found)}" if found.refuted else ", as far as these data show"
+        lines.append(Text(f"Nothing is missing from the model{why}.", "ok"))
     return tuple(lines)
 
 

@@ -121,6 +121,7 @@ def _found(found: Findings) -> dict[str, Any]:
             for u in found.unexplained
         ],
         "rejected": [{"effect": name, "reason": why} for name, why in _reasons(found).items()],
+        "refuted": list(found.refuted),
         "not_testable": [vars(u) for u in found.not_testable],
         "candidates": [
             {"name": s.name, "kind": s.candidate.kind, "evidence_nats": s.evidence, "p_value": s.p,

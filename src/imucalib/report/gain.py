@@ -30,3 +30,14 @@ def gain_plot(found: Findings | None) -> tuple[Plot, ...]:
 def density_words(gain: Gain) -> str:
     """What the log density of held-out data gains, where it was judged."""
     return f"in log density {gain.nats:+.1f} nats, at least {gain.nats_low:+.1f}"
+
+
+def refuted_words(found: Findings) -> str:
+    """Why nothing was taken where nothing is left."""
+    if not found.refuted or found.gain is None:
+        return "no candidate passes the search"
+    g, names = found.gain, " and ".join(found.refuted)
+    return (
+        f"{names} stood out by more than chance, but not on data that took no part "
+        f"({g.before:.3g} {g.unit} without, {g.after:.3g} with)"
+    )

@@ -10,6 +10,7 @@ from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.calibration.power import hidden
 from imucalib.loop.evidence import Score
 from imucalib.report.document import Block, Facts, Section, Table, Text, Tone
+from imucalib.report.gain import refuted_words
 from imucalib.report.steps import step_tables
 from imucalib.significant_digits import plus_minus, probability
 from imucalib.units import MG
@@ -133,7 +134,7 @@ def _verdict(found: Findings) -> Text:
     gained = f" Held out{aside}: {found.gain.words}." if found.gain and found.steps else ""
     return {
         "not run": Text("Fitted with the declared effects; the search was not run."),
-        "nothing missing": Text("Nothing is missing: no candidate passes the search.", "ok"),
+        "nothing missing": Text(f"Nothing is missing: {refuted_words(found)}.", "ok"),
         "explained": Text(f"The residual is explained by {cause}.{gained}", "ok"),
         "explained in part": Text(
             f"The residual is explained in part by {cause}; left: {unknown}.{gained}", "warning"

@@ -37,6 +37,7 @@ def array_findings(loop: MotionLoop) -> Findings:
         steps=tuple(_step(step, loop) for step in loop.steps),
         records=loop.records,
         rejected=loop.rejected,
+        refuted=loop.refuted,
         unexplained=loop.unexplained,
         scores=loop.scores,
         missing=loop.missing,

@@ -147,6 +147,7 @@ def _ended(
         final=final,
         steps=path.steps,
         rejected=(*end.reasons, *path.dropped, *refused),
+        refuted=tuple(name for name, _ in refused),
         unexplained=unexplained,
         scores=end.last.scores,
         first_scores=end.first.scores,
