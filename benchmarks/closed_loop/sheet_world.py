@@ -235,7 +235,8 @@ def _anew(bench: Bench, runs: Sequence[LabRun], k: int) -> Array:
     rng = np.random.default_rng((bench.plan.seed, 3, k))
     c = replace(conditions(rng, bench.plan.n), phase=bench.conditions.phase)
     reading = bench.noted(c, rng)
-    meant = 1000.0 * direction(c.inclination, c.tool_face)
+    meant = direction(c.inclination, c.tool_face)
     fits = [run.result.final for run in runs]
-    away = [corrected(f, MG * reading, _context(f, c, bench)) / MG - meant for f in fits]
+    away = [corrected(f, MG * reading, _context(f, c, meant, bench)) / MG for f in fits]
+    away = [a - 1000.0 * meant for a in away]
     return np.array([np.mean(np.sum(a**2, axis=1)) for a in away])
