@@ -49,6 +49,7 @@ class Trial:
         knows the planted effects; covered : of `intervals` 95 % intervals
     refused : the error that the command stopped with, if it did
     names : of every step, itself and its aliases, in full
+    alike : what is told to do as well as noise that neighbours share
     told : change of the error that is reported as held out; new : the same on data made anew
     """
 
@@ -70,6 +71,7 @@ class Trial:
     names: tuple[str, ...] = ()
     told: float = 0.0
     new: float = 0.0
+    alike: tuple[str, ...] = ()
 
     @property
     def alarm(self) -> bool:
@@ -118,6 +120,7 @@ def said(trial: Trial, loop: FitLoop | MotionLoop) -> Trial:
             *(("curve", _against(s.effect)) for s in getattr(loop, "curves", ())),
         ),
         absorbed=tuple(plain(s.name) for s in loop.first_scores if s.absorbed),
+        alike=tuple(dict.fromkeys(plain(n) for u in loop.unexplained for n in u.alike)),
     )
 
 
