@@ -33,3 +33,12 @@ def test_a_name_is_certain_only_before_all_other_forms(
     assert step.effect == first
     assert any(a.startswith("shape@response") for a in step.aliases) == beside
     assert not (step.certain and beside)
+
+
+def test_an_error_of_the_tool_face_comes_back_after_a_turn(tmp_path: Path) -> None:
+    """A third harmonic was a sine of 117 deg, which jumps where the turn closes."""
+    bench = Bench(Plan(40071002, (("third_harmonic", 25.0),)))
+    table = read_position_table(bench.write(tmp_path / "sheet.csv"))
+    loop = run_lab(table, LabRequest(unit="mg", seed=0)).result.loop
+    assert loop is not None
+    assert loop.steps[0].effect == "shape@tool_face:tool_face:sine:120"

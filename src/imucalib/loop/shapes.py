@@ -23,6 +23,7 @@ from imucalib.units import DEG, STANDARD_GRAVITY
 
 _ANGLES = ("tool_face", "inclination")
 _FINER, _HARMONICS = 9, 12
+_PERIODIC = ("sine", "saw_tooth")
 #: Sine of the angle between two ways to write one function, beside what is in the model: a kink at
 #: a hundredth of a g is asymmetry.
 _ITSELF = 0.1
@@ -68,7 +69,9 @@ def _best_of(fit: Fit, curve: Score, scan: _Scan, rng: np.random.Generator) -> F
     of_kind = {kind: scan_evidence(members) for kind, members in scan.found.items()}
     best = max(of_kind, key=lambda kind: of_kind[kind])
     top = max(scan.found[best], key=lambda s: s.evidence)
-    near = _between(scan.tried[best], _numbers_of(top.name))
+    # What goes with a tool-face comes back after a turn: between its harmonics there is nothing.
+    turns = scan.against == "tool_face" and best in _PERIODIC
+    near = [] if turns else _between(scan.tried[best], _numbers_of(top.name))
     finer = _scored(fit, scan.what, scan.against, {best: near}, rng).get(best, [])
     top = max([top, *finer], key=lambda s: s.evidence)
     effect = known(top.name)
