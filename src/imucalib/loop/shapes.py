@@ -150,9 +150,11 @@ def _scored(
                 effects.append(effect)
                 kind_of[name] = kind
     candidates, _ = effect_candidates(fit, effects)
+    # Scores of many observations come without their columns, which tell a form from the name.
+    whole = {candidate.name: candidate for candidate in candidates}
     found: dict[str, list[Score]] = {}
     for one in score(fit, candidates, rng, draws=0):
-        found.setdefault(kind_of[one.name], []).append(one)
+        found.setdefault(kind_of[one.name], []).append(replace(one, candidate=whole[one.name]))
     return found
 
 
