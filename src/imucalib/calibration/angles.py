@@ -91,11 +91,11 @@ def _uncertainty(calibration: Calibration, force: Array, noise: Array) -> Array:
     """(4, n) deg: inclination by the calibration and in all, tool-face likewise."""
     model, theta = calibration.model()
     covariance = calibration.covariance_of(model)
-    usual = {n: np.full(len(force), calibration.unrecorded(n)) for n in calibration.valid}
     # Attitude alone counts: what moves beside gravity is no rest.
     direction = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
     truth = STANDARD_GRAVITY * direction
-    predicted = model.predict(theta, truth[:, None], Context(len(force), usual))
+    context = Context(len(force), calibration.usual(len(force)))
+    predicted = model.predict(theta, truth[:, None], context)
     inverse = np.linalg.inv(predicted.d_truth[:, 0])
     slope = -inverse @ predicted.d_theta[:, 0]
     x, y, z = truth.T

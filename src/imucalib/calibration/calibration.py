@@ -39,6 +39,11 @@ NEVER_APPLIED = ("fixture", "array")
 PASSING = ("order", "record", "time")
 
 
+def taken_at(covariate: str) -> str:
+    """In words, where in what was calibrated a covariate is taken that was not recorded."""
+    return "at the end" if covariate in PASSING else "in the middle"
+
+
 @dataclass(frozen=True)
 class Calibration:
     """A calibration apart from the data it came from.
@@ -99,6 +104,10 @@ class Calibration:
         """
         low, high = self.valid[covariate]
         return high if covariate in PASSING else 0.5 * (low + high)
+
+    def usual(self, count: int) -> dict[str, Array]:
+        """Every covariate (count,) as if none was recorded."""
+        return {name: np.full(count, self.unrecorded(name)) for name in self.valid}
 
     def apply(self, reading: Array, context: Context | None = None) -> Array:
         """Correct readings (n, 3) in m/s² to specific force (n, 3) in m/s² in the tool's frame.

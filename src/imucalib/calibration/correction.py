@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.calibration import PASSING, Calibration
+from imucalib.calibration.calibration import Calibration, taken_at
 from imucalib.calibration.series import CalibrationPart, part_at, parts_of
 from imucalib.calibration.undo import Undo
 from imucalib.core.context import Context
@@ -200,8 +200,7 @@ class Correction:
 def _held_words(effect: str, lost: list[str], valid: Spans, size: float) -> str:
     spans = ", ".join(f"{valid[name][0]:.3g} to {valid[name][1]:.3g}" for name in lost)
     names = ", ".join(lost)
-    places = {name: "at the end" if name in PASSING else "in the middle" for name in lost}
-    where = " and ".join(dict.fromkeys(places.values()))
+    where = " and ".join(dict.fromkeys(taken_at(name) for name in lost))
     return (
         f"{effect} is left out, for the recording has no {names}: it acts as "
         f"{where} of what was calibrated ({spans}), which leaves up to {size / MG:.2g} mg"

@@ -29,13 +29,13 @@ from imucalib.loop.evidence import Score, score
 from imucalib.loop.found import Checked, FitLoop, LoopSettings, Step
 from imucalib.loop.noise.doubts import noise_doubts
 from imucalib.loop.noise.shared import with_shared_noise
+from imucalib.loop.record_errors import record_names
 from imucalib.loop.records import (
     extended,
     foreseen,
     held_out_rms,
     least_strange,
     named_records,
-    record_names,
     record_scores,
     reduced,
     row_of,

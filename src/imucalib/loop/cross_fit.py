@@ -24,7 +24,7 @@ from imucalib.loop.difference import Metric, difference, with_density
 from imucalib.loop.foretold import foretold
 from imucalib.loop.found import FitLoop, LoopSettings, Unexplained
 from imucalib.loop.held_out import Held, errors, theta_without, without_records
-from imucalib.loop.records import record_names
+from imucalib.loop.record_errors import record_names
 from imucalib.loop.search import beyond_chance, choose, search
 from imucalib.loop.subject import Refused
 from imucalib.units import MG

@@ -12,7 +12,7 @@ from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.references import KnownNorm, KnownVector, angles_of
-from imucalib.effects.record_error import record_of
+from imucalib.effects.record_error import is_record_error, record_of
 from imucalib.loop.held_out import theta_without, without_records
 from imucalib.units import DEG, MG
 
@@ -51,12 +51,22 @@ class Prediction:
         return float(away @ np.linalg.solve(self.covariance, away))
 
 
+def record_number(fit: Fit, row: int) -> int:
+    """Number of a record in the whole recording, which a subset keeps; row : of the fit's."""
+    return int(fit.observations.context["record"][row])
+
+
+def record_names(fit: Fit, row: int | None = None) -> tuple[str, ...]:
+    """Names of the record errors in a fit's model, of one row or of all."""
+    every = [name for name in fit.model.names if is_record_error(name)]
+    return tuple(n for n in every if row is None or record_of(n) == record_number(fit, row))
+
+
 def predict_record(aside: Fit, row: int) -> Prediction:
     """Predict one record (K = 1) from all others, from a fit in which its numbers are free: what
     rows at the same setting tell of the setting's error is part of it."""
-    where = aside.model.slices(aside.observations.context)
-    name = next(n for n in where if record_of(n) == int(aside.observations.context["record"][row]))
-    own = where[name]
+    (name,) = record_names(aside, row)
+    own = aside.model.slices(aside.observations.context)[name]
     mean = aside.observations.reading[row, 0] - MG * aside.theta[own]
     return Prediction(mean, MG**2 * aside.covariance[own, own])
 

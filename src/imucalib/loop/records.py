@@ -11,12 +11,12 @@ from imucalib.core.balance import Noise
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
-from imucalib.effects.record_error import is_record_error, record_error, record_of
+from imucalib.effects.record_error import record_error, record_of
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import record_candidates
 from imucalib.loop.evidence import Score, score
 from imucalib.loop.held_out import left_out_sizes
-from imucalib.loop.record_errors import RecordError, diagnose
+from imucalib.loop.record_errors import RecordError, diagnose, record_names, record_number
 from imucalib.units import MG
 
 
@@ -62,7 +62,7 @@ def set_aside(fit: Fit, row: int) -> Fit:
     # One number for one: its size is that of gravity, which the axis along gravity shows best.
     along = "xyz"[int(np.argmax(np.abs(observations.reading[row, 0])))]
     axes = "xyz" if known or triads > 1 else along
-    effect = record_error(_number(fit, row), observations.label[row], axes)
+    effect = record_error(record_number(fit, row), observations.label[row], axes)
     nominal = observations.reference.truth(_settled(fit))
     predicted = fit.model.predict(fit.theta, nominal, observations.context).reading
     off = (observations.reading[row, 0] - predicted[row, 0]) / MG
@@ -85,17 +85,6 @@ def _settled(fit: Fit) -> Array:
 def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[RecordError, ...]:
     """Diagnose records from the fit in which they are set aside."""
     return tuple(diagnose(fit, row, s.name.partition(":")[2], s.p, s.evidence) for s, row in found)
-
-
-def record_names(fit: Fit, row: int | None = None) -> tuple[str, ...]:
-    """Names of the record errors in a fit's model, of one row or of all."""
-    every = [name for name in fit.model.names if is_record_error(name)]
-    return tuple(n for n in every if row is None or record_of(n) == _number(fit, row))
-
-
-def _number(fit: Fit, row: int) -> int:
-    """Number of a record in the whole recording, which a subset keeps; row : of the fit's."""
-    return int(fit.observations.context["record"][row])
 
 
 def held_out_rms(fit: Fit) -> float:

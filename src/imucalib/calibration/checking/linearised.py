@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.calibration.calibration import NEVER_APPLIED, PASSING, Calibration
+from imucalib.calibration.calibration import NEVER_APPLIED, Calibration, taken_at
 from imucalib.calibration.checking.misfit import Misfits, Part
 from imucalib.calibration.checking.noise import FAMILIES, CheckNoise
 from imucalib.core.balance import Balanced, balance
@@ -128,8 +128,7 @@ def _complete(
             )
         value = calibration.unrecorded(name)
         found[name] = np.full(context.n, value)
-        where = "at the end" if name in PASSING else "in the middle"
-        notes.append(f"{name} is taken as {where} of the calibration, {value:.3g}")
+        notes.append(f"{name} is taken as {taken_at(name)} of the calibration, {value:.3g}")
     return replace(observations, context=replace(context, covariates=found)), tuple(notes)
 
 

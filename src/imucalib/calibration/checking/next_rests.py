@@ -104,9 +104,8 @@ def _pool(calibration: Calibration, noise: CheckNoise, directed: bool) -> Misfit
     rests are joined."""
     part = acting(calibration, fixture=False)
     along, n = attitudes(), len(attitudes())
-    usual = {name: np.full(n, calibration.unrecorded(name)) for name in calibration.valid}
     previous = {f"previous_{a}": np.zeros(n) for a in "xyz"}
-    context = Context(n, {**previous, **usual})
+    context = Context(n, {**previous, **calibration.usual(n)})
     force = calibration.gravity * along[:, None]
     reading = part.model.predict(part.theta, force, context).reading
     reference: Reference = KnownNorm(n, calibration.gravity)

@@ -43,9 +43,8 @@ class OneSensor:
         return self.calibration.covariance[np.ix_(self.part.at, self.part.at)]
 
     def _context(self, n: int) -> Context:
-        usual = {k: np.full(n, self.calibration.unrecorded(k)) for k in self.calibration.valid}
         before = {f"previous_{axis}": np.zeros(n) for axis in "xyz"}
-        return Context(n, {**before, **usual})
+        return Context(n, {**before, **self.calibration.usual(n)})
 
     def reading(self, force: Array) -> Array:
         part, context = self.part, self._context(len(force))
