@@ -77,7 +77,7 @@ def _taken(some: list[Trial]) -> list[Row]:
 def _one(one: list[Trial], strong: list[Trial], two: list[Trial]) -> list[Row]:
     return [
         ("one effect, 6 <= λ < 10: reported", len(one), share(one, lambda t: t.within), ">= 97 %"),
-        ("one effect, 6 <= λ < 10: told, be it beside noise that does as well", len(one),
+        ("one effect, 6 <= λ < 10: told, beside noise or as refused too", len(one),
          share(one, lambda t: t.within or t.job.effects[0][0] in t.alike), "-"),
         ("one effect, λ >= 10: first", len(strong), share(strong, lambda t: t.first), ">= 97 %"),
         ("one effect, λ >= 10: error / oracle, median and 90 %", len(strong),

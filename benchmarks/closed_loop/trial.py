@@ -49,7 +49,7 @@ class Trial:
         knows the planted effects; covered : of `intervals` 95 % intervals
     refused : the error that the command stopped with, if it did
     names : of every step, itself and its aliases, in full
-    alike : what is told to do as well as noise that neighbours share
+    alike : what is told to do as well as noise that neighbours share, or to be refused
     told : change of the error that is reported as held out; new : the same on data made anew
     """
 

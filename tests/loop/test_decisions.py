@@ -17,7 +17,7 @@ from imucalib.core.context import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from imucalib.effects import catalogue
-from imucalib.loop import candidates, choice, search, shapes
+from imucalib.loop import candidates, choice, search, shapes, unexplained
 from imucalib.loop.anytime import e_value as anytime
 from imucalib.loop.design import Fold, folds_of, parts_of
 from imucalib.loop.difference import Difference, difference, with_density
@@ -67,10 +67,27 @@ def test_a_curve_is_clear_three_nats_beyond_chance() -> None:
     assert search.clear(score(evidence=10.0, bar=99.0), replace(rules, bar=7.0))
 
 
-def test_what_data_refuse_is_told_beyond_ten_nats_or_three_in_a_thousand() -> None:
-    assert search.beyond_chance(score(evidence=10.1, p=0.03))
-    assert not search.beyond_chance(score(evidence=10.0, p=0.004))
-    assert search.beyond_chance(score(evidence=1.0, p=0.003))
+def test_what_data_refuse_is_told_beyond_ten_nats_or_one_in_a_hundred() -> None:
+    assert unexplained.beyond_chance(score(evidence=10.1, p=0.03))
+    assert not unexplained.beyond_chance(score(evidence=10.0, p=0.011))
+    assert unexplained.beyond_chance(score(evidence=1.0, p=0.01))
+
+
+@pytest.mark.parametrize(
+    ("unfounded", "p", "bar", "told"),
+    [(True, 0.01, 3.0, True), (True, 0.011, 3.0, False), (True, 0.01, 1.5, False),
+     (False, 0.01, 3.0, False)],
+)  # fmt: skip
+def test_a_step_that_stands_out_though_not_far_enough_is_told(
+    unfounded: bool, p: float, bar: float, told: bool
+) -> None:
+    found = score("bias_step@record9", evidence=5.0, p=p, bar=bar)
+    found = replace(found, candidate=replace(found.candidate, unfounded=unfounded))
+    left = unexplained.unexplained((found,), LoopSettings())
+    assert [u.name.partition(" and ")[0] for u in left] == [
+        "what looks like bias_step@record9"
+    ] * told
+    assert all((u.driver, u.kind, u.p) == ("record", "probe", p) for u in left)
 
 
 def test_a_scan_is_worth_the_mean_of_its_values() -> None:
@@ -88,7 +105,7 @@ def test_structure_is_told_three_times_at_most_and_by_its_p() -> None:
     rules = LoopSettings(alpha=0.05)
     every = (score("effect"), *(score(str(k), kind="probe", p=0.05) for k in range(4)),
              score("late", kind="probe", p=0.051))  # fmt: skip
-    assert [u.name for u in search.unexplained(every, rules)] == ["0", "1", "2"]
+    assert [u.name for u in unexplained.unexplained(every, rules)] == ["0", "1", "2"]
     assert search.choose(every, rules) is every[0]
     assert search.choose(every[1:], rules) is None
 

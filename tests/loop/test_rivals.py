@@ -16,7 +16,8 @@ from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Step
-from imucalib.loop.rivals import UNLISTED, _curve_beside, beside, keeps_step
+from imucalib.loop.rivals.aliases import UNLISTED, _curve_beside, beside
+from imucalib.loop.rivals.swings import keeps_step
 
 
 def _score(name: str, kind: str, nats: float, curve: str = "") -> Score:

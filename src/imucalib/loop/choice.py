@@ -178,7 +178,7 @@ def curve_of(
     return formed or smooth
 
 
-def _undetermined(fit: Fit, effect: Effect) -> bool:
+def undetermined(fit: Fit, effect: Effect) -> bool:
     """Whether the data clearly cannot determine an effect beside a fit, asked before any refit: too
     few numbers, or directions that would be open at half of the noise too."""
     added = effect.parameters(fit.observations.context)
@@ -199,7 +199,7 @@ def _formed(current: Fit, found: Score, smooth: Decided | None, options: Options
     form = form_of(current, found, options.rng)
     if form is None or form.effect.missing(current.observations.context):
         return None
-    if _undetermined(current, form.effect):
+    if undetermined(current, form.effect):
         return None
     trial = options.extended(current, form.effect)
     bar = () if smooth else (CURVE_NATS, CURVE_RMS)
@@ -213,7 +213,7 @@ def _smoothed(current: Fit, found: Score, options: Options) -> Decided | None:
     for terms in CURVE_TERMS:
         effect = known(f"curve@{found.candidate.curve}:{terms}")
         assert effect is not None, found.candidate.curve
-        if effect.missing(current.observations.context) or _undetermined(current, effect):
+        if effect.missing(current.observations.context) or undetermined(current, effect):
             continue
         trial = options.extended(current, effect)
         if objection(current, trial, CURVE_NATS, CURVE_RMS):

@@ -41,10 +41,11 @@ from imucalib.loop.records import (
     row_of,
     set_aside,
 )
-from imucalib.loop.rivals import UNLISTED, aliases, beside, without_a_name
-from imucalib.loop.search import choose, effect_named, looked_like, search, unexplained
+from imucalib.loop.rivals.aliases import UNLISTED, aliases, beside, without_a_name
+from imucalib.loop.search import choose, effect_named, search
 from imucalib.loop.subject import Refused, Searched, close
 from imucalib.loop.thresholds import KEEP, SUSPECTS
+from imucalib.loop.unexplained import looked_like, unexplained
 
 
 def close_loop(
@@ -63,18 +64,10 @@ def close_loop(
     """
     rules = settings or LoopSettings()
     plain = with_shared_noise(fit_model(model, observations, start=start))
-    end = close(
-        _State(
-            fit=plain,
-            records=(),
-            steps=(),
-            effects=effects,
-            rng=rng,
-            rules=rules,
-            families=families,
-        ),
-        rules,
+    begin = _State(
+        fit=plain, records=(), steps=(), effects=effects, rng=rng, rules=rules, families=families
     )
+    end = close(begin, rules)
     state = end.subject
     final = state.fit
     return FitLoop(

@@ -22,11 +22,12 @@ from imucalib.loop.choice import Options, curve_of, decided
 from imucalib.loop.design import Fold, parts_of
 from imucalib.loop.difference import Metric, difference, with_density
 from imucalib.loop.foretold import foretold
-from imucalib.loop.found import FitLoop, LoopSettings, Unexplained
+from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.held_out import Held, errors, theta_without, without_records
 from imucalib.loop.record_errors import record_names
-from imucalib.loop.search import beyond_chance, choose, search
+from imucalib.loop.search import choose, search
 from imucalib.loop.subject import Refused
+from imucalib.loop.unexplained import beyond_chance, like
 from imucalib.units import MG
 
 
@@ -99,11 +100,7 @@ def judged(loop: FitLoop, held: CrossFit, metric: Metric) -> FitLoop:
         return replace(loop, difference=found)
     why = f"on data that took no part the error is {found.before / MG:.3g} mg without it, "
     why += f"{found.after / MG:.3g} with it"
-    strong = tuple(
-        Unexplained(f"what looks like {s.effect}", "", "probe", s.p, s.evidence, 0.0)
-        for s in loop.named
-        if beyond_chance(s)
-    )
+    strong = tuple(like(s, s.effect, why) for s in loop.named if beyond_chance(s))
     return replace(
         loop,
         final=loop.base,

@@ -96,7 +96,7 @@ class Step:
 @dataclass(frozen=True)
 class Unexplained:
     """Structure that no catalogue effect carries. share : of the weighted residual power; alike :
-    effects that would explain it as well, where noise stands for it"""
+    effects that would explain it, be they refused or no better than the noise that stands for it"""
 
     name: str
     driver: str

@@ -13,7 +13,7 @@ from imucalib.effects import known
 from imucalib.errors import NotConverged
 from imucalib.loop.candidates import correlated_noise, effect_candidates, family_candidates, probes
 from imucalib.loop.evidence import Score, score
-from imucalib.loop.found import LoopSettings, Step, Unexplained
+from imucalib.loop.found import LoopSettings
 from imucalib.loop.held_out import (
     fitted,
     left_out_sizes,
@@ -21,9 +21,8 @@ from imucalib.loop.held_out import (
     settings_left_out,
 )
 from imucalib.loop.records import held_out_rms
-from imucalib.loop.subject import Refused, Searched
+from imucalib.loop.subject import Searched
 from imucalib.loop.thresholds import (
-    BEYOND_CHANCE,
     HELD_OUT_NATS,
     HELD_OUT_RMS,
     MARGIN,
@@ -150,46 +149,6 @@ def clear(found: Score, rules: LoopSettings) -> bool:
     speak for it, a curve has only these data."""
     bar = found.bar if rules.bar is None else rules.bar
     return passes(found, rules) and found.evidence >= bar + MARGIN
-
-
-def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexplained, ...]:
-    left = [s for s in scores if s.p <= rules.alpha and s.candidate.kind != "effect"]
-    return tuple(
-        Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
-        for s in left[:3]
-    )
-
-
-def beyond_chance(found: Score | Step) -> bool:
-    """Whether it stands out so far that it is told although other data refuse it."""
-    return found.evidence > STRONG or found.p <= BEYOND_CHANCE
-
-
-def looked_like(
-    current: Fit,
-    effects: Mapping[str, Effect],
-    rng: np.random.Generator,
-    rules: LoopSettings,
-    rejected: Mapping[str, Refused],
-) -> tuple[Unexplained, ...]:
-    """What effects that were not taken still explain of the final fit: structure, whatever it is.
-
-    An effect of implausible size, or one that other data refuse, names no cause; yet something is
-    there. The strongest is told, with why it was not taken.
-    """
-    some = {name: effect for name, effect in effects.items() if name in rejected}
-    if not some:
-        return ()
-    scores = search(current, some, rng, rules, {}).scores
-    for s in scores:
-        if s.name not in some or not passes(s, rules):
-            continue
-        # By chance some stand out that other data refuse: only strong ones are more than that.
-        if beyond_chance(s) or not rejected[s.name].by_data:
-            name = f"what looks like {s.name} and was not taken: {rejected[s.name].reason}"
-            driver = " and ".join(some[s.name].needs)
-            return (Unexplained(name, driver, "probe", s.p, s.evidence, s.share),)
-    return ()
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,20 @@ def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> Non
     assert any("Tool-face scatters by 0.40 deg" in a for a in repaired.outcome.advice)
 
 
+def test_what_twenty_rows_leave_open_covers_the_dial() -> None:
+    """Rows 1-20 cannot tell a zero from a scale, so both may be there: alone, each was too sure
+    (0.38 to 1.23 deg at 50), and the paper's dial is 1.37 off there."""
+    run = paper(LabRequest(gravity=9.8061, fixes=REPAIR, train=TRAIN))
+    (group,) = run.result.rivals
+    weights = {rival.name: rival.weight for rival in group}
+    assert sum(weights.values()) == pytest.approx(1.0)
+    both = weights["inclination_zero and inclination_scale"]
+    assert both == pytest.approx(weights["inclination_zero"], rel=0.5)
+    dial = dial_of(run.result, np.array([50.0 * DEG]))
+    assert dial.shift[0] - dial.half[0] <= 1.37 <= dial.shift[0] + dial.half[0]
+    assert dial.half[0] < 0.8
+
+
 def test_held_out_errors_reach_the_marks(repaired: LabRun) -> None:
     left_out = attitude_errors(repaired.result.splits[0].final)
     assert worst(left_out.inclination) <= 0.55

@@ -90,7 +90,8 @@ def _of_structure(item: Unexplained) -> str:
     words = f"Structure without a name{by}: {item.name}"
     alike = [effect for name in item.alike if (effect := known(name)) is not None]
     if alike:
-        return f"{words}. To tell them apart: {' '.join(effect.identify for effect in alike)}"
+        how = "To tell them apart" if item.kind == "noise" else "To settle it"
+        return f"{words}. {how}: {' '.join(effect.identify for effect in alike)}"
     if item.driver:
         return f"{words}. Record with {item.driver} varied on its own."
     return f"{words}; no quantity drives it."

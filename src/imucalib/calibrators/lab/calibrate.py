@@ -38,7 +38,7 @@ from imucalib.loop.cross_fit import CrossFit, by_folds, cross_fitted, judged
 from imucalib.loop.design import Fold, folds_of
 from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.held_out import fitted
-from imucalib.loop.rivals import Rival, rivals_of
+from imucalib.loop.rivals.models import Rival, rivals_of
 
 Objective = Literal["settings", "vector", "angles", "paper"]
 

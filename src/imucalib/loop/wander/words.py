@@ -12,7 +12,7 @@ from imucalib.effects import catalogue
 from imucalib.effects.shape import in_words, is_form
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
-from imucalib.loop.rivals import UNLISTED
+from imucalib.loop.rivals.aliases import UNLISTED
 from imucalib.loop.thresholds import STRONG
 from imucalib.loop.wander.bank import Bank
 from imucalib.loop.wander.choice import Refused, Search, Taken, same

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from imucalib.core.fit import Fit
 from imucalib.loop.found import Step
-from imucalib.loop.rivals import UNLISTED, beyond_usual
+from imucalib.loop.rivals.aliases import UNLISTED, beyond_usual
 from imucalib.loop.wander.beside.changes import beside_changes
 from imucalib.loop.wander.beside.courses import beside_courses
 from imucalib.loop.wander.beside.plays import beside_plays

@@ -1,0 +1,1 @@
+"""What else would do: beside a name, in its place, and what that leaves open."""
