@@ -90,6 +90,21 @@ def test_a_step_that_stands_out_though_not_far_enough_is_told(
     assert all((u.driver, u.kind, u.p) == ("record", "probe", p) for u in left)
 
 
+def test_beside_structure_without_a_cause_a_name_has_to_be_certain() -> None:
+    """A third harmonic of the tool-face with a product of forces at p 0.034 beside it: the true
+    error was 0.80 mg with the product and 0.43 without."""
+    rules, found = LoopSettings(), (score(p=0.034, evidence=5.0, bar=4.5),)
+    form = ("bias", "shape@tool_face:tool_face:sine:120")
+    assert search.choose(found, rules, ("bias", "quadratic")) == found[0]
+    assert search.choose(found, rules, form) is None
+    assert search.choose(found, rules, ("bias", "curve@bias:order:0:1:3")) is None
+    assert search.choose((score(p=0.01),), rules, form) is not None
+    held = replace(rules, bar=4.5)
+    assert search.choose(found, held) == found[0]
+    assert search.choose(found, held, form) is None
+    assert search.choose((score(evidence=4.5 + np.log(3.5) + 1e-9),), held, form) is not None
+
+
 def test_a_scan_is_worth_the_mean_of_its_values() -> None:
     nats = [3.0, 9.0, 8.0, -1.0]
     members = [score(str(k), v, family="scan") for k, v in enumerate(nats)]

@@ -118,7 +118,7 @@ class _State:
         return search(self.fit, self.effects, self.rng, self.rules, rejected, self.families)
 
     def choice(self, found: Searched, rejected: Collection[str]) -> Score | None:
-        return choose(found.scores, self.rules) if self._room else None
+        return choose(found.scores, self.rules, self.fit.model.names) if self._room else None
 
     def cleaner(
         self, found: Searched, chosen: Score | None, rejected: Collection[str]

@@ -153,7 +153,7 @@ def _searched(
         if len(fit.model.names) >= len(plain.model.names) + rules.most_effects:
             break
         scores = search(fit, effects, rng, rules, rejected, families).scores
-        if best := choose(scores, rules):
+        if best := choose(scores, rules, fit.model.names):
             taken = decided(fit, scores, best, options, last)
             if isinstance(taken, Refused):
                 rejected.add(taken.name)

@@ -23,6 +23,7 @@ from imucalib.loop.held_out import (
 from imucalib.loop.records import held_out_rms
 from imucalib.loop.subject import Searched
 from imucalib.loop.thresholds import (
+    CERTAIN,
     HELD_OUT_NATS,
     HELD_OUT_RMS,
     MARGIN,
@@ -127,10 +128,25 @@ def effect_named(effects: Mapping[str, Effect], name: str) -> Effect:
     return found
 
 
-def choose(scores: tuple[Score, ...], rules: LoopSettings) -> Score | None:
-    """The best catalogue effect. Neither noise nor a curve speaks against it here."""
+def choose(
+    scores: tuple[Score, ...], rules: LoopSettings, names: Collection[str] = ()
+) -> Score | None:
+    """The best catalogue effect. Neither noise nor a curve speaks against it here.
+
+    names : of the model's effects. Beside a form or a curve the null of the search does not hold:
+        of structure whose cause nobody knows something is left, which looks like anything.
+    """
+    if any(name.startswith(("shape@", "curve@")) for name in names):
+        rules = _stricter(rules)
     physical = (s for s in scores if s.candidate.kind == "effect" and _stands_out(s, rules))
     return next(physical, None)
+
+
+def _stricter(rules: LoopSettings) -> LoopSettings:
+    """At the p of what is certain. Of the best evidence by chance, p falls as exp(-nats)."""
+    if rules.bar is None:
+        return replace(rules, alpha=min(rules.alpha, CERTAIN))
+    return replace(rules, bar=rules.bar + max(0.0, float(np.log(rules.alpha / CERTAIN))))
 
 
 def _stands_out(found: Score, rules: LoopSettings) -> bool:
