@@ -42,6 +42,7 @@ from imucalib.loop.records import (
     set_aside,
 )
 from imucalib.loop.rivals.aliases import UNLISTED, aliases, beside, without_a_name
+from imucalib.loop.rivals.exchange import exchanged
 from imucalib.loop.search import choose, effect_named, search
 from imucalib.loop.subject import Refused, Searched, close
 from imucalib.loop.thresholds import KEEP, SUSPECTS
@@ -196,6 +197,7 @@ class _State:
             e_value=math.nan if curve else self._e_value(scores),
         )
         own = beside(self.fit, (s for s in self.steps if s.effect not in decided.drops), chosen)
+        fit, own = exchanged(fit, own, extended)
         state = replace(self, fit=with_shared_noise(fit), steps=(*own, step))
         for found, row in self.records:
             without = reduced(state.fit, record_names(state.fit, row))

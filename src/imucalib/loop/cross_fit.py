@@ -18,13 +18,16 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.effects.shape import is_form
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.choice import Options, curve_of, decided
+from imucalib.loop.choice import Decided, Options, curve_of, decided
 from imucalib.loop.design import Fold, parts_of
 from imucalib.loop.difference import Metric, difference, with_density
+from imucalib.loop.evidence import Score
 from imucalib.loop.foretold import foretold
-from imucalib.loop.found import FitLoop, LoopSettings
+from imucalib.loop.found import FitLoop, LoopSettings, Step
 from imucalib.loop.held_out import Held, errors, theta_without, without_records
 from imucalib.loop.record_errors import record_names
+from imucalib.loop.rivals.aliases import aliases
+from imucalib.loop.rivals.exchange import exchanged
 from imucalib.loop.search import choose, search
 from imucalib.loop.subject import Refused
 from imucalib.loop.unexplained import beyond_chance, like
@@ -149,6 +152,7 @@ def _searched(
     fit = fit_model(plain.model, plain.observations.take(rest), start=start, noise=loop.base.noise)
     rejected: set[str] = set()
     last = ""
+    steps: tuple[Step, ...] = ()
     for _ in range(3 * rules.most_effects):
         if len(fit.model.names) >= len(plain.model.names) + rules.most_effects:
             break
@@ -163,8 +167,23 @@ def _searched(
             if smooth is None:
                 return fit
             taken = smooth
-        fit, last = taken.fit, taken.score.name
+        step, last = _step(fit, taken, scores, effects, rules), taken.score.name
+        fit, steps = exchanged(taken.fit, steps, options.extended)
+        steps = (*steps, step)
     return fit
+
+
+def _step(
+    before: Fit,
+    taken: Decided,
+    scores: tuple[Score, ...],
+    effects: Mapping[str, Effect],
+    rules: LoopSettings,
+) -> Step:
+    """What was taken, with its rivals."""
+    found = taken.score
+    rivals = aliases(before, effects, found, scores, rules) if not taken.curve else ()
+    return Step(found.name, found.p, 0, found.evidence, (), rivals or taken.rivals)
 
 
 def _terms(fit: Fit) -> int:
