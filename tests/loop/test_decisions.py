@@ -33,9 +33,11 @@ from imucalib.loop.separation.prospect import Added, ends
 from imucalib.loop.separation.worn import _products as worn_products
 from imucalib.loop.wander import choice as wander_choice
 from imucalib.loop.wander import noise as wander_noise
+from imucalib.loop.wander import scores as wander_scores
 from imucalib.loop.wander.bank import parts_of as parts_in_time
 from imucalib.loop.wander.bank import walks_of
-from imucalib.loop.wander.likelihood import Level
+from imucalib.loop.wander.beside import ahead
+from imucalib.loop.wander.likelihood import Level, Terms
 from imucalib.loop.wander.walk import Walk
 from worlds.bench import base_model
 
@@ -660,3 +662,39 @@ def test_effects_owe_what_a_leading_curve_has_explained() -> None:
     leading.__dict__["searched"] = SimpleNamespace(scores=(effect, curve))
     assert leading._owing(path(101.0), effect, ()).matched == ()
     assert start._owing(path(101.0), effect, ("curve",)).matched == ()
+
+
+@pytest.mark.parametrize(
+    ("own", "following", "led"), [(20.0, 20.0, True), (20.0, 19.9, False), (41.0, 0.0, True)]
+)
+def test_a_free_function_has_to_lead_a_name_with_the_next_one(
+    monkeypatch: pytest.MonkeyPatch, own: float, following: float, led: bool
+) -> None:
+    def entry(name: str, kind: str) -> wander_scores.Entry:
+        return wander_scores.Entry(name, "", kind, np.array([3]))
+
+    def found(one: wander_scores.Entry, nats: float) -> wander_scores.Scored:
+        return wander_scores.Scored(one, nats, 0, 1.0, 1.0, 5.0, 0.1)
+
+    free, name = entry("posture@24", "posture"), entry("cross_axis", "shape")
+    others = [entry("cubic", "shape"), entry("bias_drift", "time"), free, name]
+    asked: list[str] = []
+
+    def scored(bank: object, terms: object, keep: object, entries: list, *_: object, told: bool):  # type: ignore[no-untyped-def, type-arg]
+        asked.extend(e.name for e in entries)
+        return (found(entries[0], following),), None
+
+    monkeypatch.setattr(ahead, "scored", scored)
+    monkeypatch.setattr(ahead, "best_level", lambda *_: None)
+    terms = Terms(np.array([0, 1]), np.ones(2), 2)
+    best = found(name, own)
+    drift = found(entry("bias_drift", "time"), 99.0)
+    named = [(best, 1.0), (drift, 1.0), (found(free, 40.0), 1.0)]
+    ahead_of = ahead.ahead_of
+    walks = lambda bank, level: (0,)  # noqa: E731
+    kept = np.ones(1, dtype=bool)
+    more = {"named": named, "entries": others, "walks": walks}
+    got = ahead_of(None, terms, kept, found(free, 40.0), **more)  # type: ignore[arg-type]
+    assert got is (best if led else None)
+    assert asked == ["cubic"]
+    assert ahead_of(None, terms, kept, best, **more) is None  # type: ignore[arg-type]

@@ -51,6 +51,30 @@ CHANGES: dict[str, Planted] = {
 }
 
 
+def pressed(x: Any, t: Any, u: Any, c: Any) -> Any:
+    """A strap's offsets around four postures."""
+    places = np.random.default_rng(int(1e9 * abs(c[0, 0]))).standard_normal((4, 2, 3))
+    places[:, 0] /= np.linalg.norm(places[:, 0], axis=1, keepdims=True)
+    return sum(np.exp((x @ p - 1.0) / 0.12)[:, None] * offset for p, offset in places)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_two_names_at_once_are_no_offset_of_the_posture(
+    loop_of: Callable[..., Any], seed: int
+) -> None:
+    """A function of the posture holds both, and was taken for certain in their place."""
+    loop = loop_of(lambda x, t, u, c: 3.0 * (c[0] * x**3 + c[1] * x[:, [1, 2, 0]] ** 2), 30.0, seed)
+    assert [s.effect for s in loop.steps] == ["cross_axis", "cubic"]
+    assert "posture" in loop.steps[0].aliases[0]
+    assert not loop.steps[0].certain
+
+
+def test_a_strap_is_not_two_names(loop_of: Callable[..., Any]) -> None:
+    loop = loop_of(pressed, 15.0, 1)
+    assert [s.effect.partition("@")[0] for s in loop.steps] == ["posture"]
+    assert loop.verdict == "explained"
+
+
 @pytest.mark.parametrize("seed", [3, 4])
 @pytest.mark.parametrize("change", CHANGES)
 def test_what_changes_at_a_moment_is_no_certain_step_of_the_bias(

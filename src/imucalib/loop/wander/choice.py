@@ -9,6 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.wander.bank import Bank, Mask, Split
+from imucalib.loop.wander.beside.ahead import ahead_of
 from imucalib.loop.wander.forms import leads, rival_form
 from imucalib.loop.wander.held_blocks import Judged, inside, judged, judged_each
 from imucalib.loop.wander.likelihood import Level, Terms, best_level
@@ -127,14 +128,9 @@ def search(
                 break
         if best is None:
             return Search(
-                bank=bank,
-                terms=terms,
-                level=level,
-                taken=tuple(taken),
-                first=first,
-                last=scores,
-                refused=tuple(refused),
-            )
+                bank=bank, terms=terms, level=level, taken=tuple(taken), first=first,
+                last=scores, refused=tuple(refused),
+            )  # fmt: skip
         taken.append(best)
         terms = terms.plus(best.found.entry.columns, best.size)
 
@@ -167,7 +163,10 @@ def _choice(
             held.append(trial)
     if not held:
         return bank, None
-    best = _best_of(held)
+    best, entries = _best_of(held), [s.entry for s in scores]
+    names = [(t.found, t.size) for t in held]
+    led = ahead_of(bank, terms, keep, best.found, named=names, entries=entries, walks=rules.walks)
+    best = next((t for t in held if t.found is led), best)
     return _or_form(bank, terms, keep, best, rules, now=now, design=design)
 
 
