@@ -51,6 +51,16 @@ CHANGES: dict[str, Planted] = {
 }
 
 
+@pytest.mark.parametrize("power", [0.5, 1.0])
+def test_only_a_straight_drift_is_certainly_one(loop_of: Callable[..., Any], power: float) -> None:
+    """With the root of time nine of fifteen were a certain drift, some with a certain warm-up."""
+    loop = loop_of(lambda x, t, u, c: (u + 0.5)[:, None] ** power * c[0], 30.0, 3)
+    step = loop.steps[0]
+    assert step.effect == "bias_drift"
+    assert step.certain == (power == 1.0)
+    assert ("bias_root_of_time" in step.aliases) == (power == 0.5)
+
+
 def pressed(x: Any, t: Any, u: Any, c: Any) -> Any:
     """A strap's offsets around four postures."""
     places = np.random.default_rng(int(1e9 * abs(c[0, 0]))).standard_normal((4, 2, 3))

@@ -10,6 +10,7 @@ beside what follows the temperature now.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from imucalib.loop.wander.scores import Entry
 
 #: mg, mg/g of a course; its waves over the range of the driver, rougher ones smaller, and of a day.
 _SIZE, _TERMS, _HARMONICS = 2.0, 4, 3
+#: Drifts that a straight line is not: they settle, or grow.
+_POWERS = {0.5: "root", 2.0: "square"}
 _CLOCK, _WARM = "time_of_day", "temperature"
 #: What else of the temperature a scale may follow, which no candidate's scale does.
 _PAST = {lag.PREFIX: "scale_lag", hysteresis.PREFIX: "scale_hysteresis"}
@@ -37,6 +40,12 @@ def beside_courses(problem: Problem, found: Search, steps: Sequence[Step]) -> tu
         for word, columns in parts.items():
             name = f"{word}_over_{driver}"
             rivals.add(name, {name: driven(columns, _SIZE * drives)}, wide=True)
+    if any(_driver(taken.found.entry) == "time" for taken in found.taken):
+        share = within(found.bank.course.time)
+        for word, power in product(("bias", "scale"), _POWERS):
+            name, drive = f"{word}_{_POWERS[power]}_of_time", share[:, None] ** power
+            if word in parts:
+                rivals.add(name, {name: driven(parts[word], _SIZE * drive)}, wide=True)
     if "scale" in parts and any(_driver(taken.found.entry) == _WARM for taken in found.taken):
         for name, drive in _of_the_past(context).items():
             rivals.add(name, {name: driven(parts["scale"], drive)})
@@ -67,12 +76,17 @@ def _drives(found: Search, context: Context) -> dict[str, Array]:
     return drives
 
 
+def within(values: Array) -> Array:
+    """(n,) place in the range of a covariate, 0 to 1."""
+    return np.asarray((values - values.min()) / max(float(np.ptp(values)), 1e-300))
+
+
 def _driver(entry: Entry) -> str:
     return _CLOCK if entry.name.endswith(_CLOCK) else entry.kind
 
 
 def waves(values: Array, terms: int) -> Array:
     """(n, terms) cosines over the range of a covariate, rougher ones smaller."""
-    unit = (values - values.min()) / max(float(np.ptp(values)), 1e-300)
+    unit = within(values)
     k = np.arange(1, terms + 1)
     return np.asarray(np.sqrt(2.0) * np.cos(np.pi * k * unit[:, None]) / k)
