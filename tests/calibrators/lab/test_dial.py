@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,10 +14,13 @@ from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.dial import Dial, dial_of, dial_of_fit, dial_words
 from imucalib.calibrators.lab.errors import noise_floor
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
+from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
+from imucalib.calibrators.lab.run import run_lab
 from imucalib.core.context import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
+from worlds.places import SAMPLES
 from worlds.sheets import direction
 
 
@@ -57,7 +61,8 @@ def test_rivals_share_the_dial_by_their_evidence(monkeypatch: pytest.MonkeyPatch
     weights = {"own": 0.5, "a": 0.3, "b": 0.2}
     group = [SimpleNamespace(weight=w, fit=name) for name, w in weights.items()]
     second = [SimpleNamespace(weight=0.6, fit="own"), SimpleNamespace(weight=0.4, fit="c")]
-    result = SimpleNamespace(final="own", rivals=(group, second))
+    loop = SimpleNamespace(final="own")
+    result = SimpleNamespace(final="own", rivals=(group, second), loop=loop)
     found = dial_of(result, np.zeros(2))  # type: ignore[arg-type]
 
     shift, square, wide = own.shift, own.sd**2, own.half**2
@@ -71,6 +76,33 @@ def test_rivals_share_the_dial_by_their_evidence(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_allclose(found.shift, shift)
     np.testing.assert_allclose(found.sd, np.sqrt(square))
     np.testing.assert_allclose(found.half, np.sqrt(wide))
+
+
+def test_with_a_wrong_record_rivals_move_the_dial_by_what_they_are_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """They stand beside a model that sets the record aside; what is told takes it as noted."""
+    dials = {
+        "noted": Dial(np.array([0.4]), np.array([0.4]), np.array([0.8])),
+        "aside": Dial(np.array([0.8]), np.array([0.1]), np.array([0.2])),
+        "rival": Dial(np.array([0.6]), np.array([0.1]), np.array([0.2])),
+    }
+    monkeypatch.setattr(dial, "dial_of_fit", lambda fit, at: dials[fit])
+    group = [SimpleNamespace(weight=0.5, fit=name) for name in ("aside", "rival")]
+    loop = SimpleNamespace(final="aside")
+    result = SimpleNamespace(final="noted", rivals=(group,), loop=loop)
+    found = dial_of(result, np.zeros(1))  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.shift, 0.3)
+    np.testing.assert_allclose(found.sd, np.hypot(0.4, 0.1))
+
+
+def test_the_dial_is_told_as_the_record_that_is_wrong_leaves_it() -> None:
+    settings = LabSettings(loop=False, declare=("inclination_zero",))
+    table = read_position_table(SAMPLES / "bench.csv")
+    result = run_lab(table, LabRequest(settings=settings)).result
+    wrong = SimpleNamespace(records=(SimpleNamespace(where="row 10"),), named=(), final=None)
+    told = dial_words(replace(result, loop=wrong))  # type: ignore[arg-type]
+    assert told.startswith("With row 10 as noted, inclination on this bench is the dial plus ")
 
 
 def observed(repeats: int, seed: int) -> Observations:

@@ -38,8 +38,10 @@ def dial_of(result: LabResult, inclination: Array) -> Dial:
     Of each effect that others would replace: the rivals' mean by evidence, and their spread in sd
     and interval, beside those of the final model.
     """
-    own = dial_of_fit(result.final, inclination)
-    shift, variance, half = own.shift, own.sd**2, own.half**2
+    own = told = dial_of_fit(result.final, inclination)
+    shift, variance, half = told.shift, told.sd**2, told.half**2
+    if result.rivals and result.loop is not None:  # whose models set wrong records aside
+        own = dial_of_fit(result.loop.final, inclination)
     for group in result.rivals:
         each = [(r.weight, dial_of_fit(r.fit, inclination)) for r in group]
         mean = sum((w * d.shift for w, d in each), np.zeros_like(shift))
@@ -86,4 +88,6 @@ def dial_words(result: LabResult) -> str:
         f"(95 %: {s - h:.2f} to {s + h:.2f})"
         for a, s, d, h in zip(at, dial.shift, dial.sd, dial.half, strict=True)
     ]
-    return "Inclination on this bench is the dial plus " + ", ".join(parts) + " deg."
+    records = result.loop.records if result.loop else ()
+    kept = f"With {' and '.join(r.where for r in records)} as noted, i" if records else "I"
+    return f"{kept}nclination on this bench is the dial plus {', '.join(parts)} deg."
