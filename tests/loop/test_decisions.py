@@ -75,23 +75,6 @@ def test_what_data_refuse_is_told_beyond_ten_nats_or_one_in_a_hundred() -> None:
     assert unexplained.beyond_chance(score(evidence=1.0, p=0.01))
 
 
-@pytest.mark.parametrize(
-    ("unfounded", "p", "bar", "told"),
-    [(True, 0.01, 3.0, True), (True, 0.011, 3.0, False), (True, 0.01, 1.5, False),
-     (False, 0.01, 3.0, False)],
-)  # fmt: skip
-def test_a_step_that_stands_out_though_not_far_enough_is_told(
-    unfounded: bool, p: float, bar: float, told: bool
-) -> None:
-    found = score("bias_step@record9", evidence=5.0, p=p, bar=bar)
-    found = replace(found, candidate=replace(found.candidate, unfounded=unfounded))
-    left = unexplained.unexplained((found,), LoopSettings())
-    assert [u.name.partition(" and ")[0] for u in left] == [
-        "what looks like bias_step@record9"
-    ] * told
-    assert all((u.driver, u.kind, u.p) == ("record", "probe", p) for u in left)
-
-
 def test_beside_structure_without_a_cause_a_name_has_to_be_certain() -> None:
     """A third harmonic of the tool-face with a product of forces at p 0.034 beside it: the true
     error was 0.80 mg with the product and 0.43 without."""

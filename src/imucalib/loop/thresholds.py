@@ -12,7 +12,7 @@ from __future__ import annotations
 ALPHA, RECORD_ALPHA, NOISE_ALPHA = 0.035, 0.01, 0.005
 #: Family-wise p up to which an effect without aliases is called certain: of clean recordings 0.8,
 #: 0.2 and 0.5 % held such a name. So much is told too where it is not taken, since the data that
-#: were left out refuse it: of 400 clean sheets none had such a one, of 135 with λ 6 to 10 four.
+#: were left out refuse it: of 400 clean sheets none had such a one, of 135 with λ 6 to 10 two.
 CERTAIN = 0.01
 #: Share of a candidate's columns that the fitted parameters must leave for it to be testable: what
 #: is left below is rounding (columns of 1e3 numbers at 1e-16 leave about 1e-13).

@@ -12,33 +12,18 @@ from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.loop.evidence import Score
 from imucalib.loop.found import LoopSettings, Step, Unexplained
-from imucalib.loop.search import clear, passes, search
+from imucalib.loop.search import passes, search
 from imucalib.loop.subject import Refused
 from imucalib.loop.thresholds import CERTAIN, STRONG
 
-_SCANNED = "a value that only the search knows has to stand out further"
-
 
 def unexplained(scores: tuple[Score, ...], rules: LoopSettings) -> tuple[Unexplained, ...]:
-    """Of a search's end: structure without a name, and what stands out beyond chance under a name,
-    though not as far as a value that only the search knows must."""
+    """Structure without a name that the end of a search shows."""
     left = [s for s in scores if s.p <= rules.alpha and s.candidate.kind != "effect"]
-    doubted = [s for s in scores if _looks_likely(s, rules)]
-    return (
-        *(
-            Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
-            for s in left[:3]
-        ),
-        *(
-            like(s, s.name, "what only the search knows has to stand out further")
-            for s in doubted[:1]
-        ),
+    return tuple(
+        Unexplained(s.name, s.candidate.driver, s.candidate.kind, s.p, s.evidence, s.share)
+        for s in left[:3]
     )
-
-
-def _looks_likely(found: Score, rules: LoopSettings) -> bool:
-    unfounded = found.candidate.kind == "effect" and found.candidate.unfounded
-    return unfounded and beyond_chance(found) and not clear(found, rules)
 
 
 def like(found: Score | Step, name: str, why: str) -> Unexplained:
