@@ -38,9 +38,17 @@ def test_what_leads_beside_the_rest_takes_the_place(told: str, tmp_path: Path) -
     after, (found,) = exchanged(fit, (before,), extended)
     assert found.effect == "inclination_sag"
     assert set(after.model.names) == {*fit.model.names} - {told} | {"inclination_sag"}
-    assert {found.effect, *found.aliases} == {before.effect, *before.aliases}
     assert (found is before) == (told == "inclination_sag")
+    # Eight nats behind, the other stays a rival, as does what has no model of its own.
+    assert {found.effect, *found.aliases} == {before.effect, *before.aliases}
     assert found.p == before.p
+
+
+def test_what_is_ten_nats_behind_by_then_is_no_rival(tmp_path: Path) -> None:
+    fit = calibrated(tmp_path, LabSettings(loop=False, declare=("quadratic", "cubic"))).result.final
+    before = step("cubic", "inclination_sag", "wandering_bias")
+    _, (found,) = exchanged(fit, (before,), extended)
+    assert (found.effect, found.aliases) == ("inclination_sag", ("wandering_bias",))
 
 
 def test_a_name_that_is_not_in_the_model_or_has_no_rival_stays(tmp_path: Path) -> None:

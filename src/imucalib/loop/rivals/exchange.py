@@ -15,7 +15,7 @@ from imucalib.loop.evidence import score
 from imucalib.loop.found import Step
 from imucalib.loop.records import reduced
 from imucalib.loop.search import objection
-from imucalib.loop.thresholds import KEEP
+from imucalib.loop.thresholds import KEEP, STRONG
 
 
 def exchanged(
@@ -25,7 +25,7 @@ def exchanged(
     then.
 
     An effect that was taken alone had the trace of those that were still missing to explain: with
-    these in the model one of its rivals may lead.
+    these in the model one of its rivals may lead. What is then ten nats behind is no rival.
 
     extended : the refit with one more effect
     """
@@ -51,5 +51,6 @@ def _contested(fit: Fit, step: Step, extended: Callable[[Fit, Effect], Fit]) -> 
     trial = extended(without, effects[best])
     if objection(without, trial):
         return fit, step
-    others = tuple(name for name in every if name != best)
+    gone = {best, *(name for name in nats if nats[name] < nats[best] - STRONG)}
+    others = tuple(name for name in every if name not in gone)
     return trial, replace(step, effect=best, evidence=nats[best], aliases=others)
