@@ -78,16 +78,19 @@ def test_what_data_refuse_is_told_beyond_ten_nats_or_one_in_a_hundred() -> None:
 def test_beside_structure_without_a_cause_a_name_has_to_be_certain() -> None:
     """A third harmonic of the tool-face with a product of forces at p 0.034 beside it: the true
     error was 0.80 mg with the product and 0.43 without."""
-    rules, found = LoopSettings(), (score(p=0.034, evidence=5.0, bar=4.5),)
+    rules, name = LoopSettings(), "product_across"
+    found = (score(name, p=0.034, evidence=5.0, bar=4.5),)
     form = ("bias", "shape@tool_face:tool_face:sine:120")
     assert search.choose(found, rules, ("bias", "quadratic")) == found[0]
     assert search.choose(found, rules, form) is None
-    assert search.choose(found, rules, ("bias", "curve@bias:order:0:1:3")) is None
-    assert search.choose((score(p=0.01),), rules, form) is not None
+    assert search.choose(found, rules, ("bias", "curve@response:x:-1:1:3")) is None
+    assert search.choose(found, rules, ("bias", "curve@bias:order:0:1:3")) == found[0]
+    assert search.choose((score("bias_drift", p=0.034),), rules, form) is not None
+    assert search.choose((score(name, p=0.01),), rules, form) is not None
     held = replace(rules, bar=4.5)
     assert search.choose(found, held) == found[0]
     assert search.choose(found, held, form) is None
-    assert search.choose((score(evidence=4.5 + np.log(3.5) + 1e-9),), held, form) is not None
+    assert search.choose((score(name, evidence=4.5 + np.log(3.5) + 1e-9),), held, form) is not None
 
 
 def test_a_scan_is_worth_the_mean_of_its_values() -> None:

@@ -21,6 +21,7 @@ from imucalib.loop.held_out import (
     settings_left_out,
 )
 from imucalib.loop.records import held_out_rms
+from imucalib.loop.rivals.courses import course_of, courses_without_a_cause
 from imucalib.loop.subject import Searched
 from imucalib.loop.thresholds import (
     CERTAIN,
@@ -133,13 +134,17 @@ def choose(
 ) -> Score | None:
     """The best catalogue effect. Neither noise nor a curve speaks against it here.
 
-    names : of the model's effects. Beside a form or a curve the null of the search does not hold:
-        of structure whose cause nobody knows something is left, which looks like anything.
+    names : of the model's effects. Beside a form or a curve the null of the search does not hold
+        for what follows the same: of structure whose cause nobody knows something is left.
     """
-    if any(name.startswith(("shape@", "curve@")) for name in names):
-        rules = _stricter(rules)
-    physical = (s for s in scores if s.candidate.kind == "effect" and _stands_out(s, rules))
-    return next(physical, None)
+    courses = courses_without_a_cause(names)
+
+    def stands_out(found: Score) -> bool:
+        effect = known(found.name)
+        same = bool(courses) and effect is not None and course_of(effect.needs) in courses
+        return _stands_out(found, _stricter(rules) if same else rules)
+
+    return next((s for s in scores if s.candidate.kind == "effect" and stands_out(s)), None)
 
 
 def _stricter(rules: LoopSettings) -> LoopSettings:

@@ -21,6 +21,7 @@ from imucalib.loop.noise.shared import (
     imitated_by_a_scale,
     lead_over_a_walk,
 )
+from imucalib.loop.rivals.courses import course_of, courses_without_a_cause, driver_of
 from imucalib.loop.rivals.swings import beats, number, swings_in_step
 from imucalib.loop.search import effect_named, thinned
 from imucalib.loop.thresholds import APART, CURVE_TERMS, MARGIN
@@ -28,13 +29,6 @@ from imucalib.loop.thresholds import APART, CURVE_TERMS, MARGIN
 #: What stands beside a name of a size that no data sheet tells: another effect, of nobody's list.
 UNLISTED = "unlisted_effect"
 _SURE = 2.0  # standard errors
-#: What says where the sensor points.
-_POSITION = (
-    "response", "inclination", "tool_face",
-    *(f"{before}_{axis}" for before in ("previous", "approach") for axis in "xyz"),
-)  # fmt: skip
-#: Covariates by which time drives an effect.
-_TIME = ("order", "record", "sweep", "time", "time_of_day")
 
 
 def aliases(
@@ -66,20 +60,13 @@ def aliases(
 
 
 def _curve_beside(effect: Effect, chosen: Score, scores: tuple[Score, ...]) -> tuple[str, ...]:
-    own = {_driver(name) for name in effect.needs} or {"response"}
+    own = {driver_of(name) for name in effect.needs} or {"response"}
     for s in scores:
         what, _, rest = s.candidate.curve.partition(":")
-        of = what if what == "response" else _driver(rest.partition(":")[0])
+        of = what if what == "response" else driver_of(rest.partition(":")[0])
         if s.candidate.curve and s.evidence >= chosen.evidence - MARGIN and of not in own:
             return (f"curve@{s.candidate.curve}:{CURVE_TERMS[1]}",)
     return ()
-
-
-def _driver(covariate: str) -> str:
-    """What drives: time by whatever name, the temperature be it of now or earlier."""
-    if covariate.startswith("temperature"):
-        return "temperature"
-    return "order" if covariate in _TIME else covariate
 
 
 def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tuple[str, ...]:
@@ -93,7 +80,7 @@ def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tup
     forced = isinstance(effect, Response) and effect.basis_dx is not None
     scaled = forced and imitated_by_a_scale(before, after, chosen.name, margin)
     alike = effect is not None and (
-        _course(effect.needs) in _of_forms(before.model.names)
+        course_of(effect.needs) in courses_without_a_cause(before.model.names)
         or swings_in_step(before, chosen.name)
         or any(beats(before.observations.context, chosen.name, n) for n in before.model.names)
         or _is_longest(before.observations.context, chosen.name)
@@ -101,20 +88,6 @@ def without_a_name(before: Fit, after: Fit, chosen: Score, margin: float) -> tup
     )
     other = alike or beyond_usual(after, chosen.name)
     return (WANDERING,) * walk + (WANDERING_SCALE,) * scaled + (UNLISTED,) * other
-
-
-def _course(needs: tuple[str, ...]) -> str:
-    """What an effect follows: time first, then the temperature, else where the sensor points."""
-    drivers = {_driver(name) for name in needs}
-    timed = "order" in drivers
-    other = drivers - set(_POSITION) - {"order"}
-    return "order" if timed else min(other) if other else "position"
-
-
-def _of_forms(names: tuple[str, ...]) -> set[str]:
-    """What the forms and curves of a model follow, whose cause nobody knows."""
-    parts = [n.partition("@")[2].split(":") for n in names if n.startswith(("shape@", "curve@"))]
-    return {_course(() if what == "response" else (against,)) for what, against, *_ in parts}
 
 
 def beside(fit: Fit, steps: Iterable[Step], chosen: Score) -> tuple[Step, ...]:
