@@ -139,12 +139,12 @@ def choose(
     """
     courses = courses_without_a_cause(names)
 
-    def stands_out(found: Score) -> bool:
-        effect = known(found.name)
-        same = bool(courses) and effect is not None and course_of(effect.needs) in courses
-        return _stands_out(found, _stricter(rules) if same else rules)
+    def asked(found: Score) -> LoopSettings:
+        effect = known(found.name) if courses else None
+        return _stricter(rules) if effect and course_of(effect.needs) in courses else rules
 
-    return next((s for s in scores if s.candidate.kind == "effect" and stands_out(s)), None)
+    physical = (s for s in scores if s.candidate.kind == "effect" and _stands_out(s, asked(s)))
+    return next(physical, None)
 
 
 def _stricter(rules: LoopSettings) -> LoopSettings:

@@ -38,10 +38,11 @@ def dial_of(result: LabResult, inclination: Array) -> Dial:
     Of each effect that others would replace: the rivals' mean by evidence, and their spread in sd
     and interval, beside those of the final model.
     """
-    own = told = dial_of_fit(result.final, inclination)
-    shift, variance, half = told.shift, told.sd**2, told.half**2
-    if result.rivals and result.loop is not None:  # whose models set wrong records aside
-        own = dial_of_fit(result.loop.final, inclination)
+    noted = dial_of_fit(result.final, inclination)
+    shift, variance, half = noted.shift, noted.sd**2, noted.half**2
+    # The rivals' models set wrong records aside, and so does the one that they stand beside.
+    beside = result.loop.final if result.rivals and result.loop else result.final
+    own = dial_of_fit(beside, inclination)
     for group in result.rivals:
         each = [(r.weight, dial_of_fit(r.fit, inclination)) for r in group]
         mean = sum((w * d.shift for w, d in each), np.zeros_like(shift))

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.effects import known
-from imucalib.loop.candidates import effect_candidates
-from imucalib.loop.evidence import score
 from imucalib.loop.found import Step
 from imucalib.loop.records import reduced
+from imucalib.loop.rivals.models import scored_beside
 from imucalib.loop.search import objection
 from imucalib.loop.thresholds import KEEP, STRONG
 
@@ -42,9 +39,7 @@ def _contested(fit: Fit, step: Step, extended: Callable[[Fit, Effect], Fit]) -> 
     if len(effects) < 2 or step.effect not in fit.model.names:
         return fit, step
     without = reduced(fit, (step.effect,))
-    candidates, _ = effect_candidates(without, list(effects.values()))
-    scores = score(without, candidates, np.random.default_rng(0), draws=0)
-    nats = {s.name: s.evidence for s in scores}
+    nats = {s.name: s.evidence for s in scored_beside(without, effects.values())}
     best = max(nats, key=lambda name: nats[name])
     if nats[best] < nats.get(step.effect, 0.0) + KEEP:
         return fit, step

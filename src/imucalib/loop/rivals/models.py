@@ -7,7 +7,7 @@ evidence, and the spread of the rivals in their interval (Hoeting et al. 1999, e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from imucalib.core.fit import Fit
 from imucalib.effects import known
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.choice import undetermined
-from imucalib.loop.evidence import score
+from imucalib.loop.evidence import Score, score
 from imucalib.loop.found import FitLoop, Step
 from imucalib.loop.records import extended, reduced
 
@@ -29,6 +29,12 @@ class Rival:
     name: str
     weight: float
     fit: Fit
+
+
+def scored_beside(fit: Fit, effects: Iterable[Effect]) -> tuple[Score, ...]:
+    """Each of the effects beside a model, best first, without their chance."""
+    candidates, _ = effect_candidates(fit, list(effects))
+    return score(fit, candidates, np.random.default_rng(0), draws=0)
 
 
 def rivals_of(loop: FitLoop) -> tuple[tuple[Rival, ...], ...]:
@@ -66,14 +72,12 @@ def _with_each(
 ) -> tuple[_Taken, ...]:
     """A model with each of the effects beside what it has, best first; fits : those that exist."""
     own, fits = {e.name: e for e in effects}, fits or {}
-    candidates, _ = effect_candidates(taken.fit, list(effects))
-    nothing_drawn = np.random.default_rng(0)
     return tuple(
         _Taken(
             (*taken.names, s.name),
             taken.nats + s.evidence,
             fits.get(s.name) or extended(taken.fit, own[s.name]),
         )
-        for s in score(taken.fit, candidates, nothing_drawn, draws=0)
+        for s in scored_beside(taken.fit, effects)
         if s.name in fits or not undetermined(taken.fit, own[s.name])
     )
