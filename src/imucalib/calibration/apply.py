@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -10,11 +10,14 @@ from pathlib import Path
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.correction import Correction
 from imucalib.calibration.mark import mark_of, refuse_second
-from imucalib.calibration.triads import correct_triads
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.calibration.shared_gravity import held_against_gravity
+from imucalib.calibration.triads import Triad, correct_triads, named_triads, pairing_of
+from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.readers import blocks, read, reader_for
 from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.pairing import Pairing
 from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.segments import find_segments
 from imucalib.rests.thermal_history import (
     ThermalHistory,
     thermal_history,
@@ -36,6 +39,7 @@ def apply_to_recording(
     history: ThermalHistory | None = None,
     thermometer: Channel | None = None,
     correction: Correction | None = None,
+    partner: Mapping[str, int] | None = None,
 ) -> Recording:
     """A recording whose acceleration of one triad is corrected specific force in m/s²; with the
     calibration of an array all its IMUs', and their rates.
@@ -46,11 +50,14 @@ def apply_to_recording(
     history : temperature of the whole recording when this is a block of it
     thermometer : then, its temperature channel with the readings beside this block
     correction : then, made once for all blocks; it keeps the notes on what it did without
+    partner : then, of an array, its sensors -> indices of the triads, as paired in the whole
     Raises UsageError when it is not clear which sensor, and when that one is corrected already;
-    UnreadableInput when a covariate is missing of which not even the calibrated range is known.
+    UnreadableInput when a covariate is missing of which not even the calibrated range is known,
+    and for sensors of an array that cannot be paired; Undetermined as `held_against_gravity`.
     """
     if calibration.triads:
-        return _array_corrected(calibration, recording, triad)
+        found = Pairing(partner) if partner else paired_at_rest(calibration.triads, [recording])
+        return _array_corrected(calibration, recording, found, triad)
     names = [n for n, c in recording.channels.items() if c.quantity == "acceleration"]
     chosen = [n for n in names if triad is None or recording.channels[n].triad == triad]
     if len(chosen) != 1:
@@ -84,10 +91,37 @@ def apply_to_recording(
     return replace(recording, channels=channels, notes=notes, corrections=marks)
 
 
-def _array_corrected(calibration: Calibration, recording: Recording, only: str | None) -> Recording:
+def paired_at_rest(triads: Sequence[Triad], found: Iterable[Recording]) -> Pairing:
+    """Whose sensors are whose in a recording that comes in blocks, held against gravity at its
+    rests. Errors as in `pairing.paired` and `held_against_gravity`."""
+    first: list[Recording] = []
+    pairing: list[Pairing] = []
+
+    def watched() -> Iterator[Recording]:
+        for block in found:
+            if block.channels and not pairing:
+                first.append(block)
+                pairing.append(pairing_of(triads, block))
+            yield block
+
+    try:
+        segments = find_segments(watched())
+    except Undetermined as error:
+        if not pairing:
+            raise
+        notes: tuple[str, ...] = (f"whose sensors are whose shows no rest: {error.what}",)
+    else:
+        notes = held_against_gravity(triads, pairing[0].partner, segments, first[0].path)
+    return replace(pairing[0], notes=(*pairing[0].notes, *notes))
+
+
+def _array_corrected(
+    calibration: Calibration, recording: Recording, found: Pairing, only: str | None
+) -> Recording:
     """Every IMU's acceleration and rate by its gains and biases, in board axes."""
-    channels = correct_triads(calibration.triads, recording, only)
-    notes = ["corrected with a calibration by array; vectors are in the board's axes"]
+    chosen = named_triads(calibration.triads, found.partner, only)
+    channels = correct_triads(chosen, recording)
+    notes = [*found.notes, "corrected with a calibration by array; vectors are in the board's axes"]
     notes += [
         f"{name}: rates in {c.unit} stay as they are"
         for name, c in channels.items()
@@ -129,6 +163,10 @@ def correct_file(
         return at_once()
     notes: dict[str, None] = {}
     history, ready = None, None if calibration.triads else Correction(calibration, use)
+    partner = None
+    if calibration.triads:
+        found = paired_at_rest(calibration.triads, blocks(source, mapping, strict=strict))
+        partner, notes = found.partner, dict.fromkeys(found.notes)
     if ready is not None and ready.follows_warmth:
         history = _history(blocks(source, mapping, strict=strict), triad)
 
@@ -140,7 +178,7 @@ def correct_file(
         ):
             corrected = apply_to_recording(
                 calibration, block, triad, use=use, again=again, history=history,
-                thermometer=warm, correction=ready,
+                thermometer=warm, correction=ready, partner=partner,
             )  # fmt: skip
             notes.update(dict.fromkeys(corrected.notes))
             yield corrected

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.errors import UnreadableInput
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.recording.pairing import Pairing, paired
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG
 
@@ -21,6 +22,7 @@ class Triad:
     rotation : (3, 3), package axes to board axes; gain, gyro_gain : (3, 3)
     bias : (3,) m/s²; gyro_bias : (3,) rad/s; noise : m/s², gyro_noise : rad/s, of a sample at rest
     covariance : (12, 12) of the gain (9, rows first) and the bias (3, m/s²)
+    channel : what the calibrated recording calls it: topic, dataset, or a name of its own
     """
 
     name: str
@@ -32,6 +34,7 @@ class Triad:
     covariance: Array
     noise: float
     gyro_noise: float
+    channel: str = ""
 
     def force(self, reading: Array) -> Array:
         """Specific force (n, 3) m/s² in board axes from readings (n, 3) m/s² in package axes."""
@@ -53,6 +56,7 @@ class Triad:
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return {
             "imu": self.name,
+            **({"channel": self.channel} if self.channel else {}),
             "rotation": self.rotation.tolist(),
             "gain": self.gain.tolist(),
             "gain_sd": sd[:9].reshape(3, 3).tolist(),
@@ -81,43 +85,36 @@ def triad_from(block: Mapping[str, Any]) -> Triad:
         covariance=array("covariance", 12, 12),
         noise=float(block["noise_m_per_s2"]),
         gyro_noise=float(block["gyro_noise_deg_per_s"]) * DEG,
+        channel=str(block.get("channel", "")),
     )
 
 
+def pairing_of(triads: Sequence[Triad], recording: Recording) -> Pairing:
+    """The triad of each of the recording's accelerometers. Errors as in `pairing.paired`."""
+    return paired([(t.name, t.channel) for t in triads], recording, "the calibration")
+
+
 def named_triads(
-    triads: Sequence[Triad], recording: Recording, only: str | None = None
+    triads: Sequence[Triad], partner: Mapping[str, int], only: str | None = None
 ) -> dict[str, Triad]:
-    """The triad of each of the recording's accelerometers, by the recording's name.
+    """The triad of each recorded sensor that is wanted, by the recording's name.
 
-    only : the one IMU that is wanted, or None for all. IMUs are matched by name, or by their order
-    where their number is the board's. Raises UnreadableInput where that leaves none.
+    only : the one IMU that is wanted, by either name, or None for all. Raises UsageError where
+    there is no such one.
     """
-    names = list(dict.fromkeys(
-        c.triad for c in recording.channels.values() if c.quantity == "acceleration"
-    ))  # fmt: skip
-    by_name = {t.name: t for t in triads}
-    if not set(names) & set(by_name) and len(names) == len(triads):
-        by_name = dict(zip(names, triads, strict=True))
-    chosen = [n for n in names if n in by_name and only in (None, n, by_name[n].name)]
+    chosen = {r: triads[k] for r, k in partner.items() if only in (None, r, triads[k].name)}
     if not chosen:
-        raise UnreadableInput(
-            f"the calibration is of {len(triads)} IMUs ({', '.join(t.name for t in triads)}), none "
-            f"of which the recording holds ({', '.join(names) or 'no accelerometer'})",
-            where=recording.path,
-            remedy="name the recording's IMUs as the calibration does, with a mapping",
-        )
-    return {name: by_name[name] for name in chosen}
+        known = ", ".join(f"{r} ({triads[k].name})" for r, k in partner.items())
+        raise UsageError(f"no IMU '{only}'", remedy=f"name one with --triad: {known}")
+    return chosen
 
 
-def correct_triads(
-    triads: Sequence[Triad], recording: Recording, only: str | None
-) -> dict[str, Channel]:
-    """The channels of a recording with every IMU's readings corrected, in board axes.
+def correct_triads(chosen: Mapping[str, Triad], recording: Recording) -> dict[str, Channel]:
+    """The channels of a recording with its IMUs' readings corrected, in board axes.
 
-    only : as in `named_triads`. Raises UnreadableInput as there, and for acceleration that is not
-    in m/s²; rates that are not in rad/s stay as they are.
+    chosen : as of `named_triads`. Raises UnreadableInput for acceleration that is not in m/s²;
+    rates that are not in rad/s stay as they are.
     """
-    chosen = named_triads(triads, recording, only)
     channels = dict(recording.channels)
     for name, channel in recording.channels.items():
         if channel.triad not in chosen:

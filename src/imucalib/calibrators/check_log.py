@@ -15,7 +15,8 @@ from imucalib.calibration.checking.linearised import misfits_of
 from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.mark import refuse_second
 from imucalib.calibration.series import BLOCK
-from imucalib.calibration.triads import named_triads
+from imucalib.calibration.shared_gravity import held_against_gravity
+from imucalib.calibration.triads import named_triads, pairing_of
 from imucalib.calibrators.lab.bench import raw_unit
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.checks import observations_of
@@ -91,7 +92,9 @@ def array_log(
 ) -> tuple[list[Measured], tuple[str, ...]]:
     """The misfits of every IMU of an array, or of the one that is asked for."""
     recording, segments = still_rests(files.table, files.mapping, asked.still, _silent)
-    triads = named_triads(calibration.triads, recording, asked.triad)
+    pairing = pairing_of(calibration.triads, recording)
+    said = held_against_gravity(calibration.triads, pairing.partner, segments, recording.path)
+    triads = named_triads(calibration.triads, pairing.partner, asked.triad)
     rests = calibration.facts.get("rests") or {}
     # The usual scatter holds the usual noise of samples: an IMU that is noisier has more.
     own = segments.noise.max(axis=1) ** 2 / np.maximum(segments.samples, 1)
@@ -101,7 +104,7 @@ def array_log(
         k = segments.triads.index(name)
         misfits = triad_misfits(calibration, triad, segments.mean[:, k], noise, more[:, k])
         found.append(Measured(misfits, triad.name, gyro_rest(triad, segments.rate[:, k], rests)))
-    return found, _once(recording.notes)
+    return found, (*_once(recording.notes), *pairing.notes, *said)
 
 
 def _once(notes: tuple[str, ...]) -> tuple[str, ...]:

@@ -33,6 +33,8 @@ class Channel:
     values : (N, k) in SI units (m/s², rad/s, °C), or raw counts when `unit` is "counts"
     quantity : "acceleration", "angular_rate", "temperature", or a name from the file
     triad : the sensor that it belongs to, for example "imu0"
+    names : what else the file calls that sensor: topic, dataset, in full
+    numbered : whether `triad` is only a number, since the file has no name for the sensor
     rate : samples a second, from the median time step (or the file's header)
     pending : None, except in blocks that were asked for as stored (`readers.stored_blocks`): there
         `values` are the file's own numbers of any type, and this turns them into `unit`
@@ -45,6 +47,8 @@ class Channel:
     triad: str
     rate: float
     pending: Pending | None = None
+    names: tuple[str, ...] = ()
+    numbered: bool = False
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.t.shape != self.values.shape[:1]:

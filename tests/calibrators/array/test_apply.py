@@ -18,7 +18,7 @@ from imucalib.calibrators.array.loop.asked import Asked
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.calibrators.array.simulation import LogPlan, SimulatedLog, simulated_log
-from imucalib.errors import UnreadableInput, UsageError
+from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.readers import read as read_recording
 from imucalib.recording.recording import Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
@@ -136,7 +136,7 @@ def test_one_imu_alone_and_other_names(log: SimulatedLog, run: ArrayRun) -> None
         by_order.channels["simu5/acceleration"].values, whole.channels["imu5/acceleration"].values
     )
     some = dict(list(renamed.items())[:6])
-    with pytest.raises(UnreadableInput, match="none of which"):
+    with pytest.raises(UnreadableInput, match="no name fits"):
         apply_to_recording(run.calibration, replace(log.recording, channels=some))
 
 
@@ -148,3 +148,60 @@ def test_a_damaged_triad_does_not_validate(run: ArrayRun) -> None:
     ):
         with pytest.raises(UnreadableInput, match=words):
             check(replace(run.calibration, triads=(bad, *rest)), "f")
+
+
+def _called(recording: Recording, names: dict[str, str]) -> Recording:
+    channels = {
+        f"{names[c.triad]}/{c.quantity}": replace(c, triad=names[c.triad])
+        for c in recording.channels.values()
+    }
+    return replace(recording, channels=channels)
+
+
+@pytest.mark.parametrize("one", range(8))
+def test_readings_under_each_others_names_are_refused(
+    log: SimulatedLog, run: ArrayRun, one: int
+) -> None:
+    """Gravity at rest tells any two sensors apart, even two that are mounted alike."""
+    for two in range(one):
+        names = {imu: imu for imu in BOARD.imus}
+        names |= {f"imu{one}": f"imu{two}", f"imu{two}": f"imu{one}"}
+        with pytest.raises(Undetermined) as error:
+            apply_to_recording(run.calibration, _called(log.recording, names))
+        assert f"imu{one} is imu{two}, not imu{one}" in error.value.remedy
+        assert f"imu{two} is imu{one}, not imu{two}" in error.value.remedy
+
+
+def test_the_order_of_the_sensors_is_nothing(log: SimulatedLog, run: ArrayRun) -> None:
+    whole = apply_to_recording(run.calibration, log.recording)
+    turned = replace(log.recording, channels=dict(reversed(log.recording.channels.items())))
+    found = apply_to_recording(run.calibration, turned)
+    for name, channel in whole.channels.items():
+        assert np.array_equal(found.channels[name].values, channel.values)
+
+
+@pytest.mark.parametrize("names", ["abcdefgh", "12345678"])
+def test_a_board_of_other_names_corrects_alike(
+    log: SimulatedLog, run: ArrayRun, names: str
+) -> None:
+    """Names of the recording that are numbers only: paired in order, and by channel later."""
+    numbered = {
+        n: replace(c, numbered=True, names=(f"/acc[{c.triad[3:]}]",))
+        for n, c in log.recording.channels.items()
+    }
+    plain = replace(log.recording, channels=numbered)
+    board = replace(BOARD, imus=tuple(f"imu{n}" if n.isdigit() else n for n in names))
+    other = calibrate_array(plain, replace(run.request, board=board), lambda _: None)
+    one = apply_to_recording(run.calibration, log.recording)
+    two = apply_to_recording(other.calibration, plain)
+    for name, channel in one.channels.items():
+        assert np.allclose(two.channels[name].values, channel.values, rtol=0.0, atol=1e-9)
+
+
+def test_a_sensor_of_other_axes_is_refused(log: SimulatedLog, run: ArrayRun) -> None:
+    channels = dict(log.recording.channels)
+    channels["imu3/acceleration"] = replace(
+        channels["imu3/acceleration"], values=-channels["imu3/acceleration"].values
+    )
+    with pytest.raises(Undetermined, match="imu3 disagrees"):
+        apply_to_recording(run.calibration, replace(log.recording, channels=channels))

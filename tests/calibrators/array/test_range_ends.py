@@ -44,7 +44,7 @@ def test_a_flat_top_under_noise_is_the_end(
 ) -> None:
     rates = [c.values for c in quiet.channels.values() if c.quantity == "angular_rate"]
     names = [c.triad for c in quiet.channels.values() if c.quantity == "angular_rate"]
-    log, _ = array_log(noisy(quiet, 1000.0, sigma, imus), BOARD)
+    log = array_log(noisy(quiet, 1000.0, sigma, imus), BOARD)
     chosen = [r for r, n in zip(rates, names, strict=True) if n in imus]
     over = np.any([np.any(np.abs(r) > 1040.0 * DEG, axis=1) for r in chosen], axis=0)
     under = np.all([np.all(np.abs(r) < 940.0 * DEG, axis=1) for r in chosen], axis=0)
@@ -56,7 +56,7 @@ def test_a_flat_top_under_noise_is_the_end(
 
 
 def test_what_turns_by_itself_ends_nowhere(quiet: Recording) -> None:
-    log, _ = array_log(noisy(quiet, 1e6, 0.2, BOARD.imus), BOARD)
+    log = array_log(noisy(quiet, 1e6, 0.2, BOARD.imus), BOARD)
     assert not log.clipped.any()
     assert log.notes == ()
 
@@ -70,5 +70,5 @@ def test_the_turning_points_of_a_steady_swing_are_no_end(quiet: Recording, hz: f
             phase = np.array([0.0, 1.0, 2.0])
             swing = 900.0 * DEG * np.sin(2.0 * np.pi * hz * c.t[:, None] + phase)
             channels[name] = replace(c, values=swing + 0.2 * DEG * rng.normal(size=swing.shape))
-    log, _ = array_log(replace(quiet, channels=channels), BOARD)
+    log = array_log(replace(quiet, channels=channels), BOARD)
     assert not log.clipped.any()

@@ -28,7 +28,7 @@ from imucalib.calibrators.array.estimate.total import total_of
 from imucalib.calibrators.array.estimate.uneven import Uneven
 from imucalib.calibrators.array.left_beside import held_against_left
 from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part, of_alike_gyros
-from imucalib.calibrators.array.log import ArrayLog, array_log, in_package_axes
+from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.at_rest import with_rests
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import with_declared
@@ -82,7 +82,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     """
     if request.limits and not (request.loop or request.asked.declare):
         raise UsageError("limits need held-out data", remedy="leave --no-loop out")
-    laid = _laid(recording, request)
+    laid = _laid(recording, request, say)
     del recording  # from here on a log is side by side: held twice, one of many IMUs is large
     board, segments = laid.board, laid.segments
     rests = fit_rests(
@@ -135,15 +135,18 @@ def _doubted(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:
     return held_against_left(loop, residual_of_each(loop.final), (rests.noise, rests.gyro_noise))
 
 
-def _laid(recording: Recording, request: ArrayRequest) -> _Laid:
-    recording = in_package_axes(recording, request.board)
-    log, board = array_log(recording, request.board)
+def _laid(recording: Recording, request: ArrayRequest, say: Say) -> _Laid:
+    read = len(recording.notes)
+    recording, board = of_board(recording, request.board)
+    for note in recording.notes[read:]:
+        say(note)
+    log = array_log(recording, board)
     segments = still_segments(recording, request.still)
     order = _order(segments, board, recording, log)
     if board.undrawn:
         board = sketched(log, segments, board, order)
-        recording = in_package_axes(recording, board)
-        log, board = array_log(recording, board)
+        recording, board = of_board(recording, board)
+        log = array_log(recording, board)
         segments = still_segments(recording, request.still)
     taken = streams(log)
     if not request.as_drawn:
@@ -163,7 +166,6 @@ def _without_values(recording: Recording) -> Recording:
 
 
 def _order(segments: Segments, board: Board, recording: Recording, log: ArrayLog) -> list[int]:
-    names = board.imus if set(board.imus) <= set(segments.triads) else segments.triads
     if segments.n == 0:
         noisy = noisy_alone(log)
         if noisy is not None:
@@ -180,7 +182,7 @@ def _order(segments: Segments, board: Board, recording: Recording, log: ArrayLog
             remedy="hold the board still in nine or more attitudes before twisting it; "
             "`imucal inspect FILE --rests` lists what was refused",
         )
-    return [segments.triads.index(name) for name in names]
+    return [segments.triads.index(name) for name in board.imus]
 
 
 def _fitted_or_told(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest) -> _Fitted:

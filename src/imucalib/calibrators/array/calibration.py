@@ -7,6 +7,7 @@ correction carries, stand beside it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,13 +46,17 @@ def array_calibration(
     gyros: GyroScale,
     board: Board,
     linear: LinearPart | None,
+    channels: Mapping[str, str],
 ) -> Calibration:
-    """The calibration of a log."""
+    """The calibration of a log. channels : IMU -> what the recording calls it."""
     return of_positions(
         outcome, total, board.imus,
         gravity=rests.gravity,
         facts={name: details[name] for name in _SHARED if name in details},
-        triads=_triads(rests, moving, board, linear, 1.0 + gyros.value),
+        triads=tuple(
+            replace(triad, channel=channels.get(triad.name, ""))
+            for triad in _triads(rests, moving, board, linear, 1.0 + gyros.value)
+        ),
     )  # fmt: skip
 
 

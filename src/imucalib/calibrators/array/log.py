@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from imucalib.arrays import Array, Flags
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.range_ends import NEAR_RANGE, at_end, at_range
 from imucalib.errors import UnreadableInput
+from imucalib.recording.pairing import listed, names_in, paired
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG
 
@@ -33,13 +33,49 @@ class ArrayLog:
     notes: tuple[str, ...]
 
 
-def array_log(recording: Recording, board: Board) -> tuple[ArrayLog, Board]:
-    """All IMUs of the board side by side, and the board in their order.
+def of_board(recording: Recording, board: Board) -> tuple[Recording, Board]:
+    """The recording's IMUs under the board's names and in their packages' axes, all others left
+    out; and the board, named as the recording is where there is no drawing.
 
-    Raises UnreadableInput for a missing IMU, a missing gyro, a dead axis, or clocks or rates that
-    do not match.
+    `Channel.names` keeps what the recording calls them. Raises UnreadableInput for IMUs that do not
+    match the board.
     """
-    names, notes = _matched_names(recording, board)
+    known = list(names_in(recording))
+    if board.undrawn and len(known) == board.count:
+        board = replace(board, imus=tuple(known))
+    found = paired([(name,) for name in board.imus], recording, "the board")
+    if len(found.partner) < board.count:
+        absent = [n for k, n in enumerate(board.imus) if k not in found.partner.values()]
+        raise UnreadableInput(
+            f"the board has {board.count} IMUs, the recording {len(known)} "
+            f"accelerometer{'s' * (len(known) != 1)} ({listed(known) or 'none'}); "
+            f"missing: {listed(absent)}",
+            where=recording.path,
+            remedy="take them off the board file, or map all of them with --acc and --gyro",
+        )
+    own = {"acceleration": board.accelerometer_axes, "angular_rate": board.gyro_axes}
+    named: dict[int, dict[str, Channel]] = {k: {} for k in range(board.count)}
+    for channel in recording.channels.values():
+        if (k := found.partner.get(channel.triad)) is None:
+            continue
+        values = channel.values
+        if channel.quantity in own and not np.array_equal(own[channel.quantity][k], np.eye(3)):
+            values = values @ own[channel.quantity][k].T
+        own_name = () if channel.numbered else (channel.triad,)
+        names = tuple(dict.fromkeys((*own_name, *channel.names)))
+        named[k][f"{board.imus[k]}/{channel.quantity}"] = replace(
+            channel, values=values, triad=board.imus[k], numbered=False, names=names
+        )
+    channels = {name: c for k in named for name, c in named[k].items()}
+    return replace(recording, channels=channels, notes=(*recording.notes, *found.notes)), board
+
+
+def array_log(recording: Recording, board: Board) -> ArrayLog:
+    """All IMUs of the board side by side, of a recording as `of_board` gives it.
+
+    Raises UnreadableInput for a missing gyro, a dead axis, or clocks or rates that do not match.
+    """
+    names, notes = board.imus, []
     chosen = [(_channel(recording, n, "acceleration"), _channel(recording, n, "angular_rate"))
               for n in names]  # fmt: skip
     t, indices, remark = _common_times([c for pair in chosen for c in pair], recording.path)
@@ -73,46 +109,7 @@ def array_log(recording: Recording, board: Board) -> tuple[ArrayLog, Board]:
         notes.append(f"{int((~finite).sum())} samples with missing values left out")
         t, acceleration, rate = t[finite], acceleration[finite], rate[finite]
         clipped = clipped[finite]
-    return ArrayLog(t, acceleration, rate, clipped, step, tuple(notes)), board
-
-
-def in_package_axes(recording: Recording, board: Board) -> Recording:
-    """The recording with every sensor's axes those of its package, as the board file says. Raises
-    UnreadableInput for IMUs that do not match the board."""
-    own = {"acceleration": board.accelerometer_axes, "angular_rate": board.gyro_axes}
-    names, channels = _matched_names(recording, board)[0], dict(recording.channels)
-    for name, channel in recording.channels.items():
-        if channel.triad in names and channel.quantity in own:
-            turn = own[channel.quantity][names.index(channel.triad)]
-            if not np.array_equal(turn, np.eye(3)):
-                channels[name] = replace(channel, values=channel.values @ turn.T)
-    return replace(recording, channels=channels)
-
-
-def _matched_names(recording: Recording, board: Board) -> tuple[list[str], list[str]]:
-    triads = list(dict.fromkeys(
-        c.triad for c in recording.channels.values() if c.quantity == "acceleration"
-    ))  # fmt: skip
-    if set(board.imus) <= set(triads):
-        left = [n for n in triads if n not in board.imus]
-        notes = [f"not on the board, left out: {', '.join(left)}"] if left else []
-        return list(board.imus), notes
-    if len(triads) == board.count:
-        return triads, [f"IMUs matched to the board in order: {', '.join(triads)}"]
-    missing = [n for n in board.imus if n not in triads]
-    raise UnreadableInput(
-        f"the board has {board.count} IMUs, the recording {len(triads)} "
-        f"accelerometer{'s' * (len(triads) != 1)} ({_few(triads) or 'none'}); "
-        f"missing: {_few(missing)}",
-        where=recording.path,
-        remedy="name the IMUs of the board file like the recording's, or map all of them "
-        "with --acc and --gyro",
-    )
-
-
-def _few(names: Sequence[str]) -> str:
-    more = len(names) - 4
-    return ", ".join(names[: 3 if more > 0 else 4]) + (f" and {more + 1} more" if more > 0 else "")
+    return ArrayLog(t, acceleration, rate, clipped, step, tuple(notes))
 
 
 def _channel(recording: Recording, triad: str, quantity: str) -> Channel:

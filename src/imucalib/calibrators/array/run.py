@@ -32,6 +32,7 @@ from imucalib.calibrators.array.rests import RestFit
 from imucalib.calibrators.array.separate.motion_block import motion_block
 from imucalib.calibrators.array.separate.motion_plan import motion_plans
 from imucalib.estimators.array.sampler import ArrayPositions
+from imucalib.recording.pairing import channel_names
 from imucalib.recording.recording import Recording
 from imucalib.rests.segments import Segments
 
@@ -89,7 +90,7 @@ def finished(
         details[KEY] = motion_block(motion_plans(loop, np.random.default_rng(request.seed)))
     calibration = array_calibration(
         outcome, details, rests=rests, moving=moving, total=total, gyros=gyros, board=board,
-        linear=linear,
+        linear=linear, channels=channel_names(recording),
     )  # fmt: skip
     return ArrayRun(
         outcome=outcome, calibration=calibration, details=details, recording=recording,

@@ -31,6 +31,7 @@ class Found:
     parts : one place of (N, 3), or three of (N,); a temperature has one
     time : place of the stamps, or None; rate : of the attributes, when there are no stamps
     scale, offset : that the file states for its numbers to be in `unit`; 1 and 0 when none
+    numbered : whether `triad` is only a number, since nothing in the file names it
     epoch : ns since 1970 from which the stamps count, where their unit states it
     """
 
@@ -46,6 +47,14 @@ class Found:
     preset: str = ""
     epoch: int | None = None
     offset: float = 0.0
+    numbered: bool = False
+
+    @property
+    def address(self) -> str:
+        """Its dataset, and which of the triads in it."""
+        first = self.parts[0]
+        whole = first.path if len(self.parts) == 1 else first.path.rpartition("/")[0]
+        return f"{whole}[{first.triad}]" if first.triad >= 0 else whole
 
 
 def _words(path: str) -> list[str]:

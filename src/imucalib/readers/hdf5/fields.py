@@ -154,8 +154,9 @@ def _vectors(node: Any) -> Iterator[Found]:
         yield Found(quantity, _triad_name(above, -1), (place,), rows, unit_of(node), scale)
     if len(shape) == 3 and shape[2] == 3:
         for k in range(shape[1]):
-            place = Place(node.name, triad=k)
-            yield Found(quantity, _triad_name(above, k), (place,), shape[0], unit_of(node), scale)
+            name, place = _triad_name(above, k), Place(node.name, triad=k)
+            only = name == f"imu{k}"
+            yield Found(quantity, name, (place,), shape[0], unit_of(node), scale, numbered=only)
 
 
 def _single_axes(nodes: dict[str, Any]) -> Iterator[Found]:
@@ -199,8 +200,9 @@ def _stated(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
                     remedy="name a dataset (N, 3) or (N, K, 3)",
                 )
             for field in whole:
-                named = mapping.triads[count] if count < len(mapping.triads) else f"imu{count}"
-                yield replace(field, triad=named)
+                known = count < len(mapping.triads)
+                named = mapping.triads[count] if known else f"imu{count}"
+                yield replace(field, triad=named, numbered=not known)
                 count += 1
 
 

@@ -160,6 +160,8 @@ def _channel(
         triad=found.triad,
         rate=signal.rate,
         pending=how,
+        names=(found.address,) if found.address else (),
+        numbered=found.numbered,
     ), gaps
 
 

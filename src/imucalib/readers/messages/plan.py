@@ -44,6 +44,7 @@ class Part:
     topic: str
     column: int
     conversion: Conversion
+    numbered: bool
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,17 @@ def _parts(
             if convert.note:
                 notes.append(f"{triad.name}: {convert.note}")
             name = f"{triad.name}/{CHANNEL_NAMES[quantity]}"
-            parts.append(Part(name, triad.name, quantity, topic, column, convert))
+            parts.append(
+                Part(
+                    name=name,
+                    triad=triad.name,
+                    quantity=quantity,
+                    topic=topic,
+                    column=column,
+                    conversion=convert,
+                    numbered=triad.numbered,
+                )
+            )
     return parts, notes
 
 

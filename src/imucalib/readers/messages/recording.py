@@ -133,6 +133,8 @@ def _recording(
             quantity=CHANNEL_NAMES[part.quantity],
             triad=part.triad,
             rate=1e9 / period if period else 0.0,
+            names=(part.topic,),
+            numbered=part.numbered,
         )
     head, ordered = plan.head, sorted(gaps, key=lambda gap: (gap.start, gap.stop, gap.reason))
     return Recording(

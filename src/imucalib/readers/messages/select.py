@@ -11,6 +11,7 @@ from imucalib.readers.messages import fields as mf
 from imucalib.readers.messages.fields import Field, Leaves, TopicFields
 from imucalib.readers.messages.records import Topic
 from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.pairing import distinct_names
 
 QUANTITIES = ("acc", "gyro", "temperature")
 _UNITS = {"acc": "m/s2", "gyro": "rad/s", "temperature": ""}
@@ -21,10 +22,14 @@ _SENSOR_WORDS = re.compile(r"accelerometer|accel|acc|gyroscope|gyro|gyr", re.IGN
 
 @dataclass(frozen=True)
 class Triad:
-    """One sensor: its name and, by quantity, the topic and the place in that topic's fields."""
+    """One sensor: its name and, by quantity, the topic and the place in that topic's fields.
+
+    numbered : whether the name is only a number, since topics do not tell the sensors apart
+    """
 
     name: str
     parts: Mapping[str, tuple[str, int]]
+    numbered: bool = False
 
 
 def fields_of(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> TopicFields | None:
@@ -132,7 +137,9 @@ def natural(text: str) -> tuple[tuple[bool, int, str], ...]:
 def triads_of(
     mapping: FieldMapping, topics: Mapping[str, TopicFields], alive: Mapping[str, list[bool]]
 ) -> list[Triad]:
-    """The triads, named as the mapping does or imu0, imu1, ... in the natural order of topics.
+    """The triads, in the natural order of topics, named as the mapping does, as the file does, or
+    by the part of the topic that is theirs alone; a single one, or where topics do not tell, imu0,
+    imu1, ...
 
     alive : per topic and field, whether any value differs from zero. A vector that is always zero
     is a part of a split topic, or was never filled: it is left out unless the user named it.
@@ -143,8 +150,12 @@ def triads_of(
         parts = _found_parts(topics, alive)
     owns = [{topics[topic].triad for topic, _ in part.values()} for part in parts]
     own = tuple(name for names in owns if len(names) == 1 for name in names if name)
+    numbered = False
     if len(set(own)) != len(parts):
-        own = tuple(f"imu{i}" for i in range(len(parts)))
+        topics_of = [list(dict.fromkeys(topic for topic, _ in p.values())) for p in parts]
+        own = distinct_names(topics_of) if len(parts) > 1 else ()
+        numbered = not own and not mapping.triads
+        own = own or tuple(f"imu{i}" for i in range(len(parts)))
     names = mapping.triads or own
     if len(names) != len(parts) or len(set(names)) != len(names):
         raise UsageError(
@@ -152,7 +163,7 @@ def triads_of(
             where="mapping: triads",
             remedy="give one name for each triad, or none",
         )
-    return [Triad(name, part) for name, part in zip(names, parts, strict=True)]
+    return [Triad(name, part, numbered) for name, part in zip(names, parts, strict=True)]
 
 
 def _stated_parts(

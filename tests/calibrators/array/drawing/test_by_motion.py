@@ -52,6 +52,10 @@ def motion() -> tuple[Array, Array, Array, Array]:
     return np.arange(len(w)) / PLAN.hz, w, spin, force
 
 
+#: All packages mounted alike.
+ALIKE = np.tile(np.eye(3), (4, 1, 1))
+
+
 def felt() -> Array:
     _, w, spin, force = motion()
     out = np.cross(w[:, None], np.cross(w[:, None], PLACES)) + np.cross(spin[:, None], PLACES)
@@ -146,7 +150,7 @@ def test_places_are_seen_by_the_forces_differences() -> None:
     assert rough_places(t, felt(), w, few) is None
     noise = np.random.default_rng(0).normal(size=felt().shape)
     assert rough_places(t, felt() + 300.0 * noise, w, fast) is None
-    swapped = places(t, felt()[:, [0, 2, 1, 3]], w, fast, PLACES)
+    swapped = places(t, felt()[:, [0, 2, 1, 3]], w, fast, drawn=PLACES, mounted=ALIKE)
     assert swapped is not None
     assert swapped.place.tolist() == [0, 2, 1, 3]
     assert swapped.exchanged.tolist() == [1, 2]
@@ -157,19 +161,27 @@ def test_places_of_another_unit_or_sign() -> None:
     drawn = PLACES - PLACES.mean(axis=0)
     for factor, other in ((1.9, False), (2.1, True), (1.0 / 1.9, False), (1.0 / 2.1, True),
                           (499.0, True), (501.0, False)):  # fmt: skip
-        found = _placed(factor * drawn, drawn)
+        found = _placed(factor * drawn, drawn, ALIKE)
         assert found.size == pytest.approx(factor)
         assert found.other_unit == other
         assert not found.exchanged.size
-    flipped = _placed(-drawn, drawn)
+    flipped = _placed(-drawn, drawn, ALIKE)
     assert flipped.inverted
     assert flipped.place.tolist() == [0, 1, 2, 3]
+    # Sensors of a symmetric board in another order look like all of them with the other sign.
+    square = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
+    turned = _placed(-square, square, ALIKE)
+    assert not turned.inverted
+    assert turned.place.tolist() == [2, 3, 0, 1]
+    flat = np.diag([1.0, -1.0, -1.0])
+    mixed = _placed(-square, square, np.array([np.eye(3), np.eye(3), flat, flat]))
+    assert mixed.inverted  # their mountings do not allow that order
     # A place is left only where another is four times nearer, in the square.
     between = drawn.copy()
     between[[1, 2]] = 0.5 * (drawn[[1, 2]] + drawn[[2, 1]]) + 0.1 * (drawn[[2, 1]] - drawn[[1, 2]])
-    assert not _placed(between, drawn).exchanged.size
+    assert not _placed(between, drawn, ALIKE).exchanged.size
     between[[1, 2]] = drawn[[2, 1]] + 0.3 * (drawn[[1, 2]] - drawn[[2, 1]])
-    assert _placed(between, drawn).exchanged.tolist() == [1, 2]
+    assert _placed(between, drawn, ALIKE).exchanged.tolist() == [1, 2]
     still = np.full((5, 2, 3), [0.0, 0.0, 4.1])
     assert in_its_unit(still)
     assert not in_its_unit(still * 3.9 / 4.1)

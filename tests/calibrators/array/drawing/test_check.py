@@ -15,7 +15,7 @@ from imucalib.calibrators.array.board import Board, read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.drawing.axes import SIGNED, common_gyro_axes, in_words
 from imucalib.calibrators.array.drawing.check import Drawn, compared, refuse_contradiction
-from imucalib.calibrators.array.log import array_log, in_package_axes
+from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.request import ArrayRequest
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.errors import Undetermined, UnreadableInput
@@ -36,8 +36,8 @@ def recording() -> Recording:
 
 
 def seen(recording: Recording, board: Board) -> Drawn:
-    wired = in_package_axes(recording, board)
-    log, board = array_log(wired, board)
+    wired, board = of_board(recording, board)
+    log = array_log(wired, board)
     return compared(log, still_segments(wired), board, list(range(board.count)))
 
 

@@ -35,7 +35,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def log(recording: Recording) -> ArrayLog:
-    return array_log(recording, BOARD)[0]
+    return array_log(recording, BOARD)
 
 
 def test_a_sound_log_says_nothing(log: ArrayLog) -> None:
@@ -117,7 +117,7 @@ def test_a_range_below_the_stated_one_is_seen(recording: Recording) -> None:
     over = np.any(np.abs(gyro.values) > end, axis=1)
     assert over.sum() > 30
     short = replace(gyro, values=np.clip(gyro.values, -end, end))
-    found = array_log(replace(recording, channels={**recording.channels, name: short}), BOARD)[0]
+    found = array_log(replace(recording, channels={**recording.channels, name: short}), BOARD)
     assert np.array_equal(found.clipped, over)
     (note,) = found.notes
     assert "gyro of imu2 ends at 500 deg/s" in note

@@ -195,7 +195,10 @@ class _Shown:
         gyro = _signed(turns.transpose(0, 2, 1) @ common @ turns @ self.gyro)
         where = None
         if in_its_unit(still):
-            where = places(log.t, force, mean @ common.T, self.usable, self.board.positions)
+            where = places(
+                log.t, force, mean @ common.T, self.usable,
+                drawn=self.board.positions, mounted=turns,
+            )  # fmt: skip
         if where is not None and where.inverted:
             own = -own
         return Drawn(self.board, np.asarray(own), gyro, where)

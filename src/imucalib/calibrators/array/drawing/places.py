@@ -48,14 +48,16 @@ def in_its_unit(still: Array) -> bool:
     return bool(np.all((size > _GRAVITY[0]) & (size < _GRAVITY[1])))
 
 
-def places(t: Array, force: Array, rate: Array, usable: Flags, drawn: Array) -> Places | None:
+def places(
+    t: Array, force: Array, rate: Array, usable: Flags, *, drawn: Array, mounted: Array
+) -> Places | None:
     """Places of K IMUs; None where the motion does not show them.
 
     t : (n,) s; force : (n, K, 3) m/s² and rate : (n, 3) rad/s in board axes; usable : (n,) neither
-    clipped nor slow; drawn : (K, 3) m
+    clipped nor slow; drawn : (K, 3) m; mounted : (K, 3, 3), package to board
     """
     seen = rough_places(t, force, rate, usable)
-    return None if seen is None else _placed(seen, drawn - drawn.mean(axis=0))
+    return None if seen is None else _placed(seen, drawn - drawn.mean(axis=0), mounted)
 
 
 def rough_places(t: Array, force: Array, rate: Array, usable: Flags) -> Array | None:
@@ -79,17 +81,40 @@ def rough_places(t: Array, force: Array, rate: Array, usable: Flags) -> Array | 
     return np.asarray(found[:3].T - found[:3].mean(axis=1))
 
 
-def _placed(seen: Array, drawn: Array) -> Places:
+def _placed(seen: Array, drawn: Array, mounted: Array) -> Places:
     from scipy.optimize import linear_sum_assignment
 
     size = float(np.sqrt(np.sum(seen**2) / np.sum(drawn**2)))
     scaled = seen if 1.0 / _SIZE < size < _SIZE else seen / size
     apart = np.sum((scaled[:, None] - drawn) ** 2, axis=2)
     as_drawn = np.diag(apart)
-    inverted = _CLEARER * float(np.sum((scaled + drawn) ** 2)) < float(as_drawn.sum())
+    mirrored = float(np.sum((scaled + drawn) ** 2))
+    inverted = _CLEARER * mirrored < float(as_drawn.sum())
+    if inverted:
+        # Sensors in another order are likelier than all of them with the other sign.
+        place, off = _in_another_order(scaled, drawn, mounted)
+        if off <= _CLEARER * mirrored:
+            return Places(seen, place, size, inverted=False)
     place = np.asarray(linear_sum_assignment(apart)[1], np.intp)
     moved = place != np.arange(len(place))
     nearer = apart[np.arange(len(place)), place]
     if inverted or _CLEARER * float(nearer[moved].sum()) > float(as_drawn[moved].sum()):
         place = np.arange(len(place))
     return Places(seen, place, size, inverted)
+
+
+def _in_another_order(seen: Array, drawn: Array, mounted: Array) -> tuple[Index, float]:
+    """(K,) places of the drawing in the order that fits best as a whole, and m² by which it does
+    not: mountings go with places, so all readings are turned alike."""
+    from scipy.optimize import linear_sum_assignment
+
+    found, least = np.arange(len(seen)), np.inf
+    turns = np.einsum("kij,lmj->klim", mounted, mounted)  # what k reads, mounted as l is
+    for turn in turns[0]:
+        alike = np.abs(turns - turn).max(axis=(2, 3)) < 1e-6
+        apart = np.sum((seen[:, None] - drawn @ turn.T) ** 2, axis=2)
+        cost = np.where(alike, apart, 1e6)
+        place = np.asarray(linear_sum_assignment(cost)[1], np.intp)
+        if (off := float(cost[np.arange(len(place)), place].sum())) < least:
+            found, least = place, off
+    return found, least

@@ -56,6 +56,7 @@ class Instrument:
     biases : what the log's own rests show beside the calibration's
     accelerometer_range, gyroscope_range : m/s² and rad/s; inf where not known
     doubt : what the calibration leaves open, None where its file does not say
+    partner : of a log that was looked through, its sensors -> indices of the triads
     """
 
     triads: tuple[Triad, ...]
@@ -66,6 +67,7 @@ class Instrument:
     accelerometer_range: float
     gyroscope_range: float
     doubt: Doubt | None = None
+    partner: Mapping[str, int] | None = None
 
     @property
     def imus(self) -> tuple[str, ...]:

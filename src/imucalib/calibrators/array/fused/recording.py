@@ -134,7 +134,11 @@ def fuse_file(
     told, notes = Told(), dict[str, None]()
 
     def fused_blocks(given: Iterable[Recording]) -> Iterator[Recording]:
-        corrected = partial(apply_to_recording, calibration, again=True) if each else None
+        corrected = (
+            partial(apply_to_recording, calibration, again=True, partner=found.instrument.partner)
+            if each
+            else None
+        )
         for block in _outputs(given, found, told, corrected):
             marks = (*block.corrections, mark_of(calibration, TRIAD))
             notes.update(dict.fromkeys(block.notes))
@@ -150,7 +154,7 @@ def fuse_file(
             told, notes = Told(), {}
             (whole,) = fused_blocks([read(source, mapping, strict=strict)])
             write(whole, target)
-    return (*notes, *_words(found, told), *_lost(found, told))
+    return (*notes, *found.notes, *_words(found, told), *_lost(found, told))
 
 
 def _unmarked(given: Iterable[Recording], again: bool) -> Iterator[Recording]:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.triads import named_triads
+from imucalib.calibration.triads import pairing_of
 from imucalib.calibrators.array.fused.instrument import Instrument
 from imucalib.calibrators.array.fused.stretch import Stretch
 from imucalib.errors import UnreadableInput
@@ -50,10 +50,8 @@ class _Queue:
     """Readings that wait for those of the other sensors of their instant."""
 
     def __init__(self, first: Recording, instrument: Instrument) -> None:
-        named = named_triads(instrument.triads, first)
-        places = {t.name: k for k, t in enumerate(instrument.triads)}
-        self._count = len(places)
-        self._at = {name: places[t.name] for name, t in named.items()}
+        named = instrument.partner or pairing_of(instrument.triads, first).partner
+        self._count, self._at = len(instrument.triads), named
         own = [c for c in first.channels.values() if c.triad in named and c.quantity in _UNITS]
         gyros = {c.triad for c in own if c.quantity == "angular_rate"}
         if len(named) < _FEWEST or not gyros:

@@ -6,13 +6,14 @@ noise grows with the rate. Memory holds what the detector of rests keeps, and th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.triads import named_triads
+from imucalib.calibration.shared_gravity import held_against_gravity
+from imucalib.calibration.triads import pairing_of
 from imucalib.calibrators.array.fused.biases import biases_at_rest, held_against
 from imucalib.calibrators.array.fused.clocks import ages
 from imucalib.calibrators.array.fused.fuse import fuse
@@ -36,26 +37,30 @@ _FIRST_GROWTH, _FIRST_TAILS = 0.5, 4.0  # of the noise before it is fitted, per 
 @dataclass(frozen=True)
 class Survey:
     """instrument : with the log's own biases; noise : of accelerometers and gyros
-    rests : s of rest that gave the biases, 0 without; turned : moving samples behind the noise"""
+    rests : s of rest that gave the biases, 0 without; turned : moving samples behind the noise
+    notes : how the log's sensors were paired, and how they agree on gravity"""
 
     instrument: Instrument
     noise: tuple[ChipNoise, ChipNoise]
     rests: float
     turned: int
+    notes: tuple[str, ...] = ()
 
 
 def survey(blocks: Iterable[Recording], instrument: Instrument) -> Survey:
-    """Look a recording through. Errors as in `side_by_side`."""
+    """Look a recording through. Errors as in `side_by_side` and `held_against_gravity`."""
     seen = _Seen(instrument)
     try:
         segments = find_segments(seen.watched(blocks))
     except Undetermined:
-        if seen.first is None:
+        if seen.partner is None:
             raise
         segments = None
-    rest = _own_noise(instrument)
-    if segments is not None and segments.n and seen.first is not None:
-        order = _order(segments, instrument, seen.first)
+    rest, notes = _own_noise(instrument), seen.notes
+    instrument = replace(instrument, partner=seen.partner)
+    if segments is not None and segments.n and seen.partner:
+        notes += held_against_gravity(instrument.triads, seen.partner, segments, seen.path)
+        order = {k: segments.triads.index(name) for name, k in seen.partner.items()}
         rest = _noise_at_rest(segments, order, rest)
         instrument = held_against(segments, order, instrument)
         instrument = replace(instrument, biases=biases_at_rest(segments, order, instrument))
@@ -64,7 +69,7 @@ def survey(blocks: Iterable[Recording], instrument: Instrument) -> Survey:
     if (busy := seen.busiest()) is not None:
         noise, turned = _noise_in_motion(instrument, busy, rest)
     seconds = 0.0 if segments is None else float(np.sum(segments.stop - segments.start))
-    return Survey(instrument, noise, seconds, turned)
+    return Survey(instrument, noise, seconds, turned, notes)
 
 
 class _Seen:
@@ -74,14 +79,17 @@ class _Seen:
         self._instrument = instrument
         self._best: Stretch | None = None
         self._most = 0
-        self.first: Recording | None = None
+        self.partner: Mapping[str, int] | None = None
+        self.notes: tuple[str, ...] = ()
+        self.path = ""
 
     def watched(self, blocks: Iterable[Recording]) -> Iterator[Recording]:
         """The blocks, looked at."""
         for block in blocks:
-            self.first = self.first or replace(block, channels={
-                n: replace(c, t=c.t[:1], values=c.values[:1]) for n, c in block.channels.items()
-            })  # fmt: skip
+            if self.partner is None and block.channels:
+                found = pairing_of(self._instrument.triads, block)
+                self.partner, self.notes, self.path = found.partner, found.notes, block.path
+                self._instrument = replace(self._instrument, partner=found.partner)
             for stretch in side_by_side([block], self._instrument):
                 self._look(stretch)
             yield block
@@ -108,13 +116,6 @@ def _own_noise(instrument: Instrument) -> tuple[Array, Array]:
         np.array([np.full(3, t.noise) for t in instrument.triads]),
         np.array([np.full(3, t.gyro_noise) for t in instrument.triads]),
     )
-
-
-def _order(segments: Segments, instrument: Instrument, first: Recording) -> dict[int, int]:
-    """Column of the segments of every IMU of the instrument that is there."""
-    named = named_triads(instrument.triads, first)
-    places = {t.name: k for k, t in enumerate(instrument.triads)}
-    return {places[t.name]: segments.triads.index(name) for name, t in named.items()}
 
 
 def _noise_at_rest(

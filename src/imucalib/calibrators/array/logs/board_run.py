@@ -168,4 +168,5 @@ def _triad(runs: tuple[ArrayRun, ...], k: int, gyros: GyroScale) -> Triad:
         covariance=covariance,
         noise=float(np.sqrt(np.mean([t.noise**2 for t in own]))),
         gyro_noise=float(np.sqrt(np.mean([t.gyro_noise**2 for t in own]))),
+        channel=own[0].channel,
     )

@@ -1,0 +1,135 @@
+"""The IMUs of an array see one gravity: whether a recording's are the ones that were calibrated.
+
+At rest the corrected forces of all IMUs, turned into the board's axes, are one vector. What they
+differ by is held against the same readings paired otherwise, and against what is stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import lgamma, log
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.calibration.triads import Triad
+from imucalib.errors import Undetermined
+from imucalib.rests.segments import Segments
+from imucalib.units import MG, STANDARD_GRAVITY
+
+#: Prior odds of the pairing by name against all others together: 99 to 1.
+_PRIOR = log(100.0)
+#: m/s² that no accelerometer's bias changes by while it works: zero-g levels of data sheets, over
+#: life and temperature, stay below a tenth of g; another axis or sign is worth more than half of g.
+_ANOTHER_SENSOR = 0.25 * STANDARD_GRAVITY
+_SURE = 5.0  # standard deviations from which a change is told
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """force : (J, K, m, 3) m/s², recorded sensor j corrected as IMU k at m rests; variance : (J,)
+    (m/s²)² of an axis that is stated for j as it is paired; given : (J,) its IMU"""
+
+    force: Array
+    variance: Array
+    given: Index
+
+
+def held_against_gravity(
+    triads: Sequence[Triad], partner: Mapping[str, int], segments: Segments, where: str
+) -> tuple[str, ...]:
+    """What is to be said of how the IMUs agree on gravity.
+
+    triads : of the calibration; partner : recorded sensor -> index of its triad, as paired
+    segments : the recording's rests, m/s²; without any, or of one sensor, nothing is compared
+    Raises Undetermined where another pairing agrees and this one does not, with that pairing, and
+    where a sensor is off by more than any bias changes by.
+    """
+    names = [name for name in partner if name in segments.triads]
+    if segments.n == 0 or len(names) < 2:
+        return ()
+    seen = _seen(triads, partner, segments, names)
+    own = _disagreement(seen.force, seen.given)
+    best = _best(seen.force)
+    other = _disagreement(seen.force, best)
+    freedom = 3.0 * (len(names) - 1)
+    noise = max(float(seen.variance.mean()), float(other.sum()) / freedom)
+    ahead = float(own.sum() - other.sum()) / (2.0 * noise)
+    if ahead > lgamma(len(names) + 1.0) + _PRIOR:
+        raise Undetermined(
+            f"at rest the corrected accelerometers disagree about gravity by up to "
+            f"{np.sqrt(own.max()) / MG:.3g} mg; paired otherwise, by {_in_mg(other)} mg",
+            where=where,
+            remedy="if these are the sensors that were calibrated, name the recording's so with a "
+            "mapping (key triads): " + _moved(names, seen.given, best, triads),
+        )
+    worst = int(np.argmax(own))
+    if own[worst] > _ANOTHER_SENSOR**2:
+        raise Undetermined(
+            f"at rest {names[worst]} disagrees with the others about gravity by "
+            f"{_in_mg(own)} mg: its axes or its unit are not those that were calibrated",
+            where=where,
+            remedy="look at `imucal inspect` of both recordings; leave the sensor out, or "
+            "calibrate the board again",
+        )
+    changed = np.flatnonzero(own > 3.0 * _SURE**2 * seen.variance)
+    if not changed.size:
+        return ()
+    told = ", ".join(f"{names[j]} by {np.sqrt(own[j]) / MG:.2g} mg" for j in changed)
+    return (f"gravity at rest is no longer the same for all IMUs: {told}",)
+
+
+def _in_mg(square: Array) -> str:
+    return f"{np.sqrt(float(square.max())) / MG:.3g}"
+
+
+def _moved(names: Sequence[str], given: Index, best: Index, triads: Sequence[Triad]) -> str:
+    rows = zip(names, given, best, strict=True)
+    return ", ".join(f"{n} is {triads[b].name}, not {triads[a].name}" for n, a, b in rows if a != b)
+
+
+def _seen(
+    triads: Sequence[Triad], partner: Mapping[str, int], segments: Segments, names: Sequence[str]
+) -> _Seen:
+    columns = [segments.triads.index(name) for name in names]
+    read = segments.mean[:, columns]
+    force = np.array([[t.force(read[:, j]) for t in triads] for j in range(len(names))])
+    given = np.array([partner[name] for name in names], dtype=np.intp)
+    samples = np.maximum(segments.samples[:, columns], 1)
+    noise = np.mean((segments.noise[columns] ** 2).mean(axis=1) / samples, axis=0)
+    stated = np.array([_stated(triads[k], force[j, k]) for j, k in enumerate(given)])
+    return _Seen(force, stated + noise, given)
+
+
+def _stated(triad: Triad, force: Array) -> float:
+    """(m/s²)² variance of an axis by the triad's covariance, in the mean over forces (m, 3)."""
+    inverse = np.linalg.inv(triad.gain)
+    columns = np.zeros((len(force), 3, 12))
+    for axis in range(3):
+        columns[:, axis, 3 * axis : 3 * axis + 3] = force
+        columns[:, axis, 9 + axis] = 1.0
+    columns = inverse @ columns
+    found = np.einsum("mip,pq,miq->mi", columns, triad.covariance, columns)
+    return float(np.maximum(found, 0.0).mean())
+
+
+def _disagreement(force: Array, pairing: Index) -> Array:
+    """(J,) (m/s²)² of each sensor from the mean of all, in the mean over the rests."""
+    own = force[np.arange(len(pairing)), pairing]
+    return np.asarray(((own - own.mean(axis=0)) ** 2).sum(axis=2).mean(axis=1))
+
+
+def _best(force: Array) -> Index:
+    """(J,) the pairing of least disagreement: the first sensor as each IMU in turn is what the
+    others are held against, which leaves one linear assignment each."""
+    from scipy.optimize import linear_sum_assignment
+
+    found, least = np.arange(force.shape[0]), np.inf
+    for k in range(force.shape[1]):
+        cost = ((force - force[0, k]) ** 2).sum(axis=3).mean(axis=2)
+        cost[0] = np.where(np.arange(force.shape[1]) == k, 0.0, 1e12)
+        pairing = np.asarray(linear_sum_assignment(cost)[1], dtype=np.intp)
+        if (total := float(_disagreement(force, pairing).sum())) < least:
+            found, least = pairing, total
+    return found

@@ -1,0 +1,151 @@
+"""Whose readings are whose: sensors of a recording paired by name with those of a board or of a
+calibration.
+
+A recording's sensor is called by `Channel.triad`, unless that is only a number that a reader gave,
+and by `Channel.names`: its topic, dataset, column. A part of such a name counts where no other
+sensor of the recording has it: "imu_fl" of /imu_fl/data_raw.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from imucalib.errors import UnreadableInput
+from imucalib.recording.recording import Recording
+
+_SEPARATORS = re.compile(r"[/:\[\]]+")
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """partner : a recording's sensor -> the index of the one that it is paired with, in the order
+    in which they were wanted; notes : how, where it was not by equal names, and what is left out"""
+
+    partner: Mapping[str, int]
+    notes: tuple[str, ...] = ()
+
+
+def paired(wanted: Sequence[Sequence[str]], recording: Recording, whose: str) -> Pairing:
+    """Pair sensors with a recording's accelerometers.
+
+    wanted : of each sensor the names that it goes by, what the user calls it first
+    whose : "the board" or "the calibration", for messages
+    By order only where no name fits at all and there are as many. Raises UnreadableInput where
+    names are left over on both sides, or nothing fits.
+    """
+    known = names_in(recording)
+    found = _by_names(wanted, known)
+    if found and (len(found) == len(known) or len(set(found.values())) == len(wanted)):
+        return Pairing(found, _remarks(wanted, known, found, whose))
+    if not found and known and len(known) == len(wanted):
+        pairs = ", ".join(f"{r} is {w[0]}" for r, w in zip(known, wanted, strict=True))
+        note = f"no name of {whose} fits one of the recording: paired in order, {pairs}"
+        return Pairing(dict(zip(known, range(len(wanted)), strict=True)), (note,))
+    raise UnreadableInput(
+        _sides(wanted, known, found, whose),
+        where=recording.path,
+        remedy=f"give the sensors the same names on both sides: in {whose}'s file, or by naming "
+        "the recording's with a mapping (`imucal inspect --save-mapping`, key triads)",
+    )
+
+
+def names_in(recording: Recording) -> dict[str, frozenset[str]]:
+    """Every name of each accelerometer of a recording, parts that are its alone included; none
+    where the file has none, so that `triad` is only a number."""
+    whole: dict[str, list[str]] = {}
+    for channel in recording.channels.values():
+        if channel.quantity == "acceleration":
+            own = whole.setdefault(channel.triad, [])
+            own += channel.names if channel.numbered else (channel.triad, *channel.names)
+    return dict(zip(whole, _with_parts(list(whole.values())), strict=True))
+
+
+def channel_names(recording: Recording) -> dict[str, str]:
+    """What the file calls each accelerometer, in full: what a later recording is paired by."""
+    return {
+        c.triad: (c.names or ("" if c.numbered else c.triad,))[-1]
+        for c in recording.channels.values()
+        if c.quantity == "acceleration"
+    }
+
+
+def _with_parts(sensors: Sequence[Sequence[str]]) -> list[frozenset[str]]:
+    """The names of each sensor, and the parts of them that no other sensor has."""
+    every = [{*names, *(p for name in names for p in parts_of(name))} for names in sensors]
+    count = Counter(p for names in every for p in names)
+    return [
+        frozenset(n for n in one if n in own or count[n] == 1)
+        for one, own in zip(every, sensors, strict=True)
+    ]
+
+
+def parts_of(name: str) -> tuple[str, ...]:
+    """The words between the separators of a topic or path; numbers alone name nothing."""
+    return tuple(p for p in _SEPARATORS.split(name) if p and not p.isdecimal())
+
+
+def distinct_names(sensors: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """One short name of each sensor out of the topics that it has: the first part that is its
+    alone. Empty where one has none: then the file does not tell them apart by name."""
+    each = [tuple(dict.fromkeys(p for name in names for p in parts_of(name))) for names in sensors]
+    count = Counter(p for parts in each for p in parts)
+    found = [next((p for p in parts if count[p] == 1), "") for parts in each]
+    return tuple(found) if all(re.fullmatch(r"[\w.~-]+", name) for name in found) else ()
+
+
+def _by_names(
+    wanted: Sequence[Sequence[str]], known: Mapping[str, frozenset[str]]
+) -> dict[str, int]:
+    """What fits: by the name that each is called first, else by any of its names."""
+    found: dict[str, int] = {}
+    for names in ([frozenset(w[:1]) for w in wanted], _with_parts(wanted)):
+        fits = {r: [k for k, w in enumerate(names) if own & w] for r, own in known.items()}
+        once = Counter(k for few in fits.values() for k in few)
+        found = {r: few[0] for r, few in fits.items() if len(few) == 1 and once[few[0]] == 1}
+        if len(found) in (len(known), len(wanted)):
+            break
+    return found
+
+
+def _remarks(
+    wanted: Sequence[Sequence[str]],
+    known: Mapping[str, frozenset[str]],
+    found: Mapping[str, int],
+    whose: str,
+) -> tuple[str, ...]:
+    renamed = [f"{r} is {wanted[k][0]}" for r, k in found.items() if r != wanted[k][0]]
+    left = [r for r in known if r not in found]
+    absent = [w[0] for k, w in enumerate(wanted) if k not in found.values()]
+    return (
+        *([f"paired by name: {', '.join(renamed)}"] if renamed else []),
+        *([f"not of {whose}, left as they are: {', '.join(left)}"] if left else []),
+        *([f"of {whose}, not in the recording: {', '.join(absent)}"] if absent else []),
+    )
+
+
+def _sides(
+    wanted: Sequence[Sequence[str]],
+    known: Mapping[str, frozenset[str]],
+    found: Mapping[str, int],
+    whose: str,
+) -> str:
+    ours = [w[0] for k, w in enumerate(wanted) if k not in found.values()]
+    theirs = [r for r in known if r not in found]
+    count = f"{whose} has {len(wanted)} IMUs, the recording {len(known)} " + (
+        "accelerometer" if len(known) == 1 else "accelerometers"
+    )
+    if not found:
+        return f"{count}, and no name fits: {listed(ours)}; in the recording {listed(theirs)}"
+    return (
+        f"{count}, and only {len(found)} names fit; left over: {listed(ours)}; "
+        f"in the recording {listed(theirs) or 'none'}"
+    )
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a message, eight at most and how many more."""
+    more = len(names) - 8
+    return ", ".join(names[:8]) + (f" and {more} more" if more > 0 else "")
