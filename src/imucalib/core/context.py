@@ -20,8 +20,10 @@ class Context:
     (n, K) where every triad has its own.
 
     Names with a meaning for the catalogue: "order" (0..1 over the recording), "time",
-    "temperature", "inclination", "tool_face", "sweep" (number of the run of rows with the same
-    held angle), "inclination_approach" and "tool_face_approach" (-1, 0, +1: the direction from
+    "temperature", "inclination", "tool_face", "inclination_dial" and "tool_face_dial" (as the
+    bench's dials say them, where these count otherwise), "inclination_sense" and "tool_face_sense"
+    (-1 where they count the other way), "sweep" (number of the run of rows with the same held
+    angle), "inclination_approach" and "tool_face_approach" (-1, 0, +1: the direction from
     which the setting was reached), "previous_x", "previous_y", "previous_z" (m/s²), "approach_x",
     "approach_y", "approach_z" (-1, 0, +1: the side from which an axis came to its reading, where
     nothing lay between), "sample_age"
@@ -43,6 +45,14 @@ class Context:
 
     def __contains__(self, name: object) -> bool:
         return name in self.covariates or (self.moving and name in MOTION)
+
+    def dial(self, name: str) -> Array:
+        """(n,) rad, "inclination" or "tool_face" as its dial counts it."""
+        return self.covariates.get(f"{name}_dial", self.covariates[name])
+
+    def sense(self, name: str) -> Array:
+        """(n,) +1, or -1 where the dial counts against the angle."""
+        return self.covariates.get(f"{name}_sense", np.ones(self.n))
 
     def take(self, rows: NDArray[np.intp]) -> Context:
         """The context of a subset of the observations; order and time keep their values."""

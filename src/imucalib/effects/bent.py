@@ -11,6 +11,7 @@ from imucalib.core.effect import Effect, Response, Rotation, Turn
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.effects.inclination import inclination_axis
+from imucalib.effects.tool_face import tool_face_axis
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: What is bent -> words for it.
@@ -123,11 +124,8 @@ def _response(words: Words, letters: str, form: Form) -> Effect:
 
 def _angle(words: Words, what: str, name: str, form: Form) -> Effect:
     def turn(context: Context) -> tuple[Array, Array]:
-        if what == "inclination":
-            axis = inclination_axis(context)
-        else:
-            axis = np.broadcast_to(np.array([0.0, 0.0, -1.0]), (context.n, 3))
-        return axis, form.values(context[name])
+        axis = inclination_axis if what == "inclination" else tool_face_axis
+        return axis(context), form.values(context[name])
 
     turns: tuple[Turn, ...] = (turn,)
     each = tuple(

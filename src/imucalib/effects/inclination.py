@@ -1,7 +1,8 @@
 """The inclination axis of the bench: zero, gain, sag, eccentricity, wobble, backlash.
 
 All turn the truth about the inclination axis, which lies at (cos t, -sin t, 0) in the tool's frame
-at tool-face t, whatever the inclination: turns of one axis commute, so they add.
+at tool-face t, whatever the inclination: turns of one axis commute, so they add. i_dial and t_dial
+count as the bench's dials do; a positive error is one towards a larger reading of the dial.
 """
 
 from collections.abc import Callable
@@ -15,9 +16,10 @@ from imucalib.core.parameter import Parameter
 
 
 def inclination_axis(context: Context) -> Array:
-    """(n, 3) unit vector about which a positive turn raises the inclination."""
+    """(n, 3) unit vector about which a positive turn raises the inclination that the dial shows."""
     t = context["tool_face"]
-    return np.stack([np.cos(t), -np.sin(t), np.zeros_like(t)], axis=-1)
+    axis = np.stack([np.cos(t), -np.sin(t), np.zeros_like(t)], axis=-1)
+    return np.asarray(context.sense("inclination")[:, None] * axis)
 
 
 def about(*weights: Callable[[Context], Array]) -> Callable[[Context], tuple[Array, Array]]:
@@ -51,12 +53,12 @@ EFFECTS = (
         "Set inclinations over a half turn, both signs.",
         ("inclination", "tool_face"),
         named=(Parameter("inclination_scale", "deg per 90 deg", 0.5, 10.0),),
-        turns=(about(lambda context: context["inclination"] / (np.pi / 2.0)),),
+        turns=(about(lambda context: context.dial("inclination") / (np.pi / 2.0)),),
     ),
     Rotation(
         "inclination_sag",
         "The tool or its holder bends under its weight, most where it lies level.",
-        "i = i_dial + s cos i_dial",
+        "i = i_dial + s cos e,  e the angle of z from the level",
         "sag of assemblies in boreholes, ISCWSA; 0.1 deg on a bench, practice",
         "Support the tool near its sensor, and compare.",
         ("inclination", "tool_face"),
@@ -76,15 +78,15 @@ EFFECTS = (
         ),
         turns=(
             about(
-                lambda context: np.sin(context["inclination"]),
-                lambda context: 1.0 - np.cos(context["inclination"]),
+                lambda context: np.sin(context.dial("inclination")),
+                lambda context: 1.0 - np.cos(context.dial("inclination")),
             ),
         ),
     ),
     Rotation(
         "inclination_wobble",
         "The rotary axis wobbles: the tool tips up and down once a turn.",
-        "i = i_dial + a sin t + b cos t",
+        "i = i_dial + a sin t_dial + b cos t_dial",
         "0.06-0.11 deg for 50-100 µm on a seat of 50 mm",
         "Turn the tool-face in equal steps over the full circle at three inclinations.",
         ("inclination", "tool_face"),
@@ -94,8 +96,8 @@ EFFECTS = (
         ),
         turns=(
             about(
-                lambda context: np.sin(context["tool_face"]),
-                lambda context: np.cos(context["tool_face"]),
+                lambda context: np.sin(context.dial("tool_face")),
+                lambda context: np.cos(context.dial("tool_face")),
             ),
         ),
     ),

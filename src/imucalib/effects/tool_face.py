@@ -9,19 +9,19 @@ from imucalib.core.context import Context
 from imucalib.core.effect import Rotation
 from imucalib.core.parameter import Parameter
 
-#: Tool-face runs from +y towards +x: a positive turn is about -z.
-_AXIS = np.array([0.0, 0.0, -1.0])
+
+def tool_face_axis(context: Context) -> Array:
+    """(n, 3) unit vector about which a positive turn raises the tool-face that the dial shows: -z,
+    where it runs from +y towards +x."""
+    return np.asarray(context.sense("tool_face")[:, None] * np.array([0.0, 0.0, -1.0]))
 
 
 def _about(weights: Callable[[Context], list[Array]]) -> Callable[[Context], tuple[Array, Array]]:
-    return lambda context: (
-        np.broadcast_to(_AXIS, (context.n, 3)),
-        np.stack(weights(context), axis=-1),
-    )
+    return lambda context: (tool_face_axis(context), np.stack(weights(context), axis=-1))
 
 
 def _harmonic(order: int) -> Callable[[Context], list[Array]]:
-    return lambda c: [np.sin(order * c["tool_face"]), np.cos(order * c["tool_face"])]
+    return lambda c: [np.sin(order * c.dial("tool_face")), np.cos(order * c.dial("tool_face"))]
 
 
 def _later_sweeps(context: Context) -> list[Array]:
@@ -39,7 +39,7 @@ def _eccentricity(order: int, name: str, words: str) -> Rotation:
     return Rotation(
         name,
         words,
-        f"t = t_dial + a sin {order}t + b cos {order}t".replace("1t", "t"),
+        f"t = t_dial + a sin {order}t_dial + b cos {order}t_dial".replace("1t", "t"),
         "0.06-0.11 deg for 25-100 µm on discs of 50-100 mm",
         "Turn the tool-face in equal steps over the full circle, twice.",
         ("tool_face",),

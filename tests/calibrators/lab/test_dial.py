@@ -11,6 +11,7 @@ import pytest
 
 from imucalib.calibrators.lab import dial
 from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.dial import Dial, dial_of, dial_of_fit, dial_words
 from imucalib.calibrators.lab.errors import noise_floor
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
@@ -38,8 +39,8 @@ def test_a_dial_that_shows_too_little_is_told_by_how_much(tmp_path: Path) -> Non
                comments="")  # fmt: skip
     settings = LabSettings(declare=("inclination_zero",), loop=False)
     run = calibrate_files(LabFiles(table), LabRequest(settings=settings), lambda text: None)
-    at = np.radians([-50.0, 0.0, 50.0, 90.0])
-    found = dial_of_fit(run.result.final, at)
+    at = np.array([-50.0, 0.0, 50.0, 90.0])
+    found = dial_of_fit(run.result.final, at, Conventions())
     np.testing.assert_allclose(found.shift, 1.2, atol=4.0 * found.sd.max())
     assert found.sd.max() < 0.1
     assert (found.half > 1.9 * found.sd).all()
@@ -57,12 +58,12 @@ def test_rivals_share_the_dial_by_their_evidence(monkeypatch: pytest.MonkeyPatch
         "b": Dial(np.array([0.2, 3.0]), np.array([0.1, 0.6]), np.array([0.3, 1.2])),
         "c": Dial(np.array([1.5, 2.5]), np.array([0.3, 0.5]), np.array([0.6, 1.1])),
     }
-    monkeypatch.setattr(dial, "dial_of_fit", lambda fit, at: {"own": own, **others}[fit])
+    monkeypatch.setattr(dial, "dial_of_fit", lambda fit, *at: {"own": own, **others}[fit])
     weights = {"own": 0.5, "a": 0.3, "b": 0.2}
     group = [SimpleNamespace(weight=w, fit=name) for name, w in weights.items()]
     second = [SimpleNamespace(weight=0.6, fit="own"), SimpleNamespace(weight=0.4, fit="c")]
     loop = SimpleNamespace(final="own")
-    result = SimpleNamespace(final="own", rivals=(group, second), loop=loop)
+    result = SimpleNamespace(final="own", rivals=(group, second), loop=loop, settings=LabSettings())
     found = dial_of(result, np.zeros(2))  # type: ignore[arg-type]
 
     shift, square, wide = own.shift, own.sd**2, own.half**2
@@ -87,10 +88,10 @@ def test_with_a_wrong_record_rivals_move_the_dial_by_what_they_are_apart(
         "aside": Dial(np.array([0.8]), np.array([0.1]), np.array([0.2])),
         "rival": Dial(np.array([0.6]), np.array([0.1]), np.array([0.2])),
     }
-    monkeypatch.setattr(dial, "dial_of_fit", lambda fit, at: dials[fit])
+    monkeypatch.setattr(dial, "dial_of_fit", lambda fit, *at: dials[fit])
     group = [SimpleNamespace(weight=0.5, fit=name) for name in ("aside", "rival")]
     loop = SimpleNamespace(final="aside")
-    result = SimpleNamespace(final="noted", rivals=(group,), loop=loop)
+    result = SimpleNamespace(final="noted", rivals=(group,), loop=loop, settings=LabSettings())
     found = dial_of(result, np.zeros(1))  # type: ignore[arg-type]
     np.testing.assert_allclose(found.shift, 0.3)
     np.testing.assert_allclose(found.sd, np.hypot(0.4, 0.1))

@@ -11,6 +11,7 @@ from scipy import stats
 from imucalib.calibrators.lab import advice
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.bench import RawUnit
+from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.dial import bends
 from imucalib.calibrators.lab.errors import noise_floor, reading_noise, setting_noise
 from imucalib.calibrators.lab.sessions import between as sessions
@@ -33,7 +34,7 @@ def errors_of(
 ) -> list[float]:
     """Inclination and tool-face (deg) and norm (mg) of one position."""
     one, other = (np.array([[direction(*map(np.array, a))]]) for a in (read, meant))
-    found = attitude_errors(Held(size * one, G * other, size * one - G * other))
+    found = attitude_errors(Held(size * one, G * other, size * one - G * other), Conventions())
     return [float(found.inclination[0]), float(found.tool_face[0]), float(found.norm[0])]
 
 
@@ -62,7 +63,7 @@ def test_the_size_is_compared_with_gravity() -> None:
 
 def test_the_size_is_compared_with_what_a_swing_of_the_bench_makes_of_gravity() -> None:
     one = G * direction(np.array(10.0), np.array(20.0))[None, None]
-    found = attitude_errors(Held(1.004 * one, 1.003 * one, 0.001 * one))
+    found = attitude_errors(Held(1.004 * one, 1.003 * one, 0.001 * one), Conventions())
     assert found.norm[0] == pytest.approx(1.0)
 
 
@@ -171,6 +172,7 @@ def limited(**asked: float) -> tuple[object, ...]:
     result = SimpleNamespace(
         splits=(split("leave one out", [9.0, 9.0]), split("held out", [3.0, -4.0])),
         observations=SimpleNamespace(reference=reference),
+        settings=SimpleNamespace(conventions=Conventions()),
     )
     names = {k.replace("_", "-"): v for k, v in asked.items()}
     return advice.limits_of(result, names)  # type: ignore[arg-type, return-value]

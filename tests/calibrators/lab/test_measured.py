@@ -9,6 +9,7 @@ import pytest
 
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.calibrate import LabSettings
+from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.dial import dial_of
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.position_table import read_position_table
@@ -18,7 +19,7 @@ from imucalib.effects import named
 from imucalib.loop.noise import axes
 from imucalib.loop.records import extended, least_strange, record_scores, row_of
 from imucalib.recording.mapping import FieldMapping
-from imucalib.units import DEG, MG
+from imucalib.units import MG
 from worlds.places import MEASURED, ROOT, SAMPLES
 
 REPAIR = ((10, "y", -58593.0),)
@@ -51,7 +52,7 @@ def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> Non
     assert [s.effect for s in loop.steps] == ["inclination_zero", "inclination_scale"]
     assert not loop.records
     assert not loop.unexplained
-    dial = dial_of(repaired.result, np.array([50.0 * DEG]))
+    dial = dial_of(repaired.result, np.array([50.0]))
     assert dial.shift[0] - dial.half[0] <= 1.37 <= dial.shift[0] + dial.half[0]
     refused = {s.name: s.p for s in loop.scores}
     assert all(refused[name] > 0.2 for name in ("quadratic", "cubic", "bias_drift", "cross_axis"))
@@ -67,13 +68,13 @@ def test_what_twenty_rows_leave_open_covers_the_dial() -> None:
     assert sum(weights.values()) == pytest.approx(1.0)
     both = weights["inclination_zero and inclination_scale"]
     assert both == pytest.approx(weights["inclination_zero"], rel=0.5)
-    dial = dial_of(run.result, np.array([50.0 * DEG]))
+    dial = dial_of(run.result, np.array([50.0]))
     assert dial.shift[0] - dial.half[0] <= 1.37 <= dial.shift[0] + dial.half[0]
     assert dial.half[0] < 0.8
 
 
 def test_held_out_errors_reach_the_marks(repaired: LabRun) -> None:
-    left_out = attitude_errors(repaired.result.splits[0].final)
+    left_out = attitude_errors(repaired.result.splits[0].final, Conventions())
     assert worst(left_out.inclination) <= 0.55
     assert rms(left_out.inclination) <= 0.16
     assert worst(left_out.tool_face) <= 0.90
@@ -87,7 +88,7 @@ def test_the_papers_split() -> None:
     settings = LabSettings(loop=False, declare=("inclination_zero", "inclination_scale"))
     train = tuple(range(1, 21))
     run = paper(LabRequest(gravity=9.8061, fixes=REPAIR, train=train, settings=settings))
-    test = attitude_errors(run.result.splits[-1].final)
+    test = attitude_errors(run.result.splits[-1].final, Conventions())
     assert run.result.splits[-1].name == "test set"
     assert worst(test.inclination) <= 0.25
     assert rms(test.inclination) <= 0.19

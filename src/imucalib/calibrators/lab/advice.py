@@ -160,7 +160,7 @@ def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...
     if not asked:
         return ()
     split = result.splits[-1]
-    angles = attitude_errors(split.final)
+    angles = attitude_errors(split.final, result.settings.conventions)
     found = []
     angles_known = isinstance(result.observations.reference, KnownVector)
     for name, limit in asked.items():

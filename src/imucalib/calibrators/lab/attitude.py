@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
+from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.core.references import angles_of
 from imucalib.loop.held_out import Held
 from imucalib.units import DEG, MG
@@ -20,7 +21,8 @@ _LEAST_COSINE = 0.05
 class AttitudeErrors:
     """Corrected against expected, for each position.
 
-    inclination, tool_face : (n,) deg, tool_face NaN near the vertical; norm : (n,) mg
+    inclination, tool_face : (n,) deg in the table's sense, tool_face NaN near the vertical
+    norm : (n,) mg
     """
 
     inclination: Array
@@ -31,7 +33,7 @@ class AttitudeErrors:
         return AttitudeErrors(self.inclination[rows], self.tool_face[rows], self.norm[rows])
 
 
-def attitude_errors(held: Held) -> AttitudeErrors:
+def attitude_errors(held: Held, conventions: Conventions) -> AttitudeErrors:
     """Angles are compared on vectors, unfolded, so that 91 degrees is not read as 89; sizes with
     what is expected, which is not gravity where a swing of the bench is known."""
     corrected, expected = held.corrected[:, 0], held.expected[:, 0]
@@ -44,7 +46,8 @@ def attitude_errors(held: Held) -> AttitudeErrors:
     turn = np.where(folded & steep, np.mod(turn, 2.0 * np.pi) - np.pi, turn)
     tool_face = np.where(np.abs(np.cos(i0)) > _LEAST_COSINE, turn / DEG, np.nan)
     norm = (np.linalg.norm(corrected, axis=1) - np.linalg.norm(expected, axis=1)) / MG
-    return AttitudeErrors((i - i0) / DEG, tool_face, norm)
+    senses = conventions.senses
+    return AttitudeErrors(senses[0] * (i - i0) / DEG, senses[1] * tool_face, norm)
 
 
 def worst(values: Array) -> float:

@@ -140,6 +140,7 @@ def position_observations(
     t_set = _setting(table, "tool_face_setting", t_table)
     reference = KnownVector(inclination, tool_face, gravity, i_set, t_set, setting_errors)
     covariates = _covariates(table, reading) | {"inclination": inclination, "tool_face": tool_face}
+    covariates |= conventions.dials(i_table, t_table)
     sweep = _sweeps(i_set, t_set)
     covariates["sweep"] = sweep
     context = Context(table.n, covariates, sweeps=int(sweep.max()) + 1)

@@ -131,7 +131,7 @@ def calibrate(
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
     splits = held_out_splits(base, final, observations, used, settings.objective, left)
     known = isinstance(data.reference, KnownVector)
-    angles = attitude_errors(fitted(final)) if known else None
+    angles = attitude_errors(fitted(final), settings.conventions) if known else None
     error = error_summary(base, final, data, splits, settings.sigma)
     return LabResult(
         observations=observations,

@@ -129,7 +129,7 @@ def held_out_block(result: LabResult) -> list[dict[str, Any]]:
     rows = []
     for split in result.splits:
         for name, held in (("base", split.base), ("final", split.final)):
-            found = attitude_errors(held)
+            found = attitude_errors(held, result.settings.conventions)
             row: dict[str, Any] = {"split": split.name, "model": name, "positions": len(split.rows)}
             if isinstance(result.observations.reference, KnownVector):
                 row |= {
@@ -144,11 +144,11 @@ def fixture_block(result: LabResult) -> dict[str, Any]:
     """What the bench is off by: inclination against the dial with 95 % intervals."""
     fit = result.final
     effects = [e.name for e in fit.model.effects if e.stage == "fixture"]
-    at = np.radians([0.0, 30.0, 50.0, 60.0, 90.0])
+    at = np.array([0.0, 30.0, 50.0, 60.0, 90.0])
     dial = dial_of(result, at)
     curve = [
         {
-            "inclination_deg": round(float(a / DEG), 6),
+            "inclination_deg": float(a),
             "true_minus_dial_deg": float(s),
             "sd_deg": float(d),
             "low_95_deg": float(s - h),
@@ -163,7 +163,7 @@ def _positions(result: LabResult) -> list[dict[str, Any]]:
     fit, whole = result.final, result.observations
     known = isinstance(whole.reference, KnownVector)
     held = errors(fit, fit.theta, whole)
-    angle = attitude_errors(held)
+    angle = attitude_errors(held, result.settings.conventions)
     used = set(result.used.tolist())
     rows = []
     for k, label in enumerate(whole.label):

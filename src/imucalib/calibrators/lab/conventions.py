@@ -47,6 +47,23 @@ class Conventions:
     def _sense(self) -> float:
         return 1.0 if self.toolface_sense == "clockwise" else -1.0
 
+    @property
+    def senses(self) -> tuple[float, float]:
+        """+1, or -1 where the table's inclination or tool-face grows against the internal one: what
+        differences of them are multiplied by."""
+        level = self._z_sign if self.inclination_zero == "horizontal" else -self._z_sign
+        return level, self._sense
+
+    def dials(self, inclination: Array, tool_face: Array) -> dict[str, Array]:
+        """Covariates that say how dials (deg, as in the table) count, where not as inside."""
+        found = dict[str, Array]()
+        columns = ("inclination", "tool_face"), (inclination, tool_face), self.senses
+        inside = self.inside(inclination, tool_face)
+        for name, dial, sense, own in zip(*columns, inside, strict=True):
+            if sense < 0.0 or not np.array_equal(dial * DEG, own):
+                found |= {f"{name}_dial": dial * DEG, f"{name}_sense": np.full(dial.size, sense)}
+        return found
+
     def inside(self, inclination: Array, tool_face: Array) -> tuple[Array, Array]:
         """Inclination and tool-face (deg, as in the table) to the internal angles in rad."""
         level = inclination if self.inclination_zero == "horizontal" else 90.0 - inclination

@@ -8,6 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.lab.calibrate import LabResult
+from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
@@ -33,18 +34,19 @@ def bends(fit: Fit) -> bool:
 
 
 def dial_of(result: LabResult, inclination: Array) -> Dial:
-    """The dial at settings (m,) in rad, at tool-face 0, with the doubt between rivals.
+    """The dial at its settings (m,) in deg, at tool-face 0, with the doubt between rivals.
 
     Of each effect that others would replace: the rivals' mean by evidence, and their spread in sd
     and interval, beside those of the final model.
     """
-    noted = dial_of_fit(result.final, inclination)
+    conventions = result.settings.conventions
+    noted = dial_of_fit(result.final, inclination, conventions)
     shift, variance, half = noted.shift, noted.sd**2, noted.half**2
     # The rivals' models set wrong records aside, and so does the one that they stand beside.
     beside = result.loop.final if result.rivals and result.loop else result.final
-    own = dial_of_fit(beside, inclination)
+    own = dial_of_fit(beside, inclination, conventions)
     for group in result.rivals:
-        each = [(r.weight, dial_of_fit(r.fit, inclination)) for r in group]
+        each = [(r.weight, dial_of_fit(r.fit, inclination, conventions)) for r in group]
         mean = sum((w * d.shift for w, d in each), np.zeros_like(shift))
         apart = sum((w * (d.shift - mean) ** 2 for w, d in each), np.zeros_like(shift))
         shift = shift + mean - own.shift
@@ -53,22 +55,24 @@ def dial_of(result: LabResult, inclination: Array) -> Dial:
     return Dial(shift, np.sqrt(np.maximum(variance, 0.0)), np.sqrt(np.maximum(half, 0.0)))
 
 
-def dial_of_fit(fit: Fit, inclination: Array) -> Dial:
+def dial_of_fit(fit: Fit, setting: Array, conventions: Conventions) -> Dial:
     """The same as one model has it."""
     context = fit.observations.context
     slices = fit.model.slices(context)
-    m = len(inclination)
+    m = len(setting)
+    inclination, tool_face = conventions.inside(setting, np.zeros(m))
     covariates = {name: np.full(m, float(np.median(v))) for name, v in context.covariates.items()}
-    covariates |= {"inclination": inclination, "tool_face": np.zeros(m)}
+    covariates |= {"inclination": inclination, "tool_face": tool_face}
+    covariates |= conventions.dials(setting, np.zeros(m))
     at = Context(m, covariates, context.triads, context.sweeps)
     fixture = Model(tuple(e for e in fit.model.effects if e.stage == "fixture"))
     own = fixture.slices(at)
     theta = np.zeros(len(fixture.parameters(at)))
     for name, part in own.items():
         theta[part] = fit.theta[slices[name]]
-    truth = unit_vector(inclination, np.zeros(m))[:, None]
+    truth = unit_vector(inclination, tool_face)[:, None]
     moved = fixture.predict(theta, truth, at)
-    along = unit_vector(inclination + np.pi / 2.0, np.zeros(m))
+    along = conventions.senses[0] * unit_vector(inclination + np.pi / 2.0, tool_face)
     across = np.einsum("nj,nj->n", along, moved.reading[:, 0])
     shift = np.arctan2(across, np.einsum("nj,nj->n", truth[:, 0], moved.reading[:, 0])) / DEG
     rows = np.zeros((m, fit.theta.size))
@@ -82,11 +86,10 @@ def dial_words(result: LabResult) -> str:
     """The dial in one sentence, or nothing when it is not off."""
     if not bends(result.final):
         return ""
-    at = np.radians([0.0, 50.0, 90.0])
+    at = np.array([0.0, 50.0, 90.0])
     dial = dial_of(result, at)
     parts = [
-        f"{plus_minus(float(s), float(d))} at {round(float(a / DEG))} "
-        f"(95 %: {s - h:.2f} to {s + h:.2f})"
+        f"{plus_minus(float(s), float(d))} at {round(float(a))} (95 %: {s - h:.2f} to {s + h:.2f})"
         for a, s, d, h in zip(at, dial.shift, dial.sd, dial.half, strict=True)
     ]
     records = result.loop.records if result.loop else ()

@@ -15,8 +15,8 @@ from imucalib.report.card import card_of, error_worth
 from imucalib.report.document import Card, Worth
 from imucalib.units import DEG
 
-#: Steepest inclination (deg) for which a tool-face is promised: it has no meaning at the vertical.
-_STEEPEST = 60.0
+#: deg off the vertical, where it has no meaning, from which a tool-face is promised.
+_FROM_VERTICAL = 30.0
 _NORMAL_95 = 1.96
 
 
@@ -46,18 +46,21 @@ def _next_power_up(run: LabRun) -> tuple[Worth, ...]:
 def _angles(run: LabRun) -> tuple[Worth, ...]:
     """Of one corrected reading, 95 %, at the worst attitude; and on positions left out."""
     result, fit = run.result, run.result.final
+    meant = run.request.settings.conventions
     i, t = (g.ravel() for g in np.meshgrid(np.arange(-85.0, 86.0, 5.0), np.arange(0, 360, 15.0)))
     sigma = reading_noise(fit).whole
     found = angle_uncertainty(fit, i * DEG, t * DEG, run.request.gravity, sigma)
     held = result.splits[-1] if result.splits else None
-    left = attitude_errors(held.final) if held else None
+    left = attitude_errors(held.final, meant) if held else None
     every = np.ones(i.size, np.bool_)
-    flat = np.abs(i) <= _STEEPEST
+    flat = np.abs(i) <= 90.0 - _FROM_VERTICAL
+    shown = meant.outside(i * DEG, t * DEG)
 
     def worth(name: str, own: Array, reading: Array, used: Array, left_out: Array | None) -> Worth:
         half = np.where(used, np.hypot(own, _NORMAL_95 * reading), 0.0)
         k = int(np.argmax(half))
-        at = f"one reading, 95 %, worst attitude (inclination {i[k]:.0f}, tool-face {t[k]:.0f} deg)"
+        attitude = f"inclination {shown[0][k]:.0f}, tool-face {shown[1][k]:.0f} deg"
+        at = f"one reading, 95 %, worst attitude ({attitude})"
         if left_out is not None:
             at += (
                 f"; positions left out, with how they were set: {rms(left_out):.2f} rms, "
@@ -68,6 +71,6 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
     return (
         worth("inclination", found.inclination_95, found.inclination_reading, every,
               left.inclination if left else None),
-        worth(f"tool-face up to {_STEEPEST:.0f} deg", found.tool_face_95, found.tool_face_reading,
-              flat, left.tool_face if left else None),
+        worth(f"tool-face {_FROM_VERTICAL:.0f} deg off vertical", found.tool_face_95,
+              found.tool_face_reading, flat, left.tool_face if left else None),
     )  # fmt: skip

@@ -10,7 +10,7 @@ from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
-from imucalib.loop.held_out import fitted
+from imucalib.loop.held_out import Held, fitted
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text
 from imucalib.report.gain import gain_plot
 from imucalib.report.kind import kind_section
@@ -89,14 +89,15 @@ def _angle_section(run: LabRun) -> Section:
     known = isinstance(result.observations.reference, KnownVector)
     rows: list[tuple[str, ...]] = []
 
-    def row(name: str, errors: AttitudeErrors) -> None:
+    def row(name: str, held: Held) -> None:
+        errors = attitude_errors(held, run.request.settings.conventions)
         rows.append((name, *_spreads(errors, known)))
 
-    row("fitted, base", attitude_errors(fitted(result.base)))
-    row("fitted, final", attitude_errors(fitted(result.final)))
+    row("fitted, base", fitted(result.base))
+    row("fitted, final", fitted(result.final))
     for split in result.splits:
-        row(f"{split.name}, base", attitude_errors(split.base))
-        row(f"{split.name}, final", attitude_errors(split.final))
+        row(f"{split.name}, base", split.base)
+        row(f"{split.name}, final", split.final)
     header = ("", "tool-face, deg", "inclination, deg", "|a|, mg") if known else ("", "|a|, mg")
     align = "l" + "r" * (len(header) - 1)
     note = "Largest / rms."
@@ -105,7 +106,7 @@ def _angle_section(run: LabRun) -> Section:
     blocks: list[Block] = [Table("Errors on the positions", header, tuple(rows), align, note)]
     loop = result.loop
     if loop and loop.records:
-        aside = attitude_errors(fitted(loop.final))
+        aside = attitude_errors(fitted(loop.final), run.request.settings.conventions)
         bad = {r.row for r in loop.records}
         rest = aside.take(np.array([k for k in range(len(aside.norm)) if k not in bad]))
         blocks.append(

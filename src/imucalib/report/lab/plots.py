@@ -18,11 +18,11 @@ def dial_section(run: LabRun) -> Section:
     """What the bench's inclination dial is off by; empty when no such error was found."""
     if not bends(run.result.final):
         return Section("The bench's inclination dial", ())
-    at = np.linspace(0.0, np.pi / 2.0, 61)
+    at = np.linspace(0.0, 90.0, 61)
     dial = dial_of(run.result, at)
     shift, half = dial.shift, dial.half
-    band = Series("95 % band", at / DEG, shift, "band", shift - half, shift + half)
-    line = Series("true inclination minus dial", at / DEG, shift, "line")
+    band = Series("95 % band", at, shift, "band", shift - half, shift + half)
+    line = Series("true inclination minus dial", at, shift, "line")
     caption = "What the bench's inclination dial is off by; no part of the sensor's calibration."
     plot = Plot(
         "True inclination minus dial",
@@ -47,12 +47,12 @@ def uncertainty_section(run: LabRun) -> Section:
     ]
     inclination = np.max([c.inclination_95 for c in curves], axis=0)
     tool_face = np.max([c.tool_face_95 for c in curves], axis=0)
-    x = at / DEG
+    x = run.request.settings.conventions.outside(at, np.zeros_like(at))[0]
     plots = (
         _half_width("Inclination, calibration only", x, inclination),
         _half_width("Tool-face, calibration only", x, tool_face),
     )
-    chosen = [int(np.argmin(np.abs(x - v))) for v in (0.0, 30.0, 50.0, 80.0)]
+    chosen = [int(np.argmin(np.abs(at / DEG - v))) for v in (0.0, 30.0, 50.0, 80.0)]
     rows = tuple(
         (
             f"{x[k]:.0f}",

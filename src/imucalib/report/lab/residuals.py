@@ -53,7 +53,8 @@ def _errors(run: LabRun) -> tuple[AttitudeErrors, AttitudeErrors, bool]:
     base, final = (
         (held.base, held.final) if held else (fitted(run.result.base), fitted(run.result.final))
     )
-    return attitude_errors(base), attitude_errors(final), held is not None
+    meant = run.request.settings.conventions
+    return attitude_errors(base, meant), attitude_errors(final, meant), held is not None
 
 
 def _plot(
@@ -95,8 +96,9 @@ def _axes(run: LabRun) -> dict[str, Array]:
     reading = data.reading[:, 0] / gravity_of(run.result.observations)
     found |= {axis: reading[:, k] for k, axis in enumerate("xyz")}
     if isinstance(data.reference, KnownVector):
-        inclination, tool_face = angles_of(fitted(run.result.final).expected[:, 0])
-        found |= {"inclination": inclination / DEG, "tool-face": np.mod(tool_face / DEG, 360.0)}
+        angles = angles_of(fitted(run.result.final).expected[:, 0])
+        inclination, tool_face = run.request.settings.conventions.outside(*angles)
+        found |= {"inclination": inclination, "tool-face": tool_face}
     beside = data.context.covariates
     shown = (name for name in beside if name == "temperature" or name.startswith(COLUMN))
     return found | {name: beside[name] for name in shown}

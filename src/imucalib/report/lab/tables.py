@@ -11,16 +11,17 @@ from imucalib.core.references import KnownVector, angles_of
 from imucalib.loop.held_out import errors as held_errors
 from imucalib.loop.held_out import fitted
 from imucalib.report.document import Block, Table, Text
-from imucalib.units import DEG, MG
+from imucalib.units import MG
 
 
 def position_table(run: LabRun) -> Table:
     """Residual of every fitted position: raw axes, angles, |a|; leave-one-out beside it."""
     fit = run.result.final
     residual = fit.residual()[:, 0] / MG
-    angle = attitude_errors(fitted(fit))
+    meant = run.request.settings.conventions
+    angle = attitude_errors(fitted(fit), meant)
     split = run.result.splits[0] if run.result.splits else None
-    left = attitude_errors(split.final) if split and split.name == "leave one out" else angle
+    left = attitude_errors(split.final, meant) if split and split.name == "leave one out" else angle
 
     def number(value: float, places: int) -> str:
         return "-" if not np.isfinite(value) else f"{value:.{places}f}"
@@ -86,15 +87,16 @@ def published_table(run: LabRun) -> Table:
     """All positions in the layout of paper 004's Table 2: components, angles and their errors."""
     fit, whole = run.result.final, run.result.observations
     corrected = fit.model.correct(fit.theta, whole.reading, whole.context)[:, 0]
-    inclination, tool_face = angles_of(corrected)
-    errors = attitude_errors(held_errors(fit, fit.theta, whole))
+    meant = run.request.settings.conventions
+    inclination, tool_face = meant.outside(*angles_of(corrected))
+    errors = attitude_errors(held_errors(fit, fit.theta, whole), meant)
     rows = []
     for k, label in enumerate(whole.label):
-        shown = float(np.mod(tool_face[k] / DEG + 1.0, 360.0) - 1.0)
+        shown = float(np.mod(tool_face[k] + 1.0, 360.0) - 1.0)
         near = np.isfinite(errors.tool_face[k])
         rows.append(
             (label, *(f"{v:.5f}" for v in corrected[k]), f"{shown:.3f}" if near else "-",
-             f"{abs(errors.tool_face[k]):.3f}" if near else "-", f"{inclination[k] / DEG:.3f}",
+             f"{abs(errors.tool_face[k]):.3f}" if near else "-", f"{inclination[k]:.3f}",
              f"{abs(errors.inclination[k]):.3f}")
         )  # fmt: skip
     header = ("position", "a_x", "a_y", "a_z", "tf", "error", "incl", "error")
