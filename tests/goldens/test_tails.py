@@ -43,6 +43,7 @@ def test_the_interval_of_a_parameter_is_students() -> None:
             slope=c[None],
             noise_covariance=np.array([[2.0 * variance**2 / dof]]),
             dof=10**6,
+            mixture=None,
         )
         fit.interval_dof = lambda direction, fit=fit: Fit.interval_dof(fit, direction)
         direction = np.array([1.0, -2.0])

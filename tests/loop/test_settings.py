@@ -50,7 +50,7 @@ def fitted(path: Path) -> Fit:
 
 
 def test_four_settings_of_a_dial_that_is_off_are_told(tmp_path: Path) -> None:
-    found = fitted(swept(tmp_path / "s.csv", np.array([0.3, 0.45, 0.55, 0.6])))
+    found = fitted(swept(tmp_path / "s.csv", np.array([0.4, 0.6, 0.75, 0.8])))
     (said,) = doubtful_dials(found, (), NOISE_ALPHA)
     assert said.driver == "inclination"
     assert "4 inclination settings" in said.name

@@ -71,8 +71,8 @@ def angle_uncertainty(
         tool_face=tool_face / DEG,
         inclination_sd=sd(rows_i),
         tool_face_sd=sd(rows_t),
-        inclination_95=np.array([fit.half_width(row) for row in rows_i]),
-        tool_face_95=np.array([fit.half_width(row) for row in rows_t]),
+        inclination_95=fit.half_width(rows_i),
+        tool_face_95=fit.half_width(rows_t),
         inclination_reading=reading(along_i),
         tool_face_reading=reading(along_t),
     )

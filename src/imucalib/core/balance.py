@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import blocks_of
 from imucalib.core.model import Model, Prediction
-from imucalib.core.observations import Observations, SharedNoise
+from imucalib.core.observations import NoisePrior, Observations, SharedNoise
 
 #: Below so many numbers one dense matrix is faster than its blocks.
 _FEW = 240
@@ -53,6 +53,7 @@ class Balanced:
     settings : per component, the matrix N_c (N, q_c) in those units per rad (of shared noise, which
         stands last, per m/s²); free : how many of them are free directions η
     keep : (n, m, m - flat) projection that was applied to each observation's 3K numbers
+    prior : of the noise, or None
     owner : (N,) observation of each number
     """
 
@@ -64,6 +65,7 @@ class Balanced:
     owner: NDArray[np.intp]
     sigma: Array
     free: int = 0
+    prior: NoisePrior | None = None
 
     @property
     def unit(self) -> Array:
@@ -136,6 +138,7 @@ def balanced(prediction: Prediction, eta: Array, observations: Observations) -> 
         owner=np.repeat(np.arange(n), rows),
         sigma=sigma,
         free=len(names),
+        prior=observations.noise_prior,
     ).beside(observations.shared)
 
 

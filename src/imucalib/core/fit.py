@@ -15,6 +15,32 @@ from imucalib.core.prior import Prior
 
 
 @dataclass(frozen=True)
+class NoiseMixture:
+    """θ over what the noise may be: of m noises the weight (m,), θ less the fit's (m, p) and its
+    covariance (m, p, p)."""
+
+    weight: Array
+    shift: Array
+    covariance: Array
+
+    def half_widths(self, rows: Array, level: float) -> Array:
+        """(R,) half widths about the fit's θ of intervals of rows (R, p) times θ."""
+        from scipy.special import ndtr
+
+        shift = rows @ self.shift.T
+        spread = np.einsum("rp,mpq,rq->rm", rows, self.covariance, rows, optimize=True)
+        sd = np.sqrt(np.maximum(spread, 1e-300))
+        low = np.zeros(len(rows))
+        high = np.max(np.abs(shift) + 9.0 * sd, axis=1)
+        for _ in range(40):
+            half = 0.5 * (low + high)
+            inside = ndtr((half[:, None] - shift) / sd) - ndtr((-half[:, None] - shift) / sd)
+            over = inside @ self.weight > level
+            low, high = np.where(over, low, half), np.where(over, half, high)
+        return np.asarray(high)
+
+
+@dataclass(frozen=True)
 class Fit:
     """A fitted model.
 
@@ -29,6 +55,7 @@ class Fit:
     noise_covariance : (c, c) of the log noise parameters; both for `interval_dof`
     null_directions : combinations that the data leave open, in words
     prior : of the parameters, or None where the data alone speak
+    mixture : over the noise, where that was integrated out; the covariance is the mixture's then
     """
 
     model: Model
@@ -48,6 +75,7 @@ class Fit:
     converged: bool
     iterations: int
     prior: Prior | None = None
+    mixture: NoiseMixture | None = None
 
     @property
     def sd(self) -> Array:
@@ -87,10 +115,16 @@ class Fit:
         spread = float(gradient @ self.noise_covariance @ gradient)
         return float(np.clip(2.0 * v * v / spread, 1.0, 1e6)) if spread > 0.0 else float(self.dof)
 
-    def half_width(self, direction: Array, level: float = 0.95) -> float:
-        """Half width of the two-sided interval of directionᵀθ at a level."""
+    def half_width(self, direction: Array, level: float = 0.95) -> Array:
+        """Half widths (...) of the two-sided intervals of directions (..., p) times θ at a level:
+        of the mixture over the noise, else Student's t."""
         from scipy.special import stdtrit
 
-        v = float(direction @ self.covariance @ direction)
-        quantile = float(stdtrit(self.interval_dof(direction), 0.5 + level / 2.0))
-        return quantile * float(np.sqrt(max(v, 0.0)))
+        rows = np.atleast_2d(direction)
+        if self.mixture is not None:
+            found = self.mixture.half_widths(rows, level)
+        else:
+            variance = np.einsum("rp,pq,rq->r", rows, self.covariance, rows)
+            freedom = np.array([self.interval_dof(row) for row in rows])
+            found = stdtrit(freedom, 0.5 + level / 2.0) * np.sqrt(np.maximum(variance, 0.0))
+        return np.asarray(found.reshape(direction.shape[:-1]))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -46,6 +47,21 @@ class SharedNoise:
 
 
 @dataclass(frozen=True)
+class NoisePrior:
+    """What is known of a bench before its readings: few of them split their noise by chance.
+
+    spread : standard deviation of the log of the readings' factor, about one times `sigma`
+    setting : rad, the median of each setting's standard deviation, half-Cauchy (Gelman 2006)
+    parameters : name -> standard deviation of a parameter about its start, in its unit; it is used
+        where the noise is integrated out, as it is with few rows
+    """
+
+    spread: float
+    setting: float
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Observations:
     """What a calibrator fits.
 
@@ -56,6 +72,7 @@ class Observations:
     group : (n,) held-out key: observations of one group leave the fit together
     label : (n,) name of each observation in reports ("row 10")
     shared : noise beyond sigma that observations have in common, each with a size to estimate
+    noise_prior : of the noise, or None where the readings alone speak
     """
 
     reading: Array
@@ -65,6 +82,7 @@ class Observations:
     group: Index
     label: tuple[str, ...]
     shared: tuple[SharedNoise, ...] = ()
+    noise_prior: NoisePrior | None = None
 
     @property
     def n(self) -> int:
@@ -82,7 +100,8 @@ class Observations:
 
     def take(self, rows: Index) -> Observations:
         """A subset; settings that no remaining row used disappear with their rows."""
-        return Observations(
+        return replace(
+            self,
             reading=self.reading[rows],
             sigma=self.sigma[rows],
             reference=self.reference.take(rows),

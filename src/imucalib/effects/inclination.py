@@ -58,7 +58,7 @@ EFFECTS = (
     Rotation(
         "inclination_sag",
         "The tool or its holder bends under its weight, most where it lies level.",
-        "i = i_dial + s cos e,  e the angle of z from the level",
+        "i = i_dial + s cos i",
         "sag of assemblies in boreholes, ISCWSA; 0.1 deg on a bench, practice",
         "Support the tool near its sensor, and compare.",
         ("inclination", "tool_face"),

@@ -2,6 +2,8 @@
 
 V = s² I + Σ sd_c² N_c N_cᵀ in units of the declared noise. REML loses no degrees of freedom to the
 fitted parameters, which matters when 12 parameters face 12 settings (Patterson and Thompson 1971).
+Where something is known of the noise (`NoisePrior`), its posterior takes the likelihood's place:
+the densities of log s and of sd_c, so that a component that is not needed may still vanish.
 """
 
 from __future__ import annotations
@@ -13,12 +15,13 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.balance import Balanced, Noise, whitener
+from imucalib.core.observations import NoisePrior
 from imucalib.core.prior import Prior
 from imucalib.core.restricted import Restricted, restricted
 
 #: Search range of a setting's standard deviation, as its largest effect on a reading in units of
 #: the readings' noise. Below `_VANISHED` the component counts as zero.
-_RATIO = (1e-3, 1e5)
+RATIO = (1e-3, 1e5)
 _VANISHED = 1e-2
 #: The same of noise that has a number for every reading, as what neighbours share and the excess of
 #: an axis: it can stand in for a reading's own, and nothing would be left of that, in whose units
@@ -61,12 +64,13 @@ def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
     q, r = np.linalg.qr(at.jacobian)
     rest = at.residual - q @ (q.T @ at.residual)
     chi2, dof = float(rest @ rest), size - p
-    factor = start.factor if fixed else float(np.sqrt(max(chi2 / max(dof, 1), 1e-30)))
+    factor = start.factor if fixed else _one_factor(chi2, dof, at.prior)
     inverse = np.linalg.pinv(r.T @ r, rcond=1e-14)
     covariance = factor**2 * inverse
     log_det = float(np.log(np.maximum(np.abs(np.diag(r)), 1e-300)).sum())
     likelihood = -0.5 * chi2 / factor**2 - dof * np.log(factor) - log_det
-    spread = 0.0 if fixed else 1.0 / (2.0 * max(dof, 1))
+    known = at.prior.spread**-2 if at.prior else 0.0
+    spread = 0.0 if fixed else 1.0 / (2.0 * max(dof, 1) + known)
     return NoiseEstimate(
         noise=Noise(factor),
         covariance=covariance,
@@ -77,6 +81,20 @@ def _independent(at: Balanced, start: Noise, *, fixed: bool) -> NoiseEstimate:
         log_likelihood=float(likelihood),
         white_jacobian=at.jacobian,
     )
+
+
+def _one_factor(chi2: float, dof: int, prior: NoisePrior | None) -> float:
+    """The factor at which χ²/s² + 2 dof log s, and the prior's (log s / spread)², are least."""
+    if prior is None:
+        return float(np.sqrt(max(chi2 / max(dof, 1), 1e-30)))
+    weight, log = prior.spread**-2, 0.0
+    for _ in range(60):  # Newton on a convex function of log s
+        power = chi2 * np.exp(-2.0 * log)
+        step = (power - dof - weight * log) / (2.0 * power + weight)
+        log += float(np.clip(step, -2.0, 2.0))
+        if abs(step) < 1e-12:
+            break
+    return float(np.exp(log))
 
 
 def estimate_with_prior(at: Balanced, start: Noise, prior: Prior, theta: Array) -> NoiseEstimate:
@@ -118,7 +136,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
     from scipy.optimize import minimize
 
     reach = np.array([max(float(np.abs(m).max()), 1e-300) for m in at.settings])
-    low, high = np.log(_RATIO[0] / reach), np.log(_RATIO[1] / reach)
+    low, high = np.log(RATIO[0] / reach), np.log(RATIO[1] / reach)
     left = restricted(at.jacobian, at.settings)
     for c, matrix in enumerate(at.settings):
         if c >= at.free and 3 * matrix.shape[1] >= at.residual.size:
@@ -126,7 +144,7 @@ def _search(at: Balanced, start: Noise) -> Noise:
     data, dof = left.turned(at.residual), at.residual.size - at.jacobian.shape[1]
 
     def objective(logs: Array) -> tuple[float, Array]:
-        return _profiled(left, data, dof, np.exp(logs))
+        return _profiled(left, data, dof, np.exp(logs), at)
 
     first = np.clip(np.log(np.maximum(start.sd, 1e-12)) - np.log(start.factor), low, high)
 
@@ -144,22 +162,55 @@ def _search(at: Balanced, start: Noise) -> Noise:
     ratio = np.where(found.x > zero, np.exp(found.x), 0.0)
     covariance = left.at(ratio)
     power = covariance.power(covariance.solve(data))
-    factor = float(np.sqrt(max(power / dof, 1e-30)))
+    factor = _factor_at(power, dof, ratio, at)
     return Noise(factor, at.component, tuple(float(r) * factor for r in ratio))
 
 
-def _profiled(left: Restricted, data: Array, dof: int, ratio: Array) -> tuple[float, Array]:
-    """Minus the restricted log likelihood with s at its best, and its slopes by the log ratios."""
+def _factor_at(power: float, dof: int, ratio: Array, at: Balanced) -> float:
+    """The factor at its best for ratios sd_c / s."""
+    if at.prior is None:
+        return float(np.sqrt(max(power / dof, 1e-30)))
+    log, own = 0.0, ratio[: at.free]
+    for _ in range(100):
+        share = _cauchy_slopes(np.exp(log) * own, at.prior)
+        some = power * np.exp(-2.0 * log)
+        slope = some - dof - log / at.prior.spread**2 - share.sum()
+        bend = 2.0 * some + at.prior.spread**-2 + float(np.sum(share * (2.0 - share)))
+        step = float(np.clip(slope / bend, -2.0, 2.0))
+        log += step
+        if abs(step) < 1e-12:
+            break
+    return float(np.exp(log))
+
+
+def _cauchy_slopes(sd: Array, prior: NoisePrior) -> Array:
+    """Slopes of log(1 + sd² / setting²), minus the log of the half-Cauchy's density, by log sd."""
+    square = (sd / prior.setting) ** 2
+    return np.asarray(2.0 * square / (1.0 + square))
+
+
+def _profiled(
+    left: Restricted, data: Array, dof: int, ratio: Array, at: Balanced
+) -> tuple[float, Array]:
+    """Minus the restricted log likelihood or posterior with s at its best, and its slopes by the
+    log ratios."""
     covariance = left.at(ratio)
     rest, taken = solved = covariance.solve(data)
     power = max(covariance.power(solved), 1e-300)
     # tr V⁻¹ U_c U_c' = q_c - tr of the capacity's inverse, and U' V⁻¹ y is what U takes.
-    own = 1.0 - covariance.inside - dof * taken**2 / power
+    square = _factor_at(power, dof, ratio, at) ** 2
+    own = 1.0 - covariance.inside - taken**2 / square
     slope: Array = np.bincount(left.owner, own, minlength=ratio.size).astype(np.float64)
     if left.wide >= 0:
         each = ratio[left.wide] ** 2 * left.spread
-        slope[left.wide] = float(each @ covariance.own) - dof * float(each @ rest**2) / power
-    return 0.5 * (covariance.log_det + dof * float(np.log(power))), slope
+        slope[left.wide] = float(each @ covariance.own) - float(each @ rest**2) / square
+    value = 0.5 * (covariance.log_det + dof * float(np.log(square)) + power / square)
+    if at.prior is not None:
+        sd = float(np.sqrt(square)) * ratio[: at.free]
+        value += 0.5 * (0.5 * float(np.log(square)) / at.prior.spread) ** 2
+        value += float(np.log1p((sd / at.prior.setting) ** 2).sum())
+        slope[: at.free] += _cauchy_slopes(sd, at.prior)
+    return value, slope
 
 
 def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
@@ -183,6 +234,10 @@ def _evaluate(at: Balanced, noise: Noise, *, fixed: bool) -> NoiseEstimate:
     spread = np.zeros((alive.size, alive.size))
     if not fixed:
         about = 0.5 * directed.T @ projected(directed)
+        if at.prior is not None:
+            share = _cauchy_slopes(np.array(noise.sd[: at.free]), at.prior)
+            known = [at.prior.spread**-2, *(share * (2.0 - share))]
+            about[np.diag_indices(len(known))] += known
         spread[np.ix_(alive, alive)] = np.linalg.pinv(about[np.ix_(alive, alive)])
     quadratic = float(at.residual @ py)
     log_det = white.log_det + at.residual.size * float(np.log(square))

@@ -31,6 +31,7 @@ from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.in_a_population import strangeness
 from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.estimators.noise_mixture import with_noise_integrated
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
 from imucalib.loop.asked import Searched, searched
 from imucalib.loop.closed_loop import close_loop
@@ -129,6 +130,9 @@ def calibrate(
         raise undetermined(clean)
     if not final.converged:
         raise NotConverged("the fit did not settle", remedy="check the table; try --no-loop")
+    searched = base is not final
+    final = with_noise_integrated(final)
+    base = with_noise_integrated(base) if searched else final
     splits = held_out_splits(base, final, observations, used, settings.objective, left)
     known = isinstance(data.reference, KnownVector)
     angles = attitude_errors(fitted(final), settings.conventions) if known else None

@@ -79,7 +79,7 @@ def dial_of_fit(fit: Fit, setting: Array, conventions: Conventions) -> Dial:
     for name, part in own.items():
         rows[:, slices[name]] = np.einsum("nj,njp->np", along, moved.d_theta[:, 0][..., part]) / DEG
     sd = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", rows, fit.covariance, rows), 0.0))
-    return Dial(shift, sd, np.array([fit.half_width(row) for row in rows]))
+    return Dial(shift, sd, fit.half_width(rows))
 
 
 def dial_words(result: LabResult) -> str:
