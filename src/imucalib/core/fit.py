@@ -17,8 +17,9 @@ from imucalib.core.prior import Prior
 @dataclass(frozen=True)
 class NoiseMixture:
     """θ over what the noise may be: of m noises the weight (m,), θ less the fit's (m, p) and its
-    covariance (m, p, p)."""
+    covariance (m, p, p); log_sd : (1 + c,) of the logs of factor and components."""
 
+    log_sd: Array
     weight: Array
     shift: Array
     covariance: Array

@@ -45,7 +45,8 @@ def with_noise_integrated(fit: Fit) -> Fit:
     mean = weight @ shift
     apart = shift - mean
     whole = np.einsum("m,mpq->pq", weight, covariance) + (apart * weight[:, None]).T @ apart
-    mixture = NoiseMixture(weight, shift, covariance)
+    logs = draws - weight @ draws
+    mixture = NoiseMixture(np.sqrt(weight @ logs**2), weight, shift, covariance)
     return replace(fit, covariance=whole + np.outer(mean, mean), mixture=mixture)
 
 

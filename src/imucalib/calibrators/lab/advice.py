@@ -30,6 +30,9 @@ from imucalib.loop.noise.doubts import beyond_declared
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
 
+#: Standard deviation of a log whose 95 % interval is a factor of two either way.
+_FACTOR_TWO = np.log(2.0) / 1.96
+
 
 def fix_option(record: RecordError, raw: RawUnit) -> str:
     """The options that settle a record error, the repair first when it is known."""
@@ -58,8 +61,8 @@ def reasons(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
 
 def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
     """Sentences: what was found, what it means, which recording would settle what is open."""
-    found: list[str] = []
     loop, fit = result.loop, result.final
+    found = _repeat(fit)
     for record in loop.records if loop else ():
         found.append(
             f"Decide about {record.where}: {fix_option(record, raw)}. Until then the calibration "
@@ -83,6 +86,18 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
     if loop:
         found += advice_of(hidden(loop.scores, loop.final.model.names))
     return tuple(found)
+
+
+def _repeat(fit: Fit) -> list[str]:
+    """What tells noise and setting errors apart, where they are known to a factor of two only."""
+    if fit.mixture is None or fit.mixture.log_sd.max() < _FACTOR_TWO:
+        return []
+    faces = isinstance(fit.observations.reference, KnownDirection)
+    what = "face" if faces else "position"
+    return [
+        f"Take every {what} twice, set anew each time: {fit.observations.n} rows hardly tell the "
+        "sensor's noise from how it was set, and all intervals are as wide as that."
+    ]
 
 
 def _of_structure(item: Unexplained) -> str:

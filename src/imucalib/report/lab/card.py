@@ -29,6 +29,12 @@ def lab_card(run: LabRun) -> Card:
     return card_of(run.outcome, (*good, *(_angles(run) if known else ())))
 
 
+def within_a_circle(half: float, most: float, places: int) -> str:
+    """Half the width of an angle's interval, deg. most : deg that the angle can be off by at all,
+    so that a wider interval says nothing of it."""
+    return f"{half:.{places}f}" if half < most else "not determined"
+
+
 def _next_power_up(run: LabRun) -> tuple[Worth, ...]:
     """How far what changes between sessions lets a calibration carry, by the worst axis."""
     if run.sessions is None:
@@ -56,7 +62,9 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
     flat = np.abs(i) <= 90.0 - _FROM_VERTICAL
     shown = meant.outside(i * DEG, t * DEG)
 
-    def worth(name: str, own: Array, reading: Array, used: Array, left_out: Array | None) -> Worth:
+    def worth(
+        name: str, own: Array, reading: Array, used: Array, left_out: Array | None, most: float
+    ) -> Worth:
         half = np.where(used, np.hypot(own, _NORMAL_95 * reading), 0.0)
         k = int(np.argmax(half))
         attitude = f"inclination {shown[0][k]:.0f}, tool-face {shown[1][k]:.0f} deg"
@@ -66,11 +74,12 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
                 f"; positions left out, with how they were set: {rms(left_out):.2f} rms, "
                 f"{worst(left_out):.2f} largest"
             )
-        return Worth(name, f"± {half[k]:.2f} deg", at)
+        width = within_a_circle(float(half[k]), most, 2)
+        return Worth(name, f"± {width} deg" if half[k] < most else width, at)
 
     return (
         worth("inclination", found.inclination_95, found.inclination_reading, every,
-              left.inclination if left else None),
+              left.inclination if left else None, 90.0),
         worth(f"tool-face {_FROM_VERTICAL:.0f} deg off vertical", found.tool_face_95,
-              found.tool_face_reading, flat, left.tool_face if left else None),
+              found.tool_face_reading, flat, left.tool_face if left else None, 180.0),
     )  # fmt: skip

@@ -11,6 +11,7 @@ from imucalib.calibrators.lab.errors import reading_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector
 from imucalib.report.document import Plot, Section, Series, Table
+from imucalib.report.lab.card import within_a_circle
 from imucalib.units import DEG
 
 
@@ -56,9 +57,9 @@ def uncertainty_section(run: LabRun) -> Section:
     rows = tuple(
         (
             f"{x[k]:.0f}",
-            f"{inclination[k]:.3f}",
+            within_a_circle(inclination[k], 90.0, 3),
             f"{curves[0].inclination_reading[k]:.3f}",
-            f"{tool_face[k]:.3f}",
+            within_a_circle(tool_face[k], 180.0, 3),
             f"{curves[0].tool_face_reading[k]:.3f}",
         )
         for k in chosen
