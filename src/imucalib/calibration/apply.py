@@ -10,6 +10,7 @@ from pathlib import Path
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.correction import Correction
 from imucalib.calibration.mark import mark_of, refuse_second
+from imucalib.calibration.rest_drift import DRIFT, rest_drift, without_drift
 from imucalib.calibration.shared_gravity import held_against_gravity
 from imucalib.calibration.triads import Triad, correct_triads, named_triads, pairing_of
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
@@ -120,16 +121,19 @@ def _array_corrected(
 ) -> Recording:
     """Every IMU's acceleration and rate by its gains and biases, in board axes."""
     chosen = named_triads(calibration.triads, found.partner, only)
-    channels = correct_triads(chosen, recording)
+    drift = rest_drift(calibration, recording)
+    channels = correct_triads(chosen, without_drift(recording, found.partner, drift))
     notes = [*found.notes, "corrected with a calibration by array; vectors are in the board's axes"]
     notes += [
         f"{name}: rates in {c.unit} stay as they are"
         for name, c in channels.items()
         if c.quantity == "angular_rate" and c.unit != "rad/s"
     ]
+    notes += ["undone in what was calibrated: drift of the rests"] if drift else []
     notes += [
         f"not undone: {row['effect']}, {row['rms']:.3g} {row['unit']} rms while it was calibrated"
         for row in calibration.facts.get("not_undone", ())
+        if not (drift and row["effect"] == DRIFT)
     ]
     return replace(recording, channels=channels, notes=(*recording.notes, *notes))
 

@@ -41,9 +41,10 @@ def paired(wanted: Sequence[Sequence[str]], recording: Recording, whose: str) ->
     if found and (len(found) == len(known) or len(set(found.values())) == len(wanted)):
         return Pairing(found, _remarks(wanted, known, found, whose))
     if not found and known and len(known) == len(wanted):
-        pairs = ", ".join(f"{r} is {w[0]}" for r, w in zip(known, wanted, strict=True))
-        note = f"no name of {whose} fits one of the recording: paired in order, {pairs}"
-        return Pairing(dict(zip(known, range(len(wanted)), strict=True)), (note,))
+        pairs = [f"{r} is {w[0]}" for r, w in zip(known, wanted, strict=True) if r != w[0]]
+        note = f"no name of {whose} fits one of the recording: paired in order, {', '.join(pairs)}"
+        in_order = dict(zip(known, range(len(wanted)), strict=True))
+        return Pairing(in_order, (note,) if pairs else ())
     raise UnreadableInput(
         _sides(wanted, known, found, whose),
         where=recording.path,

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from imucalib import cli
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.file import check, read, write
+from imucalib.calibration.rest_drift import DRIFT, drift_block
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.calibrate import calibrate_array
 from imucalib.calibrators.array.loop.asked import Asked
@@ -205,3 +206,40 @@ def test_a_sensor_of_other_axes_is_refused(log: SimulatedLog, run: ArrayRun) -> 
     )
     with pytest.raises(Undetermined, match="imu3 disagrees"):
         apply_to_recording(run.calibration, replace(log.recording, channels=channels))
+
+
+def test_the_drift_of_the_rests_is_undone_in_the_recording_that_was_calibrated(
+    log: SimulatedLog, run: ArrayRun, tmp_path: Path
+) -> None:
+    """In a later one it is not there any more, and is said to be not undone."""
+    t = np.array([2.0, 20.0, 40.0])
+    offset = 0.05 * np.random.default_rng(0).normal(size=(3, 8, 3))
+    offset[-1] = 0.0
+    facts = dict(run.calibration.facts)
+    facts["rests"] = {**facts["rests"], "drift": drift_block(t, offset)}
+    facts["not_undone"] = [{"effect": DRIFT, "rms": 0.05, "unit": "m/s²"}]
+    write(replace(run.calibration, facts=facts), tmp_path / "c.yaml")
+    found = read(tmp_path / "c.yaml")
+    source = replace(log.recording, sha256=facts["provenance"]["sha256"])
+    drifted = {
+        name: replace(
+            c,
+            values=c.values
+            + np.stack(
+                [np.interp(c.t, t, offset[:, BOARD.imus.index(c.triad), k]) for k in range(3)], 1
+            ),
+        )
+        if c.quantity == "acceleration"
+        else c
+        for name, c in source.channels.items()
+    }
+    same = apply_to_recording(found, replace(source, channels=drifted))
+    want = apply_to_recording(run.calibration, log.recording)
+    for name, channel in want.channels.items():
+        assert np.allclose(same.channels[name].values, channel.values, atol=1e-6)
+    assert not any("not undone: drift" in note for note in same.notes)
+    later = apply_to_recording(found, replace(source, sha256="another"))
+    assert np.array_equal(
+        later.channels["imu0/acceleration"].values, want.channels["imu0/acceleration"].values
+    )
+    assert any("not undone: drift" in note for note in later.notes)

@@ -95,7 +95,7 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     loop, state, apart = _fitted_or_told(moving, rests, board, request)
     if loop is not None:
         loop = _doubted(loop, laid, rests)
-        say("found: " + (", ".join(f"{s.effect} ({s.value})" for s in loop.steps) or "nothing"))
+        say("found: " + (", ".join(s.effect for s in loop.steps) or "nothing"))
     rng = np.random.default_rng(request.seed)
     found, motion = sampled_positions(
         moving=moving, rests=rests, board=board, request=request, rng=rng, state=state,

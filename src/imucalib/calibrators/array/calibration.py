@@ -15,6 +15,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.outcome import Outcome
+from imucalib.calibration.rest_drift import DRIFT, drift_block
 from imucalib.calibration.triads import Triad
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.effect_blocks import effect_blocks, rest_blocks
@@ -170,6 +171,7 @@ def array_details(
             "residual_m_per_s2": rests.residual,
             "residual_before_search_m_per_s2": rests.before,
             "verdict": rests.loop.verdict if rests.loop else "not run",
+            **_drift_of(rests, board),
         },
         "moving": dict(moving.counts),
         "not_undone": [
@@ -204,7 +206,17 @@ def _drift(rests: RestFit) -> Iterator[tuple[str, float, str]]:
     t = np.linspace(rests.start, rests.stop, 21)
     away = rests.offset(t) - rests.offset(t[-1:])
     if away.any():
-        yield "drift of the rests", float(np.sqrt(np.mean(away**2))), "m/s²"
+        yield DRIFT, float(np.sqrt(np.mean(away**2))), "m/s²"
+
+
+def _drift_of(rests: RestFit, board: Board) -> dict[str, Any]:
+    """The same at every rest, of readings in the sensors' own axes; nothing where none is."""
+    t = rests.fit.observations.context["time"]
+    away = rests.offset(t) - rests.offset(np.array([rests.stop]))
+    if not away.any():
+        return {}
+    own = np.einsum("kji,nkj->nki", board.accelerometer_axes, away)
+    return {"drift": drift_block(t, own)}
 
 
 def _diagnostics(final: ArrayPositions) -> dict[str, Any]:

@@ -108,11 +108,17 @@ def _step(step: Step, loop: MotionLoop) -> FoundStep:
         checks=tuple(checks),
         aliases=step.aliases,
         parameters=tuple(own),
-        size=step.value,
+        size=_final_size(step, loop),
         held_out=step.gains,
         curve=step.effect.removeprefix(CURVE) if step.curve else "",
         certain=step.certain and not loop.suspected,
     )
+
+
+def _final_size(step: Step, loop: MotionLoop) -> str:
+    """Its size in the final model, in words; of what that does not hold, as it was accepted."""
+    sizes = (size_in_words(loop.final, t) for t in loop.final.found if t.name == step.effect)
+    return next(sizes, step.value)
 
 
 def _untestable(name: str, impact: float) -> Untestable:
