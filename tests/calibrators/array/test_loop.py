@@ -11,6 +11,7 @@ import pytest
 from gates.bounds import at_most
 from imucalib.calibration.outcome import Outcome
 from imucalib.calibration.provenance import provenance_of
+from imucalib.calibrators.array.effect_blocks import effect_blocks
 from imucalib.calibrators.array.estimate.corrected import corrected_samples
 from imucalib.calibrators.array.estimate.left import Residual
 from imucalib.calibrators.array.findings import array_errors, array_findings
@@ -32,6 +33,7 @@ from imucalib.report.document import Document, Text
 from imucalib.report.loop import candidate_section, loop_section
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import render_text
+from imucalib.significant_digits import plus_minus
 from imucalib.units import DEG
 from worlds.array import corners, skew
 from worlds.array_stories import BOARD, PLAN, STORIES, closed, named, planted_log, positions_z
@@ -72,6 +74,17 @@ def test_sizes_come_with_their_uncertainty() -> None:
     assert sd < 0.05
     assert abs(float(term.theta[0]) - 1.0) < 4.0 * sd
     assert worth(found.final, term) > 50.0
+    _page_and_file_agree(found)
+
+
+def _page_and_file_agree(found: MotionLoop) -> None:
+    """What the page says of an effect is what calibration.yaml has."""
+    blocks = {block["effect"]: block["parameters"] for block in effect_blocks(found)}
+    alone = [s for s in array_findings(found).steps if len(blocks.get(s.effect, ())) == 1]
+    assert alone
+    for step in alone:
+        (one,) = blocks[step.effect]
+        assert step.size == plus_minus(one["value"], one["sd"], one["unit"])
 
 
 def test_what_no_motion_shows_is_listed_with_its_weight(clean: MotionLoop) -> None:
@@ -261,6 +274,7 @@ def test_a_measured_boards_clocks_delay_and_elements() -> None:
     assert found.final.noise[0].freedom < 10.0
     span = next(t for t in found.final.found if t.name == "gyro_sample_age")
     assert float(span.theta[0]) == pytest.approx(1.0, abs=0.1)
+    _page_and_file_agree(found)
 
 
 def test_channels_stay_what_they_are() -> None:
@@ -409,7 +423,6 @@ def test_curves_correct_what_has_no_name_where_it_helps() -> None:
 
 
 def test_the_file_says_what_the_clocks_were() -> None:
-    from imucalib.calibrators.array.effect_blocks import effect_blocks
     from imucalib.calibrators.array.loop.ages import beats
 
     found = closed(planted_log("clock skew, 1 ms", 11)[0], 200)
