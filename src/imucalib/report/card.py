@@ -44,10 +44,16 @@ def _slips(outcome: Outcome) -> tuple[str, ...]:
     return tuple(text for text in outcome.undecided if not text.startswith(named or ("\0",)))
 
 
-def error_worth(error: ErrorSummary, quantity: str, of: str = "data") -> Worth:
+def like_these(what: str, share: float) -> str:
+    """What a held-out error holds for: data that are held out are of the same attitudes as the
+    rest. share : of the sphere that is near one of them."""
+    return f", for {what} like these, {100.0 * share:.0f} % of all directions"
+
+
+def error_worth(error: ErrorSummary, quantity: str, of: str = "data", holds_for: str = "") -> Worth:
     """A held-out error as worth, with what it was before; the fitted one where none was held out.
 
-    of : what was held out, for example "positions"
+    of : what was held out, for example "positions"; holds_for : see `like_these`
     """
     held, unit, size = error.held_out, error.unit, 1.0
     if unit == "m/s²":  # people read accelerations in mg
@@ -60,7 +66,8 @@ def error_worth(error: ErrorSummary, quantity: str, of: str = "data") -> Worth:
     before = [] if math.isnan(raw) else [f"raw reading {two_digits(raw)}"]
     if not math.isnan(base):
         before.append(f"before the search {two_digits(base)}")
-    detail = f"{error.metric.rpartition(', ')[2]} on {of} held out; {', '.join(before)}"
+    what = f"{error.metric.rpartition(', ')[2]} on {of} held out{holds_for}"
+    detail = f"{what}; {', '.join(before)}"
     return Worth(quantity, f"{two_digits(final)} {unit}", detail.rstrip("; "))
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from imucalib.calibrators.actigraph.errors import norm_sd
 from imucalib.calibrators.actigraph.run import ActigraphRun
-from imucalib.core.sphere import even_directions
-from imucalib.report.card import card_of, error_worth
+from imucalib.core.sphere import covered, even_directions
+from imucalib.report.card import card_of, error_worth, like_these
 from imucalib.report.document import Card, Worth
 from imucalib.significant_digits import two_digits
 from imucalib.units import MG
@@ -24,7 +24,8 @@ def actigraph_card(run: ActigraphRun) -> Card:
         f"± {1.96 * sd[k]:.2g} mg",
         f"95 %, with gravity along {towards}; {1.96 * sd.mean():.2g} mg on average over all",
     )
-    first = error_worth(run.outcome.error, "|a| at rest", "time")
+    seen = covered(run.result.runs.mean)
+    first = error_worth(run.outcome.error, "|a| at rest", "time", like_these("postures", seen))
     return card_of(run.outcome, (first, worst, *_night(run)))
 
 

@@ -6,14 +6,15 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibration.uncertainty import angle_uncertainty
+from imucalib.calibration.uncertainty import angle_uncertainty, force_slope
 from imucalib.calibrators.lab.attitude import attitude_errors, rms, worst
 from imucalib.calibrators.lab.errors import reading_noise
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.core.references import KnownVector
-from imucalib.report.card import card_of, error_worth
+from imucalib.core.sphere import covered, even_directions
+from imucalib.report.card import card_of, error_worth, like_these
 from imucalib.report.document import Card, Worth
-from imucalib.units import DEG
+from imucalib.units import DEG, MG
 
 #: deg off the vertical, where it has no meaning, from which a tool-face is promised.
 _FROM_VERTICAL = 30.0
@@ -24,8 +25,11 @@ def lab_card(run: LabRun) -> Card:
     """The card of a bench."""
     reference = run.result.observations.reference
     known = isinstance(reference, KnownVector)
+    directed = reference.directed
     metric = "vector" if known else run.outcome.error.metric.partition(",")[0]
-    good = (error_worth(run.outcome.error, metric, "positions"), *_next_power_up(run))
+    seen = covered(run.result.final.observations.reading[:, 0])
+    first = error_worth(run.outcome.error, metric, "positions", like_these("attitudes", seen))
+    good = (first, *([_worst(run)] if directed else []), *_next_power_up(run))
     return card_of(run.outcome, (*good, *(_angles(run) if known else ())))
 
 
@@ -47,6 +51,22 @@ def _next_power_up(run: LabRun) -> tuple[Worth, ...]:
             f"{p.effect} after a power-up", f"± {p.half:.2g} {p.unit}", detail
         )
     return tuple(worst_of.values())
+
+
+def _worst(run: LabRun) -> Worth:
+    """The corrected vector where the calibration knows it least."""
+    fit, directions = run.result.final, even_directions()
+    slope, _ = force_slope(fit, run.request.gravity * directions[:, None])
+    variance = np.einsum("nip,pq,niq->n", slope, fit.covariance, slope)
+    sd = np.sqrt(np.maximum(variance, 0.0)) / MG
+    k = int(np.argmax(sd))
+    towards = ", ".join(f"{a} {v:+.1f}" for a, v in zip("xyz", directions[k], strict=True))
+    return Worth(
+        "vector, worst attitude",
+        f"± {1.96 * sd[k]:.2g} mg",
+        f"95 %, calibration only, with gravity along {towards}; {1.96 * sd.mean():.2g} mg on "
+        "average over all",
+    )
 
 
 def _angles(run: LabRun) -> tuple[Worth, ...]:
