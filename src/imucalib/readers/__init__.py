@@ -15,6 +15,7 @@ from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.catalogue import with_preset
 from imucalib.readers.parts import in_parts
+from imucalib.readers.rates import with_checked_rates
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -108,8 +109,9 @@ def read(
     UnreadableInput when nothing can be read or, with `strict`, when anything is damaged, and
     UsageError when the mapping names what the file does not have.
     """
-    found = reader_for(path).read(Path(path), with_preset(mapping or FieldMapping()), strict=strict)
-    return next(in_parts(iter([found])))
+    full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
+    found = reader.read(Path(path), full, strict=strict)
+    return next(_looked_at(iter([found]), full, reader))
 
 
 def blocks(
@@ -120,10 +122,9 @@ def blocks(
     strict: bool = False,
 ) -> Iterator[Recording]:
     """Read a recording of any known format piecewise, in bounded memory; errors as in `read`."""
-    full = with_preset(mapping or FieldMapping())
-    return in_parts(
-        reader_for(path).blocks(Path(path), full, block_samples=block_samples, strict=strict)
-    )
+    full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
+    found = reader.blocks(Path(path), full, block_samples=block_samples, strict=strict)
+    return _looked_at(found, full, reader)
 
 
 def stored_blocks(
@@ -134,4 +135,12 @@ def stored_blocks(
     full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
     given = getattr(reader, "stored_blocks", reader.blocks)
     found: Iterator[Recording] = given(Path(path), full, block_samples=BLOCK_SAMPLES, strict=strict)
-    return in_parts(found)
+    return _looked_at(found, full, reader)
+
+
+def _looked_at(
+    found: Iterator[Recording], mapping: FieldMapping, reader: Reader
+) -> Iterator[Recording]:
+    """What holds for every format: a clock's parts, and rates in the unit that is stated."""
+    fixed = getattr(reader, "fixed", False)
+    return with_checked_rates(in_parts(found), mapping, fixed=fixed)

@@ -45,6 +45,7 @@ class CwaReader:
 
     name = "cwa"
     suffixes = (".cwa", ".cwa.gz")
+    fixed = True
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The header's mark, or the first sector's where the header is damaged."""

@@ -47,6 +47,7 @@ class Gt3xReader:
 
     name = "gt3x"
     suffixes = (".gt3x",)
+    fixed = True
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """A zip archive that holds log.bin and info.txt."""

@@ -43,6 +43,7 @@ class OldGt3xReader:
 
     name = "gt3x activity"
     suffixes = (".gt3x",)
+    fixed = True
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """A zip archive that holds activity.bin and info.txt, and no log.bin."""

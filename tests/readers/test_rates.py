@@ -1,0 +1,128 @@
+"""Angular rates whose unit is not the stated one: refused by every reader, with the option that
+settles it, for what no gyroscope reads and for what turns between rests contradict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucalib import readers, writers
+from imucalib.errors import UnreadableInput
+from imucalib.readers.rates import FASTEST, carried
+from imucalib.recording.mapping import FieldMapping
+from imucalib.units import DEG
+from worlds.bag_logs import BagWriter
+from worlds.flight_logs import dataflash, ulog
+from worlds.turned import recording_of, turned
+
+Array = NDArray[np.float64]
+Write = Callable[[Path, Array, Array, Array], Path]
+
+
+def _written(writer: writers.Writer | BagWriter) -> Write:
+    def write(folder: Path, t: Array, acc: Array, rate: Array) -> Path:
+        path = folder / f"log{writer.suffixes[0]}"
+        writer.write(recording_of(t, acc, rate), path)
+        return path
+
+    return write
+
+
+def _flight(make: Callable[..., bytes], suffix: str) -> Write:
+    def write(folder: Path, t: Array, acc: Array, rate: Array) -> Path:
+        stamps = np.rint(t * 1e6).astype(np.int64) + 1_000_000
+        path = folder / f"log{suffix}"
+        sensors = (acc[None].astype(np.float32), rate[None].astype(np.float32))
+        path.write_bytes(make(stamps, *sensors))
+        return path
+
+    return write
+
+
+def _matlab(folder: Path, t: Array, acc: Array, rate: Array) -> Path:
+    from scipy.io import savemat
+
+    path = folder / "log.mat"
+    savemat(path, {"t": t, "acc": acc, "gyro": rate})
+    return path
+
+
+#: Every format by its reader's name, written with rates that are called rad/s.
+WRITE: dict[str, Write] = {
+    **{w.name: _written(w) for w in writers.writers()},
+    "rosbag": _written(BagWriter((".bag",))),
+    "ulog": _flight(ulog, ".ulg"),
+    "dataflash": _flight(dataflash, ".bin"),
+    "matlab": _matlab,
+}
+RATES = FieldMapping(gyro_unit="rad/s")
+BY_FORMAT = pytest.mark.parametrize("name", WRITE)
+
+
+def test_every_format_whose_unit_may_be_wrong_is_tried() -> None:
+    free = {r.name for r in readers.readers() if not getattr(r, "fixed", False)}
+    assert free == set(WRITE)
+
+
+@BY_FORMAT
+def test_the_true_unit_is_read(name: str, tmp_path: Path) -> None:
+    t, acc, rate = turned()
+    found = readers.read(WRITE[name](tmp_path, t, acc, rate), RATES)
+    np.testing.assert_allclose(found.channels["imu0/angular_rate"].values, rate, atol=1e-6)
+
+
+@BY_FORMAT
+@pytest.mark.parametrize("peak", [1.0, 4.0])
+def test_degrees_called_radians_are_refused_with_what_reads_them(
+    name: str, peak: float, tmp_path: Path
+) -> None:
+    t, acc, rate = turned(peak=peak)
+    path = WRITE[name](tmp_path, t, acc, rate / DEG)
+    assert (np.abs(rate / DEG).max() > FASTEST) == (peak > 1.5)
+    for read in (readers.read, lambda *a: list(readers.blocks(*a, block_samples=2000))):
+        with pytest.raises(UnreadableInput, match="--gyro-unit deg/s"):
+            read(path, RATES)
+    found = readers.read(path, replace(RATES, gyro_unit="deg/s"))
+    np.testing.assert_allclose(found.channels["imu0/angular_rate"].values, rate, atol=1e-4)
+
+
+@pytest.mark.parametrize("true", ["rad/s", "mdeg/s", "mrad/s"])
+def test_any_unit_called_another_is_refused(true: str, tmp_path: Path) -> None:
+    from imucalib.units import RATE_UNITS
+
+    t, acc, rate = turned(turns=4)
+    path = WRITE["csv"](tmp_path, t, acc, rate / RATE_UNITS[true])
+    with pytest.raises(UnreadableInput, match="gyro-unit"):
+        readers.read(path, FieldMapping(gyro_unit="deg/s"))
+    readers.read(path, FieldMapping(gyro_unit=true))
+
+
+def test_a_damaged_number_is_no_fast_turn(tmp_path: Path) -> None:
+    t, acc, rate = turned()
+    rate[77] = 1e9
+    readers.read(WRITE["csv"](tmp_path, t, acc, rate), RATES)
+
+
+def test_a_scale_that_the_user_gives_is_taken(tmp_path: Path) -> None:
+    t, acc, rate = turned()
+    mapping = FieldMapping(gyro_unit="counts", lsb_per_dps=(0.01,))
+    assert readers.read(WRITE["csv"](tmp_path, t, acc, rate), mapping).channels
+
+
+def test_gravity_is_carried_to_where_it_is_read() -> None:
+    t, acc, rate = turned(turns=8, peak=3.0)
+    errors = np.array(carried(t, acc, rate, np.array([1.0, DEG, 1.0 / DEG])))
+    assert len(errors) == 8
+    assert errors[:, 0].max() < 0.5 * DEG
+    assert np.median(errors[:, 1:], axis=0).min() > 20.0 * DEG
+
+
+def test_sensors_on_other_axes_refute_no_unit() -> None:
+    t, acc, rate = turned(turns=8)
+    errors = np.median(carried(t, acc[:, [1, 2, 0]], rate, np.array([1.0, DEG])), axis=0)
+    assert errors.min() > 10.0 * DEG
