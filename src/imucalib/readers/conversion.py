@@ -138,6 +138,9 @@ def acceleration(
 
 def _by_norm(source: Source, rest: Array, where: str) -> tuple[str, str]:
     """The unit that makes the norm at rest 1 g, and the sentence that says so."""
+    norm = float(np.median(rest)) if rest.size else np.nan
+    if norm < 1.0 / _IMPLAUSIBLE:  # the largest unit in use, g, has ones
+        raise _without_gravity(norm, where)
     found = units.detect_acceleration_unit(rest, where)
     if source.whole and found.unit == "mg" and _LIKE_1024[0] < found.norm_at_rest < _LIKE_1024[1]:
         raise UnreadableInput(
@@ -176,8 +179,28 @@ def _refuse_wrong(unit: str, factor: float, rest: Array, by_user: bool, where: s
     if by_user:
         remedy = "leave --unit away or name the true one; counts need --unit counts --lsb N"
         raise UnreadableInput(f"{what}, as --unit states", where=where, remedy=remedy)
-    raise UnreadableInput(
-        f"{what}, as the file states", where=where, remedy="name the true unit with --unit"
+    fitting = _units_of_gravity(norm)
+    if ratio < 1.0 and not fitting:
+        raise _without_gravity(norm, where)
+    option = f"--unit {fitting[0]}" if len(fitting) == 1 else "--unit"
+    remedy = f"name the true unit with {option}, or the scale with --unit counts --lsb N"
+    raise UnreadableInput(f"{what}, as the file states", where=where, remedy=remedy)
+
+
+def _units_of_gravity(norm: float) -> list[str]:
+    """Units in which a norm at rest is within a quarter of 1 g."""
+    known = units.ACCELERATION_UNITS.items()
+    return [u for u, si in known if abs(norm * si / units.STANDARD_GRAVITY - 1.0) <= 0.25]
+
+
+def _without_gravity(norm: float, where: str) -> UnreadableInput:
+    """The error for numbers that are no gravity in any unit, and smaller than it in all."""
+    return UnreadableInput(
+        f"the norm at rest is {norm:.3g}: gravity was removed from it (linear acceleration), and "
+        "without gravity nothing can be calibrated",
+        where=where,
+        remedy="record the raw acceleration, gravity included; if it is included, give the scale "
+        "with --unit counts --lsb N",
     )
 
 

@@ -1,4 +1,5 @@
-"""PX4 logs (.ulg), through the package pyulog: raw sensors first, else what the filter was fed.
+"""PX4 logs (.ulg), through the package pyulog: raw sensors where they are logged as fast as what
+the filter was fed, else that. (The default profile logs raw sensors at 1 Hz.)
 
 Topics and fields by PX4's message definitions: sensor_accel (x, y, z in m/s²), sensor_gyro (rad/s),
 one instance a sensor; sensor_combined (accelerometer_m_s2, gyro_rad). Stamps are µs since boot.
@@ -23,6 +24,9 @@ from imucalib.recording.recording import Recording
 
 _MAGIC = b"ULog\x01\x12\x35"
 _US = 1e-6
+#: The filter is fed each sample once, or some raw samples integrated to one: raw sensors that are
+#: logged at less than a third of its rate were thinned out.
+_THINNED = 1.0 / 3.0
 #: Topic, quantity, its three fields, its unit.
 _TOPICS = (
     ("sensor_accel", "acceleration", ("x", "y", "z"), "m/s2"),
@@ -53,9 +57,10 @@ class UlogReader:
     ) -> Iterator[Recording]:
         """Yield blocks of about `block_samples` rows; the log's sensors are held in memory."""
         log, said = _log(path)
-        notes = _damage(log, said, path, strict=strict)
+        topics, thinned = _chosen(log.data_list)
+        notes = (*_damage(log, said, path, strict=strict), *thinned)
         yield from blocks_in_memory(
-            lambda held: _fill(held, log.data_list, path), path, mapping,
+            lambda held: _fill(held, topics, path), path, mapping,
             block_samples=block_samples, strict=strict, name=self.name, notes=notes,
         )  # fmt: skip
 
@@ -94,6 +99,25 @@ def _damage(log: Any, said: str, path: Path, *, strict: bool) -> tuple[str, ...]
     if strict and notes:
         raise UnreadableInput(notes[0], where=str(path), remedy="read it without --strict")
     return tuple(notes)
+
+
+def _chosen(topics: Sequence[Any]) -> tuple[list[Any], tuple[str, ...]]:
+    """The topics to read, and a sentence on those that are left out for their rate."""
+    fed = max((_rate(d) for d in topics if d.name == "sensor_combined"), default=0.0)
+    raw = [d for d in topics if d.name != "sensor_combined"]
+    slow = [d for d in raw if _rate(d) < _THINNED * fed]
+    if not slow:
+        return list(topics), ()
+    names = ", ".join(f"{d.name} {d.multi_id} ({_rate(d):.3g} Hz)" for d in slow)
+    note = f"logged more slowly than sensor_combined ({fed:.4g} Hz), and left out: {names}"
+    return [d for d in topics if d not in slow], (note,)
+
+
+def _rate(topic: Any) -> float:
+    """Samples a second; 0 where its stamps tell none."""
+    t = _seconds(topic.data)
+    span = float(t[-1] - t[0]) if t.size > 1 else 0.0
+    return (t.size - 1) / span if span > 0.0 else 0.0
 
 
 def _fill(held: Any, topics: Sequence[Any], path: Path) -> None:
