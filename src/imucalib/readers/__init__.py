@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Protocol
@@ -16,6 +17,7 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.catalogue import with_preset
 from imucalib.readers.parts import in_parts
 from imucalib.readers.rates import with_checked_rates
+from imucalib.readers.repeats import with_repeats_told
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -111,7 +113,8 @@ def read(
     """
     full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
     found = reader.read(Path(path), full, strict=strict)
-    return next(_looked_at(iter([found]), full, reader))
+    whole, *said = _looked_at(iter([found]), full, reader)
+    return replace(whole, notes=(*whole.notes, *(note for more in said for note in more.notes)))
 
 
 def blocks(
@@ -141,6 +144,7 @@ def stored_blocks(
 def _looked_at(
     found: Iterator[Recording], mapping: FieldMapping, reader: Reader
 ) -> Iterator[Recording]:
-    """What holds for every format: a clock's parts, and rates in the unit that is stated."""
+    """What holds for every format: a clock's parts, rates in the unit that is stated, and samples
+    that are no measurement."""
     fixed = getattr(reader, "fixed", False)
-    return with_checked_rates(in_parts(found), mapping, fixed=fixed)
+    return with_repeats_told(with_checked_rates(in_parts(found), mapping, fixed=fixed))

@@ -156,7 +156,10 @@ def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[Array]:
     found = []
     for (_, a), (b, _) in pairwise(rests):
         ends = slice(a - width, a), slice(b, b + width)
-        before, after = (_unit(acc[end].mean(axis=0)) for end in ends)
+        means = [acc[end].mean(axis=0) for end in ends]
+        if not all(mean.any() for mean in means):  # filled in, or dead
+            continue
+        before, after = (mean / np.linalg.norm(mean) for mean in means)
         dt = np.diff(t[a - 1 : b + 1])
         angle = np.arccos(np.clip(before @ after, -1.0, 1.0))
         late = t[b] - t[a - 1] > _LONGEST_TURN or dt.max() > 5.0 * step or dt.min() < 0.0
@@ -188,10 +191,6 @@ def _rests(t: Array, acc: Array, rate: Array, *, width: int, step: float) -> lis
     edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
     pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
     return [((a + 1) * width, (b - 1) * width) for a, b in pairs if b - a >= 3]
-
-
-def _unit(vector: Array) -> Array:
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _turned(before: Array, vectors: Array) -> Array:
