@@ -157,7 +157,8 @@ def _check_names(block: Any, where: str, path: str = "") -> None:
         _check_name(str(key), where, place)
         if key in _NAMES:
             for name in value if isinstance(value, list | tuple) else [value]:
-                _check_name(str(name), where, place)
+                if isinstance(name, str):
+                    _check_name(name, where, place)
         _check_names(value, where, place)
 
 

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.catalogue import with_preset
+from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
 from imucalib.readers.parts import in_parts
 from imucalib.readers.rates import with_checked_rates
 from imucalib.readers.repeats import with_repeats_told
@@ -85,15 +85,17 @@ def readers() -> tuple[Reader, ...]:
 
 
 def reader_for(path: str | os.PathLike[str]) -> Reader:
-    """The reader for a file: by content first, then by suffix; UnreadableInput when none fits."""
+    """The reader for a file: by content first, then by a suffix that one format alone has;
+    UnreadableInput when none fits."""
     file = Path(path)
     head = b"" if os.path.isfile(file / "metadata.yaml") else head_of(file)
+    refuse_foreign(file, head)
     for reader in readers():
         if reader.recognises(file, head):
             return reader
-    for reader in readers():
-        if file.name.lower().endswith(reader.suffixes):
-            return reader
+    named = [reader for reader in readers() if file.name.lower().endswith(reader.suffixes)]
+    if len(named) == 1:
+        return named[0]
     formats = ", ".join(f"{r.name} ({' '.join(r.suffixes)})" for r in readers())
     raise UnreadableInput(
         f"the format is not known; the file starts with {head[:8]!r}",

@@ -93,12 +93,14 @@ class Source:
     """What is known of an acceleration before its numbers are looked at.
 
     unit : that the file (or its format) states, or ""; scales : counts a g that the device's models
-    have, one of which its file does not name; whole : every number is an integer
+    have, one of which its file does not name; whole : every number is an integer; fixed : the
+    format itself fixes the unit: what the numbers say against it is a caution
     """
 
     unit: str = ""
     scales: tuple[float, ...] = ()
     whole: bool = False
+    fixed: bool = False
 
 
 def acceleration(
@@ -114,6 +116,10 @@ def acceleration(
     axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
     unit = units.canonical(mapping.acc_unit or source.unit)
+    if source.fixed and not (mapping.acc_unit or mapping.lsb_per_g):
+        note = _caution(np.linalg.norm(rest - offset, axis=1), unit)
+        size = np.array([units.ACCELERATION_UNITS[unit]])
+        return Conversion("m/s2", unit, size, offset, axes, note)
     away = None if mapping.acc_offset else zero_g(rest)
     if away is not None and (unit != COUNTS or mapping.lsb_per_g):
         remedy = f"{away.option} counts them from there; the data sheet may know better"
@@ -166,6 +172,18 @@ def _by_scales(
     factor = np.array([units.STANDARD_GRAVITY / scale])
     note = f"acceleration: norm at rest = {norm:.6g} -> {scale:g} counts a g, as the device has"
     return Conversion("m/s2", COUNTS, factor, offset, axes=axes, note=note, counts_per_g=scale)
+
+
+def _caution(rest: Array, unit: str) -> str:
+    """What is said of a norm that is not 1 g, in a format that leaves no doubt of its unit."""
+    norm = float(np.median(rest)) if rest.size else np.nan
+    ratio = norm * units.ACCELERATION_UNITS[unit] / units.STANDARD_GRAVITY
+    if not rest.size or 1.0 / _NEAR_SCALE <= ratio <= _NEAR_SCALE:
+        return ""
+    return (
+        f"acceleration: the norm where it is quietest is {ratio:.3g} g: it was not at rest there, "
+        "or its sensor is faulty (the format fixes the unit)"
+    )
 
 
 def _refuse_wrong(unit: str, factor: float, rest: Array, by_user: bool, where: str) -> None:

@@ -24,6 +24,7 @@ from imucalib.recording.recording import Recording
 
 _MAGIC = b"ULog\x01\x12\x35"
 _US = 1e-6
+_LONGEST_MESSAGE = 3 + (1 << 16)  # bytes
 #: The filter is fed each sample once, or some raw samples integrated to one: raw sensors that are
 #: logged at less than a third of its rate were thinned out.
 _THINNED = 1.0 / 3.0
@@ -80,13 +81,41 @@ def _log(path: Path) -> tuple[Any, str]:
         ) from error
     said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said):
-            log = ULog(str(path), ["sensor_accel", "sensor_gyro", "sensor_combined"])
+        with contextlib.redirect_stdout(said), _WithoutZeros(path, "rb") as content:
+            log = ULog(content, ["sensor_accel", "sensor_gyro", "sensor_combined"])
         return log, said.getvalue()
     except Exception as error:  # what the package raises on damage depends on where the damage is
         raise UnreadableInput(
             f"the log cannot be read: {error}", where=str(path), remedy="download it again"
         ) from error
+
+
+class _WithoutZeros(io.FileIO):
+    """A file up to its last byte that is not zero: where power failed, a log ends in zeros, which
+    the package searches byte by byte."""
+
+    _end: int | None = None
+
+    def read(self, size: int | None = -1) -> bytes:
+        """The next bytes, at most `size`."""
+        if self._end is None:
+            self._end = self._last()
+        left = max(self._end - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left)) or b""
+
+    def _last(self) -> int:
+        at, end = self.tell(), self.seek(0, io.SEEK_END)
+        while end:
+            begin = max(end - (1 << 20), 0)
+            self.seek(begin)
+            kept = (super().read(end - begin) or b"").rstrip(b"\0")
+            if kept:
+                # A whole message may end in zeros of its own.
+                end = begin + len(kept) + _LONGEST_MESSAGE
+                break
+            end = begin
+        self.seek(at)
+        return end
 
 
 def _damage(log: Any, said: str, path: Path, *, strict: bool) -> tuple[str, ...]:

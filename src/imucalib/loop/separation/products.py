@@ -92,8 +92,8 @@ class Ambiguity:
             if best is None or nats > best[0]:
                 best = (nats, root, half)
         assert best is not None
-        back = np.linalg.inv(best[1]).T
-        return Size(every, back @ best[2], back)
+        back = np.asarray(np.linalg.inv(best[1]).T, dtype=np.float64)
+        return Size(every, np.asarray(back @ best[2]), back)
 
 
 def _root(precision: Array) -> Array:
