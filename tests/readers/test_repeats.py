@@ -15,6 +15,7 @@ from imucalib.inspection.inspection import Inspection, inspect_recording
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import scan
 from worlds.every_format import WRITE
+from worlds.places import DATA, MEASURED, SAMPLES
 from worlds.turned import turned
 
 Array = NDArray[np.float64]
@@ -127,3 +128,30 @@ def test_a_gyroscope_with_a_dead_zone_hides_no_rest(zone: Change, tmp_path: Path
     assert found is not None
     assert found.n == 9
     assert (found.rate_noise >= RATE_STEP / np.sqrt(12.0) * 0.999).all()
+
+
+#: Measured recordings that lie with the project, and larger ones that need not be there.
+SOUND: dict[Path, FieldMapping] = {
+    MEASURED / "ax3.cwa": FieldMapping(),
+    MEASURED / "geneactiv.bin": FieldMapping(),
+    **{
+        MEASURED / f"imu{k}.log.gz": FieldMapping(
+            acc=("1", "2", "3"), gyro=("4", "5", "6"), rate=100.0, header=False, acc_unit="m/s2",
+            gyro_unit="rad/s",
+        )
+        for k in (0, 1)
+    },
+    **{SAMPLES / name: FieldMapping() for name in ("board.h5", "board_part.mcap", "rests.mcap")},
+    **{DATA / "mimu4444" / f"exp_{k}.h5": FieldMapping() for k in (1, 2, 4, 5)},
+    DATA / "actigraph" / "paat_example_day.csv.gz": FieldMapping(),
+    DATA / "actigraph" / "ggir_actigraph_testfile.gt3x": FieldMapping(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("path", SOUND, ids=lambda p: p.name)
+def test_no_measured_log_is_refused_or_told(path: Path) -> None:
+    if not path.exists():
+        pytest.skip("needs the shared data")
+    for block in readers.blocks(path, SOUND[path]):
+        assert not [note for note in block.notes if WORDS in note]
+        assert not block.held
