@@ -15,6 +15,7 @@ from imucalib.readers.rates import FASTEST, carried
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG
 from worlds.every_format import WRITE
+from worlds.places import MEASURED
 from worlds.turned import turned
 
 RATES = FieldMapping(gyro_unit="rad/s")
@@ -83,3 +84,14 @@ def test_sensors_on_other_axes_refute_no_unit() -> None:
     t, acc, rate = turned(turns=8)
     errors = np.median(carried(t, acc[:, [1, 2, 0]], rate, np.array([1.0, DEG])), axis=0)
     assert errors.min() > 10.0 * DEG
+
+
+@pytest.mark.parametrize("name", ["imu0.log.gz", "imu1.log.gz"])
+def test_a_measured_log_proves_its_unit(name: str) -> None:
+    mapping = FieldMapping(
+        acc=("1", "2", "3"), gyro=("4", "5", "6"), rate=100.0, header=False, acc_unit="m/s2",
+        gyro_unit="rad/s",
+    )  # fmt: skip
+    readers.read(MEASURED / name, mapping)
+    with pytest.raises(UnreadableInput, match="--gyro-unit rad/s"):
+        readers.read(MEASURED / name, replace(mapping, gyro_unit="deg/s"))

@@ -82,6 +82,18 @@ def test_every_reader_tells_what_noise_does_not_do(
 
 
 @pytest.mark.parametrize("name", WRITE)
+@pytest.mark.parametrize("block", [500, 1 << 18])
+def test_no_block_is_without_its_channels(name: str, block: int, tmp_path: Path) -> None:
+    path = WRITE[name](tmp_path, *_changed(_hold))
+    whole = readers.read(path, RATES).channels
+    found = list(readers.blocks(path, RATES, block_samples=block))
+    assert all(one.channels for one in found)
+    for key, channel in whole.items():
+        joined = np.concatenate([b.channels[key].values for b in found if key in b.channels])
+        np.testing.assert_array_equal(joined, channel.values)
+
+
+@pytest.mark.parametrize("name", WRITE)
 @pytest.mark.parametrize("change", [None, _dead_zone, _offset_zone])
 def test_no_reader_tells_what_a_sound_sensor_does(
     name: str, change: Change | None, tmp_path: Path

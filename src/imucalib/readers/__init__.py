@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Protocol
@@ -115,8 +114,7 @@ def read(
     """
     full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
     found = reader.read(Path(path), full, strict=strict)
-    whole, *said = _looked_at(iter([found]), full, reader)
-    return replace(whole, notes=(*whole.notes, *(note for more in said for note in more.notes)))
+    return next(_looked_at(iter([found]), full, reader))
 
 
 def blocks(

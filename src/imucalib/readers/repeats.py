@@ -30,8 +30,8 @@ _ZONE, _ZONE_SHARE = 3, 0.2  # runs of one number, and of all of them, that make
 
 
 def with_repeats_told(blocks: Iterable[Recording]) -> Iterator[Recording]:
-    """The same blocks with `Recording.held` filled; a last one, without channels, says how many
-    samples these are where there are any."""
+    """The same blocks with `Recording.held` filled; the last one's notes say how many samples these
+    are where there are any."""
     seen: dict[str, _Repeats] = {}
     last: Recording | None = None
     for block in blocks:
@@ -41,11 +41,12 @@ def with_repeats_told(blocks: Iterable[Recording]) -> Iterator[Recording]:
             if channel.quantity in ("acceleration", "angular_rate") and channel.t.size:
                 beside = [h for h in held if h.channel == f"{channel.triad}/acceleration"]
                 held += seen.setdefault(name, _Repeats(channel)).add(channel, beside)
+        if last is not None:
+            yield last
         last = replace(block, held=tuple(held)) if held else block
-        yield last
     notes = tuple(word for name, found in seen.items() for word in found.words(name))
-    if last is not None and notes:
-        yield replace(last, channels={}, gaps=(), held=(), notes=notes)
+    if last is not None:
+        yield replace(last, notes=(*last.notes, *notes)) if notes else last
 
 
 @dataclass
