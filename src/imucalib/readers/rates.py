@@ -72,8 +72,11 @@ class _Stated:
 
     @property
     def factors(self) -> dict[str, float]:
-        """What turns a value in SI into the one that it would be in another unit."""
-        own = units.RATE_UNITS.get(self.unit, 1.0)
+        """What turns a value in SI into the one that it would be in another unit; none where each
+        axis has its own."""
+        if self.unit not in units.RATE_UNITS:
+            return {}
+        own = units.RATE_UNITS[self.unit]
         return {name: size / own for name, size in units.RATE_UNITS.items() if name != self.unit}
 
     def refused(self, what: str, true: str) -> UnreadableInput:
@@ -115,7 +118,8 @@ class _Turns:
 
     def add(self, force: Channel, rate: Channel) -> None:
         """Take consecutive samples; raises where they refute the unit and prove another."""
-        if len(self.errors) >= _TURNS or self.samples >= _SAMPLES:
+        names = self.stated.factors
+        if not names or len(self.errors) >= _TURNS or self.samples >= _SAMPLES:
             return
         self.samples += rate.t.size
         acc = force.pending.apply(force.values) if force.pending else force.values
@@ -124,7 +128,6 @@ class _Turns:
             if force.t.size < _IN_A_ROW:
                 return
             acc = np.column_stack([np.interp(rate.t, force.t, axis) for axis in acc.T])
-        names = self.stated.factors
         factors = np.array([1.0, *names.values()])
         self.errors += carried(rate.t, acc, turn, factors)
         if not self.errors:
