@@ -60,9 +60,11 @@ def test_any_unit_called_another_is_refused(true: str, tmp_path: Path) -> None:
     readers.read(path, FieldMapping(gyro_unit=true))
 
 
-def test_a_damaged_number_is_no_fast_turn(tmp_path: Path) -> None:
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [1e9, 1e200, -1e300, 1.7e308])
+def test_a_damaged_number_is_no_fast_turn(size: float, tmp_path: Path) -> None:
     t, acc, rate = turned()
-    rate[77] = 1e9
+    rate[77] = acc[1234] = size
     readers.read(WRITE["csv"](tmp_path, t, acc, rate), RATES)
 
 

@@ -167,3 +167,17 @@ def test_no_measured_log_is_refused_or_told(path: Path) -> None:
     for block in readers.blocks(path, SOUND[path]):
         assert not [note for note in block.notes if WORDS in note]
         assert not block.held
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.5])
+@pytest.mark.parametrize("shaken", [0.0, 2.0, 20.0])
+def test_a_coarse_converter_that_is_shaken_between_rests_repeats_honestly(
+    share: float, shaken: float, tmp_path: Path
+) -> None:
+    """share : of the noise in a step; shaken : m/s² between the rests, so that what moves is far
+    louder than a step"""
+    t, acc, rate = turned(8, noise=share * 0.16)
+    moving = np.abs(rate).max(axis=1) > 0.05
+    acc += moving[:, None] * np.random.default_rng(1).normal(0.0, shaken, acc.shape)
+    path = WRITE["hdf5"](tmp_path, t, np.round(acc / 0.16) * 0.16, rate)
+    assert not [note for note in readers.read(path, RATES).notes if WORDS in note]

@@ -58,7 +58,9 @@ def with_checked_rates(
             _refuse_fastest(rate, unit)
             force = block.channels.get(f"{rate.triad}/acceleration")
             if force is not None:
-                seen.setdefault(name, _Turns(unit)).add(force, rate)
+                # A damaged number may be of any size.
+                with np.errstate(over="ignore", invalid="ignore"):
+                    seen.setdefault(name, _Turns(unit)).add(force, rate)
         yield block
 
 

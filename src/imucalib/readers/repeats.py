@@ -19,11 +19,16 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.recording.recording import Channel, Held, Recording
 
 _PIECE = 128  # samples that a difference's size and step are taken from
-_PIECES = 512  # of a channel that are kept, at most
+_PIECES = 256  # of a channel that are kept, at most
 _LIVE = 8  # steps of such a piece that must change something
-_QUIETEST = 0.05  # share of the pieces that is surely still in a recording worth calibrating
+_QUIETEST = 0.05  # share of the quiet pieces that has the noise of rest
+#: What is quiet spreads by no more than the noisiest common accelerometer, as a share of gravity
+#: (`rests.stillness`), and a gyroscope by what a rest in the hand has, rad/s: without such pieces
+#: nothing is known of the noise at rest, as where a coarse converter stands still in all of it.
+_LOUDEST, _TURNING, _FEWEST = 0.03, 0.05, 3
 _SHOWN = 1.0  # noise in steps from which a standstill of all axes is no matter of resolution
 _NATS = 20.0  # chance e^-20 of a false word in a whole recording
+_LOOKED = 2000  # runs of a block whose neighbours are looked at
 _TIMES = 4  # a run this many times longer than the usual one is none of the copies
 _VALUES = 1000  # numbers of a gyroscope that are counted
 _ZONE, _ZONE_SHARE = 3, 0.2  # runs of one number, and of all of them, that make a dead zone
@@ -40,7 +45,9 @@ def with_repeats_told(blocks: Iterable[Recording]) -> Iterator[Recording]:
         for name, channel in sorted(block.channels.items(), key=lambda c: c[1].quantity):
             if channel.quantity in ("acceleration", "angular_rate") and channel.t.size:
                 beside = [h for h in held if h.channel == f"{channel.triad}/acceleration"]
-                held += seen.setdefault(name, _Repeats(channel)).add(channel, beside)
+                # A damaged number may be of any size.
+                with np.errstate(over="ignore", invalid="ignore"):
+                    held += seen.setdefault(name, _Repeats(channel)).add(channel, beside)
         if last is not None:
             yield last
         last = replace(block, held=tuple(held)) if held else block
@@ -55,7 +62,8 @@ class _Repeats:
 
     count : samples; repeats : of them, all that equal the one before, `held` of these in stretches
         that are no measurement, `zone` in a gyroscope's dead zone
-    noise, steps : per piece (k,) sizes of a sample's noise and smallest steps
+    noise, steps : per piece (k,) sizes of a sample's noise and smallest steps; spread, size : of
+        its readings, and of their mean
     lengths : of runs of repeats; longest : s, of a stretch
     """
 
@@ -64,6 +72,8 @@ class _Repeats:
     repeats: int = 0
     noise: list[Array] = field(default_factory=list)
     steps: list[Array] = field(default_factory=list)
+    spread: list[Array] = field(default_factory=list)
+    size: list[Array] = field(default_factory=list)
     lengths: list[Index] = field(default_factory=list)
     held: int = 0
     zone: int = 0
@@ -73,6 +83,7 @@ class _Repeats:
     _running: tuple[float, int] | None = None  # begin and repeats of a run that may go on
     _runs_of: dict[bytes, int] = field(default_factory=dict)
     _runs: int = 0
+    _step: Array | None = None
     _known: tuple[int, float] = (0, 0.0)
 
     def add(self, channel: Channel, beside: Sequence[Held]) -> list[Held]:
@@ -90,7 +101,7 @@ class _Repeats:
             same[1:] &= values[1:, axis] == values[:-1, axis]
         self.count += t.size
         self.repeats += int(np.count_nonzero(same))
-        found = self._found(same, t, values, beside) if self._chance() and same.any() else []
+        found = self._found(same, channel, beside) if self._chance() and same.any() else []
         if not same[-1]:
             self._running = None
         self._last = float(t[-1]), values[-1].copy()
@@ -105,18 +116,23 @@ class _Repeats:
         chosen = np.unique(np.linspace(0, pieces - 1, min(pieces, _PIECES - known)).astype(int))
         rows = chosen[:, None] * _PIECE + np.arange(_PIECE)
         some = channel.values[rows]
-        values = channel.pending.apply(some) if channel.pending else some.astype(float, copy=False)
-        steps = np.abs(np.diff(values, axis=1))
-        live = np.asarray((steps > 0.0).any(axis=2))
-        alive = np.isfinite(steps).all(axis=(1, 2)) & (live.sum(axis=1) >= _LIVE)
-        steps, live = steps[alive], live[alive]
+        # Turned, so that every reduction runs along neighbouring numbers.
+        values = np.ascontiguousarray(self._si(channel, some).transpose(0, 2, 1))
+        steps = np.abs(np.diff(values, axis=2))
+        live = np.count_nonzero(np.logical_or.reduce(steps > 0.0, axis=1), axis=1)
+        alive = np.isfinite(steps.sum(axis=(1, 2))) & (live > 0)
+        values, steps, live = values[alive], np.minimum(steps[alive], 1e150), live[alive]
         if not len(steps):
             return
-        total = (np.minimum(steps, 1e150) ** 2).sum(axis=1) / live.sum(axis=1)[:, None]
-        self.noise.append(np.sqrt(0.5 * total))
-        self.steps.append(steps.min(axis=1, where=steps > 0.0, initial=np.inf))
+        # Few steps are those of a converter that hardly shows the noise.
+        over = np.where(live >= _LIVE, live, steps.shape[2])
+        self.noise.append(np.sqrt(0.5 * np.vecdot(steps, steps) / over[:, None]))
+        self.steps.append(np.where(steps > 0.0, steps, np.inf).min(axis=2))
+        self.spread.append(values.std(axis=2).max(axis=1))
+        self.size.append(np.linalg.norm(values.mean(axis=2), axis=1))
 
-    def _found(self, same: Flags, t: Array, values: Array, beside: Sequence[Held]) -> list[Held]:
+    def _found(self, same: Flags, channel: Channel, beside: Sequence[Held]) -> list[Held]:
+        t, values = channel.t, channel.values
         starts = np.flatnonzero(same & ~np.append(False, same[:-1]))
         stops = np.flatnonzero(same & ~np.append(same[1:], False)) + 1
         lengths = stops - starts
@@ -135,9 +151,10 @@ class _Repeats:
         self.zone += int(lengths[over[zone]].sum())
         longest = max(longest, self._copied())
         over = over[~zone & (grown[over] > longest)]
-        self.stretches += len(over) - int(
-            bool(len(over)) and over[0] == 0 and grown[0] > lengths[0]
-        )
+        noisy = [self._beside_noise(channel, int(starts[k]), int(stops[k])) for k in over[:_LOOKED]]
+        over = over[np.array(noisy + [True] * (len(over) - len(noisy)), dtype=np.bool_)]
+        told_before = len(over) > 0 and over[0] == 0 and bool(grown[0] - lengths[0] > longest)
+        self.stretches += len(over) - told_before
         self.held += int(lengths[over].sum())
         ends = t[stops[over] - 1]
         if len(over):
@@ -145,6 +162,27 @@ class _Repeats:
         name = f"{self.like.triad}/{self.like.quantity}"
         pairs = zip(begins[over].tolist(), ends.tolist(), strict=True)
         return [Held(name, begin, end) for begin, end in pairs]
+
+    def _beside_noise(self, channel: Channel, first: int, stop: int) -> bool:
+        """Whether a run of repeats stands among samples that show their noise: between others that
+        hardly change, a converter is coarser than what is there to convert."""
+        pieces = channel.values[max(first - _PIECE // 2, 0) : first], channel.values[stop:][:_PIECE]
+        steps = [np.abs(np.diff(self._si(channel, p), axis=0)) for p in pieces if len(p) > 1]
+        every = np.concatenate([np.empty((0, channel.values.shape[1])), *steps])
+        changed = every.any(axis=1)
+        if changed.sum() < _LIVE:
+            return False
+        if self._step is None:
+            return True
+        noise = np.sqrt(0.5 * (np.minimum(every[changed], 1e150) ** 2).mean(axis=0))
+        moving = np.isfinite(self._step)
+        return bool((noise[moving] > _SHOWN * self._step[moving]).all())
+
+    @staticmethod
+    def _si(channel: Channel, values: Array) -> Array:
+        return (
+            channel.pending.apply(values) if channel.pending else values.astype(float, copy=False)
+        )
 
     def _in_dead_zone(self, rows: Array) -> Flags:
         """Which of a gyroscope's runs read a number that many of its runs read, or zero."""
@@ -170,11 +208,17 @@ class _Repeats:
 
     def _chance_of(self) -> float:
         noise, steps = np.concatenate(self.noise), np.concatenate(self.steps)
+        least = _TURNING if self.like.unit == "rad/s" else np.inf
+        if self.like.quantity == "acceleration":
+            least = _LOUDEST * float(np.median(np.concatenate(self.size)))
+        quiet = np.concatenate(self.spread) <= least
+        if quiet.sum() < _FEWEST:
+            return 0.0
+        noise, steps = noise[quiet], steps[quiet]
         moving = np.isfinite(steps).any(axis=0)
         level = np.quantile(noise[:, moving], _QUIETEST, axis=0)
-        quiet = (noise[:, moving] <= 2.0 * level).all(axis=1)
-        least = steps[quiet][:, moving] if quiet.any() else steps[:, moving]
-        step = np.median(np.where(np.isfinite(least), least, np.inf), axis=0)
+        self._step = np.median(steps, axis=0)
+        step = self._step[moving]
         if not moving.any() or not (level > _SHOWN * step).all():
             return 0.0
         return sum(log(_stays(float(n / s))) for n, s in zip(level, step, strict=True))
