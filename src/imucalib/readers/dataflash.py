@@ -179,12 +179,12 @@ def _fill(held: Any, rows: Mapping[str, NDArray[Any]], path: Path) -> None:
         for kind, axes in names:
             for name, triad, some in _sensors(rows, kind):
                 channel = f"{triad}/{quantity}"
-                if channel not in held and set(axes) <= set(some.dtype.names or ()):
+                if channel not in held and all(_is_number(some, a) for a in axes):
                     values = np.column_stack([some[a] for a in axes]).astype(np.float64)
-                    put_channel(held, channel, _seconds(some), values, unit)
+                    put_channel(held, channel, _seconds(some, path), values, unit)
                     found += 1
                 if name.startswith("IMU") and f"{triad}/temperature" not in held:
-                    _put_temperature(held, triad, some)
+                    _put_temperature(held, triad, some, path)
     if not found:
         raise UnreadableInput(
             "the log has no IMU, ACC or GYR messages", where=str(path),
@@ -192,11 +192,17 @@ def _fill(held: Any, rows: Mapping[str, NDArray[Any]], path: Path) -> None:
         )  # fmt: skip
 
 
-def _put_temperature(held: Any, triad: str, some: NDArray[Any]) -> None:
+def _put_temperature(held: Any, triad: str, some: NDArray[Any], path: Path) -> None:
     for name in ("T", "Temp"):
-        if name in (some.dtype.names or ()):
+        if _is_number(some, name):
             warm = some[name].astype(np.float64)
-            put_channel(held, f"{triad}/temperature", _seconds(some), warm, "degC")
+            put_channel(held, f"{triad}/temperature", _seconds(some, path), warm, "degC")
+
+
+def _is_number(some: NDArray[Any], name: str) -> bool:
+    """Whether messages have a field of this name, with one number each: letters may be damaged."""
+    known = name in (some.dtype.names or ())
+    return known and some.dtype[name].kind in "fiu" and some.dtype[name].shape == ()
 
 
 def _sensors(
@@ -205,17 +211,21 @@ def _sensors(
     """Messages sensor by sensor: numbered by a field `I`, or in older logs by their name."""
     for name in sorted(n for n in rows if n.rstrip("123") == kind):
         some = rows[name]
-        if "I" in (some.dtype.names or ()):
+        if _is_number(some, "I"):
             for number in np.unique(some["I"]):
                 yield name, f"imu{number}", some[some["I"] == number]
         else:
             yield name, f"imu{int(name[len(kind) :] or 1) - 1}", some
 
 
-def _seconds(some: NDArray[Any]) -> NDArray[np.float64]:
+def _seconds(some: NDArray[Any], path: Path) -> NDArray[np.float64]:
     """When a sample was taken, where the message says so, else when it was logged."""
-    names = some.dtype.names or ()
     for name, unit in (("SampleUS", _US), ("TimeUS", _US), ("TimeMS", 1e-3)):
-        if name in names and np.any(some[name]):
+        whole = _is_number(some, name) and some.dtype[name].kind in "iu"
+        if whole and np.any(some[name]):
             return np.asarray(some[name].astype(np.float64) * unit)
-    return np.arange(len(some), dtype=np.float64)
+    raise UnreadableInput(
+        "its inertial messages have no time (SampleUS, TimeUS or TimeMS)",
+        where=str(path),
+        remedy="download the log again",
+    )

@@ -112,3 +112,20 @@ def _both(found) -> None:  # type: ignore[no-untyped-def]
         warm = found.channels[f"imu{k}/temperature"].values[:, 0]
         np.testing.assert_allclose(warm, 30 + k + np.arange(N) / 1024)
     assert acc.rate == pytest.approx(250.0)
+
+
+@pytest.mark.parametrize("field", range(9))
+@pytest.mark.parametrize(("letter", "other"), [(b"Q", b"d"), (b"f", b"n"), (b"B", b"b")])
+def test_letters_of_another_kind_are_no_crash(
+    field: int, letter: bytes, other: bytes, tmp_path: Path
+) -> None:
+    data = flight_logs.dataflash(STAMPS, ACC, GYRO)
+    at = data.index(b"QBfffffff") + field
+    if data[at : at + 1] != letter:
+        other = b"i" if data[at : at + 1] == b"f" else b"q" if data[at : at + 1] == b"Q" else b"M"
+    path = tmp_path / "1.bin"
+    path.write_bytes(data[:at] + other + data[at + 1 :])
+    try:
+        assert read(path).channels
+    except UnreadableInput as error:
+        assert error.remedy  # noqa: PT017 - either will do, a traceback will not
