@@ -13,7 +13,7 @@ from imucalib import readers
 from imucalib.errors import UnreadableInput
 from imucalib.readers.rates import FASTEST, carried
 from imucalib.recording.mapping import FieldMapping
-from imucalib.units import DEG
+from imucalib.units import DEG, RATE_UNITS
 from worlds.every_format import WRITE
 from worlds.places import MEASURED
 from worlds.turned import turned
@@ -51,8 +51,6 @@ def test_degrees_called_radians_are_refused_with_what_reads_them(
 
 @pytest.mark.parametrize("true", ["rad/s", "mdeg/s", "mrad/s"])
 def test_any_unit_called_another_is_refused(true: str, tmp_path: Path) -> None:
-    from imucalib.units import RATE_UNITS
-
     t, acc, rate = turned(turns=4)
     path = WRITE["csv"](tmp_path, t, acc, rate / RATE_UNITS[true])
     with pytest.raises(UnreadableInput, match="gyro-unit"):
@@ -66,6 +64,28 @@ def test_a_damaged_number_is_no_fast_turn(size: float, tmp_path: Path) -> None:
     t, acc, rate = turned()
     rate[77] = acc[1234] = size
     readers.read(WRITE["csv"](tmp_path, t, acc, rate), RATES)
+
+
+@pytest.mark.parametrize("true", ["rad/s", "deg/s", "mdeg/s"])
+def test_a_unit_that_nobody_states_is_named_where_turns_prove_it(true: str, tmp_path: Path) -> None:
+    t, acc, rate = turned()
+    path = tmp_path / "log.csv"
+    table = np.column_stack([t, acc, rate / RATE_UNITS[true]])
+    names = [f"{q}_{a}" for q in ("acc", "gyro") for a in "xyz"]
+    np.savetxt(path, table, delimiter=",", header=",".join(["time_s", *names]), comments="")
+    found = readers.read(path)
+    assert found.channels["imu0/angular_rate"].unit == "counts"
+    assert sum(f"give --gyro-unit {true}" in note for note in found.notes) == 1
+    again = readers.read(path, FieldMapping(gyro_unit=true))
+    np.testing.assert_allclose(again.channels["imu0/angular_rate"].values, rate, atol=1e-6)
+    assert not [note for note in again.notes if "--gyro-unit" in note]
+
+
+def test_counts_of_a_converter_are_in_no_unit(tmp_path: Path) -> None:
+    t, acc, rate = turned()
+    path = WRITE["csv"](tmp_path, t, acc, np.round(rate / DEG * 16.4))
+    found = readers.read(path, FieldMapping(gyro_unit="counts"))
+    assert not [note for note in found.notes if "carries gravity" in note]
 
 
 def test_a_scale_that_the_user_gives_is_taken(tmp_path: Path) -> None:

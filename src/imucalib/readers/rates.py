@@ -7,7 +7,7 @@ holds to a degree or two; in another one the recording contradicts itself.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -39,7 +39,8 @@ def with_checked_rates(
 ) -> Iterator[Recording]:
     """The same blocks, their angular rates looked at.
 
-    fixed : whether the format itself fixes the unit: it is then never refused.
+    fixed : whether the format itself fixes the unit: it is then never refused. Where no unit is
+    stated, a note names the one that turns prove.
     Raises UnreadableInput where the stated unit cannot be, with the option that settles it. A scale
     that the user gives (--gyro-lsb) is taken as it is.
     """
@@ -49,19 +50,25 @@ def with_checked_rates(
     seen: dict[str, _Turns] = {}
     for block in blocks:
         stated = str(block.mapping.get("gyro_unit", "")) or mapping.gyro_unit or "rad/s"
+        notes = list[str]()
         for name, rate in block.channels.items():
-            if rate.quantity != "angular_rate" or rate.unit != "rad/s" or rate.t.size < _IN_A_ROW:
+            if rate.quantity != "angular_rate" or rate.t.size < _IN_A_ROW:
                 continue
-            unit = _Stated(
-                units.canonical(stated), bool(mapping.gyro_unit), f"{block.path}, {name}"
-            )
-            _refuse_fastest(rate, unit)
+            where = f"{block.path}, {name}"
+            unit = _Stated(units.canonical(stated), bool(mapping.gyro_unit), where)
+            if rate.unit == "rad/s":
+                _refuse_fastest(rate, unit)
+            elif mapping.gyro_unit:
+                continue
+            else:
+                unit = _Stated("counts", by_user=False, where=where)
             force = block.channels.get(f"{rate.triad}/acceleration")
             if force is not None:
                 # A damaged number may be of any size.
                 with np.errstate(over="ignore", invalid="ignore"):
-                    seen.setdefault(name, _Turns(unit)).add(force, rate)
-        yield block
+                    found = seen.setdefault(name, _Turns(unit)).add(force, rate)
+                notes += [f"{name}: {found}"] * bool(found)
+        yield replace(block, notes=(*block.notes, *notes)) if notes else block
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,8 @@ class _Stated:
     def factors(self) -> dict[str, float]:
         """What turns a value in SI into the one that it would be in another unit; none where each
         axis has its own."""
+        if self.unit == "counts":  # as yet in none
+            return dict(units.RATE_UNITS)
         if self.unit not in units.RATE_UNITS:
             return {}
         own = units.RATE_UNITS[self.unit]
@@ -118,33 +127,41 @@ class _Turns:
     errors: list[Array] = field(default_factory=list)
     samples: int = 0
 
-    def add(self, force: Channel, rate: Channel) -> None:
-        """Take consecutive samples; raises where they refute the unit and prove another."""
+    def add(self, force: Channel, rate: Channel) -> str:
+        """Take consecutive samples; raises where they refute the unit and prove another. Returns
+        what they prove where none is stated, once."""
         names = self.stated.factors
         if not names or len(self.errors) >= _TURNS or self.samples >= _SAMPLES:
-            return
+            return ""
         self.samples += rate.t.size
         acc = force.pending.apply(force.values) if force.pending else force.values
         turn = rate.pending.apply(rate.values) if rate.pending else rate.values
         if not np.array_equal(force.t, rate.t):
             if force.t.size < _IN_A_ROW:
-                return
+                return ""
             acc = np.column_stack([np.interp(rate.t, force.t, axis) for axis in acc.T])
         factors = np.array([1.0, *names.values()])
         self.errors += carried(rate.t, acc, turn, factors)
         if not self.errors:
-            return
+            return ""
         off, *others = np.median(self.errors, axis=0).tolist()
         best = int(np.argmin(others))
         near = max(others[best], _ALIGNED)
         chance = len(self.errors) * np.log((1.0 - np.cos(near)) / 2.0) + np.log(len(names))
-        if off > _REFUTED and chance < _PROVEN:
-            true = list(names)[best]
+        if chance >= _PROVEN:
+            return ""
+        true = list(names)[best]
+        turns, angle = f"{len(self.errors)} turns between rests", f"{near / units.DEG:.2g} deg"
+        if self.stated.unit == "counts":
+            self.samples = _SAMPLES
+            return f"over {turns} it carries gravity to {angle} in {true}: give --gyro-unit {true}"
+        if off > _REFUTED:
             what = (
-                f"over {len(self.errors)} turns between rests the angular rate carries gravity "
-                f"{off / units.DEG:.0f} deg past where it is, {near / units.DEG:.2g} deg in {true},"
+                f"over {turns} the angular rate carries gravity {off / units.DEG:.0f} deg past "
+                f"where it is, {angle} in {true},"
             )
             raise self.stated.refused(what, true)
+        return ""
 
 
 def carried(t: Array, acc: Array, rate: Array, factors: Array) -> list[Array]:

@@ -81,8 +81,11 @@ def _log(path: Path) -> tuple[Any, str]:
         ) from error
     said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), _WithoutZeros(path, "rb") as content:
-            log = ULog(content, ["sensor_accel", "sensor_gyro", "sensor_combined"])
+        with contextlib.redirect_stdout(said), _WithoutZeros(path) as content:
+            log = ULog(
+                io.BufferedReader(content, 1 << 16),
+                ["sensor_accel", "sensor_gyro", "sensor_combined"],
+            )
         return log, said.getvalue()
     except Exception as error:  # what the package raises on damage depends on where the damage is
         raise UnreadableInput(
@@ -96,19 +99,20 @@ class _WithoutZeros(io.FileIO):
 
     _end: int | None = None
 
-    def read(self, size: int | None = -1) -> bytes:
-        """The next bytes, at most `size`."""
+    def readinto(self, into: Any) -> int:
+        """Fill a buffer with the next bytes."""
         if self._end is None:
             self._end = self._last()
-        left = max(self._end - self.tell(), 0)
-        return super().read(left if size is None or size < 0 else min(size, left)) or b""
+        view = memoryview(into).cast("B")
+        return super().readinto(view[: max(self._end - self.tell(), 0)]) or 0
 
     def _last(self) -> int:
         at, end = self.tell(), self.seek(0, io.SEEK_END)
         while end:
             begin = max(end - (1 << 20), 0)
             self.seek(begin)
-            kept = (super().read(end - begin) or b"").rstrip(b"\0")
+            block = bytearray(end - begin)
+            kept = bytes(block[: super().readinto(block) or 0]).rstrip(b"\0")
             if kept:
                 # A whole message may end in zeros of its own.
                 end = begin + len(kept) + _LONGEST_MESSAGE
