@@ -11,7 +11,7 @@ import unicodedata
 
 #: Beside letters, digits and their marks, in any script: what names of topics, frames, columns,
 #: effects and units have.
-_MARKS = frozenset(" _-.:/@#+,()[]=~^*%°·²³⁻¹√±")
+_MARKS = frozenset(" _-.:/@#+,()[]=~^*%°·⁻√±×−‰′″→…")
 _COMMENTS = ("/*", "*/", "//")
 _LONGEST = 200
 _FORMULA = tuple("=+-@\t")
