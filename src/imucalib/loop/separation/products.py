@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.eigen import eigen
 from imucalib.loop.noise.grid import TAU
 
 #: Precision of a base parameter at typical size that no data determine: a hundred typical sizes.
@@ -103,7 +104,7 @@ def _root(precision: Array) -> Array:
     others' products, which may be 1e15 times larger; it is then that of the rounding.
     """
     size = np.sqrt(np.diag(precision))
-    value, vector = np.linalg.eigh(precision / np.outer(size, size))
+    value, vector = eigen(precision / np.outer(size, size))
     floor = max(_ROUNDING * len(size), -2.0 * float(value[0]))
     if value[0] > floor:
         return np.asarray(np.linalg.cholesky(precision))
