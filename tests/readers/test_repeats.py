@@ -133,6 +133,15 @@ def test_no_window_of_a_worn_sensor_is_held(tmp_path: Path) -> None:
     assert not ((windows.start < 9.9) & (windows.stop > 8.1)).any()
 
 
+def test_a_gyroscope_that_is_dead_hides_no_rest_and_is_told(tmp_path: Path) -> None:
+    t, acc, rate = _changed()
+    rate[:] = (0.01, -0.02, 0.005)
+    found = _inspected(WRITE["hdf5"](tmp_path, t, acc, rate))
+    assert found.still is not None
+    assert found.still.n == 9
+    assert any("one number throughout" in note for note in found.notes)
+
+
 @pytest.mark.parametrize("zone", [_dead_zone, _offset_zone])
 def test_a_gyroscope_with_a_dead_zone_hides_no_rest(zone: Change, tmp_path: Path) -> None:
     path = WRITE["hdf5"](tmp_path, *_changed(zone))

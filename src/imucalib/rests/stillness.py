@@ -102,6 +102,8 @@ class Sensor:
         rows = np.flatnonzero(constant)
         _, kind = np.unique(w.mean[rows], axis=0, return_inverse=True)
         begins = np.append(True, (np.diff(rows) > 1) | (np.diff(kind.ravel()) != 0))
+        if len(begins) == len(constant) and begins.sum() == 1:  # a dead one is no witness of motion
+            return constant
         often = np.bincount(kind.ravel()[begins])[kind.ravel()] >= _ZONE
         zone = np.zeros_like(constant)
         zone[rows] = often | ~w.mean[rows].any(axis=1)
@@ -179,6 +181,8 @@ def still_windows(sensor: Sensor, settings: StillSettings) -> tuple[Flags, list[
         if (flags & quiet).any():
             seconds = float((flags & quiet).sum()) * w.samples / sensor.rate
             notes.append(f"{name}: {seconds:.4g} s of {word} samples left out of the rests")
+    if sensor.zone.all() and sensor.zone.size:
+        notes.append(f"{name}: reads one number throughout: it tells no rest from a turn")
     quiet &= ~frozen & ~clipped
     if quiet.any() and np.any(sensor.noise > loudest(sensor, quiet)):
         share = float(np.max(sensor.noise)) / gravity_of(sensor, quiet)
