@@ -18,9 +18,11 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.recording.recording import Channel, Held, Recording
 
-_PIECE = 128  # samples that a difference's size and step are taken from
+#: s, and samples at least and at most, that a difference's size and step are taken from: half of a
+#: rest of a second, so that one lies within it.
+_SECONDS, _PIECE = 0.5, (32, 128)
 _PIECES = 256  # of a channel that are kept, at most
-_LIVE = 8  # steps of such a piece that must change something
+_LIVE = 4  # steps of such a piece that must change something
 _QUIETEST = 0.05  # share of the quiet pieces that has the noise of rest
 #: What is quiet spreads by no more than the noisiest common accelerometer, as a share of gravity
 #: (`rests.stillness`), and a gyroscope by what a rest in the hand has, rad/s: without such pieces
@@ -110,11 +112,12 @@ class _Repeats:
     def _look(self, channel: Channel) -> None:
         """Size of the noise and smallest step, from pieces all over the samples."""
         known = sum(len(n) for n in self.noise)
-        pieces = channel.t.size // _PIECE
+        length = int(np.clip(_SECONDS * channel.rate, *_PIECE))
+        pieces = channel.t.size // length
         if not pieces or known >= _PIECES:
             return
         chosen = np.unique(np.linspace(0, pieces - 1, min(pieces, _PIECES - known)).astype(int))
-        rows = chosen[:, None] * _PIECE + np.arange(_PIECE)
+        rows = chosen[:, None] * length + np.arange(length)
         some = channel.values[rows]
         # Turned, so that every reduction runs along neighbouring numbers.
         values = np.ascontiguousarray(self._si(channel, some).transpose(0, 2, 1))
@@ -166,11 +169,12 @@ class _Repeats:
     def _beside_noise(self, channel: Channel, first: int, stop: int) -> bool:
         """Whether a run of repeats stands among samples that show their noise: between others that
         hardly change, a converter is coarser than what is there to convert."""
-        pieces = channel.values[max(first - _PIECE // 2, 0) : first], channel.values[stop:][:_PIECE]
+        near = _PIECE[1] // 2
+        pieces = channel.values[max(first - near, 0) : first], channel.values[stop:][:near]
         steps = [np.abs(np.diff(self._si(channel, p), axis=0)) for p in pieces if len(p) > 1]
         every = np.concatenate([np.empty((0, channel.values.shape[1])), *steps])
         changed = every.any(axis=1)
-        if changed.sum() < _LIVE:
+        if changed.sum() < 2 * _LIVE:
             return False
         if self._step is None:
             return True
