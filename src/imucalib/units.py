@@ -25,7 +25,12 @@ ACCELERATION_UNITS: dict[str, float] = {
     "mg": MG,
     "ug": MG * 1e-3,
 }
-RATE_UNITS: dict[str, float] = {"rad/s": 1.0, "deg/s": DEG, "mrad/s": 1e-3}
+RATE_UNITS: dict[str, float] = {
+    "rad/s": 1.0,
+    "deg/s": DEG,
+    "mrad/s": 1e-3,
+    "mdeg/s": DEG * 1e-3,
+}
 ANGLE_UNITS: dict[str, float] = {"rad": 1.0, "deg": DEG, "mrad": 1e-3}
 
 _BALANCED = re.compile(r"(?:[^()\[\]]|\([^()]*\)|\[[^\[\]]*\])*")
@@ -38,7 +43,7 @@ _SPELLINGS = {
     "degrees s-1": "deg/s", "deg s-1": "deg/s", "degree/s": "deg/s", "degree s^-1": "deg/s",
     "rad/sec": "rad/s", "radians/s": "rad/s", "radian s-1": "rad/s", "dps": "deg/s", "d/s": "deg/s",
     "deg/sec": "deg/s", "°/s": "deg/s", "degrees/s": "deg/s", "degree": "deg", "degrees": "deg",
-    "°": "deg", "radian": "rad", "radians": "rad",
+    "°": "deg", "radian": "rad", "radians": "rad", "mdps": "mdeg/s",
 }  # fmt: skip
 
 

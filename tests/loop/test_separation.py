@@ -281,3 +281,27 @@ def test_how_often_is_the_fewest_that_ends_it(least: int) -> None:
     assert count == min(least, repeated.MOST) == -best
     assert (ended["b"] == 1.0) == (least <= repeated.MOST)
     assert len(asked) <= 10
+
+
+@pytest.mark.parametrize("hidden", [1e-3, 1e-8, 1e-13, 0.0])
+def test_columns_that_the_data_hardly_show_end_no_calibration(hidden: float) -> None:
+    """A gain of a gyroscope that the motion hardly turns, beside one that it turns a million times
+    the noise: the products of both are one block, and rounding leaves it no square root."""
+    rng = np.random.default_rng(7)
+    shown = 1e7 * rng.standard_normal((400, 4))
+    base = np.column_stack([shown, shown @ rng.standard_normal((4, 3)) + hidden * shown[:, :3]])
+    rivals = 1e6 * rng.standard_normal((400, 2)) + base[:, :2]
+    every = np.column_stack([base, rivals])
+    data = rivals @ np.array([0.5, 0.0]) + rng.standard_normal(400)
+    gram = every.T @ every
+    gram -= 4e-16 * np.outer(np.diag(gram), np.diag(gram)) ** 0.5  # as sums over blocks leave it
+    one = Ambiguity(
+        effect="one", base=("base",), columns=tuple(f"c{k}" for k in range(9)),
+        rivals=("one", "two"), blocks={"one": np.array([7]), "two": np.array([8])},
+        nats={"one": 1.0, "two": 0.0}, dof=390.0,
+        products=Products(gram, every.T @ data, float(data @ data), 400.0),
+    )  # fmt: skip
+    for name, size in one.sizes.items():
+        drawn = size.drawn(np.random.default_rng(0), 100, np.ones(100))
+        assert np.isfinite(size.mean).all(), name
+        assert np.isfinite(drawn).all(), name

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import gzip
 import json
+import os
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,10 +16,13 @@ import h5py
 import numpy as np
 import pytest
 
+from imucalib.readers import readers
+from worlds.every_format import WRITE
 from worlds.logger_files import GENE_HEADER, ax_header
 from worlds.mcap_logs import SEPARATOR, write_log
+from worlds.turned import turned
 
-SECONDS, MEGABYTES = 5.0, 300
+SECONDS, MEGABYTES, ZEROS = 5.0, 300, 400 << 20
 CHILD = """
 import json, sys, time
 from imucalib.errors import UnreadableInput
@@ -69,6 +75,25 @@ def one_chunk(path: Path) -> None:
         held.attrs["sampling_rate"] = 100.0
 
 
+def sparse(head: bytes) -> Callable[[Path], None]:
+    """Some bytes, then zeros that take no room on the disk: as a logger's preallocated file."""
+
+    def make(path: Path) -> None:
+        path.write_bytes(head)
+        os.truncate(path, len(head) + ZEROS)
+
+    return make
+
+
+def many_names(path: Path) -> None:
+    """A zip archive whose directory names a member half a million times."""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("info.txt", "x")
+        for k in range(500_000):
+            archive.filelist.append(copy.copy(archive.filelist[0]))
+            archive.filelist[-1].filename = f"member {k:060d}"
+
+
 def zipped(content: bytes) -> Callable[[Path], None]:
     return lambda path: (path.write_bytes(gzip.compress(content, 6)), None)[1]
 
@@ -91,20 +116,58 @@ FILES: dict[str, Callable[[Path], None]] = {
     "columns.csv": lambda path: (path.write_text("x," * 200_000 + "\n" + "1," * 200_000), None)[1],
     "zeros.cwa.gz": zipped(ax_header() + bytes(1 << 27)),
     "pages.bin.gz": zipped(PAGES + b"Recorded Data\n" * (2 << 20)),
+    "names.gt3x": many_names,
+    "names.csv": many_names,
     "header.bin.gz": zipped(b"Device Identity\n" + b"\n" * (1 << 26)),
 }  # fmt: skip
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="asks Linux for the memory")
-@pytest.mark.parametrize("name", FILES)
-def test_a_file_made_to_cost_ends_soon(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    FILES[name](path)
+def _of(path: Path) -> tuple[str, float, float]:
+    """What a reading of a file says, in which CPU seconds and megabytes."""
     done = subprocess.run(
         [sys.executable, "-c", CHILD, str(path)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr[-500:]
     said, seconds, megabytes = json.loads(done.stdout)
+    return said, seconds, megabytes
+
+
+NEEDS_LINUX = pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="asks Linux for the memory"
+)
+
+
+@NEEDS_LINUX
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_made_to_cost_ends_soon(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    FILES[name](path)
+    said, seconds, megabytes = _of(path)
     assert said.startswith(str(path)), "no error"
+    assert seconds < SECONDS
+    assert megabytes < MEGABYTES
+
+
+@NEEDS_LINUX
+@pytest.mark.parametrize("suffix", sorted({r.suffixes[0] for r in readers()}))
+def test_zeros_under_any_name_end_soon(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"zeros{suffix}"
+    sparse(b"")(path)
+    said, seconds, megabytes = _of(path)
+    assert said.startswith(str(path)), "no error"
+    assert seconds < SECONDS
+    assert megabytes < MEGABYTES
+
+
+#: Of which the tail of zeros is another matter: of text, a tail is searched for its last line.
+TAILS = [name for name in WRITE if name != "csv"]
+
+
+@NEEDS_LINUX
+@pytest.mark.parametrize("name", TAILS)
+def test_a_log_with_a_tail_of_zeros_costs_a_block(name: str, tmp_path: Path) -> None:
+    path = WRITE[name](tmp_path, *turned(2))
+    sparse(path.read_bytes())(path)
+    _, seconds, megabytes = _of(path)
     assert seconds < SECONDS
     assert megabytes < MEGABYTES

@@ -55,3 +55,20 @@ def test_every_number_comes_back(value: float, tmp_path: Path) -> None:
     found = load(path)["value"]
     assert isinstance(found, float)
     np.testing.assert_array_equal(found, value)
+
+
+@pytest.mark.parametrize("text", ["a: &x [1]\nb: *x\n", "a: 1\nb: &x 2\n", "a: {<<: *y}\n"])
+def test_anchors_and_aliases_are_refused_with_their_line(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UnreadableInput, match=r"anchor or alias '[xy]'[\s\S]*line [12]"):
+        load(path)
+
+
+def test_a_bomb_of_aliases_costs_nothing(tmp_path: Path) -> None:
+    lines = ["a0: &a0 [x,x,x,x,x,x,x,x,x]"]
+    lines += [f"a{k}: &a{k} [{','.join(9 * [f'*a{k - 1}'])}]" for k in range(1, 12)]
+    path = tmp_path / "c.yaml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(UnreadableInput, match="line 1"):
+        load(path)

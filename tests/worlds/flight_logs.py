@@ -12,25 +12,32 @@ Array = NDArray[np.float32]
 Stamps = NDArray[np.int64]
 
 
-def ulog(stamps: Stamps, acc: Array, gyro: Array, *, combined: bool = False) -> bytes:
+def ulog(
+    stamps: Stamps, acc: Array, gyro: Array, *, combined: bool = False, raw_every: int = 1
+) -> bytes:
     """Sensors (k, n, 3) at stamps (n,) in µs since boot; combined : the first, as the filter is
-    fed, alone."""
+    fed, alone; raw_every : beyond 1, that beside one in so many of the raw samples."""
 
     def message(kind: bytes, body: bytes) -> bytes:
         return struct.pack("<HB", len(body), kind[0]) + body
 
     out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", int(stamps[0])), message(b"B", bytes(40))]
-    if combined:
-        fields = "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;"
-        out += [message(b"F", f"sensor_combined:{fields}".encode())]
-        out += [message(b"A", struct.pack("<BH", 0, 0) + b"sensor_combined")]
-        rows = ((s, *g, *a) for s, g, a in zip(stamps, gyro[0], acc[0], strict=True))
-        return b"".join(out + [message(b"D", struct.pack("<HQ6f", 0, *row)) for row in rows])
+    fed = list[bytes]()
+    fields = "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;"
+    out += [message(b"F", f"sensor_combined:{fields}".encode())]
     fields = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;"
     out += [message(b"F", f"sensor_accel:{fields}float temperature;".encode())]
     out += [message(b"F", f"sensor_gyro:{fields}".encode())]
+    if combined or raw_every > 1:
+        out += [message(b"A", struct.pack("<BH", 0, 900) + b"sensor_combined")]
+        rows = ((s, *g, *a) for s, g, a in zip(stamps, gyro[0], acc[0], strict=True))
+        fed = [message(b"D", struct.pack("<HQ6f", 900, *row)) for row in rows]
+        stamps, acc, gyro = stamps[::raw_every], acc[:, ::raw_every], gyro[:, ::raw_every]
+    if combined:
+        return b"".join([*out, *fed])
     for k, topic in enumerate(("sensor_accel", "sensor_gyro") * len(acc)):
         out += [message(b"A", struct.pack("<BH", k // 2, k) + topic.encode())]
+    out += fed
     for n, stamp in enumerate(stamps):
         for k in range(len(acc)):
             head = (stamp + 700, stamp)

@@ -138,3 +138,33 @@ def old_gt3x(samples: Iterable[Sample], start: datetime, *, rate: int = 30) -> b
         file.writestr("activity.bin", bytes.fromhex(digits + "0" * (len(digits) % 2)))
         file.writestr("lux.bin", b"")
     return out.getvalue()
+
+
+def wav_file(
+    samples: Sequence[Sample], start: datetime, *, rate: int = 100, scale: int = 8,
+    warm: int = 0, missing: Iterable[int] = (),
+) -> bytes:  # fmt: skip
+    """A wave file as omconvert writes it (Open Movement, Docs/ax3/omconvert); `scale` g is a full
+    sample; warm : 10 bits in every tenth row; missing : rows that were not available."""
+    lines = [f"Time: {start:%Y-%m-%d %H:%M:%S}.000"]
+    for k, axis in enumerate("XYZ", 1):
+        lines += [f"Channel-{k}: Accel-{axis}", f"Scale-{k}: {scale}"]
+    texts = {
+        b"ICRD": f"{start:%Y-%m-%d %H:%M:%S}.000",
+        b"IART": "Id: 1234\nDevice: CWA\nRevision: 17\nFirmware: 44",
+        b"ICMT": "\n".join([*lines, "Channel-4: Aux"]),
+    }
+    info = b"INFO"
+    for kind, text in texts.items():
+        body = text.encode() + b"\0"
+        info += kind + struct.pack("<I", len(body)) + body + b"\0" * (len(body) % 2)
+    gone, rows = set(missing), []
+    for k, sample in enumerate(samples):
+        aux = 0x0C00 | warm if warm and k % 10 == 0 else 0
+        rows.append(struct.pack("<3hH", *sample, aux | (0x8000 if k in gone else 0)))
+    data = b"".join(rows)
+    form = struct.pack("<HHIIHH", 1, 4, rate, 8 * rate, 8, 16)
+    out = b"WAVEfmt " + struct.pack("<I", len(form)) + form
+    out += b"LIST" + struct.pack("<I", len(info)) + info
+    out += b"data" + struct.pack("<I", len(data)) + data
+    return b"RIFF" + struct.pack("<I", len(out)) + out

@@ -337,3 +337,17 @@ def test_copying_needs_a_readable_source(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="not an MCAP file"):
         write_with_topics_of(whole, source, tmp_path / "c.mcap")
     assert not (tmp_path / "c.mcap").exists()
+
+
+def test_a_damaged_byte_costs_a_few_hundred_messages(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(20_000) / 100.0
+    acc = np.array([0.0, 0.0, 9.8]) + rng.normal(0.0, 0.01, (t.size, 3))
+    channel = Channel(t, acc, "m/s2", "acceleration", "imu0", 100.0)
+    path = tmp_path / "a.mcap"
+    write(Recording({"imu0/acceleration": channel}, "", "", ""), path)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    path.write_bytes(data)
+    left = read(path).channels["imu0/acceleration"].t.size
+    assert t.size - 500 <= left < t.size

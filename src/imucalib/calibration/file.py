@@ -25,6 +25,7 @@ from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.errors import UnreadableInput
 from imucalib.readers.source import sha256_of
+from imucalib.recording.names import fault
 from imucalib.recording.yaml_text import dump, load
 
 SCHEMA = "imucal/calibration"
@@ -43,6 +44,11 @@ _SUM = "# imucal calibration, sha256 of the lines below: "
 _KEYS = {
     "schema", "version", "calibrator", "status", "reasons", "formula", "raw", "gravity_m_per_s2",
     "parameters", "covariance", "matrices", "triads", "valid",
+}  # fmt: skip
+#: Keys whose values are names, wherever they stand.
+_NAMES = {
+    "name", "imu", "triad", "effect", "effects", "stage", "unit", "calibrator", "status", "channel",
+    "quantity",
 }  # fmt: skip
 
 
@@ -129,6 +135,7 @@ def from_dict(content: Any, where: str) -> Calibration:
             where=where,
             remedy="update imucal",
         )
+    _check_names(content, where)
     try:
         calibration = _calibration(content)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -139,6 +146,29 @@ def from_dict(content: Any, where: str) -> Calibration:
         if not np.isfinite(value):
             raise UnreadableInput(f"{name} is {value}, no finite number", where=where)
     return calibration
+
+
+def _check_names(block: Any, where: str, path: str = "") -> None:
+    """Raise UnreadableInput for a name that could be taken for code where it is exported to."""
+    if isinstance(block, list | tuple):
+        block = dict(enumerate(block))
+    for key, value in block.items() if isinstance(block, Mapping) else ():
+        place = f"{path}.{key}" if path else str(key)
+        _check_name(str(key), where, place)
+        if key in _NAMES:
+            for name in value if isinstance(value, list | tuple) else [value]:
+                if isinstance(name, str):
+                    _check_name(name, where, place)
+        _check_names(value, where, place)
+
+
+def _check_name(name: str, where: str, place: str) -> None:
+    if why := fault(name):
+        raise UnreadableInput(
+            f"{place[:80]!a} is no name: {why}",
+            where=where,
+            remedy="rename it in the file: letters, digits, blanks and _ - . : / will do",
+        )
 
 
 def _calibration(content: dict[str, Any]) -> Calibration:

@@ -8,6 +8,7 @@ from typing import Any
 
 from imucalib.atomic_file import replaced_atomically
 from imucalib.errors import UsageError
+from imucalib.recording.names import cell
 
 
 def write_table(rows: tuple[dict[str, Any], ...], path: Path) -> None:
@@ -24,8 +25,8 @@ def write_table(rows: tuple[dict[str, Any], ...], path: Path) -> None:
         raise UsageError(f"no table format for '{path.suffix}'", remedy="use .csv or .parquet")
     with replaced_atomically(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+        writer.writerow({name: cell(name) for name in columns})
+        writer.writerows({k: cell(v) for k, v in row.items()} for row in rows)
 
 
 def _parquet(rows: tuple[dict[str, Any], ...], columns: list[str], path: Path) -> None:

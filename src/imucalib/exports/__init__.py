@@ -12,6 +12,7 @@ from functools import cache
 from imucalib.calibration.calibration import Calibration
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UsageError
+from imucalib.recording.names import printable
 
 
 @dataclass(frozen=True)
@@ -68,4 +69,5 @@ def exported(calibration: Calibration, source: str, name: str) -> Exported:
     if name not in exports():
         raise UsageError(f"no form is called '{name}'", remedy=f"use: {', '.join(exports())}")
     form = exports()[name]
-    return Exported(form.file, form.make(calibration, source))
+    # Names in a calibration were checked when it was read; a file's name may be anything.
+    return Exported(form.file, form.make(calibration, printable(source)))

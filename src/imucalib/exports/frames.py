@@ -37,4 +37,10 @@ def frames_of(calibration: Calibration, form: str) -> tuple[Frame, ...]:
     return (*made, Frame("fused", middle, np.eye(3)))
 
 
+def in_comment(calibration: Calibration, filename: str) -> str:
+    """What an XML file says of itself: two hyphens would end the comment."""
+    said = f"Frames of an array by imucal, from {filename}, status {calibration.status}. {WHAT}."
+    return said.replace("--", "- -").replace("--", "- -")
+
+
 LOST = ("gains, biases and noise: a frame has none",)

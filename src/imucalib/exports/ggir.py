@@ -10,6 +10,7 @@ import numpy as np
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
 from imucalib.exports.per_axis import demand_one, lost_per_axis, nearest_row
+from imucalib.recording.names import cell
 
 
 def ggir_csv(calibration: Calibration, filename: str) -> Made:
@@ -34,7 +35,7 @@ def ggir_csv(calibration: Calibration, filename: str) -> Made:
     out = StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["filename", *numbers])
-    writer.writerow([filename, *(f"{v:.9g}" for v in numbers.values())])
+    writer.writerow([cell(filename), *(f"{v:.9g}" for v in numbers.values())])
     lost = lost_per_axis(calibration, row, " (in cal.error.end)")
     return Made(out.getvalue(), lost, row.lost)
 

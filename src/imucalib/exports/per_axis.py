@@ -130,9 +130,8 @@ def demand_one(calibration: Calibration, what: str) -> None:
 
 
 def heading(calibration: Calibration, filename: str) -> tuple[str, ...]:
-    """The comment that a file opens with; no name can end it."""
-    name = "".join(c if c.isprintable() else "?" for c in filename)
-    return (f"# Accelerometer by imucal, from {name}, status {calibration.status}.",)
+    """The comment that a file opens with."""
+    return (f"# Accelerometer by imucal, from {filename}, status {calibration.status}.",)
 
 
 def lost_per_axis(calibration: Calibration, row: Row, aside: str = "") -> tuple[str, ...]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from shlex import quote
 from xml.sax.saxutils import quoteattr
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.frames import BOARD, LOST, WHAT, Frame, frames_of
+from imucalib.exports.frames import BOARD, LOST, Frame, frames_of, in_comment
 
 
 def ros2_static(calibration: Calibration, filename: str) -> Made:
@@ -15,8 +16,7 @@ def ros2_static(calibration: Calibration, filename: str) -> Made:
     frames = frames_of(calibration, "ros2-static")
     lines = [
         '<?xml version="1.0"?>',
-        f"<!-- Frames of an array by imucal, from {_comment(filename)}, status "
-        f"{calibration.status}. {WHAT}. -->",
+        f"<!-- {in_comment(calibration, filename)} -->",
         "<launch>",
         *map(_node, frames),
         "</launch>",
@@ -25,18 +25,13 @@ def ros2_static(calibration: Calibration, filename: str) -> Made:
     return Made("\n".join(lines), LOST)
 
 
-def _comment(text: str) -> str:
-    """Text that may stand in a comment."""
-    return text.replace("--", "- -")
-
-
 def _node(frame: Frame) -> str:
     from scipy.spatial.transform import Rotation
 
     numbers = (*frame.place, *Rotation.from_matrix(frame.turn).as_quat())
     names = ("x", "y", "z", "qx", "qy", "qz", "qw")
     given = " ".join(f"--{n} {v:.9g}" for n, v in zip(names, numbers, strict=True))
-    arguments = f"{given} --frame-id {BOARD} --child-frame-id {frame.name}"
+    arguments = f"{given} --frame-id {BOARD} --child-frame-id {quote(frame.name)}"
     return (
         f'  <node pkg="tf2_ros" exec="static_transform_publisher" '
         f"name={quoteattr(f'{BOARD}_to_{frame.name}')} args={quoteattr(arguments)}/>"

@@ -6,18 +6,16 @@ from xml.sax.saxutils import quoteattr
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
-from imucalib.exports.frames import BOARD, LOST, WHAT, Frame, frames_of
+from imucalib.exports.frames import BOARD, LOST, Frame, frames_of, in_comment
 
 
 def urdf(calibration: Calibration, filename: str) -> Made:
     """A link a frame, joined to the board: xyz in m, rpy in rad about the fixed axes x, y and z.
     Raises as `imus_of`."""
     frames = frames_of(calibration, "urdf")
-    source = filename.replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',
-        f"<!-- Frames of an array by imucal, from {source}, status {calibration.status}. {WHAT}. "
-        "-->",
+        f"<!-- {in_comment(calibration, filename)} -->",
         '<robot name="imu_array">',
         f'  <link name="{BOARD}"/>',
         *map(_joined, frames),

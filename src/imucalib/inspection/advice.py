@@ -32,6 +32,9 @@ def _problems(found: Inspection) -> Iterator[str]:
     off = [f.triad for f in accelerometers if f.unit == "m/s2" and _is_off(f)]
     if off:
         yield f"the norm at rest of {_some(off)} is not that of gravity"
+    if found.repeats:
+        held = [note.partition(":")[0] for note in found.repeats]
+        yield f"samples of {_some(held)} repeat the one before (notes below)"
     if found.losses:
         count = len(found.losses)
         yield f"part of it is lost ({count} note{'s' if count > 1 else ''} below)"

@@ -20,6 +20,7 @@ _LOSS = re.compile(
     r"\bdamaged\b|\blost\b|cannot be (read|decoded)|did not close|may be cut|never defines"
     r"|zero bytes|are missing|without its footer"
 )
+_REPEATS = re.compile(r"repeat the one before to the last digit")
 _STEPS = 1 << 16  # steps a channel keeps for the jitter
 
 
@@ -87,6 +88,11 @@ class Inspection:
     def losses(self) -> tuple[str, ...]:
         """The notes that tell of data that is in the file no more, or not readable."""
         return tuple(note for note in self.notes if _LOSS.search(note))
+
+    @property
+    def repeats(self) -> tuple[str, ...]:
+        """The notes that tell of samples which are no measurement, one a channel at most."""
+        return tuple(note for note in self.notes if _REPEATS.search(note))
 
 
 class _Running:

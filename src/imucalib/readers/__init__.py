@@ -13,8 +13,10 @@ from typing import Protocol
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.catalogue import with_preset
+from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
 from imucalib.readers.parts import in_parts
+from imucalib.readers.rates import with_checked_rates
+from imucalib.readers.repeats import with_repeats_told
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -82,15 +84,17 @@ def readers() -> tuple[Reader, ...]:
 
 
 def reader_for(path: str | os.PathLike[str]) -> Reader:
-    """The reader for a file: by content first, then by suffix; UnreadableInput when none fits."""
+    """The reader for a file: by content first, then by a suffix that one format alone has;
+    UnreadableInput when none fits."""
     file = Path(path)
     head = b"" if os.path.isfile(file / "metadata.yaml") else head_of(file)
+    refuse_foreign(file, head)
     for reader in readers():
         if reader.recognises(file, head):
             return reader
-    for reader in readers():
-        if file.name.lower().endswith(reader.suffixes):
-            return reader
+    named = [reader for reader in readers() if file.name.lower().endswith(reader.suffixes)]
+    if len(named) == 1:
+        return named[0]
     formats = ", ".join(f"{r.name} ({' '.join(r.suffixes)})" for r in readers())
     raise UnreadableInput(
         f"the format is not known; the file starts with {head[:8]!r}",
@@ -108,8 +112,9 @@ def read(
     UnreadableInput when nothing can be read or, with `strict`, when anything is damaged, and
     UsageError when the mapping names what the file does not have.
     """
-    found = reader_for(path).read(Path(path), with_preset(mapping or FieldMapping()), strict=strict)
-    return next(in_parts(iter([found])))
+    full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
+    found = reader.read(Path(path), full, strict=strict)
+    return next(_looked_at(iter([found]), full, reader))
 
 
 def blocks(
@@ -120,10 +125,9 @@ def blocks(
     strict: bool = False,
 ) -> Iterator[Recording]:
     """Read a recording of any known format piecewise, in bounded memory; errors as in `read`."""
-    full = with_preset(mapping or FieldMapping())
-    return in_parts(
-        reader_for(path).blocks(Path(path), full, block_samples=block_samples, strict=strict)
-    )
+    full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
+    found = reader.blocks(Path(path), full, block_samples=block_samples, strict=strict)
+    return _looked_at(found, full, reader)
 
 
 def stored_blocks(
@@ -134,4 +138,13 @@ def stored_blocks(
     full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
     given = getattr(reader, "stored_blocks", reader.blocks)
     found: Iterator[Recording] = given(Path(path), full, block_samples=BLOCK_SAMPLES, strict=strict)
-    return in_parts(found)
+    return _looked_at(found, full, reader)
+
+
+def _looked_at(
+    found: Iterator[Recording], mapping: FieldMapping, reader: Reader
+) -> Iterator[Recording]:
+    """What holds for every format: a clock's parts, rates in the unit that is stated, and samples
+    that are no measurement."""
+    fixed = getattr(reader, "fixed", False)
+    return with_repeats_told(with_checked_rates(in_parts(found), mapping, fixed=fixed))

@@ -93,12 +93,14 @@ class Source:
     """What is known of an acceleration before its numbers are looked at.
 
     unit : that the file (or its format) states, or ""; scales : counts a g that the device's models
-    have, one of which its file does not name; whole : every number is an integer
+    have, one of which its file does not name; whole : every number is an integer; fixed : the
+    format itself fixes the unit: what the numbers say against it is a caution
     """
 
     unit: str = ""
     scales: tuple[float, ...] = ()
     whole: bool = False
+    fixed: bool = False
 
 
 def acceleration(
@@ -114,6 +116,10 @@ def acceleration(
     axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
     unit = units.canonical(mapping.acc_unit or source.unit)
+    if source.fixed and not (mapping.acc_unit or mapping.lsb_per_g):
+        note = _caution(np.linalg.norm(rest - offset, axis=1), unit)
+        size = np.array([units.ACCELERATION_UNITS[unit]])
+        return Conversion("m/s2", unit, size, offset, axes, note)
     away = None if mapping.acc_offset else zero_g(rest)
     if away is not None and (unit != COUNTS or mapping.lsb_per_g):
         remedy = f"{away.option} counts them from there; the data sheet may know better"
@@ -138,6 +144,9 @@ def acceleration(
 
 def _by_norm(source: Source, rest: Array, where: str) -> tuple[str, str]:
     """The unit that makes the norm at rest 1 g, and the sentence that says so."""
+    norm = float(np.median(rest)) if rest.size else np.nan
+    if norm < 1.0 / _IMPLAUSIBLE:  # the largest unit in use, g, has ones
+        raise _without_gravity(norm, where)
     found = units.detect_acceleration_unit(rest, where)
     if source.whole and found.unit == "mg" and _LIKE_1024[0] < found.norm_at_rest < _LIKE_1024[1]:
         raise UnreadableInput(
@@ -165,6 +174,18 @@ def _by_scales(
     return Conversion("m/s2", COUNTS, factor, offset, axes=axes, note=note, counts_per_g=scale)
 
 
+def _caution(rest: Array, unit: str) -> str:
+    """What is said of a norm that is not 1 g, in a format that leaves no doubt of its unit."""
+    norm = float(np.median(rest)) if rest.size else np.nan
+    ratio = norm * units.ACCELERATION_UNITS[unit] / units.STANDARD_GRAVITY
+    if not rest.size or 1.0 / _NEAR_SCALE <= ratio <= _NEAR_SCALE:
+        return ""
+    return (
+        f"acceleration: the norm where it is quietest is {ratio:.3g} g: it was not at rest there, "
+        "or its sensor is faulty (the format fixes the unit)"
+    )
+
+
 def _refuse_wrong(unit: str, factor: float, rest: Array, by_user: bool, where: str) -> None:
     if rest.size == 0:
         return
@@ -176,8 +197,28 @@ def _refuse_wrong(unit: str, factor: float, rest: Array, by_user: bool, where: s
     if by_user:
         remedy = "leave --unit away or name the true one; counts need --unit counts --lsb N"
         raise UnreadableInput(f"{what}, as --unit states", where=where, remedy=remedy)
-    raise UnreadableInput(
-        f"{what}, as the file states", where=where, remedy="name the true unit with --unit"
+    fitting = _units_of_gravity(norm)
+    if ratio < 1.0 and not fitting:
+        raise _without_gravity(norm, where)
+    option = f"--unit {fitting[0]}" if len(fitting) == 1 else "--unit"
+    remedy = f"name the true unit with {option}, or the scale with --unit counts --lsb N"
+    raise UnreadableInput(f"{what}, as the file states", where=where, remedy=remedy)
+
+
+def _units_of_gravity(norm: float) -> list[str]:
+    """Units in which a norm at rest is within a quarter of 1 g."""
+    known = units.ACCELERATION_UNITS.items()
+    return [u for u, si in known if abs(norm * si / units.STANDARD_GRAVITY - 1.0) <= 0.25]
+
+
+def _without_gravity(norm: float, where: str) -> UnreadableInput:
+    """The error for numbers that are no gravity in any unit, and smaller than it in all."""
+    return UnreadableInput(
+        f"the norm at rest is {norm:.3g}: gravity was removed from it (linear acceleration), and "
+        "without gravity nothing can be calibrated",
+        where=where,
+        remedy="record the raw acceleration, gravity included; if it is included, give the scale "
+        "with --unit counts --lsb N",
     )
 
 

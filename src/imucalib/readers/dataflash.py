@@ -32,6 +32,9 @@ _LETTERS = {
 _ACCELERATION = (("ACC", ("AccX", "AccY", "AccZ")), ("IMU", ("AccX", "AccY", "AccZ")))
 _RATE = (("GYR", ("GyrX", "GyrY", "GyrZ")), ("IMU", ("GyrX", "GyrY", "GyrZ")))
 _US = 1e-6
+#: Bytes read at a time; of two messages, which state their length in one byte; and bytes without a
+#: message after which a file is no log.
+_PIECE, _LONGEST, _MOST_WASTE = 16 << 20, 512, 64 << 20
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,9 @@ class _Messages:
     lost: int
 
 
+_Layouts = dict[int, tuple[str, np.dtype[Any]]]
+
+
 class DataflashReader:
     """Reader of DataFlash logs; see `imucalib.readers.Reader`."""
 
@@ -49,8 +55,11 @@ class DataflashReader:
     suffixes = (".bin",)
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """A first message that states the format of format messages."""
-        return head.startswith(_MAGIC + bytes([_FMT, _FMT, _FMT_SIZE]) + b"FMT\0")
+        """Messages that state the format of messages, one after the other; the first may be
+        damaged."""
+        mark = _MAGIC + bytes([_FMT])
+        at = [k for k in range(0, 8 * _FMT_SIZE, _FMT_SIZE) if head[k : k + 3] == mark]
+        return len(at) > 1 or head.startswith(mark)
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
         """Read all inertial sensors."""
@@ -59,8 +68,8 @@ class DataflashReader:
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
     ) -> Iterator[Recording]:
-        """Yield blocks of about `block_samples` rows; the log is held in memory."""
-        found = _messages(np.fromfile(path, dtype=np.uint8))
+        """Yield blocks of about `block_samples` rows; the inertial messages are held in memory."""
+        found = _messages(path)
         notes: tuple[str, ...] = ()
         if found.lost:
             notes = (f"{found.lost} bytes belong to no message: what they held is missing",)
@@ -75,29 +84,56 @@ class DataflashReader:
 READER = DataflashReader()
 
 
-def _messages(data: NDArray[np.uint8]) -> _Messages:
-    """Every inertial message, by jumping from header to header; what does not fit is passed over
-    up to the next header that does."""
+def _messages(path: Path) -> _Messages:
+    """Every inertial message, from pieces of the file."""
+    layouts: _Layouts = {}
+    rows: dict[str, list[NDArray[Any]]] = {}
+    lost, good, rest, more = 0, 0, np.empty(0, np.uint8), True
+    with path.open("rb") as stream:
+        while more:
+            piece = np.frombuffer(stream.read(_PIECE), np.uint8)
+            more, data = piece.size > 0, np.concatenate([rest, piece])
+            header, length, end = _whole(data, layouts, last=not more)
+            kinds = data[header + 2]
+            for kind, (name, dtype) in layouts.items():
+                at = header[kinds == kind]
+                if at.size and name.rstrip("123") in {"IMU", "ACC", "GYR"}:
+                    packed = data[at[:, None] + np.arange(dtype.itemsize)]
+                    rows.setdefault(name, []).append(np.ascontiguousarray(packed).view(dtype)[:, 0])
+            good, lost = good + int(length.sum()), lost + end - int(length.sum())
+            if lost > max(_MOST_WASTE, 8 * good):
+                if not good:
+                    raise UnreadableInput("this holds no messages", where=str(path))
+                lost += path.stat().st_size - stream.tell() + data.size - end
+                break
+            rest = data[end:]
+    return _Messages({name: np.concatenate(parts) for name, parts in rows.items()}, lost)
+
+
+def _whole(data: NDArray[np.uint8], layouts: _Layouts, *, last: bool) -> tuple[Index, Index, int]:
+    """Where messages begin, how long they are, and up to where these bytes are done with: found by
+    jumping from header to header, what does not fit is passed over up to the next that does.
+
+    layouts : is filled meanwhile
+    """
     header = np.flatnonzero((data[:-2] == _MAGIC[0]) & (data[1:-1] == _MAGIC[1]))
-    layouts = _layouts(data, header)
+    _add_layouts(data, header, layouts)
     size = np.zeros(256, dtype=np.intp)
     for kind, (_, dtype) in layouts.items():
         size[kind] = dtype.itemsize
     header = header[size[data[header + 2]] > 0]
     length = size[data[header + 2]]
     # A message is one where another begins at its end: what lost bytes is not taken for a sample.
-    closed = np.isin(header + length, np.append(header, data.size))
+    ends = np.append(header, data.size) if last else header
+    closed = np.isin(header + length, ends)
     header, length = header[closed], length[closed]
     keep = _chained(header, length)
     header, length = header[keep], length[keep]
-    kinds = data[header + 2]
-    rows = {}
-    for kind, (name, dtype) in layouts.items():
-        at = header[kinds == kind]
-        if at.size and name.rstrip("123") in {"IMU", "ACC", "GYR"}:
-            packed = data[at[:, None] + np.arange(dtype.itemsize)]
-            rows[name] = np.ascontiguousarray(packed).view(dtype)[:, 0]
-    return _Messages(rows, int(data.size - length.sum()))
+    if last:
+        return header, length, data.size
+    # Of what is longer than a message, what comes next tells nothing.
+    done = int(header[-1] + length[-1]) if header.size else 0
+    return header, length, max(done, data.size - _LONGEST)
 
 
 def _chained(header: Index, length: Index) -> NDArray[np.bool_]:
@@ -113,9 +149,8 @@ def _chained(header: Index, length: Index) -> NDArray[np.bool_]:
     return keep
 
 
-def _layouts(data: NDArray[np.uint8], header: Index) -> dict[int, tuple[str, np.dtype[Any]]]:
+def _add_layouts(data: NDArray[np.uint8], header: Index, layouts: _Layouts) -> None:
     """Name and fields of each type; types whose letters do not fill the length are left out."""
-    out: dict[int, tuple[str, np.dtype[Any]]] = {}
     for at in header[data[header + 2] == _FMT]:
         text = data[at + 3 : at + _FMT_SIZE].tobytes()
         if len(text) < _FMT_SIZE - 3:
@@ -129,8 +164,7 @@ def _layouts(data: NDArray[np.uint8], header: Index) -> dict[int, tuple[str, np.
             continue
         dtype = np.dtype([("_header", "V3"), *zip(fields, map(_LETTERS.get, letters), strict=True)])
         if dtype.itemsize == size:
-            out.setdefault(kind, (name, dtype))
-    return out
+            layouts.setdefault(kind, (name, dtype))
 
 
 def _text(raw: bytes) -> str:
@@ -145,12 +179,12 @@ def _fill(held: Any, rows: Mapping[str, NDArray[Any]], path: Path) -> None:
         for kind, axes in names:
             for name, triad, some in _sensors(rows, kind):
                 channel = f"{triad}/{quantity}"
-                if channel not in held and set(axes) <= set(some.dtype.names or ()):
+                if channel not in held and all(_is_number(some, a) for a in axes):
                     values = np.column_stack([some[a] for a in axes]).astype(np.float64)
-                    put_channel(held, channel, _seconds(some), values, unit)
+                    put_channel(held, channel, _seconds(some, path), values, unit)
                     found += 1
                 if name.startswith("IMU") and f"{triad}/temperature" not in held:
-                    _put_temperature(held, triad, some)
+                    _put_temperature(held, triad, some, path)
     if not found:
         raise UnreadableInput(
             "the log has no IMU, ACC or GYR messages", where=str(path),
@@ -158,11 +192,17 @@ def _fill(held: Any, rows: Mapping[str, NDArray[Any]], path: Path) -> None:
         )  # fmt: skip
 
 
-def _put_temperature(held: Any, triad: str, some: NDArray[Any]) -> None:
+def _put_temperature(held: Any, triad: str, some: NDArray[Any], path: Path) -> None:
     for name in ("T", "Temp"):
-        if name in (some.dtype.names or ()):
+        if _is_number(some, name):
             warm = some[name].astype(np.float64)
-            put_channel(held, f"{triad}/temperature", _seconds(some), warm, "degC")
+            put_channel(held, f"{triad}/temperature", _seconds(some, path), warm, "degC")
+
+
+def _is_number(some: NDArray[Any], name: str) -> bool:
+    """Whether messages have a field of this name, with one number each: letters may be damaged."""
+    known = name in (some.dtype.names or ())
+    return known and some.dtype[name].kind in "fiu" and some.dtype[name].shape == ()
 
 
 def _sensors(
@@ -171,17 +211,21 @@ def _sensors(
     """Messages sensor by sensor: numbered by a field `I`, or in older logs by their name."""
     for name in sorted(n for n in rows if n.rstrip("123") == kind):
         some = rows[name]
-        if "I" in (some.dtype.names or ()):
+        if _is_number(some, "I"):
             for number in np.unique(some["I"]):
                 yield name, f"imu{number}", some[some["I"] == number]
         else:
             yield name, f"imu{int(name[len(kind) :] or 1) - 1}", some
 
 
-def _seconds(some: NDArray[Any]) -> NDArray[np.float64]:
+def _seconds(some: NDArray[Any], path: Path) -> NDArray[np.float64]:
     """When a sample was taken, where the message says so, else when it was logged."""
-    names = some.dtype.names or ()
     for name, unit in (("SampleUS", _US), ("TimeUS", _US), ("TimeMS", 1e-3)):
-        if name in names and np.any(some[name]):
+        whole = _is_number(some, name) and some.dtype[name].kind in "iu"
+        if whole and np.any(some[name]):
             return np.asarray(some[name].astype(np.float64) * unit)
-    return np.arange(len(some), dtype=np.float64)
+    raise UnreadableInput(
+        "its inertial messages have no time (SampleUS, TimeUS or TimeMS)",
+        where=str(path),
+        remedy="download the log again",
+    )

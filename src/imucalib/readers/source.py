@@ -10,6 +10,9 @@ from pathlib import Path
 from imucalib.errors import UnreadableInput
 
 HEAD_BYTES = 65536  #: what `recognises` gets to see
+#: Bytes within which a zip archive's end record lies (22 and a comment of 64 KiB), and of its
+#: directory: some 10,000 files.
+_ARCHIVE_END, _MOST_DIRECTORY = 22 + (1 << 16), 1 << 20
 
 
 def head_of(path: Path) -> bytes:
@@ -45,6 +48,16 @@ def head_of(path: Path) -> bytes:
             "the file is empty (0 bytes)", where=str(path), remedy="copy it again from its source"
         )
     return head
+
+
+def small_directory(path: Path) -> bool:
+    """Whether a zip archive's directory, which is held in memory, is that of some files: a hundred
+    million names make a bomb of it. False also where there is none."""
+    with path.open("rb") as stream:
+        stream.seek(max(0, stream.seek(0, os.SEEK_END) - _ARCHIVE_END))
+        tail = stream.read()
+    at = tail.rfind(b"PK\x05\x06")
+    return at >= 0 and int.from_bytes(tail[at + 12 : at + 16], "little") <= _MOST_DIRECTORY
 
 
 def sha256_of(path: str | os.PathLike[str]) -> str:

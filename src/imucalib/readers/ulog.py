@@ -1,4 +1,5 @@
-"""PX4 logs (.ulg), through the package pyulog: raw sensors first, else what the filter was fed.
+"""PX4 logs (.ulg), through the package pyulog: raw sensors where they are logged as fast as what
+the filter was fed, else that. (The default profile logs raw sensors at 1 Hz.)
 
 Topics and fields by PX4's message definitions: sensor_accel (x, y, z in m/s²), sensor_gyro (rad/s),
 one instance a sensor; sensor_combined (accelerometer_m_s2, gyro_rad). Stamps are µs since boot.
@@ -23,6 +24,10 @@ from imucalib.recording.recording import Recording
 
 _MAGIC = b"ULog\x01\x12\x35"
 _US = 1e-6
+_LONGEST_MESSAGE = 3 + (1 << 16)  # bytes
+#: The filter is fed each sample once, or some raw samples integrated to one: raw sensors that are
+#: logged at less than a third of its rate were thinned out.
+_THINNED = 1.0 / 3.0
 #: Topic, quantity, its three fields, its unit.
 _TOPICS = (
     ("sensor_accel", "acceleration", ("x", "y", "z"), "m/s2"),
@@ -53,9 +58,10 @@ class UlogReader:
     ) -> Iterator[Recording]:
         """Yield blocks of about `block_samples` rows; the log's sensors are held in memory."""
         log, said = _log(path)
-        notes = _damage(log, said, path, strict=strict)
+        topics, thinned = _chosen(log.data_list)
+        notes = (*_damage(log, said, path, strict=strict), *thinned)
         yield from blocks_in_memory(
-            lambda held: _fill(held, log.data_list, path), path, mapping,
+            lambda held: _fill(held, topics, path), path, mapping,
             block_samples=block_samples, strict=strict, name=self.name, notes=notes,
         )  # fmt: skip
 
@@ -75,13 +81,45 @@ def _log(path: Path) -> tuple[Any, str]:
         ) from error
     said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said):
-            log = ULog(str(path), ["sensor_accel", "sensor_gyro", "sensor_combined"])
+        with contextlib.redirect_stdout(said), _WithoutZeros(path) as content:
+            log = ULog(
+                io.BufferedReader(content, 1 << 16),
+                ["sensor_accel", "sensor_gyro", "sensor_combined"],
+            )
         return log, said.getvalue()
     except Exception as error:  # what the package raises on damage depends on where the damage is
         raise UnreadableInput(
             f"the log cannot be read: {error}", where=str(path), remedy="download it again"
         ) from error
+
+
+class _WithoutZeros(io.FileIO):
+    """A file up to its last byte that is not zero: where power failed, a log ends in zeros, which
+    the package searches byte by byte."""
+
+    _end: int | None = None
+
+    def readinto(self, into: Any) -> int:
+        """Fill a buffer with the next bytes."""
+        if self._end is None:
+            self._end = self._last()
+        view = memoryview(into).cast("B")
+        return super().readinto(view[: max(self._end - self.tell(), 0)]) or 0
+
+    def _last(self) -> int:
+        at, end = self.tell(), self.seek(0, io.SEEK_END)
+        while end:
+            begin = max(end - (1 << 20), 0)
+            self.seek(begin)
+            block = bytearray(end - begin)
+            kept = bytes(block[: super().readinto(block) or 0]).rstrip(b"\0")
+            if kept:
+                # A whole message may end in zeros of its own.
+                end = begin + len(kept) + _LONGEST_MESSAGE
+                break
+            end = begin
+        self.seek(at)
+        return end
 
 
 def _damage(log: Any, said: str, path: Path, *, strict: bool) -> tuple[str, ...]:
@@ -94,6 +132,25 @@ def _damage(log: Any, said: str, path: Path, *, strict: bool) -> tuple[str, ...]
     if strict and notes:
         raise UnreadableInput(notes[0], where=str(path), remedy="read it without --strict")
     return tuple(notes)
+
+
+def _chosen(topics: Sequence[Any]) -> tuple[list[Any], tuple[str, ...]]:
+    """The topics to read, and a sentence on those that are left out for their rate."""
+    fed = max((_rate(d) for d in topics if d.name == "sensor_combined"), default=0.0)
+    raw = [d for d in topics if d.name != "sensor_combined"]
+    slow = [d for d in raw if _rate(d) < _THINNED * fed]
+    if not slow:
+        return list(topics), ()
+    names = ", ".join(f"{d.name} {d.multi_id} ({_rate(d):.3g} Hz)" for d in slow)
+    note = f"logged more slowly than sensor_combined ({fed:.4g} Hz), and left out: {names}"
+    return [d for d in topics if d not in slow], (note,)
+
+
+def _rate(topic: Any) -> float:
+    """Samples a second; 0 where its stamps tell none."""
+    t = _seconds(topic.data)
+    span = float(t[-1] - t[0]) if t.size > 1 else 0.0
+    return (t.size - 1) / span if span > 0.0 else 0.0
 
 
 def _fill(held: Any, topics: Sequence[Any], path: Path) -> None:

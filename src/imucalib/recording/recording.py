@@ -65,6 +65,16 @@ class Gap:
 
 
 @dataclass(frozen=True)
+class Held:
+    """Samples of a channel, by its name, between two times (s) that repeat one reading: held,
+    copied or filled in, and no measurement."""
+
+    channel: str
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True)
 class Recording:
     """Channels by name ("imu0/acceleration"), with where they come from and what was lost.
 
@@ -72,6 +82,7 @@ class Recording:
     notes : what was detected, repaired or lost, one sentence each, for the reports
     mapping : the resolved mapping (column or topic -> channel, unit, ...) that read the file
     corrections : calibrations that were applied to it, as the file itself says
+    held : stretches that repeat one reading as the channel's noise never does
     """
 
     channels: Mapping[str, Channel]
@@ -83,3 +94,4 @@ class Recording:
     notes: tuple[str, ...] = ()
     mapping: Mapping[str, object] = field(default_factory=dict)
     corrections: tuple[Correction, ...] = ()
+    held: tuple[Held, ...] = ()

@@ -13,14 +13,14 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
-from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Channel, Held, Recording
 from imucalib.rests.postures import postures_begin
 from imucalib.rests.ranges import refuse_two_ranges
 from imucalib.rests.stillness import Sensor, StillSettings, still_windows
 from imucalib.rests.stuck import limits, stuck, without
 from imucalib.rests.tails import TailBuilder, overlapping, with_tails
 from imucalib.rests.thermometer import believed, mean_of_known, temperature_in
-from imucalib.rests.windows import WindowBuilder, Windows, in_order
+from imucalib.rests.windows import WindowBuilder, Windows, in_order, without_held
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
@@ -99,10 +99,12 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     tails: TailBuilder | None = None
     name, rate, samples, stop, gaps = "", 0.0, 0, 0.0, 0
     notes: list[str] = []
+    held: list[Held] = []
     first: Recording | None = None
     for block in blocks:
         first = first or block
         notes += block.notes
+        held += block.held
         gaps += len(block.gaps)
         if not name:
             name = _accelerometer(block, triad)
@@ -131,10 +133,17 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
     ordered, lost = in_order(windows)
     if lost:
         notes.append(f"{lost} windows left out: time had stepped back")
+    held = [h for h in held if h.channel == f"{name}/acceleration"]
+    ordered = without_held(with_tails(ordered, tails.tails), held)
+    if not ordered.start.size:
+        raise Undetermined(
+            f"{name} repeats one reading in every {window:g} s", where=first.path,
+            remedy="record it without a step that fills or holds samples",
+        )  # fmt: skip
     warm = "temperature" in builders and builders["temperature"].windows()
     heat = believed(in_order(warm)[0] if warm else None)
     return Scan(
-        windows=with_tails(ordered, tails.tails), temperature=heat.windows, triad=name, rate=rate,
+        windows=ordered, temperature=heat.windows, triad=name, rate=rate,
         samples=samples, stop=stop, gaps=gaps, path=first.path, format=first.format,
         sha256=first.sha256, start_ns=first.start_ns, mapping=first.mapping,
         notes=tuple(dict.fromkeys([*notes, *heat.words])), no_temperature=heat.gone,

@@ -14,12 +14,12 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.errors import Undetermined, UsageError
-from imucalib.recording.recording import Recording
+from imucalib.recording.recording import Held, Recording
 from imucalib.rests.candidates import Seen, candidates_of, samples_in, seen, windows_in
 from imucalib.rests.refused import Candidate
 from imucalib.rests.samples import Samples
 from imucalib.rests.stillness import Sensor, StillSettings
-from imucalib.rests.windows import WindowBuilder, Windows, in_order
+from imucalib.rests.windows import WindowBuilder, Windows, in_order, without_held
 
 __all__ = ["Candidate", "Segments", "StillSettings", "find_segments", "still_segments"]
 
@@ -112,10 +112,12 @@ class _Pass:
         self.settings, self.path, self.samples = settings, "", Samples()
         self._builders: dict[tuple[str, str], WindowBuilder] = {}
         self._rates: dict[tuple[str, str], float] = {}
+        self._held: list[Held] = []
 
     def add(self, block: Recording) -> None:
         self.path = block.path
         self.samples.begin_block(block.gaps)
+        self._held += block.held
         for channel in block.channels.values():
             key = (channel.quantity, channel.triad)
             if _UNITS.get(channel.quantity) not in (channel.unit, ""):
@@ -147,11 +149,18 @@ class _Pass:
                 )
             ordered, lost = in_order(windows)
             rate = self._rates[quantity, triad]
+            name = f"{triad}/{quantity}"
+            ordered = without_held(ordered, [h for h in self._held if h.channel == name])
+            if not ordered.start.size:
+                raise Undetermined(
+                    f"{name} repeats one reading in every stretch of {builder.samples} samples",
+                    where=self.path, remedy="record it without a step that fills or holds samples",
+                )  # fmt: skip
             sensors.append(Sensor(triad, quantity, rate, ordered, self.settings.quietest))
             if lost:
                 seconds = lost * windows.samples / rate
                 what = f"{seconds:.4g} s left out: time had stepped back"
-                notes.append(f"{triad}/{quantity}: {what}")
+                notes.append(f"{name}: {what}")
         return sensors, notes
 
 

@@ -16,6 +16,7 @@ _FROZEN_SECONDS = 60.0
 #: common ones. Only a resolution of this size hides more. What is above shakes.
 _LOUDEST = 0.03
 _LOUDEST_STEPS = 2.0
+_ZONE = 3  # stretches of one number that make a gyroscope's dead zone
 _WITNESSES = 5000  # windows that the size of gravity is told from
 _POSTURES = 5  # different constant readings of gravity's size that a dead sensor does not have
 _SIZE = 0.2  # share of gravity by which the size of a reading at rest may be off
@@ -88,7 +89,25 @@ class Sensor:
         # A constant axis is dead or clipped, unless the resolution hides the noise.
         moving = every(self.windows.high > self.windows.low)
         chosen = moving if self.fine and moving.any() else np.ones_like(moving)
-        return self.level(chosen)
+        return self.level(chosen | self.zone)
+
+    @cached_property
+    def zone(self) -> Flags:
+        """Windows in which a gyroscope reads one number as in other stretches before, or zero: it
+        has a dead zone, and is no more frozen than any gyroscope at rest."""
+        w = self.windows
+        constant = every(w.high == w.low)
+        if self.quantity != "angular_rate" or not constant.any():
+            return np.zeros_like(constant)
+        rows = np.flatnonzero(constant)
+        _, kind = np.unique(w.mean[rows], axis=0, return_inverse=True)
+        begins = np.append(True, (np.diff(rows) > 1) | (np.diff(kind.ravel()) != 0))
+        if len(begins) == len(constant) and begins.sum() == 1:  # a dead one is no witness of motion
+            return constant
+        often = np.bincount(kind.ravel()[begins])[kind.ravel()] >= _ZONE
+        zone = np.zeros_like(constant)
+        zone[rows] = often | ~w.mean[rows].any(axis=1)
+        return zone
 
     @cached_property
     def fine(self) -> bool:
@@ -162,6 +181,8 @@ def still_windows(sensor: Sensor, settings: StillSettings) -> tuple[Flags, list[
         if (flags & quiet).any():
             seconds = float((flags & quiet).sum()) * w.samples / sensor.rate
             notes.append(f"{name}: {seconds:.4g} s of {word} samples left out of the rests")
+    if sensor.zone.all() and sensor.zone.size:
+        notes.append(f"{name}: reads one number throughout: it tells no rest from a turn")
     quiet &= ~frozen & ~clipped
     if quiet.any() and np.any(sensor.noise > loudest(sensor, quiet)):
         share = float(np.max(sensor.noise)) / gravity_of(sensor, quiet)
@@ -193,7 +214,7 @@ def _frozen(sensor: Sensor) -> Flags:
     own last as long.
     """
     w = sensor.windows
-    constant = every(w.high == w.low)
+    constant = every(w.high == w.low) & ~sensor.zone
     if sensor.fine:
         # The window before or after one that is frozen through and through is so in part.
         along = np.diff(w.run) == 0

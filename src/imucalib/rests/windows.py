@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
-from imucalib.recording.recording import Channel, Gap, Pending
+from imucalib.recording.recording import Channel, Gap, Held, Pending
 
 COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
 _CACHE = 1 << 19  # bytes that are worked on at a time
@@ -188,6 +188,21 @@ def in_order(windows: Windows) -> tuple[Windows, int]:
     if keep.all():
         return windows, 0
     return replace(windows, **{n: getattr(windows, n)[keep] for n in COLUMNS}), int((~keep).sum())
+
+
+def without_held(windows: Windows, held: Sequence[Held]) -> Windows:
+    """The windows, in order of time, in which nothing is held; what stands on both sides of such a
+    stretch does not follow one another."""
+    if not held:
+        return windows
+    ends = np.array(sorted((h.start, h.stop) for h in held))
+    begin, end = ends[:, 0], np.maximum.accumulate(ends[:, 1])
+    before = np.searchsorted(begin, windows.stop, side="left")
+    within = (before > 0) & (end[np.maximum(before - 1, 0)] > windows.start)
+    # Numbers of runs that no other stretch has, whatever those are.
+    stretch = np.cumsum(within & ~np.append(False, within[:-1])) << 40
+    kept = {name: getattr(windows, name)[~within] for name in COLUMNS}
+    return replace(windows, **{**kept, "run": (windows.run + stretch)[~within]})
 
 
 def window_statistics(

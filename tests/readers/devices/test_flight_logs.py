@@ -55,6 +55,21 @@ def test_every_sensor_of_a_px4_log(tmp_path: Path) -> None:
     assert found.format == "ulog"
 
 
+@pytest.mark.parametrize(("raw_every", "read_from"), [(200, 0), (2, 1)])
+def test_px4_sensors_that_are_thinned_out_give_way_to_what_the_filter_was_fed(
+    raw_every: int, read_from: int, tmp_path: Path
+) -> None:
+    pytest.importorskip("pyulog")
+    path = tmp_path / "1.ulg"
+    path.write_bytes(flight_logs.ulog(STAMPS, ACC, GYRO, raw_every=raw_every))
+    found = read(path, strict=False)
+    channel = found.channels["imu0/acceleration"]
+    every = (1, raw_every)[read_from]
+    np.testing.assert_array_equal(channel.values, ACC[0][::every])
+    said = [n for n in found.notes if "sensor_accel 0 (1" in n and "sensor_combined" in n]
+    assert bool(said) == (read_from == 0)
+
+
 def test_a_px4_log_of_the_filters_input_only(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
     found = read(ulog(tmp_path / "1.ulg", combined=True))
@@ -97,3 +112,20 @@ def _both(found) -> None:  # type: ignore[no-untyped-def]
         warm = found.channels[f"imu{k}/temperature"].values[:, 0]
         np.testing.assert_allclose(warm, 30 + k + np.arange(N) / 1024)
     assert acc.rate == pytest.approx(250.0)
+
+
+@pytest.mark.parametrize("field", range(9))
+@pytest.mark.parametrize(("letter", "other"), [(b"Q", b"d"), (b"f", b"n"), (b"B", b"b")])
+def test_letters_of_another_kind_are_no_crash(
+    field: int, letter: bytes, other: bytes, tmp_path: Path
+) -> None:
+    data = flight_logs.dataflash(STAMPS, ACC, GYRO)
+    at = data.index(b"QBfffffff") + field
+    if data[at : at + 1] != letter:
+        other = b"i" if data[at : at + 1] == b"f" else b"q" if data[at : at + 1] == b"Q" else b"M"
+    path = tmp_path / "1.bin"
+    path.write_bytes(data[:at] + other + data[at + 1 :])
+    try:
+        assert read(path).channels
+    except UnreadableInput as error:
+        assert error.remedy  # noqa: PT017 - either will do, a traceback will not

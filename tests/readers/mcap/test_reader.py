@@ -242,6 +242,49 @@ def test_repeats_and_gaps_are_counted(tmp_path: Path) -> None:
     assert np.unique(np.diff(recording.channels["imu0/acceleration"].t)).size > 2
 
 
+def batched(stamps: list[int], each: int) -> list[int]:
+    """As a driver stamps that reads a buffer of `each` samples."""
+    return [stamps[i // each * each] for i in range(len(stamps))]
+
+
+def test_samples_that_share_a_stamp_are_spread_to_the_next(tmp_path: Path) -> None:
+    true = [START + i * 5_000_000 for i in range(300) if not 100 <= i < 150]
+    recording = timed(tmp_path / "a.mcap", batched(true, 10), [s + 7 for s in true])
+    channel = recording.channels["imu0/acceleration"]
+    assert channel.rate == pytest.approx(200.0)
+    np.testing.assert_allclose(channel.t, (np.array(true) - START) * 1e-9, atol=1e-9)
+    assert [(g.start, g.stop) for g in recording.gaps] == [
+        (pytest.approx(0.495), pytest.approx(0.75))
+    ]
+    assert any("--time log_time" in note for note in recording.notes)
+    pieces = list(blocks(tmp_path / "a.mcap", block_samples=64))
+    assert len(pieces) > 1
+    joined = np.concatenate([p.channels["imu0/acceleration"].t for p in pieces])
+    np.testing.assert_array_equal(joined, channel.t)
+
+
+def test_one_time_for_all_samples_asks_for_the_rate(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableInput, match=r"all 100 samples have one time.*--rate"):
+        timed(tmp_path / "a.mcap", [START] * 100, [START] * 100)
+    read(tmp_path / "a.mcap", FieldMapping(rate=100.0))
+
+
+def test_stamps_of_two_epochs_are_told_as_such(tmp_path: Path) -> None:
+    rows, pairs = readings(100), {}
+    for name, epoch in (("accel", 0), ("gyro", 10**9 * 7200)):
+        sent = [Reading(r.ns + epoch, *_half(r, name)) for r in rows]
+        pairs[f"/{name}/sample"] = [(r.ns, cdr(s)) for r, s in zip(rows, sent, strict=True)]
+    recording = read(write_log(tmp_path / "a.mcap", pairs))
+    said = [note for note in recording.notes if "time from log_time" in note]
+    assert len(said) == 2
+    assert all("epochs 7200 s apart" in note and "no stamp" not in note for note in said)
+
+
+def _half(reading: Reading, name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    zero = (0.0, 0.0, 0.0)
+    return (reading.acc, zero) if name == "accel" else (zero, reading.gyro)
+
+
 def test_log_time_and_rate_on_request(tmp_path: Path) -> None:
     path = imu_log(tmp_path / "a.mcap", 100)
     assert read(path, FieldMapping(time="log_time")).start_ns == START + 1000

@@ -164,6 +164,8 @@ def refuse_sizes(table: PositionTable, bad: Index, rows: Index) -> None:
 def refuse_units(table: PositionTable, rows: Index) -> None:
     """Raise UsageError where some rows read another size of gravity than the others, each alike:
     two units in one column."""
+    if rows.size < 2:  # nothing to compare: too few positions are told as such
+        return
     size = np.linalg.norm(table.raw()[rows], axis=1)
     order = np.argsort(size)
     steps = size[order][1:] / np.maximum(size[order][:-1], 1e-300)

@@ -13,10 +13,13 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.eigen import eigen
 from imucalib.loop.noise.grid import TAU
 
 #: Precision of a base parameter at typical size that no data determine: a hundred typical sizes.
 _OPEN = 1e-4
+#: Of a sum of squares in double precision, a unit each.
+_ROUNDING = 1e2 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ class Ambiguity:
         best = None
         for tau in TAU:
             prior = np.concatenate([np.full(self.first, _OPEN), np.full(at.size, tau**-2.0)])
-            root = np.linalg.cholesky(inside + np.diag(prior))
+            root = _root(inside + np.diag(prior))
             half = np.linalg.solve(root, p.along[every])
             left = max(p.power - float(half @ half), 1e-300)
             nats = -0.5 * (p.numbers - self.first) * np.log(left)
@@ -90,8 +93,24 @@ class Ambiguity:
             if best is None or nats > best[0]:
                 best = (nats, root, half)
         assert best is not None
-        back = np.linalg.inv(best[1]).T
-        return Size(every, back @ best[2], back)
+        back = np.asarray(np.linalg.inv(best[1]).T, dtype=np.float64)
+        return Size(every, np.asarray(back @ best[2]), back)
+
+
+def _root(precision: Array) -> Array:
+    """(k, k) lower triangular, whose square a precision is.
+
+    Columns that the data hardly show leave directions whose precision drowns in the rounding of the
+    others' products, which may be 1e15 times larger; it is then that of the rounding.
+    """
+    size = np.sqrt(np.diag(precision))
+    value, vector = eigen(precision / np.outer(size, size))
+    floor = max(_ROUNDING * len(size), -2.0 * float(value[0]))
+    if value[0] > floor:
+        return np.asarray(np.linalg.cholesky(precision))
+    # The triangle of a square root by columns: no rounding makes it fail.
+    upper = np.linalg.qr(np.sqrt(np.maximum(value, floor))[:, None] * vector.T * size, mode="r")
+    return np.asarray((upper * np.sign(np.diag(upper))[:, None]).T)
 
 
 @dataclass(frozen=True)

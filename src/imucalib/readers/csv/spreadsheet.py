@@ -7,6 +7,7 @@ from pathlib import Path
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.table import columns_of
+from imucalib.readers.source import small_directory
 from imucalib.recording.mapping import FieldMapping
 
 _MOST_BYTES, _MOST_ROWS, _MOST_COLUMNS, _FEWEST = 64 << 20, 100_000, 500, 3
@@ -18,6 +19,8 @@ def is_spreadsheet(path: Path) -> bool:
         with path.open("rb") as stream:
             if stream.read(4) != b"PK\x03\x04":
                 return False
+        if not small_directory(path):
+            return False
         with zipfile.ZipFile(path) as archive:
             return "xl/workbook.xml" in archive.namelist()
     except (OSError, zipfile.BadZipFile):

@@ -1,20 +1,26 @@
 """ActiGraph's archives: a zip of info.txt, text with a "name: value" a line, and of the samples.
 
-What is damaged in one, and how it is told. Layout: ActiGraph's public GT3X file format.
+What is damaged in one, and how it is told. An archive that was cut has lost the directory at its
+end; every member begins with a header of its own, by which it is found and unpacked then (PKWARE,
+APPNOTE.TXT, 4.3.7). Layout: ActiGraph's public GT3X file format.
 """
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, Protocol
 
 import numpy as np
 
 from imucalib.errors import UnreadableInput
+from imucalib.readers.source import small_directory
 
 #: What a damaged archive raises, depending on where the damage is.
 DAMAGED = (
@@ -25,6 +31,10 @@ _MOST_RATE = 10_000.0  # Hz
 _PIECE = 1 << 16  # bytes: what a checksum that fails at the end may cost
 #: What no device writes: a longer info.txt, a large log that packs better than this.
 _INFO_BYTES, _LARGE, _RATIO = 1 << 20, 16 << 20, 100
+#: A member's header; the size of one that was not known when it was written; members at most; and
+#: packed bytes that are unpacked at a time.
+_LOCAL, _LOCAL_HEADER = b"PK\x03\x04", struct.Struct("<8xH8xI4xHH")
+_NO_SIZE, _MOST_MEMBERS, _PACKED = 0xFFFF_FFFF, 1000, 1 << 12
 
 
 @dataclass
@@ -61,16 +71,101 @@ class Loss:
         )
 
 
-def members_of(path: Path, head: bytes) -> frozenset[str] | None:
-    """Names of an archive's members: none where the head is no archive's, None where it is
-    damaged."""
-    if not head.startswith(b"PK\x03\x04"):
-        return frozenset()
+@dataclass(frozen=True)
+class _Member:
+    """A member by its own header: where its bytes begin, and whether they are deflated."""
+
+    at: int
+    deflated: bool
+
+
+def _by_headers(path: Path) -> dict[str, _Member]:
+    """Members of an archive without a directory, by name; the first of a name counts."""
+    found: dict[str, _Member] = {}
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as raw:
+        at = 0
+        while len(found) < _MOST_MEMBERS and (at := raw.find(_LOCAL, at)) >= 0:
+            if at + 30 > len(raw):
+                break
+            method, packed, name, extra = _LOCAL_HEADER.unpack(raw[at : at + 30])
+            begin, text = at + 30 + name + extra, raw[at + 30 : at + 30 + name]
+            if method in (0, 8) and text and text.isascii() and text.decode("ascii").isprintable():
+                found.setdefault(text.decode("ascii"), _Member(begin, method == 8))
+                at = begin + (packed if packed != _NO_SIZE else 0)
+            else:
+                at += len(_LOCAL)
+    return found
+
+
+class Unpacked(Protocol):
+    """Bytes of a member."""
+
+    def read(self, size: int, /) -> bytes:
+        """The next bytes, at most `size`; none at the end."""
+        ...
+
+
+@contextmanager
+def member(path: Path, name: str) -> Iterator[Unpacked]:
+    """A member of an archive, unpacked while it is read, with its directory or without.
+
+    Raises what `DAMAGED` holds, and where it breaks off only behind all that comes before.
+    """
+    if _sound(path):
+        with zipfile.ZipFile(path) as archive, archive.open(name) as stream:
+            yield stream
+        return
+    found = _by_headers(path)[name]
+    with path.open("rb") as raw:
+        raw.seek(found.at)
+        yield _Inflated(raw) if found.deflated else raw
+
+
+class _Inflated:
+    """A deflated member up to its own end mark; raises EOFError where that is missing."""
+
+    def __init__(self, raw: IO[bytes]) -> None:
+        self._raw, self._unpacker = raw, zlib.decompressobj(-15)
+        self._fault: Exception | None = None
+
+    def read(self, size: int, /) -> bytes:
+        """The next bytes, at most `size`; none at the end."""
+        parts, held = list[bytes](), 0
+        while held < size and not self._unpacker.eof and self._fault is None:
+            try:
+                piece = self._unpacker.unconsumed_tail or self._raw.read(_PACKED)
+                data = self._unpacker.decompress(piece, size - held)
+                if not piece:
+                    self._fault = EOFError("the archive ends within it")
+            except zlib.error as error:
+                self._fault, data = error, b""
+            parts.append(data)
+            held += len(data)
+        if self._fault is not None and not held:
+            raise self._fault
+        return b"".join(parts)
+
+
+def _sound(path: Path) -> bool:
+    """Whether the archive has a directory of usual size that can be read."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            return frozenset(archive.namelist())
+        if not small_directory(path):
+            return False
+        with zipfile.ZipFile(path):
+            return True
     except DAMAGED:
-        return None
+        return False
+
+
+def members_of(path: Path, head: bytes) -> frozenset[str]:
+    """Names of an archive's members, with its directory or without; none where the head is no
+    archive's."""
+    if not head.startswith(_LOCAL):
+        return frozenset()
+    if not _sound(path):
+        return frozenset(_by_headers(path))
+    with zipfile.ZipFile(path) as archive:
+        return frozenset(archive.namelist())
 
 
 def info_of(path: Path, data: str) -> dict[str, str]:
@@ -79,10 +174,14 @@ def info_of(path: Path, data: str) -> dict[str, str]:
     Raises UnreadableInput for a damaged archive and for what no device writes.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            with archive.open("info.txt") as stream:
-                raw = stream.read(_INFO_BYTES + 1)
-            log = archive.getinfo(data)
+        with member(path, "info.txt") as stream:
+            raw = stream.read(_INFO_BYTES + 1)
+        if _sound(path):
+            with zipfile.ZipFile(path) as archive:
+                log = archive.getinfo(data)
+                size, packed = log.file_size, log.compress_size
+        else:
+            size, packed = 0, 0  # it is counted while it is unpacked
     except DAMAGED as error:
         remedy = "copy it from the device again"
         raise UnreadableInput(
@@ -90,10 +189,8 @@ def info_of(path: Path, data: str) -> dict[str, str]:
         ) from None
     if len(raw) > _INFO_BYTES:
         raise UnreadableInput(f"info.txt is longer than {_INFO_BYTES} bytes", where=str(path))
-    if log.file_size > max(_LARGE, _RATIO * log.compress_size):
-        what = (
-            f"{data} claims {log.file_size} bytes in {log.compress_size}: no recording is so even"
-        )
+    if size > max(_LARGE, _RATIO * packed):
+        what = f"{data} claims {size} bytes in {packed}: no recording is so even"
         raise UnreadableInput(what, where=str(path))
     text = raw.decode("utf-8-sig", errors="replace")
     pairs = (line.split(": ", 1) for line in text.splitlines() if ": " in line)
@@ -125,7 +222,10 @@ def pieces_of(path: Path, loss: Loss) -> Iterator[bytes]:
     """
     passed = 0
     try:
-        with zipfile.ZipFile(path) as archive, archive.open("log.bin") as log:
+        if not _sound(path):
+            loss.refuse("the archive has no directory", path.stat().st_size)
+            loss.broken = "the archive has lost its directory: its members were found without"
+        with member(path, "log.bin") as log:
             while piece := log.read(_PIECE):
                 passed += len(piece)
                 yield piece

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from pathlib import Path
 
 from imucalib.core.discovery import modules_of
-from imucalib.errors import UsageError
+from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import FieldMapping
 
 
@@ -88,3 +89,41 @@ def with_preset(mapping: FieldMapping) -> FieldMapping:
             remedy=f"use one of: {', '.join(devices())}",
         )
     return mapping.filled_from(replace(device.fields, preset=device.name))
+
+
+@dataclass(frozen=True)
+class _Foreign:
+    """A device whose own files are not read, but known by their bytes.
+
+    name : of the format; export : what to do; recognises : whether a file's first bytes are of
+    it"""
+
+    name: str
+    export: str
+    recognises: Callable[[bytes], bool]
+
+
+_CSV = "and read that: imucal inspect FILE.csv"
+_KNOWN = (
+    # The first GENEA of Unilever Discover: five letters, "name:value" lines, then binary pages.
+    _Foreign(
+        "a GENEA recording (.bin of the device before GENEActiv)",
+        f"convert it to CSV, for example with the R package GGIRread (readGenea), {_CSV}",
+        lambda head: head.startswith(b"GENEA") and b"\0" in head,
+    ),
+    # Parmay Tech: 512 bytes of remarks, then the recognition string.
+    _Foreign(
+        "a Matrix recording (.bin of Parmay Tech)",
+        f"export it as CSV with the maker's program or GGIRread (readParmayMatrix), {_CSV}",
+        lambda head: head[512:516] == b"MDTC",
+    ),
+)  # fmt: skip
+
+
+def refuse_foreign(path: Path, head: bytes) -> None:
+    """Raise UnreadableInput, with the true name, for a known format that is not read."""
+    for one in _KNOWN:
+        if one.recognises(head):
+            raise UnreadableInput(
+                f"this is {one.name}, which is not read", where=str(path), remedy=one.export
+            )

@@ -28,6 +28,7 @@ _MARK, _START = b"AX\xfc\x01", b"MD\xfc\x03"
 #: Marks without a sector, and bytes without one, after which a file is no recording.
 _MOST_BAD, _MOST_WASTE = 100_000, 64 << 20
 _DRIFT = 0.15  # the accelerometer's own oscillator sets the pace
+_COMMON = 10  # the code of 100 Hz
 _CODES = 4096  # candidates judged at a time
 _TYPE = np.dtype(
     [
@@ -45,6 +46,7 @@ class CwaReader:
 
     name = "cwa"
     suffixes = (".cwa", ".cwa.gz")
+    fixed = True
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The header's mark, or the first sector's where the header is damaged."""
@@ -147,7 +149,7 @@ def _packets(sectors: Bytes) -> Packets:
     fields = np.ascontiguousarray(sectors).view(_TYPE)[:, 0]
     stamp, dated = _stamps(fields["stamp"])
     fields, stamp = fields[dated & (fields["count"] > 0)], stamp[dated & (fields["count"] > 0)]
-    rate = 3200.0 / (1 << (15 - (fields["rate"] & 15).astype(np.int64)))
+    rate = _rates(fields, stamp)
     fraction = np.where(fields["fraction"] & 0x8000, (fields["fraction"] & 0x7FFF) / 32768.0, 0.0)
     count = fields["count"].astype(np.int64)
     acc, gyro = _values(fields, count)
@@ -163,6 +165,24 @@ def _packets(sectors: Bytes) -> Packets:
         acc=acc,
         gyro=gyro,
     )
+
+
+def _rates(fields: NDArray[np.void], stamp: NDArray[np.int64]) -> Array:
+    """Hz of each sector, by its code; where that is 0, which is none, by what the others have, or
+    else by the stamps, of the rates that the device has."""
+    code = (fields["rate"] & 15).astype(np.int64)
+    unknown = code == 0
+    if unknown.any():
+        first = np.cumsum(fields["count"].astype(np.int64)) - fields["count"]
+        took, passed = np.diff(stamp), np.diff(first + fields["at"])
+        pace = passed[took > 0] / took[took > 0]
+        known = code[~unknown]
+        if pace.size and (typical := float(np.median(pace))) > 0.0:
+            nearest = 15 - round(float(np.log2(3200.0 / typical)))
+        else:
+            nearest = int(np.median(known)) if known.size else _COMMON
+        code[unknown] = min(max(nearest, 1), 15)
+    return np.asarray(3200.0 / (1 << (15 - code)), dtype=np.float64)
 
 
 def _stamps(packed: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -84,6 +84,7 @@ class GeneactivReader:
 
     name = "geneactiv"
     suffixes = (".bin", ".bin.gz")
+    fixed = True
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The header's first line."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.conversion import acceleration, readings_at_rest
+from imucalib.readers.conversion import Source, acceleration, readings_at_rest
 from imucalib.readers.devices.actigraph_archive import (
     Loss,
     facts_of,
@@ -47,13 +47,11 @@ class Gt3xReader:
 
     name = "gt3x"
     suffixes = (".gt3x",)
+    fixed = True
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """A zip archive that holds log.bin and info.txt."""
-        names = members_of(path, head)
-        if names is None:
-            return path.suffix.lower() == ".gt3x"
-        return {"log.bin", "info.txt"} <= names
+        """A zip archive, perhaps a cut one, that holds log.bin and info.txt."""
+        return {"log.bin", "info.txt"} <= members_of(path, head)
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
         """Read all samples."""
@@ -73,7 +71,7 @@ class Gt3xReader:
             if origin is None or conversion is None:
                 origin = seconds[0].stamp
                 rest = readings_at_rest([counts], round(rate))
-                conversion = acceleration(mapping, "g", rest, str(path))
+                conversion = acceleration(mapping, Source("g", fixed=True), rest, str(path))
                 serial = info.get("Serial Number", "of unknown number")
                 notes.append(f"ActiGraph {serial}, {rate:g} Hz, {scale:g} counts a g")
                 notes += [conversion.note] * bool(conversion.note)

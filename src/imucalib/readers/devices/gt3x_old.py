@@ -7,7 +7,6 @@ axes y x z, 341 counts a g. It has no stamps and no checksum but the archive's. 
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,13 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.actigraph_archive import DAMAGED, facts_of, info_of, members_of
+from imucalib.readers.devices.actigraph_archive import (
+    DAMAGED,
+    facts_of,
+    info_of,
+    member,
+    members_of,
+)
 from imucalib.readers.devices.gt3x import unpacked
 from imucalib.readers.devices.packets import Log, Packets, recordings
 from imucalib.readers.joining import join
@@ -43,10 +48,11 @@ class OldGt3xReader:
 
     name = "gt3x activity"
     suffixes = (".gt3x",)
+    fixed = True
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """A zip archive that holds activity.bin and info.txt, and no log.bin."""
-        names = members_of(path, head) or frozenset()
+        names = members_of(path, head)
         return {_DATA, "info.txt"} <= names and "log.bin" not in names
 
     def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
@@ -84,7 +90,7 @@ def _packets(
 ) -> Iterator[Packets]:
     passed, rest, more = 0, b"", True
     try:
-        with zipfile.ZipFile(path) as archive, archive.open(_DATA) as stream:
+        with member(path, _DATA) as stream:
             while more:
                 piece = stream.read(_PAIR * max(1, samples // 2))
                 more, data = bool(piece), rest + piece

@@ -18,6 +18,7 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.conversion import (
     Conversion,
+    Source,
     acceleration,
     angular_rate,
     readings_at_rest,
@@ -126,7 +127,8 @@ class _Units:
 
 
 def _units(packets: Packets, rate: float, mapping: FieldMapping, where: str) -> _Units:
-    acc = acceleration(mapping, "g", readings_at_rest([packets.acc], max(3, round(rate))), where)
+    rest = readings_at_rest([packets.acc], max(3, round(rate)))
+    acc = acceleration(mapping, Source("g", fixed=True), rest, where)
     gyro = angular_rate(mapping, "deg/s", where)
     warm = temperature(mapping, "degC", packets.warm, where)
     return _Units(rate, acc, gyro, warm, tuple(c.note for c in (acc, gyro, warm) if c.note))

@@ -1,6 +1,8 @@
 """The clock of a topic: log_time is the recorder's, the stamp in the message the sensor's.
 
-The sensor's is used unless it is absent, constant, or jumps; nothing is resampled."""
+The sensor's is used unless it is absent, constant, or jumps; nothing is resampled. Where a driver
+reads a buffer and gives all of its samples one stamp, they are spread evenly up to the next stamp.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Index
+from imucalib.errors import UnreadableInput
 from imucalib.readers.messages.survey import ClockFacts, Stamps, Survey
 from imucalib.readers.timebase import stepping
 from imucalib.recording.mapping import TIME_UNITS
@@ -28,6 +32,7 @@ class Clock:
     period, longest : ns; the sampling period and the longest step that is no gap
     first : ns, the earliest time
     notes : what was decided and counted
+    batched : whether most samples share their stamp with the one before, and are spread
     """
 
     source: str
@@ -37,6 +42,7 @@ class Clock:
     longest: float
     first: int
     notes: tuple[str, ...]
+    batched: bool = False
 
     @property
     def dated(self) -> bool:
@@ -61,24 +67,38 @@ def to_ns(stamps: Stamps, factor: int) -> NDArray[np.int64]:
     return whole if factor == 1 else whole * np.int64(factor)
 
 
-def choose_clock(survey: Survey, *, scalar: bool, time_unit: str, rate: float | None) -> Clock:
+def batches(times: NDArray[np.int64]) -> Index:
+    """Where a sample has another stamp than the one before."""
+    return np.flatnonzero(np.diff(times, prepend=times[:1] - 1))
+
+
+def spread(times: NDArray[np.int64], period: float) -> NDArray[np.int64]:
+    """Samples that share a stamp (ns), evenly up to the next stamp; by the period where that is
+    further (samples are missing) or where there is none."""
+    starts = batches(times)
+    counts = np.diff(starts, append=times.size)
+    step = np.append(np.diff(times[starts]) / counts[:-1], period) if starts.size else np.empty(0)
+    step = np.where(step > TWO_PERIODS * period, period, step)
+    rank = np.arange(times.size) - np.repeat(starts, counts)
+    moved: NDArray[np.int64] = times + np.rint(rank * np.repeat(step, counts)).astype(np.int64)
+    return moved
+
+
+def choose_clock(
+    survey: Survey, *, scalar: bool, time_unit: str, rate: float | None, apart: str = "",
+    where: str = "",
+) -> Clock:  # fmt: skip
     """Decide between the stamp and log_time.
 
     scalar : the stamp is one number of unknown unit rather than seconds and nanoseconds
+    apart : why no stamp of the log can be used, or empty; where : the topic, for the error
+    Raises UnreadableInput where all samples have one time, and no rate is stated.
     """
     log, stamp, notes = survey.log, survey.stamp, []
     factor, why = 1, ""
     if stamp.count and scalar:
         factor, why = _unit(stamp, log, time_unit)
-    if not stamp.count:
-        why = "no stamp in the messages"
-    elif stamp.zeros == stamp.count:
-        why = "the stamp is always zero"
-    elif stamp.low == stamp.high and stamp.count > 1:
-        why = "the stamp never changes"
-    elif factor and stamp.late * factor > max(SET_BACK, int(log.late)):
-        late = float(stamp.late) * factor * 1e-9
-        why = f"the stamp jumps back by up to {late:.6g} s"
+    why = apart or _useless(stamp, log, factor) or why
     if rate:
         chosen, head, facts, factor = "rate", survey.head_log, log, 1
         notes.append(f"time from the stated rate of {rate:g} Hz")
@@ -88,20 +108,51 @@ def choose_clock(survey: Survey, *, scalar: bool, time_unit: str, rate: float | 
     else:
         chosen, head, facts = "stamp", survey.head_stamp, stamp
     times = to_ns(np.concatenate(head), factor)
+    batched = 2 * facts.repeats > facts.count and not (facts.backs or rate)
+    batched &= batches(times).size > 1
     if facts.backs:
         times = np.sort(times)
+    elif batched:
+        times = spread(times, _batch_period(times))
+        each = facts.count / (facts.count - facts.repeats)
+        other = "; --time log_time takes the recorder's clock" * (log.repeats < facts.repeats)
+        notes.append(f"about {each:.3g} samples share a stamp, spread evenly up to the next{other}")
     period, longest = _period(times)
     if rate:
         return Clock(
             source="rate", factor=1, late=0, period=1e9 / rate, longest=np.inf,
             first=int(log.first), notes=tuple(notes),
         )  # fmt: skip
-    notes += _counted(survey, facts, factor, times, period)
+    if facts.count > 1 and facts.low == facts.high:
+        raise UnreadableInput(
+            f"all {facts.count} samples have one time, by their stamps and by log_time",
+            where=where, remedy="give the sampling rate with --rate",
+        )  # fmt: skip
+    notes += _counted(survey, facts, factor, times, period, batched=batched)
     late, first = int(np.ceil(facts.late * factor)), int(to_ns(np.array([facts.low]), factor)[0])
     return Clock(
         source=chosen, factor=factor, late=late, period=period, longest=longest, first=first,
-        notes=tuple(notes),
+        notes=tuple(notes), batched=batched,
     )  # fmt: skip
+
+
+def _useless(stamp: ClockFacts, log: ClockFacts, factor: int) -> str:
+    """Why a topic's stamps are no clock, or empty."""
+    if not stamp.count:
+        return "no stamp in the messages"
+    if stamp.zeros == stamp.count:
+        return "the stamp is always zero"
+    if stamp.low == stamp.high and stamp.count > 1:
+        return "the stamp never changes"
+    if factor and stamp.late * factor > max(SET_BACK, int(log.late)):
+        return f"the stamp jumps back by up to {float(stamp.late) * factor * 1e-9:.6g} s"
+    return ""
+
+
+def _batch_period(times: NDArray[np.int64]) -> float:
+    """ns between samples that come in batches."""
+    starts = batches(times)
+    return float(np.median(np.diff(times[starts]) / np.diff(starts)))
 
 
 def _unit(stamp: ClockFacts, log: ClockFacts, time_unit: str) -> tuple[int, str]:
@@ -127,17 +178,19 @@ def _period(times: NDArray[np.int64]) -> tuple[float, float]:
 
 
 def _counted(
-    survey: Survey, facts: ClockFacts, factor: int, times: NDArray[np.int64], period: float
-) -> list[str]:
+    survey: Survey, facts: ClockFacts, factor: int, times: NDArray[np.int64], period: float,
+    *, batched: bool,
+) -> list[str]:  # fmt: skip
     notes = []
     if facts.count > 1:
         own = _pace(facts, factor)
         spread = np.quantile(np.abs(np.diff(times) - period), 0.99) * 1e-3
+        stamped = f"{own:.6g} Hz by its stamps, " if facts is survey.stamp else ""
         notes.append(
-            f"{facts.count} samples, {own:.6g} Hz by its stamps, {_pace(survey.log, 1):.6g} Hz"
+            f"{facts.count} samples, {stamped}{_pace(survey.log, 1):.6g} Hz"
             f" by log_time; 99 % of the steps within {spread:.3g} us of {period * 1e-3:.6g} us"
         )
-    if facts.repeats:
+    if facts.repeats and not batched:
         notes.append(f"{facts.repeats} times are equal to the one before")
     if facts.backs:
         late = float(facts.late) * factor * 1e-9

@@ -79,7 +79,7 @@ def decide(log: MessageLog, mapping: FieldMapping, stream: TopicStream, store: S
     if not any(triad.parts for triad in triads):
         raise _no_imu(log, stream)
     used = list(dict.fromkeys(t for triad in triads for t, _ in triad.parts.values()))
-    clocks = _clocks({name: fields[name] for name in used}, mapping, store)
+    clocks = _clocks({name: fields[name] for name in used}, mapping, store, str(path))
     parts, notes = _parts(path, mapping, triads, store, _Topics(fields, clocks))
     notes = [*_described(triads, fields, clocks, alive), *notes, *stream.losses()]
     marks = tuple(dict.fromkeys(stream.scanner.corrections))
@@ -138,21 +138,25 @@ def _origin(topics: list[TopicFields], clocks: list[Clock]) -> tuple[int, bool]:
 
 
 def _clocks(
-    topics: dict[str, TopicFields], mapping: FieldMapping, store: Store
+    topics: dict[str, TopicFields], mapping: FieldMapping, store: Store, where: str
 ) -> dict[str, Clock]:
     """A clock for each topic; one clock for all where their stamps tell of different epochs."""
-    clocks = {name: _clock(store, name, fields, mapping) for name, fields in topics.items()}
-    starts = [clock.first for clock in clocks.values()]
+
+    def clock(name: str, fields: TopicFields, apart: str = "") -> Clock:
+        survey = store.surveys[name] if fields.time_leaves else store.without_stamps(name)
+        return choose_clock(
+            survey, scalar=len(fields.time_leaves) == 1, time_unit=mapping.time_unit,
+            rate=mapping.rate, apart=apart, where=f"{where}, topic {name}",
+        )  # fmt: skip
+
+    clocks = {name: clock(name, fields) for name, fields in topics.items()}
+    starts = [one.first for one in clocks.values()]
     logs = [store.surveys[name].log.low for name in clocks]
     if max(starts) - min(starts) <= max(logs) - min(logs) + _HOUR:
         return clocks
-    return {name: _clock(store, name, TopicFields(()), mapping) for name in topics}
-
-
-def _clock(store: Store, name: str, fields: TopicFields, mapping: FieldMapping) -> Clock:
-    survey = store.surveys[name] if fields.time_leaves else store.without_stamps(name)
-    scalar = len(fields.time_leaves) == 1
-    return choose_clock(survey, scalar=scalar, time_unit=mapping.time_unit, rate=mapping.rate)
+    seconds = (max(starts) - min(starts)) * 1e-9
+    apart = f"the stamps of its topics count from epochs {seconds:.6g} s apart"
+    return {name: clock(name, TopicFields(()), apart) for name in topics}
 
 
 def _parts(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.readers.messages.clock import SET_BACK, TWO_PERIODS, Clock
+from imucalib.readers.messages.clock import SET_BACK, TWO_PERIODS, Clock, batches, spread
 from imucalib.readers.messages.survey import Stamps
 from imucalib.readers.timebase import SIDES, set_back
 from imucalib.recording.recording import Gap
@@ -39,6 +39,8 @@ class Timeline:
         """
         ns = self.clock.ns(stamps, log, self._row)
         self._row += log.size
+        if self.clock.batched and ns.size:
+            return self._finished(*self._spread(ns, columns), marks)
         if not self.clock.late or not ns.size:
             return self._finished(ns, columns, marks)
         done, first = list[tuple[Array, list[Array], list[Gap]]](), 0
@@ -61,9 +63,22 @@ class Timeline:
         return rows if len(rows) <= _MOST_PARTS else []
 
     def flush(self, marks: list[int]) -> tuple[Array, list[Array], list[Gap]] | None:
-        """The samples that were held back for their order."""
+        """The samples that were held back for their order, or for the next stamp."""
         held, self._held = self._held, None
+        if held and self.clock.batched:
+            held = spread(held[0], self.clock.period), held[1]
         return self._finished(*held, marks) if held else None
+
+    def _spread(
+        self, ns: NDArray[np.int64], columns: list[Array]
+    ) -> tuple[NDArray[np.int64], list[Array]]:
+        """Batches of one stamp, spread; the last waits for the stamp after it."""
+        if self._held:
+            ns = np.concatenate([self._held[0], ns])
+            columns = [np.concatenate(p) for p in zip(self._held[1], columns, strict=True)]
+        cut = int(batches(ns)[-1])
+        self._held = (ns[cut:], [c[cut:] for c in columns])
+        return spread(ns, self.clock.period)[:cut], [c[:cut] for c in columns]
 
     def _ordered(
         self, ns: NDArray[np.int64], columns: list[Array]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +22,6 @@ _HEADER, _CHUNK_INDEX, _SUMMARY_OFFSET = 0x01, 0x08, 0x0E
 _ATTACHMENT_INDEX, _METADATA_INDEX = 0x0A, 0x0D
 
 
-class _Chunk(NamedTuple):
-    start: int
-    length: int
-    first_ns: int
-    last_ns: int
-    indexes: dict[int, int]  # channel -> where its message index is
-    index_length: int
-    packed: int
-    size: int
-
-
 class McapFile:
     """An MCAP file that is being written; `close` adds the summary."""
 
@@ -40,7 +29,8 @@ class McapFile:
         self._file: BinaryIO = open(path, "wb")  # noqa: SIM115 - closed by close or abandon
         self._crc = 0
         self._at = 0
-        self._chunks: list[_Chunk] = []
+        self._chunks: list[bytes] = []  # their index records: of days there are many
+        self._span: tuple[int, int] | None = None  # ns, first and last
         self._counts: dict[int, int] = {}
         self._definitions: dict[tuple[int, int], bytes] = {}
         self._extras: dict[int, list[bytes]] = {_ATTACHMENT_INDEX: [], _METADATA_INDEX: []}
@@ -88,13 +78,13 @@ class McapFile:
             body = struct.pack("<HI", number, entries.nbytes) + entries.tobytes()
             self._record(mr.MESSAGE_INDEX, body)
             self._counts[number] = self._counts.get(number, 0) + rows.size
-        tail = self._at - at - length
-        self._chunks.append(
-            _Chunk(
-                start=at, length=length, first_ns=first, last_ns=last, indexes=index,
-                index_length=tail, packed=len(packed), size=len(data),
-            )
-        )  # fmt: skip
+        head = struct.pack("<QQQQ", first, last, at, length)
+        where = b"".join(struct.pack("<HQ", *pair) for pair in index.items())
+        sizes = struct.pack("<QQ", len(packed), len(data))
+        tail = struct.pack("<Q", self._at - at - length)
+        self._chunks.append(head + _sized(where) + tail + _text("zstd") + sizes)
+        low, high = self._span or (first, last)
+        self._span = min(low, first), max(high, last)
 
     def attachment(self, content: bytes) -> None:
         """Write an attachment record with its content as another file has it."""
@@ -130,7 +120,7 @@ class McapFile:
             contents = [c for (k, _), c in self._definitions.items() if k == kind]
             groups.append((kind, contents))
         groups.append((mr.STATISTICS, [self._statistics()]))
-        groups.append((_CHUNK_INDEX, [_chunk_index(chunk) for chunk in self._chunks]))
+        groups.append((_CHUNK_INDEX, self._chunks))
         groups += self._extras.items()
         offsets = []
         for kind, contents in groups:
@@ -155,8 +145,7 @@ class McapFile:
 
     def _statistics(self) -> bytes:
         kinds = [kind for kind, _ in self._definitions]
-        first = min((c.first_ns for c in self._chunks), default=0)
-        last = max((c.last_ns for c in self._chunks), default=0)
+        first, last = self._span or (0, 0)
         counts = b"".join(struct.pack("<HQ", *pair) for pair in self._counts.items())
         numbers = (sum(self._counts.values()), kinds.count(mr.SCHEMA), kinds.count(mr.CHANNEL))
         extras = [len(self._extras[kind]) for kind in (_ATTACHMENT_INDEX, _METADATA_INDEX)]
@@ -176,14 +165,6 @@ class McapFile:
         self._file.write(data)
         self._crc = zlib.crc32(data, self._crc)
         self._at += len(data)
-
-
-def _chunk_index(chunk: _Chunk) -> bytes:
-    index = b"".join(struct.pack("<HQ", *pair) for pair in chunk.indexes.items())
-    head = struct.pack("<QQQQ", chunk.first_ns, chunk.last_ns, chunk.start, chunk.length)
-    sizes = struct.pack("<QQ", chunk.packed, chunk.size)
-    length = struct.pack("<Q", chunk.index_length)
-    return head + _sized(index) + length + _text("zstd") + sizes
 
 
 def _text(text: str) -> bytes:

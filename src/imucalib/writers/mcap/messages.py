@@ -12,7 +12,8 @@ from imucalib.arrays import Array
 from imucalib.readers.messages.definition import ACCEL_ROS2, IMU_ROS2, TEMPERATURE_ROS2
 from imucalib.readers.messages.records import MESSAGE
 
-_CHUNK_BYTES = 1 << 20
+#: Some 380 messages of one IMU: what one damaged byte costs. (1 MiB packs 12 % better on a board.)
+_CHUNK_BYTES = 1 << 17
 SCHEMAS = {
     1: ("sensor_msgs/msg/Imu", IMU_ROS2),
     2: ("imucal_msgs/msg/RawImu", IMU_ROS2),  # counts are no m/s2: another type says so
@@ -100,7 +101,7 @@ ChunkData = tuple[bytes, NDArray[np.int64], NDArray[np.int64], NDArray[np.uint64
 
 
 def chunks_of(outputs: list[Output]) -> Iterator[ChunkData]:
-    """Chunks of about 1 MiB, the topics interleaved in time order."""
+    """Chunks of about 128 KiB, the topics interleaved in time order."""
     outputs = [output for output in outputs if output.ns.size]
     if not outputs:
         return

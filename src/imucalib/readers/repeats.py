@@ -1,0 +1,263 @@
+"""Samples that repeat the one before to the last digit: held, copied or filled in, no measurement.
+
+Noise of σ steps leaves an axis on its number with a chance p(σ), all three with the product, and a
+run of n repeats with its n-th power. What the recording's own noise at its quietest cannot do,
+somebody has written. A converter that is coarser than its noise repeats honestly, for minutes: of
+such a one nothing is said here. Nor of a gyroscope whose dead zone reads one number at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import erf, log, sqrt
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags, Index
+from imucalib.recording.recording import Channel, Held, Recording
+
+#: s, and samples at least and at most, that a difference's size and step are taken from: half of a
+#: rest of a second, so that one lies within it.
+_SECONDS, _PIECE = 0.5, (32, 128)
+_PIECES = 256  # of a channel that are kept, at most
+_LIVE = 4  # steps of such a piece that must change something
+_QUIETEST = 0.05  # share of the quiet pieces that has the noise of rest
+#: What is quiet spreads by no more than the noisiest common accelerometer, as a share of gravity
+#: (`rests.stillness`), and a gyroscope by what a rest in the hand has, rad/s: without such pieces
+#: nothing is known of the noise at rest, as where a coarse converter stands still in all of it.
+_LOUDEST, _TURNING, _FEWEST = 0.03, 0.05, 3
+_SHOWN = 1.0  # noise in steps from which a standstill of all axes is no matter of resolution
+_NATS = 20.0  # chance e^-20 of a false word in a whole recording
+_LOOKED = 2000  # runs of a block whose neighbours are looked at
+_TIMES = 4  # a run this many times longer than the usual one is none of the copies
+_VALUES = 1000  # numbers of a gyroscope that are counted
+_ZONE, _ZONE_SHARE = 3, 0.2  # runs of one number, and of all of them, that make a dead zone
+
+
+def with_repeats_told(blocks: Iterable[Recording]) -> Iterator[Recording]:
+    """The same blocks with `Recording.held` filled; the last one's notes say how many samples these
+    are where there are any."""
+    seen: dict[str, _Repeats] = {}
+    last: Recording | None = None
+    for block in blocks:
+        held = list[Held]()
+        # Accelerometers first: what both repeat at once is no gyroscope's dead zone.
+        for name, channel in sorted(block.channels.items(), key=lambda c: c[1].quantity):
+            if channel.quantity in ("acceleration", "angular_rate") and channel.t.size:
+                beside = [h for h in held if h.channel == f"{channel.triad}/acceleration"]
+                # A damaged number may be of any size.
+                with np.errstate(over="ignore", invalid="ignore"):
+                    held += seen.setdefault(name, _Repeats(channel)).add(channel, beside)
+        if last is not None:
+            yield last
+        last = replace(block, held=tuple(held)) if held else block
+    notes = tuple(word for name, found in seen.items() for word in found.words(name))
+    if last is not None:
+        yield replace(last, notes=(*last.notes, *notes)) if notes else last
+
+
+@dataclass
+class _Repeats:
+    """What one channel has shown so far.
+
+    count : samples; repeats : of them, all that equal the one before, `held` of these in stretches
+        that are no measurement, `zone` in a gyroscope's dead zone
+    noise, steps : per piece (k,) sizes of a sample's noise and smallest steps; spread, size : of
+        its readings, and of their mean
+    lengths : of runs of repeats; longest : s, of a stretch
+    """
+
+    like: Channel
+    count: int = 0
+    repeats: int = 0
+    noise: list[Array] = field(default_factory=list)
+    steps: list[Array] = field(default_factory=list)
+    spread: list[Array] = field(default_factory=list)
+    size: list[Array] = field(default_factory=list)
+    lengths: list[Index] = field(default_factory=list)
+    held: int = 0
+    zone: int = 0
+    stretches: int = 0
+    longest: float = 0.0
+    _last: tuple[float, Array] | None = None
+    _running: tuple[float, int] | None = None  # begin and repeats of a run that may go on
+    _runs_of: dict[bytes, int] = field(default_factory=dict)
+    _runs: int = 0
+    _step: Array | None = None
+    _known: tuple[int, float] = (0, 0.0)
+
+    def add(self, channel: Channel, beside: Sequence[Held]) -> list[Held]:
+        """Take the next samples; the stretches among them that are no measurement.
+
+        beside : those of the accelerometer that a gyroscope belongs to
+        """
+        values, t = channel.values, channel.t
+        self._look(channel)
+        before = values[:1] if self._last is None else self._last[1][None]
+        same = np.empty(t.size, dtype=np.bool_)
+        same[0] = self._last is not None and bool((values[0] == before[0]).all())
+        np.equal(values[1:, 0], values[:-1, 0], out=same[1:])
+        for axis in range(1, values.shape[1]):  # rows of three are slow to reduce
+            same[1:] &= values[1:, axis] == values[:-1, axis]
+        self.count += t.size
+        self.repeats += int(np.count_nonzero(same))
+        found = self._found(same, channel, beside) if self._chance() and same.any() else []
+        if not same[-1]:
+            self._running = None
+        self._last = float(t[-1]), values[-1].copy()
+        return found
+
+    def _look(self, channel: Channel) -> None:
+        """Size of the noise and smallest step, from pieces all over the samples."""
+        known = sum(len(n) for n in self.noise)
+        length = int(np.clip(_SECONDS * channel.rate, *_PIECE))
+        pieces = channel.t.size // length
+        if not pieces or known >= _PIECES:
+            return
+        chosen = np.unique(np.linspace(0, pieces - 1, min(pieces, _PIECES - known)).astype(int))
+        rows = chosen[:, None] * length + np.arange(length)
+        some = channel.values[rows]
+        # Turned, so that every reduction runs along neighbouring numbers.
+        values = np.ascontiguousarray(self._si(channel, some).transpose(0, 2, 1))
+        steps = np.abs(np.diff(values, axis=2))
+        live = np.count_nonzero(np.logical_or.reduce(steps > 0.0, axis=1), axis=1)
+        alive = np.isfinite(steps.sum(axis=(1, 2))) & (live > 0)
+        values, steps, live = values[alive], np.minimum(steps[alive], 1e150), live[alive]
+        if not len(steps):
+            return
+        # Few steps are those of a converter that hardly shows the noise.
+        over = np.where(live >= _LIVE, live, steps.shape[2])
+        self.noise.append(np.sqrt(0.5 * np.vecdot(steps, steps) / over[:, None]))
+        self.steps.append(np.where(steps > 0.0, steps, np.inf).min(axis=2))
+        self.spread.append(values.std(axis=2).max(axis=1))
+        self.size.append(np.linalg.norm(values.mean(axis=2), axis=1))
+
+    def _found(self, same: Flags, channel: Channel, beside: Sequence[Held]) -> list[Held]:
+        t, values = channel.t, channel.values
+        starts = np.flatnonzero(same & ~np.append(False, same[:-1]))
+        stops = np.flatnonzero(same & ~np.append(same[1:], False)) + 1
+        lengths = stops - starts
+        begins = t[np.maximum(starts - 1, 0)]
+        grown = lengths.copy()
+        if same[0] and self._last is not None:
+            begin, earlier = self._running or (self._last[0], 0)
+            begins[0], grown[0] = begin, lengths[0] + earlier
+        self._running = (float(begins[-1]), int(grown[-1])) if stops[-1] == t.size else None
+        if sum(n.size for n in self.lengths) < _PIECES:
+            self.lengths.append(grown[:_PIECES].astype(np.intp))
+        longest = (_NATS + log(self.count)) / -self._chance()
+        over = np.flatnonzero(grown > longest)
+        both = [any(h.start < t[k] <= h.stop for h in beside) for k in starts[over]]
+        zone = self._in_dead_zone(values[starts[over]]) & ~np.array(both, dtype=np.bool_)
+        self.zone += int(lengths[over[zone]].sum())
+        longest = max(longest, self._copied())
+        over = over[~zone & (grown[over] > longest)]
+        noisy = [self._beside_noise(channel, int(starts[k]), int(stops[k])) for k in over[:_LOOKED]]
+        over = over[np.array(noisy + [True] * (len(over) - len(noisy)), dtype=np.bool_)]
+        told_before = len(over) > 0 and over[0] == 0 and bool(grown[0] - lengths[0] > longest)
+        self.stretches += len(over) - told_before
+        self.held += int(lengths[over].sum())
+        ends = t[stops[over] - 1]
+        if len(over):
+            self.longest = max(self.longest, float((ends - begins[over]).max()))
+        name = f"{self.like.triad}/{self.like.quantity}"
+        pairs = zip(begins[over].tolist(), ends.tolist(), strict=True)
+        return [Held(name, begin, end) for begin, end in pairs]
+
+    def _beside_noise(self, channel: Channel, first: int, stop: int) -> bool:
+        """Whether a run of repeats stands among samples that show their noise: between others that
+        hardly change, a converter is coarser than what is there to convert."""
+        near = _PIECE[1] // 2
+        pieces = channel.values[max(first - near, 0) : first], channel.values[stop:][:near]
+        steps = [np.abs(np.diff(self._si(channel, p), axis=0)) for p in pieces if len(p) > 1]
+        every = np.concatenate([np.empty((0, channel.values.shape[1])), *steps])
+        changed = every.any(axis=1)
+        if changed.sum() < 2 * _LIVE:
+            return False
+        if self._step is None:
+            return True
+        noise = np.sqrt(0.5 * (np.minimum(every[changed], 1e150) ** 2).mean(axis=0))
+        moving = np.isfinite(self._step)
+        return bool((noise[moving] > _SHOWN * self._step[moving]).all())
+
+    @staticmethod
+    def _si(channel: Channel, values: Array) -> Array:
+        return (
+            channel.pending.apply(values) if channel.pending else values.astype(float, copy=False)
+        )
+
+    def _in_dead_zone(self, rows: Array) -> Flags:
+        """Which of a gyroscope's runs read a number that many of its runs read, or zero."""
+        zone = np.zeros(len(rows), dtype=np.bool_)
+        if self.like.quantity != "angular_rate":
+            return zone
+        keys = [row.tobytes() for row in rows + 0.0]  # a zero may have a sign
+        for key in keys:
+            if key in self._runs_of or len(self._runs_of) < _VALUES:
+                self._runs_of[key] = self._runs_of.get(key, 0) + 1
+        self._runs += len(keys)
+        least = max(_ZONE, _ZONE_SHARE * self._runs)
+        zone[:] = [self._runs_of.get(key, 0) >= least for key in keys]
+        return zone | ~rows.any(axis=1)
+
+    def _chance(self) -> float:
+        """Of a repeat of all axes at the quietest, as a logarithm; 0 where nothing is known."""
+        if not self.noise:
+            return 0.0
+        if self._known[0] != len(self.noise):
+            self._known = len(self.noise), self._chance_of()
+        return self._known[1]
+
+    def _chance_of(self) -> float:
+        noise, steps = np.concatenate(self.noise), np.concatenate(self.steps)
+        least = _TURNING if self.like.unit == "rad/s" else np.inf
+        if self.like.quantity == "acceleration":
+            least = _LOUDEST * float(np.median(np.concatenate(self.size)))
+        quiet = np.concatenate(self.spread) <= least
+        if quiet.sum() < _FEWEST:
+            return 0.0
+        noise, steps = noise[quiet], steps[quiet]
+        moving = np.isfinite(steps).any(axis=0)
+        level = np.quantile(noise[:, moving], _QUIETEST, axis=0)
+        self._step = np.median(steps, axis=0)
+        step = self._step[moving]
+        if not moving.any() or not (level > _SHOWN * step).all():
+            return 0.0
+        return sum(log(_stays(float(n / s))) for n, s in zip(level, step, strict=True))
+
+    def _copied(self) -> float:
+        """Repeats in a row that a stream may have which repeats as a rule; else 0."""
+        if self.repeats - self.zone <= 0.45 * self.count:
+            return 0.0
+        return _TIMES * float(np.median(np.concatenate(self.lengths)))
+
+    def words(self, name: str) -> Iterator[str]:
+        """What there is to say of the channel."""
+        if self.held:
+            yield (
+                f"{name}: {self.held} samples repeat the one before to the last digit, in "
+                f"{self.stretches} stretches of up to {self.longest:.3g} s, as its noise never "
+                "does: held or filled in; no rest and no noise is taken from them"
+            )
+        rest, chance = self.repeats - self.held - self.zone, self._chance()
+        share = rest / max(self.count, 1)
+        by_chance = self.count * np.exp(chance)
+        if chance and share > 0.1 and rest * (log(rest / by_chance) - 1.0) > 3.0 * _NATS:
+            yield (
+                f"{name}: {100.0 * share:.2g} % of the samples repeat the one before to the last "
+                f"digit: the sensor gives about {self.like.rate * (1.0 - share):.4g} new ones a "
+                "second, and the others are copies"
+            )
+
+
+def _stays(noise: float) -> float:
+    """Chance that two samples of a noise, in steps, read one number: at most, at its centre."""
+    if noise > 20.0:
+        return 1.0 / (2.0 * sqrt(np.pi) * noise)
+    edges = [erf((k + 0.5) / (noise * sqrt(2.0))) for k in range(int(8 * noise) + 2)]
+    total = edges[0] ** 2
+    for inner, outer in pairwise(edges):
+        total += 2.0 * (0.5 * (outer - inner)) ** 2
+    return total
