@@ -9,7 +9,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from imucalib.recording.mapping import TIME_UNITS
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, without_brackets
 
 _ACC = {"a", "acc", "accel", "acceleration", "accelerometer", "accelerations", "accelero"}
@@ -41,9 +40,38 @@ _UNIT_WORDS = {
 _TEMPERATURE_UNITS = {"c": "degC", "degc": "degC", "celsius": "degC", "degreesc": "degC",
                       "f": "degF", "degf": "degF", "fahrenheit": "degF", "degreesf": "degF",
                       "k": "K", "kelvin": "K", "degk": "K"}  # fmt: skip
-_TIME_UNIT_TEXT = {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "µs": "us",
-                   "usec": "us", "msec": "ms", "nsec": "ns", "nanoseconds": "ns",
-                   "microseconds": "us", "milliseconds": "ms", "unix": "s"}  # fmt: skip
+#: Units that a name may state of a column without saying that it is a time, and last words that
+#: name the unit of one that does ("elapsed_min"; of "acc_x_min" it is a minimum).
+_STAMP_UNITS = {"s", "ms", "us", "ns", "100us"}
+_TIME_WORDS = {
+    "min": "min",
+    "mins": "min",
+    "minutes": "min",
+    "minute": "min",
+    "h": "h",
+    "hr": "h",
+    "hrs": "h",
+    "hours": "h",
+    "hour": "h",
+    "d": "d",
+    "day": "d",
+    "days": "d",
+    "s": "s",
+    "datenum": "datenum",
+    "filetime": "filetime",
+    "ticks": "ticks",
+}
+#: Parts of a stamp in columns of their own, in its order; i and u are whole ms and us.
+_PARTS = {
+    "Y": ("year", "yr"),
+    "M": ("month", "mon"),
+    "D": ("day",),
+    "h": ("hour", "hr", "hours"),
+    "m": ("minute", "min", "minutes"),
+    "s": ("second", "sec", "seconds", "secs"),
+    "i": ("millisecond", "ms", "msec", "milliseconds"),
+    "u": ("microsecond", "us", "usec", "microseconds"),
+}
 
 
 @dataclass(frozen=True)
@@ -71,6 +99,26 @@ def understand(names: Sequence[str]) -> list[Column]:
     if not any(c.quantity == "acceleration" for c in columns):
         columns = [_bare_axis(c) for c in columns]
     return columns
+
+
+def is_date(name: str) -> bool:
+    """Whether a name says that the column holds dates, which a time of day may stand beside."""
+    return _words(name) in (["date"], ["datum"], ["day"], ["local", "date"], ["utc", "date"])
+
+
+def parts_of_time(names: Sequence[str]) -> dict[str, int]:
+    """Letter of each part of a stamp -> index, in order, where all from year to second are there.
+
+    The letters are those of `TextTime.order`.
+    """
+    found: dict[str, int] = {}
+    for k, words in enumerate(map(_words, names)):
+        for letter, known in _PARTS.items():
+            if len(words) == 1 and words[0] in known:
+                found.setdefault(letter, k)
+    if not {"Y", "M", "D", "h", "m", "s"} <= found.keys():
+        return {}
+    return {letter: found[letter] for letter in _PARTS if letter in found}
 
 
 def _bare_axis(column: Column) -> Column:
@@ -110,9 +158,11 @@ def _column(index: int, text: str) -> Column:
         words, unit = (words, unit) if unit else _with_unit(words)
         words = [w for w in words if w not in _ACC | _GYRO]
         return Column(index, name, "temperature", triad=_triad(words), unit=unit)
-    if _TIME & set(words) or (unit in TIME_UNITS and not _OTHER & set(words)):
-        unit = unit or ("s" if words[-1:] == ["s"] else _UNIT_WORDS.get("".join(words), ""))
-        return Column(index, name, "time", unit=_TIME_UNIT_TEXT.get(unit.lower(), unit))
+    if _TIME & set(words) or (unit in _STAMP_UNITS and not _OTHER & set(words)):
+        stated = _TIME_WORDS.get(words[-1], "") if len(words) > 1 else ""
+        return Column(
+            index, name, "time", unit=unit or stated or _UNIT_WORDS.get("".join(words), "")
+        )
     return Column(index, name, unit=unit)
 
 

@@ -546,9 +546,14 @@ def test_real_counts_are_never_taken_for_a_unit() -> None:
         readers.read(DATA / "xsens_mti" / "xsens_acc.txt")
 
 
-def test_real_headerless_log_asks_for_its_columns() -> None:
-    with pytest.raises(UnreadableInput, match="6 columns have no names"):
-        readers.read(MEASURED / "imu0.log.gz")
+def test_real_headerless_log_asks_for_its_rate_alone() -> None:
+    path = MEASURED / "imu0.log.gz"
+    with pytest.raises(UnreadableInput, match="neither time stamps nor a sample rate"):
+        readers.read(path)
+    found = readers.read(path, FieldMapping(rate=100.0))
+    norm = np.linalg.norm(found.channels["imu0/acceleration"].values, axis=1)
+    assert np.median(norm) == pytest.approx(9.8, rel=0.02)
+    assert any("by the norm of gravity" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("stamp", ["{:.2f}", "2024-03-01 12:00:{:05.2f}"])

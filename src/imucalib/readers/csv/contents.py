@@ -49,6 +49,13 @@ def _triples(dialect: Dialect, names: list[str], rows: list[list[str]]) -> list[
     return found
 
 
+def like_gravity(dialect: Dialect, pieces: Sequence[bytes], columns: Sequence[int]) -> bool:
+    """Whether the median norm of three columns is that of gravity in m/s², g or mg."""
+    rows = list(_rows(dialect, pieces))
+    axes = [_numbers([row[k] for row in rows], dialect.decimal) for k in columns]
+    return Content("", "", 0, norm=norm_of(np.stack(axes, axis=1))).like_gravity
+
+
 def _rows(dialect: Dialect, pieces: Sequence[bytes]) -> Sequence[list[str]]:
     rows = []
     for number, piece in enumerate(pieces):

@@ -34,6 +34,7 @@ class Dialect:
     names : column names, or () without a header; units are a part of the names
     width : cells in a row; data_line : number of the first row's line, from 1
     numeric : which columns hold numbers; preamble : the lines above the table
+    example : the cells of a row that has as many as any
     """
 
     delimiter: str
@@ -43,6 +44,7 @@ class Dialect:
     data_line: int
     numeric: tuple[bool, ...]
     preamble: tuple[str, ...]
+    example: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,8 @@ def sniff(looks: Sequence[bytes], mapping: FieldMapping, where: str) -> Dialect:
     rows = [r for r in (cells_of(line, best.delimiter) for line in body) if len(r) == best.width]
     numeric, tail = _numeric_columns(rows, best), all(not r[-1] for r in rows)
     shape = replace(best, numeric=numeric, blank_tail=tail)
-    return _with_header(shape, pieces[0], mapping, where)
+    example = max(rows, key=lambda row: sum(not is_blank(cell) for cell in row))
+    return replace(_with_header(shape, pieces[0], mapping, where), example=tuple(example))
 
 
 def _body(pieces: list[list[str]], skip: int) -> list[str]:

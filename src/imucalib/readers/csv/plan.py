@@ -70,7 +70,7 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         raise UnreadableInput("the file holds no whole line of text", where=where)
     dialect = sniff(pieces, mapping, where)
     facts = facts_of(dialect.preamble, where)
-    selection = select(dialect, mapping, facts, where)
+    selection = select(dialect, mapping, facts, pieces)
     if not selection.vectors:
         raise nothing_found(dialect, pieces, where)
     layout, samples = _layout(dialect, selection, pieces)
@@ -114,17 +114,17 @@ def _layout(
 ) -> tuple[Layout, list[bytes]]:
     """The layout, and up to 40 stamps of each look as text."""
     samples: list[bytes] = []
-    if selection.time >= 0:
+    if selection.time:
         for number, piece in enumerate(pieces):
             lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
             lines = lines[dialect.data_line - 1 :] if number == 0 else lines
             for line in lines[:20] + lines[-20:]:
                 row = cells_of(line, dialect.delimiter)
-                if len(row) == dialect.width and not is_blank(row[selection.time]):
-                    samples.append(row[selection.time].encode())
+                if len(row) == dialect.width and not any(is_blank(row[k]) for k in selection.time):
+                    samples.append(" ".join(row[k] for k in selection.time).encode())
     columns = tuple(dict.fromkeys(c for v in selection.vectors for c in v.columns))
     kind = _time_kind(dialect, selection.time, samples)
-    time = selection.time if kind else -1
+    time = selection.time if kind else ()
     width = max((len(s) for s in samples), default=0) + 16
     layout = Layout(
         delimiter=dialect.delimiter,
@@ -138,10 +138,10 @@ def _layout(
     return layout, samples
 
 
-def _time_kind(dialect: Dialect, time: int, samples: list[bytes]) -> str:
-    if time < 0 or not samples:
+def _time_kind(dialect: Dialect, time: tuple[int, ...], samples: list[bytes]) -> str:
+    if not samples:
         return ""
-    if not dialect.numeric[time]:
+    if len(time) > 1 or not dialect.numeric[time[0]]:
         return "text"
     integers = sum(s.lstrip(b"+-").isdigit() for s in samples)
     return "int" if 2 * integers > len(samples) else "float"
@@ -239,13 +239,13 @@ def _resolved(
         acc=addresses("acceleration"),
         gyro=addresses("angular_rate"),
         temperature=addresses("temperature"),
-        time=address(selection.time) if clock.kind else "",
+        time=",".join(map(address, selection.time)) if clock.kind else "",
         triads=_triads(selection),
         acc_unit=unit("acceleration"),
         gyro_unit=unit("angular_rate"),
         temperature_unit=unit("temperature"),
         rate=None if clock.kind else clock.rate,
-        time_unit=clock.unit,
+        time_unit="" if " since " in selection.time_unit else clock.unit,
         decimal=dialect.decimal,
         delimiter=dialect.delimiter,
         preset=mapping.preset or device,
