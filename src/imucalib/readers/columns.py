@@ -11,11 +11,14 @@ from dataclasses import dataclass, replace
 
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, without_brackets
 
-_ACC = {"a", "acc", "accel", "acceleration", "accelerometer", "accelerations", "accelero"}
-_GYRO = {"g", "w", "gyr", "gyro", "gyros", "gyroscope", "omega", "angular", "angvel", "angrate"}
-_TEMPERATURE = {"temp", "temperature", "temps"}
+_ACC = {"a", "acc", "accel", "acceleration", "accelerometer", "accelerations", "accelero",
+        "beschleunigung", "beschl"}  # fmt: skip
+_GYRO = {"g", "w", "gyr", "gyro", "gyros", "gyroscope", "omega", "angular", "angvel", "angrate",
+         "drehrate"}  # fmt: skip
+_TEMPERATURE = {"temp", "temperature", "temps", "temperatur"}
 _TIME = {"time", "timestamp", "timestamps", "stamp", "t", "datetime", "seconds", "secs", "sec",
-         "sampletimefine", "utc", "epoch", "elapsed", "stamps"}  # fmt: skip
+         "sampletimefine", "utc", "epoch", "elapsed", "stamps",
+         "zeit", "zeitstempel", "uhrzeit"}  # fmt: skip
 _SILENT = {"rs", "s", "b", "field", "data", "raw", "cal", "calibrated", "uncal", "linear",
            "angular", "velocity", "rate", "imu", "sensor", "sensors", "axis", "value", "values",
            "header",
@@ -29,6 +32,9 @@ _COMPACT = re.compile(
     r"^(accel|acc|a|gyro|gyr|g|w|omega)_?(\d*)_?([xyz])(\d*)$|^([xyz])_?(accel|acc|gyro|gyr)(\d*)$"
 )
 _BRACKETED = re.compile(r"\s*(\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\))\s*$")
+#: A unit behind a name without brackets, where it is written with a slash: "acc_x_m/s^2".
+_SLASHED = re.compile(r"[\s_.\-]+([^\s_]+/[^\s_]+|[^\s_]+/\(?s\^?2\)?)$")
+_TEX = re.compile(r"\\(?:hat|vec|bar|tilde|mathrm|mathbf|text|dot)\s*|[\\${}]|\^\{?\\circ\}?")
 _UNIT_WORDS = {
     "ms2": "m/s2", "mps2": "m/s2", "mss": "m/s2", "mg": "mg", "ug": "ug", "rads": "rad/s",
     "rps": "rad/s", "dps": "deg/s", "degs": "deg/s", "degc": "degC", "celsius": "degC",
@@ -96,9 +102,15 @@ def understand(names: Sequence[str]) -> list[Column]:
     their unit, if nothing else is an acceleration.
     """
     columns = [_column(i, name) for i, name in enumerate(names)]
+    columns = _of_kalibr(columns)
     if not any(c.quantity == "acceleration" for c in columns):
         columns = [_bare_axis(c) for c in columns]
     return columns
+
+
+def without_tex(text: str) -> str:
+    """A heading without the marks of TeX that a copy of a paper's has: "$\\hat{a}_x$" is "a_x"."""
+    return _TEX.sub("", text).strip() if "$" in text or "\\" in text else text
 
 
 def is_date(name: str) -> bool:
@@ -121,6 +133,20 @@ def parts_of_time(names: Sequence[str]) -> dict[str, int]:
     return {letter: found[letter] for letter in _PARTS if letter in found}
 
 
+def _of_kalibr(columns: list[Column]) -> list[Column]:
+    """Kalibr calls the acceleration alpha, beside a rate called omega; else that is no force."""
+    axes = {c.name.lower(): c.index for c in columns}
+    named = [f"{letter}_{axis}" for letter in ("omega", "alpha") for axis in "xyz"]
+    if not axes.keys() >= set(named) or any(c.quantity == "acceleration" for c in columns):
+        return columns
+    forces = {axes[name]: k for k, name in enumerate(named[3:])}
+    return [
+        replace(c, quantity="acceleration", axis=forces[c.index], triad="imu0")
+        if c.index in forces else c
+        for c in columns
+    ]  # fmt: skip
+
+
 def _bare_axis(column: Column) -> Column:
     words = [w for w in _words(column.name) if w != "axis"]
     if words[1:] == ["g"] and column.quantity in ("", "angular_rate"):
@@ -141,10 +167,13 @@ def _words(name: str) -> list[str]:
 
 
 def _column(index: int, text: str) -> Column:
-    name, unit = text.strip().lstrip("#%").strip(), ""
+    name, unit = without_tex(text.strip().lstrip("#%").strip()), ""
     found = _BRACKETED.search(name)
+    slashed = None if found else _SLASHED.search(name)
     if found:
         name, unit = name[: found.start()].strip(), without_brackets(found.group(1))
+    elif slashed and canonical(slashed[1]) in {**ACCELERATION_UNITS, **RATE_UNITS}:
+        name, unit = name[: slashed.start()], slashed[1]
     words = _words(name)
     if not unit and len(words) > 1:
         unit = _UNIT_WORDS.get(words[-1], "")
