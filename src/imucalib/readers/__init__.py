@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Protocol
 
 from imucalib.core.discovery import modules_of
-from imucalib.errors import UnreadableInput
+from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.devices.catalogue import with_preset
-from imucalib.readers.parts import in_parts
+from imucalib.readers.parts import in_parts, with_plausible_clocks
 from imucalib.readers.source import head_of, sha256_of
-from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
 from imucalib.recording.recording import Recording
 
 __all__ = [
@@ -108,8 +108,9 @@ def read(
     UnreadableInput when nothing can be read or, with `strict`, when anything is damaged, and
     UsageError when the mapping names what the file does not have.
     """
-    found = reader_for(path).read(Path(path), with_preset(mapping or FieldMapping()), strict=strict)
-    return next(in_parts(iter([found])))
+    full = with_preset(mapping or FieldMapping())
+    found = _reader(path, full).read(Path(path), full, strict=strict)
+    return next(_plausible(iter([found])))
 
 
 def blocks(
@@ -121,8 +122,8 @@ def blocks(
 ) -> Iterator[Recording]:
     """Read a recording of any known format piecewise, in bounded memory; errors as in `read`."""
     full = with_preset(mapping or FieldMapping())
-    return in_parts(
-        reader_for(path).blocks(Path(path), full, block_samples=block_samples, strict=strict)
+    return _plausible(
+        _reader(path, full).blocks(Path(path), full, block_samples=block_samples, strict=strict)
     )
 
 
@@ -131,7 +132,29 @@ def stored_blocks(
 ) -> Iterator[Recording]:
     """`blocks` for a pass that keeps only statistics: a reader whose format holds plain numbers
     gives them as they are, with the conversion to SI beside them (`Channel.pending`)."""
-    full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
+    full = with_preset(mapping or FieldMapping())
+    reader = _reader(path, full)
     given = getattr(reader, "stored_blocks", reader.blocks)
     found: Iterator[Recording] = given(Path(path), full, block_samples=BLOCK_SAMPLES, strict=strict)
-    return in_parts(found)
+    return _plausible(found)
+
+
+def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:
+    """The reader for a file. Raises UsageError for what only tables and HDF5 files have."""
+    reader = reader_for(path)
+    if mapping.where and reader.name != "csv":
+        raise UsageError(
+            f"--where selects rows of text tables, and this is {reader.name}", where=str(path),
+            remedy="leave it out",
+        )  # fmt: skip
+    if mapping.time_unit in TIME_ZEROS and reader.name not in ("csv", "hdf5", "matlab"):
+        raise UsageError(
+            f"stamps of {reader.name} count from 1970 or from a start, not in {mapping.time_unit}",
+            where=str(path), remedy="give --time-unit s, ms, us or ns",
+        )  # fmt: skip
+    return reader
+
+
+def _plausible(blocks: Iterator[Recording]) -> Iterator[Recording]:
+    """The same in parts that follow one another, with clocks that such sensors can have."""
+    return with_plausible_clocks(in_parts(blocks))

@@ -66,7 +66,8 @@ def parse(lines: Lines, layout: Layout, where: str) -> Rows:
     """
     rows = _whole(lines, layout)
     if rows is not None:
-        return rows
+        at = np.array(lines.numbers, dtype=np.intp)
+        return replace(rows, lines=at) if at.size == rows.values.shape[0] and at.size else rows
     good, numbers, bad = _good_lines(lines, layout, where)
     rows = _whole(good, layout)
     if rows is None or 2 * len(bad) > len(numbers) + len(bad):
@@ -221,7 +222,9 @@ def _good_lines(
     kept, numbers, bad = list[bytes](), list[int](), list[UnreadableInput]()
     mark = layout.delimiter.encode()
     missing = b" ".join([b"nan"] * layout.width) if mark == b" " else mark * (layout.width - 1)
-    for number, line in enumerate(lines.data.split(b"\n")[:-1], start=lines.first_line):
+    texts = lines.data.split(b"\n")[:-1]
+    every = lines.numbers or range(lines.first_line, lines.first_line + len(texts))
+    for number, line in zip(every, texts, strict=True):
         if not line.strip() and layout.time:
             continue
         wrong = line.strip() and _wrong(line.decode("utf-8", errors="replace"), layout)

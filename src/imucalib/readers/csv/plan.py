@@ -13,11 +13,12 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.csv.clock import Clock, Stamps, clock_of
-from imucalib.readers.csv.contents import nothing_found
+from imucalib.readers.csv.conditions import Condition, demand_some, parted, told
+from imucalib.readers.csv.contents import nothing_found, rows_of
 from imucalib.readers.csv.dialect import Dialect, cells_of, is_blank, sniff
 from imucalib.readers.csv.header import Stated, facts_of
 from imucalib.readers.csv.parse import Layout, Rows, parse
-from imucalib.readers.csv.select import Selection, Vector, select
+from imucalib.readers.csv.select import Selection, Vector, column_index, select
 from imucalib.readers.csv.source import Lines, looks
 from imucalib.readers.devices.catalogue import Device
 from imucalib.readers.timebase import stepping
@@ -47,6 +48,7 @@ class Signal:
 class Plan:
     """How to read one file.
 
+    conditions : what the rows that are read hold
     idle : rows of zeros mean "not recorded"; stated : of its rows, by our own first line
     corrections : as in Recording
     """
@@ -60,6 +62,23 @@ class Plan:
     resolved: FieldMapping
     stated: Stated | None = None
     corrections: tuple[Correction, ...] = ()
+    conditions: tuple[Condition, ...] = ()
+
+    def chosen(self, lines: Lines) -> Lines:
+        """The lines below the heading that hold what was asked for."""
+        return _chosen(lines, self.conditions, self.dialect)
+
+
+def _chosen(lines: Lines, conditions: Sequence[Condition], dialect: Dialect) -> Lines:
+    if not conditions:
+        return lines
+    kept, numbers = [], []
+    for number, line in enumerate(lines.data.split(b"\n")[:-1], start=lines.first_line):
+        row = cells_of(line.decode("utf-8", errors="replace"), dialect.delimiter)
+        if all(c.column < len(row) and c.fits(row[c.column]) for c in conditions):
+            kept.append(line + b"\n")
+            numbers.append(number)
+    return Lines(b"".join(kept), lines.first_line, lines.note, tuple(numbers))
 
 
 def make_plan(path: Path, mapping: FieldMapping) -> Plan:
@@ -70,6 +89,11 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         raise UnreadableInput("the file holds no whole line of text", where=where)
     dialect = sniff(pieces, mapping, where)
     facts = facts_of(dialect.preamble, where)
+    conditions = _conditions(mapping, dialect)
+    said = _columns_told(dialect, pieces) if not conditions else []
+    if conditions:
+        pieces = _pieces_chosen(pieces, conditions, dialect, mapping, where)
+        facts = replace(facts, stated=None)
     selection = select(dialect, mapping, facts, pieces)
     if not selection.vectors:
         raise nothing_found(dialect, pieces, where)
@@ -83,7 +107,7 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     known = Stamps(tuple(parsed), tuple(stamped), tuple(samples))
     clock, clock_notes = clock_of(selection, layout, mapping, facts, known=known, where=where)
     used = [v for v in selection.vectors if _has_values(v, layout, parsed)]
-    notes = [*facts.notes, *selection.notes, *clock_notes]
+    notes = [*facts.notes, *selection.notes, *clock_notes, *said]
     notes += [
         f"{v.triad}/{v.quantity} left out: no values" for v in selection.vectors if v not in used
     ]
@@ -106,7 +130,37 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         resolved=resolved,
         stated=facts.stated,
         corrections=facts.corrections,
+        conditions=conditions,
     )
+
+
+def _conditions(mapping: FieldMapping, dialect: Dialect) -> tuple[Condition, ...]:
+    parts = map(parted, mapping.where)
+    return tuple(Condition(column_index(c, dialect, "where"), v) for c, v in parts)
+
+
+def _pieces_chosen(
+    pieces: Sequence[bytes], conditions: Sequence[Condition], dialect: Dialect,
+    mapping: FieldMapping, where: str,
+) -> list[bytes]:  # fmt: skip
+    """The looks without the rows that are not asked for. Raises UnreadableInput for none."""
+    lines = pieces[0].split(b"\n")
+    above = b"".join(line + b"\n" for line in lines[: dialect.data_line - 1])
+    below = [b"\n".join(lines[dialect.data_line - 1 :]), *pieces[1:]]
+    kept = [_chosen(Lines(p, 1), conditions, dialect).data for p in below]
+    rows = rows_of(dialect, pieces)
+    cells = [[row[c.column] for row in rows] for c in conditions]
+    demand_some(sum(map(len, kept)), mapping.where, cells, where)
+    return [above + kept[0], *filter(None, kept[1:])]
+
+
+def _columns_told(dialect: Dialect, pieces: Sequence[bytes]) -> list[str]:
+    """Sentences on columns of a few words, which may be of more than one sensor."""
+    if not dialect.names:
+        return []
+    rows = rows_of(dialect, pieces)
+    every = (told(name, [row[k] for row in rows]) for k, name in enumerate(dialect.names))
+    return [sentence for sentence in every if sentence]
 
 
 def _layout(

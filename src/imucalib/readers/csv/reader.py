@@ -86,7 +86,9 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
     for lines in line_blocks(path, block_samples * _bytes_per_row(plan), strict=strict):
         lost += [lines.note] if lines.note else []
         crc = zlib.crc32(_below_first(lines), crc) if plan.stated else 0
-        block = _block(_data_lines(lines, plan), plan, position, str(path), flush=False)
+        block = _block(
+            plan.chosen(_data_lines(lines, plan)), plan, position, str(path), flush=False
+        )
         if block is None:
             continue
         if before is not None:

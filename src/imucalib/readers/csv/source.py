@@ -31,11 +31,13 @@ class Lines:
     data : bytes that end in a line feed, carriage returns removed
     first_line : number of the first line in the file, from 1
     note : what was lost at the end of these lines, or empty
+    numbers : of each line in the file, where not all lines between are here
     """
 
     data: bytes
     first_line: int
     note: str = ""
+    numbers: tuple[int, ...] = ()
 
 
 def text_head(head: bytes) -> bytes:

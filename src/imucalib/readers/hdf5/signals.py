@@ -159,7 +159,8 @@ def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
     if steps is None:
         if found.rate is None:
             why = "the time never advances" if any(g.any() for g in good) else "holds no number"
-            raise UnreadableInput(f"{signal.name}: {why}", where=file.where)
+            remedy = "give --rate, or other stamps with --time"
+            raise UnreadableInput(f"{signal.name}: {why}", where=file.where, remedy=remedy)
         steps = Stepping(1.0 / found.rate, 1.75 / found.rate)
     rate = found.rate or 1.0 / steps.step
     where = f"{file.where}: {found.parts[0].path}"
