@@ -7,8 +7,9 @@ decided, and why, is one sentence in `Conversion.note`.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,6 +142,34 @@ def _norms(rest: Array) -> Array:
     return np.asarray(np.linalg.norm(rest, axis=1))
 
 
+class _Quantity(Protocol):
+    @property
+    def quantity(self) -> str: ...
+    @property
+    def triad(self) -> str: ...
+
+
+_Q = TypeVar("_Q", bound=_Quantity)
+_S = TypeVar("_S")
+
+
+def readable(channels: Sequence[_Q], make: Callable[[_Q], _S], notes: list[str]) -> tuple[_S, ...]:
+    """What `make` makes of each channel; one that others can do without (a thermometer, a gyroscope
+    beside an accelerometer) and that cannot be read is left out, and a note says why."""
+    main = {c.quantity for c in channels if c.quantity != "temperature"}
+    made = []
+    for channel in channels:
+        try:
+            made.append(make(channel))
+        except UnreadableInput as error:
+            rate = channel.quantity == "angular_rate" and "acceleration" in main
+            if not rate and channel.quantity != "temperature":
+                raise
+            name = f"{channel.triad}/{channel.quantity}"
+            notes.append(f"{name} left out: {error.what}; {error.remedy}")
+    return tuple(made)
+
+
 def unit_of_axes(text: str, option: str, where: str) -> str:
     """The unit of all axes in its usual spelling, or "m/s2,m/s2,g" where they differ.
 
@@ -229,7 +258,7 @@ _TEMPERATURE: dict[str, tuple[float, float]] = {  # degC = (raw - offset) * fact
 
 
 #: A degree sign that a conversion between character sets has made into something else.
-_MANGLED = re.compile(r"[^\w\s/]{1,3}\s?C|[ÂÃïº˚ª\W]{1,3}C|\u2103")
+_MANGLED = re.compile(r"[^\w\s/]{1,3}\s?C|[ÂÃïº˚ª½\W]{1,3}C|\u2103")
 
 
 def temperature(mapping: FieldMapping, stated: str, raw: Array, where: str) -> Conversion:

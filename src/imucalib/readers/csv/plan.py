@@ -114,9 +114,10 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     if not any(v.quantity != "temperature" for v in used):
         raise UnreadableInput("the chosen columns hold no values", where=where)
     dev = facts.device
-    signals = tuple(
-        _signal(v, layout, parsed, mapping, clock=clock, device=dev, where=where) for v in used
-    )
+    signals = conversion.readable(
+        used, lambda v: _signal(v, layout, parsed, mapping, clock=clock, device=dev, where=where),
+        notes,
+    )  # fmt: skip
     notes += [s.conversion.note for s in signals if s.conversion.note]
     resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=dev.name)
     unique = tuple(dict.fromkeys(notes))

@@ -83,7 +83,8 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
     before: Recording | None = None
     lost: list[str] = []
     crc = 0
-    for lines in line_blocks(path, block_samples * _bytes_per_row(plan), strict=strict):
+    size = block_samples * _bytes_per_row(plan)
+    for lines in (_ended(x, plan) for x in line_blocks(path, size, strict=strict)):
         lost += [lines.note] if lines.note else []
         crc = zlib.crc32(_below_first(lines), crc) if plan.stated else 0
         block = _block(
@@ -113,6 +114,12 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
 
 def _bytes_per_row(plan: Plan) -> int:
     return max(16, 10 * plan.layout.width)
+
+
+def _ended(lines: Lines, plan: Plan) -> Lines:
+    """The lines, the last one with the end that it lacks where nothing else is missing."""
+    whole = lines.tail and plan.dialect.is_whole(lines.tail)
+    return Lines(lines.tail + b"\n", lines.first_line) if whole else lines
 
 
 def _below_first(lines: Lines) -> bytes:

@@ -13,6 +13,7 @@ from imucalib.readers.csv.dialect import Dialect
 from imucalib.readers.csv.header import HeaderFacts
 from imucalib.readers.devices.catalogue import Device
 from imucalib.recording.mapping import FieldMapping
+from imucalib.units import canonical
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,9 @@ def select(
     if len(time) > 1:
         names = ", ".join(dialect.names[k] if dialect.names else str(k + 1) for k in time)
         notes.append(f"time: columns {names} taken together")
-    vectors = _beside([_with_device_unit(v, facts.device) for v in vectors])
+    vectors = _beside(
+        [_with_device_unit(_with_unit_above(v, facts), facts.device) for v in vectors]
+    )
     temperatures = _temperatures(mapping, columns, facts, dialect)
     return Selection((*vectors, *temperatures), time, time_unit, tuple(notes), order)
 
@@ -108,6 +111,16 @@ def _beside(vectors: list[Vector]) -> list[Vector]:
         lonely = v.quantity == "angular_rate" and v.triad not in acc and len(fitting) == 1
         out.append(replace(v, triad=fitting[0]) if lonely else v)
     return out
+
+
+def _with_unit_above(vector: Vector, facts: HeaderFacts) -> Vector:
+    """The vector with the unit that the lines above the table state; with both, where its heading
+    states another: no unit that is known, which is refused."""
+    unit = facts.acc_unit if vector.quantity == "acceleration" else facts.gyro_unit
+    if not unit or {canonical(part) for part in vector.unit.split(",")} == {unit}:
+        return vector
+    stated = f"{unit} (above the table; {vector.unit} in the heading)" if vector.unit else unit
+    return replace(vector, unit=stated)
 
 
 def _with_device_unit(vector: Vector, device: Device) -> Vector:

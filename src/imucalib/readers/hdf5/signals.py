@@ -84,26 +84,30 @@ def _looks(found: Found) -> list[tuple[int, int]]:
 def signals_of(
     file: File, found: Sequence[Found], mapping: FieldMapping
 ) -> tuple[list[Signal], int | None, list[str]]:
-    signals: list[Signal] = []
     notes: list[str] = []
     start_ns = None
     if number_of(file.handle, "start_ns") is not None:
         start_ns = start_of(np.asarray(file.handle.attrs["start_ns"]).flat[0].item(), notes)
     origin: dict[tuple[str, int | None], float | int] = {}
-    dated = False
-    for one in found:
+
+    def signal(one: Found) -> Signal:
+        nonlocal start_ns
         clock, first, note = _clock(file, one)
-        notes += [note] if note else []
+        notes.extend([note] if note else [])
         zero: float | int = 0
         shift = 0.0
         if first is not None and date_of(first, clock.time_unit, clock.epoch) is not None:
+            dated = bool(origin)
             zero = origin.setdefault((clock.time_unit, clock.epoch), first)
             own = date_of(zero, clock.time_unit, clock.epoch) or 0
             start_ns = start_ns if dated else own
-            dated, shift = True, (own - (start_ns or 0)) * 1e-9
-        base = Signal(clock, Conversion("", "", np.ones(1), np.zeros(1)), clock.rate or 1.0, 0.0,
-                      zero, shift)  # fmt: skip
-        signals.append(_measured(file, base, mapping))
+            shift = (own - (start_ns or 0)) * 1e-9
+        base = Signal(
+            clock, Conversion("", "", np.ones(1), np.zeros(1)), clock.rate or 1.0, 0.0, zero, shift
+        )
+        return _measured(file, base, mapping)
+
+    signals = list(conversion.readable(found, signal, notes))
     notes += [s.conversion.note for s in signals if s.conversion.note]
     return signals, start_ns, list(dict.fromkeys(notes))
 
