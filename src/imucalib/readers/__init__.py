@@ -6,7 +6,7 @@ A reader is found by its file being here; `read` picks the one that recognises t
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Protocol
@@ -14,6 +14,7 @@ from typing import Protocol
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.devices.catalogue import with_preset
+from imucalib.readers.joining import together
 from imucalib.readers.parts import in_parts, with_plausible_clocks
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
@@ -24,6 +25,7 @@ __all__ = [
     "Reader",
     "blocks",
     "read",
+    "read_together",
     "reader_for",
     "readers",
     "sha256_of",
@@ -111,6 +113,15 @@ def read(
     full = with_preset(mapping or FieldMapping())
     found = _reader(path, full).read(Path(path), full, strict=strict)
     return next(_plausible(iter([found])))
+
+
+def read_together(
+    paths: Sequence[str | os.PathLike[str]], mapping: FieldMapping | None = None, *,
+    strict: bool = False,
+) -> Recording:  # fmt: skip
+    """Files of one device, each of other sensors, as one recording (a phone's accelerometer and
+    gyroscope). Errors as in `read`, and UsageError for clocks that do not fit each other."""
+    return together([read(path, mapping, strict=strict) for path in paths])
 
 
 def blocks(

@@ -97,14 +97,14 @@ class Column:
     unit: str = ""
 
 
-def understand(names: Sequence[str]) -> list[Column]:
-    """The meaning of every column name; bare x, y, z are acceleration, or a rate by
-    their unit, if nothing else is an acceleration.
+def understand(names: Sequence[str], bare: str = "acceleration") -> list[Column]:
+    """The meaning of every column name; bare x, y, z are `bare` ("angular_rate" in the file of a
+    gyroscope), or a rate by their unit, if nothing else is an acceleration.
     """
     columns = [_column(i, name) for i, name in enumerate(names)]
     columns = _of_kalibr(columns)
     if not any(c.quantity == "acceleration" for c in columns):
-        columns = [_bare_axis(c) for c in columns]
+        columns = [_bare_axis(c, bare) for c in columns]
     return columns
 
 
@@ -147,15 +147,18 @@ def _of_kalibr(columns: list[Column]) -> list[Column]:
     ]  # fmt: skip
 
 
-def _bare_axis(column: Column) -> Column:
+def _bare_axis(column: Column, bare: str) -> Column:
     words = [w for w in _words(column.name) if w != "axis"]
     if words[1:] == ["g"] and column.quantity in ("", "angular_rate"):
         column = replace(column, quantity="", unit="g")  # where nothing else is an acceleration
     if len(words) == 2 and column.unit in ("g", _UNIT_WORDS.get(words[1])):
         words = words[:1]
     unit = canonical(column.unit)
-    known = unit in ACCELERATION_UNITS or unit in ("", "counts")
-    quantity = "acceleration" if known else "angular_rate" if unit in RATE_UNITS else ""
+    if unit in ("", "counts"):
+        quantity = bare
+    else:
+        quantity = "acceleration" if unit in ACCELERATION_UNITS else "angular_rate"
+        quantity = quantity if unit in {**ACCELERATION_UNITS, **RATE_UNITS} else ""
     if column.quantity or not quantity or len(words) != 1 or words[0] not in ("x", "y", "z"):
         return column
     return replace(column, quantity=quantity, axis="xyz".index(words[0]), triad="imu0")

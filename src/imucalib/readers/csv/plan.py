@@ -94,7 +94,7 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     if conditions:
         pieces = _pieces_chosen(pieces, conditions, dialect, mapping, where)
         facts = replace(facts, stated=None)
-    selection = select(dialect, mapping, facts, pieces)
+    selection = select(dialect, mapping, facts, pieces, path.name)
     if not selection.vectors:
         raise nothing_found(dialect, pieces, where)
     layout, samples = _layout(dialect, selection, pieces)

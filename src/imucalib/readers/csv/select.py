@@ -15,6 +15,8 @@ from imucalib.readers.devices.catalogue import Device
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import canonical
 
+_GYROSCOPE = re.compile(r"gyro|angular|drehrate", re.IGNORECASE)
+
 
 @dataclass(frozen=True)
 class Vector:
@@ -47,14 +49,19 @@ class _Table:
 
 
 def select(
-    dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, pieces: Sequence[bytes]
-) -> Selection:
+    dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, pieces: Sequence[bytes],
+    stem: str = "",
+) -> Selection:  # fmt: skip
     """Choose the columns: none when neither an acceleration nor an angular rate is found.
 
-    pieces : the looks. Raises UsageError for a column that is not there.
+    pieces : the looks; stem : the file's name, which tells a phone's sensors apart
+    Raises UsageError for a column that is not there.
     """
-    columns = understand(dialect.names) if dialect.names else []
     notes: list[str] = []
+    gyroscope = bool(_GYROSCOPE.search(stem)) and "acc" not in stem.lower()
+    columns = understand(dialect.names, "angular_rate" if gyroscope else "acceleration")
+    if gyroscope and any(c.quantity for c in columns) and columns != understand(dialect.names):
+        notes.append("x, y, z are taken as an angular rate, by the name of the file")
     table = _Table(mapping, columns, dialect)
     vectors = [
         *_vectors("acceleration", mapping.acc, table, notes),
