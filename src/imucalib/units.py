@@ -97,7 +97,10 @@ def detect_acceleration_unit(
     raise UnreadableInput(
         f"norm at rest = {norm:.6g} fits no known unit (g, mg, ug, m/s2)",
         where=where,
-        remedy="name it with --unit, or give the scale with --unit counts --lsb N",
+        remedy="name it with --unit; for counts give the data sheet's counts a g, near "
+        f"--unit counts --lsb {norm:.0f}"
+        if math.isfinite(norm)
+        else "name it with --unit",
     )
 
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from imucalib.calibration import power
-from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibration.calibration import Calibration, StoredParameter, matrices
 from imucalib.calibration.correction import Correction
-from imucalib.calibration.matrices import matrices
 from imucalib.calibration.outcome import Left, Limit
 from imucalib.calibration.series import CalibrationPart, part_at
 from imucalib.calibration.undo import _NEAR, _STEP, _grid, _Table

@@ -140,6 +140,29 @@ def log(
     return made
 
 
+def _odd_stamps(path: Path) -> None:
+    """Stamps whose day and month only a format tells, in a zone whose name two zones have."""
+    log(LOG)(path)
+    heading, *lines = path.read_text(encoding="utf-8").splitlines()
+    moved = [line.partition(",") for line in lines]
+    made = [f"02/03/2024 10:00:{float(t):06.3f} CST,{rest}" for t, _, rest in moved]
+    path.write_text("\n".join([heading, *made]) + "\n", encoding="utf-8")
+
+
+def _two_tools(path: Path) -> None:
+    """The samples of tool A12, each followed by one of tool B07."""
+    log("tool," + LOG)(path)
+    heading, *lines = path.read_text(encoding="utf-8").splitlines()
+    other = [",".join(["B07", line.split(",")[0], *["0.5"] * 7]) for line in lines]
+    made = [part for a, b in zip(lines, other, strict=True) for part in (f"A12,{a}", b)]
+    path.write_text("\n".join([heading, *made]) + "\n", encoding="utf-8")
+
+
+def _in_kelvin(table: Rows) -> Rows:
+    table[:, 7] += 273.15
+    return table
+
+
 def _counts(path: Path) -> None:
     path.write_text(
         "time: time\nacc: [ax, ay, az]\nacc_unit: counts\nlsb_per_g: [256]\n"
@@ -270,6 +293,9 @@ RECORDINGS: dict[str, Make] = {
     "titled_log.csv": log(first="1,2,3,4,5,6,7,8\n8,7,6,5,4,3,2,1\n"),
     "columns.csv": log("c1,c2,c3,c4,c5,c6,c7", stamps=1e9, of=_as_euroc),
     "stamps_ms.csv": log(stamps=1000.0),
+    "odd_stamps.csv": _odd_stamps,
+    "two_tools.csv": _two_tools,
+    "kelvin.csv": log(of=_in_kelvin),
     "damaged.csv": _damaged,
     "pauses.csv": _rests_of,
     "packed.mcap": _packed,

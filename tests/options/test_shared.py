@@ -133,6 +133,9 @@ VALUES: dict[str, tuple[str, object]] = {
     "--max-chunk": ("22", 22),
     "--allow-external": ("", True),
     "--delimiter": (";", ";"),
+    "--temperature-unit": ("K", "K"),
+    "--time-format": ("%d/%m/%Y", "%d/%m/%Y"),
+    "--where": ("tool=A12", ("tool=A12",)),
 }
 FIELDS = {"unit": "acc_unit", "lsb": "lsb_per_g", "gyro_lsb": "lsb_per_dps"}
 #: A recording where the usual call has a table.

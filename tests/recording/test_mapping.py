@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.mapping import (
     TIME_UNITS,
+    TIME_ZEROS,
     FieldMapping,
     from_dict,
     load_mapping,
@@ -112,7 +113,9 @@ def test_what_is_just_right_is_taken() -> None:
     assert from_dict({"lsb_per_g": "-256,256,256"}).lsb_per_g == (-256.0, 256.0, 256.0)
     assert from_dict({"rate": 1e-9}).rate == 1e-9
     assert parse_axis_map(" +x, -y ,z") == parse_axis_map("x,-y,z")
-    assert TIME_UNITS == {"s": 1.0, "ms": 0.001, "us": 1e-6, "ns": 1e-9, "100us": 0.0001}
+    assert [TIME_UNITS[u] for u in ("s", "ms", "us", "ns")] == [1.0, 1e-3, 1e-6, 1e-9]
+    assert [TIME_UNITS[u] for u in ("100us", "min", "h", "d")] == [1e-4, 60.0, 3600.0, 86_400.0]
+    assert all(unit in TIME_UNITS for unit in TIME_ZEROS)
 
 
 @pytest.mark.parametrize("values", [np.zeros(4), np.zeros((3, 2)), np.zeros((4, 2, 1))])

@@ -6,7 +6,7 @@
 Every file is written by code that knows nothing of the readers, with the truth of each sample;
 then it is cut, flipped, swapped, zeroed. A seed and a number make the same file again: `--case`
 reads one and shows its traceback. The mark: nothing silent where a checksum covers what was
-damaged, no traceback, no hang. Each case has 20 s and 1.5 GB more than an empty process.
+damaged, no traceback, no crash, no hang. Each case has 20 s and 1.5 GB more than an empty process.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "tests"))
+from worlds.fuzz import calibrations
 from worlds.fuzz.cases import OUTCOMES, SECONDS, Fuzzer, Verdict
+from worlds.fuzz.files import kinds
 
 _MORE_MEMORY = 1536 << 20
-BAD = ("silent", "traceback", "hang", "memory")
+BAD = ("silent", "traceback", "crash", "hang", "memory")
 
 
 def judged(numbers: range, seed: int) -> Iterator[Verdict]:
@@ -39,22 +41,23 @@ def judged(numbers: range, seed: int) -> Iterator[Verdict]:
             os.close(reading)
             _work(range(at, numbers.stop), seed, writing)
         os.close(writing)
+        died = ""
         with os.fdopen(reading, "r") as lines:
             while at < numbers.stop:
                 ready, _, _ = select.select([lines], [], [], 3 * SECONDS)
                 line = lines.readline() if ready else ""
                 if not line.endswith("\n"):
-                    outcome = "traceback" if ready else "hang"
-                    yield Verdict(
-                        at, "a reader in C", "", outcome, "the process died or stood still"
-                    )
-                    at += 1
+                    died = "crash" if ready else "hang"
                     break
                 number, *words = line.rstrip("\n").split("\t")
                 yield Verdict(int(number), *words)
                 at = int(number) + 1
-        os.kill(child, 9)
-        os.waitpid(child, 0)
+        if died != "crash":
+            os.kill(child, 9)
+        _, status = os.waitpid(child, 0)
+        if died:
+            yield Verdict(at, kind_of(at), "", died, f"the process ended with status {status}")
+            at += 1
 
 
 def _work(numbers: range, seed: int, out: int) -> None:
@@ -70,6 +73,12 @@ def _work(numbers: range, seed: int, out: int) -> None:
                 os.write(out, ("\t".join(words) + "\n").encode(errors="replace"))
     finally:
         os._exit(0)
+
+
+def kind_of(number: int) -> str:
+    """The format of a case."""
+    names = [*kinds(), calibrations.NAME]
+    return names[number % len(names)]
 
 
 def table(verdicts: list[Verdict]) -> str:

@@ -14,7 +14,9 @@ from imucalib.cli.working import working
 
 
 @click.command("convert", cls=PagedCommand, short_help="Rewrite a recording in another format.")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument(
+    "sources", metavar="SOURCE...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
 @click.argument("target", type=click.Path(path_type=Path))
 @click.option(
     "--strict", is_flag=True, help="Refuse a damaged recording instead of keeping what is left."
@@ -23,26 +25,35 @@ from imucalib.cli.working import working
 @recording_options
 @json_option
 @quiet_option
-def command(source: Path, target: Path, strict: bool, force: bool, **options: Any) -> int:
+def command(
+    sources: tuple[Path, ...], target: Path, strict: bool, force: bool, **options: Any
+) -> int:
     """Rewrite a recording as MCAP, HDF5 or CSV, chosen by TARGET's suffix; units become SI.
 
+    Several SOURCEs are files of one device with clocks of one zero, each of other sensors: they
+    become one recording.
+
     \b
-    Example: imucal convert log.csv log.mcap --rate 100 --acc x,y,z
+    Examples:
+      imucal convert log.csv log.mcap --rate 100 --acc x,y,z
+      imucal convert accelerometer.csv gyroscope.csv phone.h5
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.readers import blocks, read
+    from imucalib.readers import blocks, read_together
     from imucalib.writers import ChannelsChange, Told, write, write_blocks, writer_for
 
     writer_for(target)
-    demand_output(target, inputs_of(options, source), force=force)
+    demand_output(target, inputs_of(options, *sources), force=force)
     mapping = mapping_of(options)
-    told = Told(blocks(source, mapping, strict=strict))
+    if len(sources) == 1:
+        told = Told(blocks(sources[0], mapping, strict=strict))
+    else:
+        told = Told([read_together(sources, mapping, strict=strict)])
     with working("converting", quiet=options["quiet"]):
         try:
             write_blocks(told, target)
         except ChannelsChange:  # a table must know its columns first: then all of it is held
-            recording = read(source, mapping, strict=strict)
-            told = Told([recording])
+            told = Told([read_together(sources, mapping, strict=strict)])
             write(next(iter(told)), target)
     for text in told.notes:
         note(text, options["quiet"])

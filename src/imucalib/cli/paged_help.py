@@ -11,7 +11,7 @@ RARE = {
     "Reading a recording": (
         "mapping", "acc", "gyro", "temperature", "time", "lsb", "gyro_unit", "gyro_lsb",
         "time_unit", "rate", "axis_map", "preset", "acc_offset", "skip", "decimal", "max_chunk",
-        "allow_external", "delimiter", "shortest_rest",
+        "allow_external", "delimiter", "shortest_rest", "where", "temperature_unit", "time_format",
     ),
     "Angles and rows of a table": (
         "gravity_sign", "z_axis", "inclination_zero", "toolface_zero_axis", "toolface_sense",
@@ -20,7 +20,7 @@ RARE = {
     ),
     "Fit and search": (
         "train", "model", "objective", "sigma", "as_published", "arithmetic", "loop", "curves",
-        "draws", "seed", "height", "effects_file", "fleet",
+        "draws", "seed", "height", "effects_file", "fleet", "without",
     ),
     "Posterior of an array": (
         "as_drawn", "sampler", "samples", "motion_prior", "det_exponent", "acc_sigma",

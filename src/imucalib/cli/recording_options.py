@@ -32,7 +32,23 @@ _OPTIONS = (
     click.option("--lsb", help="Accelerometer counts a g, with --unit counts."),
     click.option("--gyro-unit", help="Recording: unit of the gyroscope: rad/s, deg/s, counts."),
     click.option("--gyro-lsb", help="Recording: gyroscope counts a deg/s, with its unit counts."),
-    click.option("--time-unit", help="Recording: unit of the time stamps: s, ms, us, ns, text."),
+    click.option(
+        "--temperature-unit", help="Recording: unit of the temperature: degC, degF, K, counts."
+    ),
+    click.option(
+        "--time-unit",
+        help="Recording: unit of the time stamps: s, ms, us, ns, min, h, d, excel, datenum, "
+        "julian, filetime, ticks, text.",
+    ),
+    click.option(
+        "--time-format", help="CSV: strptime form of stamps, for example '%d/%m/%Y %H:%M:%S.%f'."
+    ),
+    click.option(
+        "--where",
+        multiple=True,
+        metavar="COLUMN=VALUE",
+        help="CSV: only rows that have the value; all of several.",
+    ),
     click.option("--rate", type=float, help="Recording: samples a second, without time stamps."),
     click.option("--axis-map", help='Recording: axes, for example "x,-y,z".'),
     click.option("--preset", help="Recording: named mapping (actigraph, axivity, euroc, ...)."),
@@ -51,7 +67,8 @@ _FIELDS = {
     **{
         name: name
         for name in (
-            "acc", "gyro", "temperature", "time", "gyro_unit", "time_unit", "rate",
+            "acc", "gyro", "temperature", "time", "gyro_unit", "temperature_unit", "time_unit",
+            "time_format", "where", "rate",
             "axis_map", "preset", "acc_offset", "skip", "decimal", "delimiter",
             "max_chunk", "allow_external",
         )
@@ -115,6 +132,7 @@ def mapping_of(options: dict[str, Any]) -> FieldMapping:
     stated = {name: options[option] for option, name in _FIELDS.items()}
     delimiter = stated["delimiter"]
     stated["delimiter"] = words.get(delimiter, delimiter) if delimiter else None
+    stated["where"] = list(stated["where"]) or None
     base = load_mapping(options["mapping"]) if options["mapping"] else FieldMapping()
     return from_dict(stated, "command line").filled_from(base)
 

@@ -6,19 +6,20 @@ A reader is found by its file being here; `read` picks the one that recognises t
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Protocol
 
 from imucalib.core.discovery import modules_of
-from imucalib.errors import UnreadableInput
+from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
-from imucalib.readers.parts import in_parts
+from imucalib.readers.joining import together
+from imucalib.readers.parts import in_parts, with_plausible_clocks
 from imucalib.readers.rates import with_checked_rates
 from imucalib.readers.repeats import with_repeats_told
 from imucalib.readers.source import head_of, sha256_of
-from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.mapping import TIME_ZEROS, FieldMapping
 from imucalib.recording.recording import Recording
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Reader",
     "blocks",
     "read",
+    "read_together",
     "reader_for",
     "readers",
     "sha256_of",
@@ -112,9 +114,19 @@ def read(
     UnreadableInput when nothing can be read or, with `strict`, when anything is damaged, and
     UsageError when the mapping names what the file does not have.
     """
-    full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
+    full = with_preset(mapping or FieldMapping())
+    reader = _reader(path, full)
     found = reader.read(Path(path), full, strict=strict)
     return next(_looked_at(iter([found]), full, reader))
+
+
+def read_together(
+    paths: Sequence[str | os.PathLike[str]], mapping: FieldMapping | None = None, *,
+    strict: bool = False,
+) -> Recording:  # fmt: skip
+    """Files of one device, each of other sensors, as one recording (a phone's accelerometer and
+    gyroscope). Errors as in `read`, and UsageError for clocks that do not fit each other."""
+    return together([read(path, mapping, strict=strict) for path in paths])
 
 
 def blocks(
@@ -125,7 +137,8 @@ def blocks(
     strict: bool = False,
 ) -> Iterator[Recording]:
     """Read a recording of any known format piecewise, in bounded memory; errors as in `read`."""
-    full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
+    full = with_preset(mapping or FieldMapping())
+    reader = _reader(path, full)
     found = reader.blocks(Path(path), full, block_samples=block_samples, strict=strict)
     return _looked_at(found, full, reader)
 
@@ -135,16 +148,34 @@ def stored_blocks(
 ) -> Iterator[Recording]:
     """`blocks` for a pass that keeps only statistics: a reader whose format holds plain numbers
     gives them as they are, with the conversion to SI beside them (`Channel.pending`)."""
-    full, reader = with_preset(mapping or FieldMapping()), reader_for(path)
+    full = with_preset(mapping or FieldMapping())
+    reader = _reader(path, full)
     given = getattr(reader, "stored_blocks", reader.blocks)
     found: Iterator[Recording] = given(Path(path), full, block_samples=BLOCK_SAMPLES, strict=strict)
     return _looked_at(found, full, reader)
 
 
+def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:
+    """The reader for a file. Raises UsageError for what only tables and HDF5 files have."""
+    reader = reader_for(path)
+    if mapping.where and reader.name != "csv":
+        raise UsageError(
+            f"--where selects rows of text tables, and this is {reader.name}", where=str(path),
+            remedy="leave it out",
+        )  # fmt: skip
+    if mapping.time_unit in TIME_ZEROS and reader.name not in ("csv", "hdf5", "matlab"):
+        raise UsageError(
+            f"stamps of {reader.name} count from 1970 or from a start, not in {mapping.time_unit}",
+            where=str(path), remedy="give --time-unit s, ms, us or ns",
+        )  # fmt: skip
+    return reader
+
+
 def _looked_at(
     found: Iterator[Recording], mapping: FieldMapping, reader: Reader
 ) -> Iterator[Recording]:
-    """What holds for every format: a clock's parts, rates in the unit that is stated, and samples
-    that are no measurement."""
+    """What holds for every format: a clock's parts, clocks that such sensors can have, rates in the
+    unit that is stated, and samples that are no measurement."""
     fixed = getattr(reader, "fixed", False)
-    return with_repeats_told(with_checked_rates(in_parts(found), mapping, fixed=fixed))
+    clocked = with_plausible_clocks(in_parts(found))
+    return with_repeats_told(with_checked_rates(clocked, mapping, fixed=fixed))

@@ -9,14 +9,16 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from imucalib.recording.mapping import TIME_UNITS
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, without_brackets
 
-_ACC = {"a", "acc", "accel", "acceleration", "accelerometer", "accelerations", "accelero"}
-_GYRO = {"g", "w", "gyr", "gyro", "gyros", "gyroscope", "omega", "angular", "angvel", "angrate"}
-_TEMPERATURE = {"temp", "temperature", "temps"}
+_ACC = {"a", "acc", "accel", "acceleration", "accelerometer", "accelerations", "accelero",
+        "beschleunigung", "beschl"}  # fmt: skip
+_GYRO = {"g", "w", "gyr", "gyro", "gyros", "gyroscope", "omega", "angular", "angvel", "angrate",
+         "drehrate"}  # fmt: skip
+_TEMPERATURE = {"temp", "temperature", "temps", "temperatur"}
 _TIME = {"time", "timestamp", "timestamps", "stamp", "t", "datetime", "seconds", "secs", "sec",
-         "sampletimefine", "utc", "epoch", "elapsed", "stamps"}  # fmt: skip
+         "sampletimefine", "utc", "epoch", "elapsed", "stamps",
+         "zeit", "zeitstempel", "uhrzeit"}  # fmt: skip
 _SILENT = {"rs", "s", "b", "field", "data", "raw", "cal", "calibrated", "uncal", "linear",
            "angular", "velocity", "rate", "imu", "sensor", "sensors", "axis", "value", "values",
            "header",
@@ -30,6 +32,9 @@ _COMPACT = re.compile(
     r"^(accel|acc|a|gyro|gyr|g|w|omega)_?(\d*)_?([xyz])(\d*)$|^([xyz])_?(accel|acc|gyro|gyr)(\d*)$"
 )
 _BRACKETED = re.compile(r"\s*(\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\))\s*$")
+#: A unit behind a name without brackets, where it is written with a slash: "acc_x_m/s^2".
+_SLASHED = re.compile(r"[\s_.\-]+([^\s_]+/[^\s_]+|[^\s_]+/\(?s\^?2\)?)$")
+_TEX = re.compile(r"\\(?:hat|vec|bar|tilde|mathrm|mathbf|text|dot)\s*|[\\${}]|\^\{?\\circ\}?")
 _UNIT_WORDS = {
     "ms2": "m/s2", "mps2": "m/s2", "mss": "m/s2", "mg": "mg", "ug": "ug", "rads": "rad/s",
     "rps": "rad/s", "dps": "deg/s", "degs": "deg/s", "degc": "degC", "celsius": "degC",
@@ -41,9 +46,38 @@ _UNIT_WORDS = {
 _TEMPERATURE_UNITS = {"c": "degC", "degc": "degC", "celsius": "degC", "degreesc": "degC",
                       "f": "degF", "degf": "degF", "fahrenheit": "degF", "degreesf": "degF",
                       "k": "K", "kelvin": "K", "degk": "K"}  # fmt: skip
-_TIME_UNIT_TEXT = {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "µs": "us",
-                   "usec": "us", "msec": "ms", "nsec": "ns", "nanoseconds": "ns",
-                   "microseconds": "us", "milliseconds": "ms", "unix": "s"}  # fmt: skip
+#: Units that a name may state of a column without saying that it is a time, and last words that
+#: name the unit of one that does ("elapsed_min"; of "acc_x_min" it is a minimum).
+_STAMP_UNITS = {"s", "ms", "us", "ns", "100us"}
+_TIME_WORDS = {
+    "min": "min",
+    "mins": "min",
+    "minutes": "min",
+    "minute": "min",
+    "h": "h",
+    "hr": "h",
+    "hrs": "h",
+    "hours": "h",
+    "hour": "h",
+    "d": "d",
+    "day": "d",
+    "days": "d",
+    "s": "s",
+    "datenum": "datenum",
+    "filetime": "filetime",
+    "ticks": "ticks",
+}
+#: Parts of a stamp in columns of their own, in its order; i and u are whole ms and us.
+_PARTS = {
+    "Y": ("year", "yr"),
+    "M": ("month", "mon"),
+    "D": ("day",),
+    "h": ("hour", "hr", "hours"),
+    "m": ("minute", "min", "minutes"),
+    "s": ("second", "sec", "seconds", "secs"),
+    "i": ("millisecond", "ms", "msec", "milliseconds"),
+    "u": ("microsecond", "us", "usec", "microseconds"),
+}
 
 
 @dataclass(frozen=True)
@@ -63,25 +97,68 @@ class Column:
     unit: str = ""
 
 
-def understand(names: Sequence[str]) -> list[Column]:
-    """The meaning of every column name; bare x, y, z are acceleration, or a rate by
-    their unit, if nothing else is an acceleration.
+def understand(names: Sequence[str], bare: str = "acceleration") -> list[Column]:
+    """The meaning of every column name; bare x, y, z are `bare` ("angular_rate" in the file of a
+    gyroscope), or a rate by their unit, if nothing else is an acceleration.
     """
     columns = [_column(i, name) for i, name in enumerate(names)]
+    columns = _of_kalibr(columns)
     if not any(c.quantity == "acceleration" for c in columns):
-        columns = [_bare_axis(c) for c in columns]
+        columns = [_bare_axis(c, bare) for c in columns]
     return columns
 
 
-def _bare_axis(column: Column) -> Column:
+def without_tex(text: str) -> str:
+    """A heading without the marks of TeX that a copy of a paper's has: "$\\hat{a}_x$" is "a_x"."""
+    return _TEX.sub("", text).strip() if "$" in text or "\\" in text else text
+
+
+def is_date(name: str) -> bool:
+    """Whether a name says that the column holds dates, which a time of day may stand beside."""
+    return _words(name) in (["date"], ["datum"], ["day"], ["local", "date"], ["utc", "date"])
+
+
+def parts_of_time(names: Sequence[str]) -> dict[str, int]:
+    """Letter of each part of a stamp -> index, in order, where all from year to second are there.
+
+    The letters are those of `TextTime.order`.
+    """
+    found: dict[str, int] = {}
+    for k, words in enumerate(map(_words, names)):
+        for letter, known in _PARTS.items():
+            if len(words) == 1 and words[0] in known:
+                found.setdefault(letter, k)
+    if not {"Y", "M", "D", "h", "m", "s"} <= found.keys():
+        return {}
+    return {letter: found[letter] for letter in _PARTS if letter in found}
+
+
+def _of_kalibr(columns: list[Column]) -> list[Column]:
+    """Kalibr calls the acceleration alpha, beside a rate called omega; else that is no force."""
+    axes = {c.name.lower(): c.index for c in columns}
+    named = [f"{letter}_{axis}" for letter in ("omega", "alpha") for axis in "xyz"]
+    if not axes.keys() >= set(named) or any(c.quantity == "acceleration" for c in columns):
+        return columns
+    forces = {axes[name]: k for k, name in enumerate(named[3:])}
+    return [
+        replace(c, quantity="acceleration", axis=forces[c.index], triad="imu0")
+        if c.index in forces else c
+        for c in columns
+    ]  # fmt: skip
+
+
+def _bare_axis(column: Column, bare: str) -> Column:
     words = [w for w in _words(column.name) if w != "axis"]
     if words[1:] == ["g"] and column.quantity in ("", "angular_rate"):
         column = replace(column, quantity="", unit="g")  # where nothing else is an acceleration
     if len(words) == 2 and column.unit in ("g", _UNIT_WORDS.get(words[1])):
         words = words[:1]
     unit = canonical(column.unit)
-    known = unit in ACCELERATION_UNITS or unit in ("", "counts")
-    quantity = "acceleration" if known else "angular_rate" if unit in RATE_UNITS else ""
+    if unit in ("", "counts"):
+        quantity = bare
+    else:
+        quantity = "acceleration" if unit in ACCELERATION_UNITS else "angular_rate"
+        quantity = quantity if unit in {**ACCELERATION_UNITS, **RATE_UNITS} else ""
     if column.quantity or not quantity or len(words) != 1 or words[0] not in ("x", "y", "z"):
         return column
     return replace(column, quantity=quantity, axis="xyz".index(words[0]), triad="imu0")
@@ -93,10 +170,13 @@ def _words(name: str) -> list[str]:
 
 
 def _column(index: int, text: str) -> Column:
-    name, unit = text.strip().lstrip("#%").strip(), ""
+    name, unit = without_tex(text.strip().lstrip("#%").strip()), ""
     found = _BRACKETED.search(name)
+    slashed = None if found else _SLASHED.search(name)
     if found:
         name, unit = name[: found.start()].strip(), without_brackets(found.group(1))
+    elif slashed and canonical(slashed[1]) in {**ACCELERATION_UNITS, **RATE_UNITS}:
+        name, unit = name[: slashed.start()], slashed[1]
     words = _words(name)
     if not unit and len(words) > 1:
         unit = _UNIT_WORDS.get(words[-1], "")
@@ -110,9 +190,11 @@ def _column(index: int, text: str) -> Column:
         words, unit = (words, unit) if unit else _with_unit(words)
         words = [w for w in words if w not in _ACC | _GYRO]
         return Column(index, name, "temperature", triad=_triad(words), unit=unit)
-    if _TIME & set(words) or (unit in TIME_UNITS and not _OTHER & set(words)):
-        unit = unit or ("s" if words[-1:] == ["s"] else _UNIT_WORDS.get("".join(words), ""))
-        return Column(index, name, "time", unit=_TIME_UNIT_TEXT.get(unit.lower(), unit))
+    if _TIME & set(words) or (unit in _STAMP_UNITS and not _OTHER & set(words)):
+        stated = _TIME_WORDS.get(words[-1], "") if len(words) > 1 else ""
+        return Column(
+            index, name, "time", unit=unit or stated or _UNIT_WORDS.get("".join(words), "")
+        )
     return Column(index, name, unit=unit)
 
 

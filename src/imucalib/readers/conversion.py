@@ -6,8 +6,10 @@ decided, and why, is one sentence in `Conversion.note`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +117,7 @@ def acceleration(
     source = Source(source) if isinstance(source, str) else source
     axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.acc_offset, "acc_offset", 0.0)
-    unit = units.canonical(mapping.acc_unit or source.unit)
+    unit = unit_of_axes(mapping.acc_unit or source.unit, "--unit", where)
     if source.fixed and not (mapping.acc_unit or mapping.lsb_per_g):
         note = _caution(np.linalg.norm(rest - offset, axis=1), unit)
         size = np.array([units.ACCELERATION_UNITS[unit]])
@@ -124,22 +126,72 @@ def acceleration(
     if away is not None and (unit != COUNTS or mapping.lsb_per_g):
         remedy = f"{away.option} counts them from there; the data sheet may know better"
         raise UnreadableInput(away.sentence, where=where, remedy=remedy)
-    rest = np.linalg.norm(rest - offset, axis=1)
+    rest = rest - offset
     if mapping.lsb_per_g and unit in ("", COUNTS):
         scale = units.STANDARD_GRAVITY / _per_axis(mapping.lsb_per_g, "lsb_per_g", 1.0)
         return Conversion("m/s2", COUNTS, scale, offset, axes, "acceleration from counts per g")
     if source.scales and not mapping.acc_unit:
-        return _by_scales(source.scales, rest, where, offset=offset, axes=axes)
+        return _by_scales(source.scales, _norms(rest), where, offset=offset, axes=axes)
     if unit == COUNTS:
         note = "acceleration kept as raw counts"
         return Conversion(COUNTS, COUNTS, np.ones(1), offset, axes, note)
     note = ""
     if not unit:
-        unit, note = _by_norm(source, rest, where)
+        unit, note = _by_norm(source, _norms(rest), where)
     factor = _factor(unit, units.ACCELERATION_UNITS, mapping.acc_unit, "--unit", where)
     if not note:
         _refuse_wrong(unit, factor, rest, bool(mapping.acc_unit), where)
-    return Conversion("m/s2", unit, np.array([factor]), offset, axes, note)
+    return Conversion("m/s2", unit, factor, offset, axes, note)
+
+
+def _norms(rest: Array) -> Array:
+    return np.asarray(np.linalg.norm(rest, axis=1))
+
+
+class _Quantity(Protocol):
+    @property
+    def quantity(self) -> str: ...
+    @property
+    def triad(self) -> str: ...
+
+
+_Q = TypeVar("_Q", bound=_Quantity)
+_S = TypeVar("_S")
+
+
+def readable(channels: Sequence[_Q], make: Callable[[_Q], _S], notes: list[str]) -> tuple[_S, ...]:
+    """What `make` makes of each channel; one that others can do without (a thermometer, a gyroscope
+    beside an accelerometer) and that cannot be read is left out, and a note says why."""
+    main = {c.quantity for c in channels if c.quantity != "temperature"}
+    made = []
+    for channel in channels:
+        try:
+            made.append(make(channel))
+        except UnreadableInput as error:
+            rate = channel.quantity == "angular_rate" and "acceleration" in main
+            if not rate and channel.quantity != "temperature":
+                raise
+            name = f"{channel.triad}/{channel.quantity}"
+            notes.append(f"{name} left out: {error.what}; {error.remedy}")
+    return tuple(made)
+
+
+def unit_of_axes(text: str, option: str, where: str) -> str:
+    """The unit of all axes in its usual spelling, or "m/s2,m/s2,g" where they differ.
+
+    text : one unit, or one an axis. Raises UnreadableInput where only some axes have one.
+    """
+    each = [units.canonical(part) for part in text.split(",")]
+    if len(set(each)) == 1:
+        return each[0]
+    if len(each) != 3 or "" in each or COUNTS in each:
+        said = ", ".join(f"{a} {u or 'nothing'}" for a, u in zip("xyz", each, strict=False))
+        raise UnreadableInput(
+            f"the axes state different units ({said}), which do not go together", where=where,
+            remedy=f"name one for all with {option}, or one an axis: {option} m/s2,m/s2,g"
+            if option == "--unit" else f"name one for all with {option}",
+        )  # fmt: skip
+    return ",".join(each)
 
 
 def _by_norm(source: Source, rest: Array, where: str) -> tuple[str, str]:
@@ -186,13 +238,13 @@ def _caution(rest: Array, unit: str) -> str:
     )
 
 
-def _refuse_wrong(unit: str, factor: float, rest: Array, by_user: bool, where: str) -> None:
+def _refuse_wrong(unit: str, factor: Array, rest: Array, by_user: bool, where: str) -> None:
     if rest.size == 0:
         return
-    norm = float(np.median(rest))
-    ratio = norm * factor / units.STANDARD_GRAVITY
+    ratio = float(np.median(_norms(rest * factor))) / units.STANDARD_GRAVITY
     if 1.0 / _IMPLAUSIBLE <= ratio <= _IMPLAUSIBLE:
         return
+    norm = float(np.median(_norms(rest)))
     what = f"the norm at rest is {norm:.6g}, which is {ratio:.3g} g when the unit is {unit}"
     if by_user:
         remedy = "leave --unit away or name the true one; counts need --unit counts --lsb N"
@@ -226,7 +278,7 @@ def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
     """Conversion of raw angular rate to rad/s; without any unit the numbers stay "counts"."""
     axes = parse_axis_map(mapping.axis_map)
     offset = _per_axis(mapping.gyro_offset, "gyro_offset", 0.0)
-    unit = units.canonical(mapping.gyro_unit or stated)
+    unit = unit_of_axes(mapping.gyro_unit or stated, "--gyro-unit", where)
     if mapping.lsb_per_dps and unit in ("", COUNTS):
         scale = units.DEG / _per_axis(mapping.lsb_per_dps, "lsb_per_dps", 1.0)
         return Conversion("rad/s", COUNTS, scale, offset, axes, "angular rate from counts")
@@ -236,7 +288,7 @@ def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
             note = "angular rate: no unit is stated, kept as raw counts; name it with --gyro-unit"
         return Conversion(COUNTS, COUNTS, np.ones(1), offset, axes, note)
     factor = _factor(unit, units.RATE_UNITS, mapping.gyro_unit, "--gyro-unit", where)
-    return Conversion("rad/s", unit, np.array([factor]), offset, axes)
+    return Conversion("rad/s", unit, factor, offset, axes)
 
 
 _TEMPERATURE: dict[str, tuple[float, float]] = {  # degC = (raw - offset) * factor
@@ -246,6 +298,10 @@ _TEMPERATURE: dict[str, tuple[float, float]] = {  # degC = (raw - offset) * fact
 }  # fmt: skip
 
 
+#: A degree sign that a conversion between character sets has made into something else.
+_MANGLED = re.compile(r"[^\w\s/]{1,3}\s?C|[ÂÃïº˚ª½\W]{1,3}C|\u2103")
+
+
 def temperature(mapping: FieldMapping, stated: str, raw: Array, where: str) -> Conversion:
     """Conversion of raw temperature to °C.
 
@@ -253,6 +309,7 @@ def temperature(mapping: FieldMapping, stated: str, raw: Array, where: str) -> C
     "counts". raw : any sample of the values.
     """
     unit = units.canonical(mapping.temperature_unit or stated)
+    unit = "degC" if _MANGLED.fullmatch(unit) else unit
     note = ""
     if not unit:
         known = raw[np.isfinite(raw)]
@@ -262,7 +319,7 @@ def temperature(mapping: FieldMapping, stated: str, raw: Array, where: str) -> C
         return Conversion(COUNTS, COUNTS, np.ones(1), np.zeros(1), note=note)
     if unit not in _TEMPERATURE:
         raise _unknown(
-            unit, "degC, K, degF, counts", mapping.temperature_unit, "temperature_unit", where
+            unit, "degC, K, degF, counts", mapping.temperature_unit, "--temperature-unit", where
         )
     factor, offset = _TEMPERATURE[unit]
     return Conversion("degC", unit, np.array([factor]), np.array([offset]), note=note)
@@ -274,10 +331,13 @@ def _per_axis(values: tuple[float, ...], name: str, default: float) -> Array:
     return np.array(values or (default,), dtype=np.float64)
 
 
-def _factor(unit: str, family: dict[str, float], by_user: str, option: str, where: str) -> float:
-    if unit not in family:
-        raise _unknown(unit, ", ".join((*family, COUNTS)), by_user, option, where)
-    return family[unit]
+def _factor(unit: str, family: dict[str, float], by_user: str, option: str, where: str) -> Array:
+    """(1,) or (3,) SI units in one of the file's."""
+    each = unit.split(",")
+    for one in each:
+        if one not in family:
+            raise _unknown(one, ", ".join((*family, COUNTS)), by_user, option, where)
+    return np.array([family[one] for one in each])
 
 
 def _unknown(

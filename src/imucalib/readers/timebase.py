@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -11,9 +14,15 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.recording.mapping import TIME_UNITS
+from imucalib.recording.mapping import TIME_UNITS, TIME_ZEROS
 from imucalib.recording.recording import Gap
 
+#: Samples a second of what this package calibrates: epochs of accelerometers take seconds, and no
+#: converter of an inertial sensor is faster than the second.
+SLOWEST, FASTEST = 0.1, 1e5
+#: Oscillators of sensors are off by per cent, dividers by factors of two or more: a rate that is
+#: stated and one that is found contradict each other beyond the middle.
+_OTHER_RATE = 2.0**0.5
 _YEAR_2000, _YEAR_2100 = 946_684_800.0, 4_102_444_800.0
 _MISSING_ONE = 1.75  # a step of two periods is a lost sample when the clock is clean
 SIDES, _FEWEST = 9, 3  # samples on each side of a step back that decide whether it is one
@@ -91,25 +100,107 @@ def start_of(ns: float, notes: list[str]) -> int | None:
     return None
 
 
-def guess_unit(first: float, step: float, where: str) -> tuple[str, str]:
+def contradicts(rate: float, stated: float) -> bool:
+    """Whether a rate that was found cannot be the one that is stated, both in Hz."""
+    return not 1.0 / _OTHER_RATE <= rate / stated <= _OTHER_RATE
+
+
+def guess_unit(
+    first: float, step: float, where: str, stated: float | None = None
+) -> tuple[str, str]:
     """The unit of numeric time stamps from their size and step, with the sentence that says why.
 
+    stated : the rate that the file states, Hz
     Raises UnreadableInput when more than one unit, or none, gives a rate of 5 to 8000 Hz, or when
     the numbers may be a counter.
     """
-    for unit in ("s", "ms", "us", "ns"):
+    for unit in ("s", "ms", "us", "ns", *TIME_ZEROS):
         size = TIME_UNITS[unit]
-        if is_absolute(first * size) and 0.01 <= 1.0 / (step * size) <= 20_000.0:
+        date = is_absolute(first * size + TIME_ZEROS.get(unit, 0))
+        if date and SLOWEST <= 1.0 / (step * size) <= FASTEST:
             return unit, f"time: {first:.16g} is a date when the unit is {unit}"
-    if step < 1.0:
-        return "s", f"time: a median step of {step:.6g} -> unit s"
-    fitting = [u for u in ("s", "ms", "us", "ns") if 5.0 <= 1.0 / (step * TIME_UNITS[u]) <= 8000.0]
-    if len(fitting) == 1 and step != 1.0:  # steps of one may be a counter
-        rate = 1.0 / (step * TIME_UNITS[fitting[0]])
-        sentence = f"time: a median step of {step:.6g} -> unit {fitting[0]} ({rate:.6g} Hz)"
-        return fitting[0], sentence
+    rates = {u: 1.0 / (step * TIME_UNITS[u]) for u in ("s", "ms", "us", "ns", "min", "h", "d")}
+    if stated:
+        fitting = [u for u, rate in rates.items() if not contradicts(rate, stated)]
+        said = f", as {stated:g} Hz is stated"
+    else:
+        fitting = [u for u in ("s", "ms", "us", "ns") if 5.0 <= rates[u] <= 8000.0]
+        fitting = ["s"] if step < 1.0 and rates["s"] <= FASTEST else fitting
+        said = f" ({rates[fitting[0]]:.6g} Hz)" if len(fitting) == 1 and step >= 1.0 else ""
+    if len(fitting) == 1 and (step != 1.0 or stated):  # steps of one may be a counter
+        return fitting[0], f"time: a median step of {step:.6g} -> unit {fitting[0]}{said}"
     raise UnreadableInput(
         f"the unit of the time stamps is unclear: their median step is {step:.6g}",
         where=where,
         remedy="name it with --time-unit, or give --rate",
     )
+
+
+def seconds_of(
+    stamps: NDArray[Any], origin: float | int, unit: str, missing: int | None = None
+) -> Array:
+    """Seconds since the stamp `origin`, exact before the last rounding; NaN for `missing`."""
+    size = TIME_UNITS.get(unit, 1e-9)
+    if stamps.dtype.kind not in "iu":
+        return np.asarray((stamps.astype(np.float64) - origin) * size)
+    whole = stamps.astype(np.int64) - int(origin)
+    seconds = np.asarray(whole * size if size >= 1.0 else whole / round(1.0 / size), np.float64)
+    if missing is not None:
+        seconds[stamps == missing] = np.nan
+    return seconds
+
+
+def date_of(stamp: float | int, unit: str, epoch: int | None = None) -> int | None:
+    """Nanoseconds since 1970 of a stamp, or None where it is no date.
+
+    epoch : the date of stamp zero in the same, where the file states it
+    """
+    if unit in TIME_ZEROS:
+        epoch = TIME_ZEROS[unit] * 1_000_000_000
+    size = Fraction(TIME_UNITS.get(unit, 1e-9)).limit_denominator(10**9)
+    ns = round(Fraction(stamp) * size * 10**9)
+    if epoch is not None:
+        return ns + epoch if abs(ns + epoch) < 2**63 else None
+    return ns if is_absolute(ns * 1e-9) else None
+
+
+_SINCE = re.compile(r"\s*([A-Za-zµμ]+)\s+since\s+(.+?)\s*$")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+#: Spellings of the units of time.
+_SPELLED = {
+    "s": "sec secs second seconds", "ms": "msec msecs millis millisecond milliseconds millisec",
+    "us": "µs μs usec usecs micros microsecond microseconds microsec", "min": "mins minute minutes",
+    "ns": "nsec nsecs nanos nanosecond nanoseconds nanosec", "h": "hr hrs hour hours",
+    "d": "day days", "excel": "serial", "datenum": "matlab", "julian": "jd",
+}  # fmt: skip
+_ALIASES = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
+
+
+def clock_unit(text: str, where: str) -> tuple[str, int | None]:
+    """Unit and origin (ns since 1970) of "milliseconds since 2020-01-01 12:00", else the text in
+    its usual spelling.
+
+    The form is that of netCDF (CF Conventions, 4.4); an origin without a zone is UTC there.
+    Raises UnreadableInput for an origin that is no date.
+    """
+    found = _SINCE.match(text)
+    word = (found[1] if found else text).strip()
+    unit = word if word in TIME_UNITS else _ALIASES.get(word.lower(), word.lower())
+    unit = unit if unit in TIME_UNITS else word
+    if not found:
+        return unit, None
+    try:
+        start = datetime.fromisoformat(_padded(found[2].removesuffix("UTC").strip()))
+    except ValueError:
+        raise UnreadableInput(
+            f"the clock counts from '{found[2][:40]}', which is no date", where=where,
+            remedy="name the unit with --time-unit: it then counts from the first sample",
+        ) from None  # fmt: skip
+    start = start if start.tzinfo else start.replace(tzinfo=UTC)
+    since = start - _EPOCH
+    return unit, (since.days * 86_400_000_000 + since.seconds * 10**6 + since.microseconds) * 1000
+
+
+def _padded(text: str) -> str:
+    """The date with two digits where one is written: "2020-1-1 0:0:0" is common."""
+    return re.sub(r"(?<![\d.])(\d)(?!\d)", r"0\1", text)

@@ -20,7 +20,17 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.recording.yaml_text import dump, load
 
 #: Seconds in one unit of a numeric time stamp; "text" is a date or a time of day.
-TIME_UNITS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100us": 1e-4}
+TIME_UNITS: dict[str, float] = {
+    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100us": 1e-4, "min": 60.0, "h": 3600.0,
+    "d": 86_400.0, "excel": 86_400.0, "datenum": 86_400.0, "julian": 86_400.0, "filetime": 1e-7,
+    "ticks": 1e-7,
+}  # fmt: skip
+#: Seconds since 1970 of stamp zero, of the units that count from a date of their own: days of a
+#: spreadsheet (from 1899-12-30), of MATLAB (year 0), Julian days; 100 ns of Windows (1601), .NET.
+TIME_ZEROS: dict[str, int] = {
+    "excel": -25_569 * 86_400, "datenum": -719_529 * 86_400, "julian": -210_866_760_000,
+    "filetime": -11_644_473_600, "ticks": -62_135_596_800,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -31,7 +41,8 @@ class FieldMapping:
     HDF5, a dataset path, one to a triad (or one dataset (N, K, 3) for K triads); MCAP, "topic" or
     "topic:field.path" of a 3-vector, one to a triad.
 
-    acc, gyro, temperature, time : field addresses; time empty means "from `rate`"
+    acc, gyro, temperature, time : field addresses; time empty means "from `rate`"; of a CSV, time
+        may be several columns that make a stamp together, "Date,Time"
     triads : names of the sensors, in the order of `acc`, then of `gyro` where these differ
         ("imu0", "imu1", ... when empty)
     acc_unit, gyro_unit, temperature_unit : units of the file; "counts" for raw integers
@@ -40,6 +51,7 @@ class FieldMapping:
     rate : samples a second; when stated, time stamps are ignored unless `time` is named too
     time_unit : a key of TIME_UNITS or "text"
     time_format : strptime format of text stamps that are not ISO 8601
+    where : "column=value" of a text table: only rows that have it are read, all of several
     axis_map : sensor axes of the output in terms of the file's, for example "x,-y,z"
     skip : lines before the header or, with `header` False, before the first data row
     header : whether a line of column names exists
@@ -64,6 +76,7 @@ class FieldMapping:
     rate: float | None = None
     time_unit: str = ""
     time_format: str = ""
+    where: tuple[str, ...] = ()
     axis_map: str = ""
     skip: int | None = None
     header: bool | None = None
@@ -89,6 +102,12 @@ class FieldMapping:
                 where="mapping: time_unit",
                 remedy=f"use one of: {choices}",
             )
+        for condition in self.where:
+            if not all(part.strip() for part in condition.partition("=")):
+                raise UsageError(
+                    f"'{condition}' is not COLUMN=VALUE", where="mapping: where",
+                    remedy="write it like serial=A12",
+                )  # fmt: skip
         if self.decimal not in ("", ".", ","):
             raise UsageError(
                 f"decimal mark '{self.decimal}' is neither . nor ,", where="mapping: decimal"
@@ -120,7 +139,7 @@ def from_dict(data: Mapping[str, object], where: str = "mapping") -> FieldMappin
 
 
 _FLOATS = ("lsb_per_g", "lsb_per_dps", "acc_offset", "gyro_offset")
-_STRINGS = ("acc", "gyro", "temperature", "triads")
+_STRINGS = ("acc", "gyro", "temperature", "triads", "where")
 
 
 def _as_field(key: str, value: object, where: str = "mapping") -> Any:

@@ -99,6 +99,12 @@ CASES: tuple[Case, ...] = (
             *_on("bare.csv", "--unit", "m/s2", "--gyro-unit", "counts")),
     CONVERT("--time-unit ms", holds(_as_they_are), *_on(
         "stamps_ms.csv", "--unit", "m/s2", "--gyro-unit", "rad/s")),
+    CONVERT("--temperature-unit K", holds(_as_they_are), *_on(
+        "kelvin.csv", "--unit", "m/s2", "--gyro-unit", "rad/s")),
+    Case("convert", "--time-format", ("--time-format", "%m/%d/%Y %H:%M:%S.%f CST"),
+         holds(_as_they_are), _on("odd_stamps.csv", "--unit", "m/s2", "--gyro-unit", "rad/s")),
+    CONVERT("--where tool=A12", holds(_as_they_are), *_on(
+        "two_tools.csv", "--unit", "m/s2", "--gyro-unit", "rad/s")),
     CONVERT("--rate 50", holds(_at_50_hz), *BARE),
     CONVERT("--axis-map y,-x,z", holds(_turned), *BARE),
     CONVERT("--preset euroc", holds(_as_they_are, "acceleration", "angular_rate"),

@@ -63,7 +63,7 @@ def assert_same(text: bytes, layout: Layout) -> None:
 )
 def test_same_rows_or_same_message(table: list[tuple[str, ...]], kind: str, delimiter: str) -> None:
     text = "".join(delimiter.join(row) + "\n" for row in table).encode()
-    time = 0 if kind else -1
+    time = (0,) if kind else ()
     assert_same(text, Layout(delimiter, ".", 4, time, kind, (1, 3)))
 
 
@@ -71,9 +71,9 @@ def test_same_rows_or_same_message(table: list[tuple[str, ...]], kind: str, deli
 @given(rows=st.lists(st.tuples(decimals, doubles, decimals), min_size=1, max_size=20))
 def test_plain_numbers_are_read_by_pyarrow(rows: list[tuple[str, ...]]) -> None:
     text = "".join(",".join(row) + "\n" for row in rows).encode()
-    found = csv_arrow.columns_of(text, ",", 3, (0, "float"), (1, 2))
+    found = csv_arrow.columns_of(text, ",", 3, ((0,), "float"), (1, 2))
     assert found is not None
-    assert found[0].tolist() == [float(row[0]) for row in rows]
+    assert found[0][0].tolist() == [float(row[0]) for row in rows]
     assert np.array_equal(
         found[1], [[float(row[1]), float(row[2])] for row in rows], equal_nan=True
     )

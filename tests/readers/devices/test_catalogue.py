@@ -74,8 +74,8 @@ def test_presets_fill_only_what_is_not_stated(name: str) -> None:
 
 
 def test_the_devices_are_those_that_the_help_promises() -> None:
-    promised = {"actigraph", "geneactiv", "axivity", "euroc", "xsens", "apdm", "sensor_msgs",
-                "empatica", "gcdc"}  # fmt: skip
+    promised = {"actigraph", "geneactiv", "kalibr", "axivity", "euroc", "xsens", "apdm",
+                "sensor_msgs", "empatica", "gcdc"}  # fmt: skip
     assert set(devices()) == promised
     words = [word for device in devices().values() for word in device.words]
     assert words == [word.lower() for word in words]

@@ -2,7 +2,8 @@
 
 Outcomes: `right` (every sample as written, none lost, or the rest of a file that states no
 length), `told` (refused, or what is left is right and the loss is told), `wrong, told` (samples
-that were not written so, under a new note or gap), `silent`, `traceback`, `hang`, `memory`.
+that were not written so, under a new note or gap), `silent`, `traceback`, `crash` (the
+interpreter itself), `hang`, `memory`.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from worlds.fuzz.damage import damaged
 from worlds.fuzz.files import Kind, Made, kinds
 from worlds.fuzz.truth import compare
 
-OUTCOMES = ("right", "told", "wrong, told", "silent", "traceback", "hang", "memory")
+OUTCOMES = ("right", "told", "wrong, told", "silent", "traceback", "crash", "hang",
+            "memory")  # fmt: skip
 SECONDS = 20  # that a file of less than a megabyte may take
 _NAMES = re.compile(r"^(Axivity|ActiGraph|GENEActiv) |^\S+ topic ")
 _VARIANTS = 4  # files of each format; the damage differs from case to case

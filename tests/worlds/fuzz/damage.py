@@ -87,6 +87,21 @@ def _append(data: bytes, rng: random.Random, edges: Sequence[int]) -> tuple[byte
     return data + rng.randbytes(rng.randrange(1, 3000)), "noise"
 
 
+_WORDS = (b" PM", b" AM", b" a.m.", b" CET", b" CST", b"Z", b"+01:00", b"+02", b"-99", b"T",
+          b" 30.02.2023", b"2023-02-30 25:61:61", b"NaT", b"Feb", b"12:00", b"-", b'"',
+          b"\0")  # fmt: skip
+
+
+def _word(data: bytes, rng: random.Random, edges: Sequence[int]) -> tuple[bytes, str]:
+    """A word of a clock where it does not belong: before a comma or a unit, or over a cell."""
+    at = _span(data, rng, edges)[0]
+    comma = data.find(b",", at)
+    at = comma if comma >= 0 and rng.random() < 0.7 else at
+    word = rng.choice(_WORDS)
+    over = rng.choice((0, 0, len(word)))
+    return data[:at] + word + data[at + over :], f"{word!r} at {at}"
+
+
 KINDS: dict[str, Callable[..., tuple[bytes, str]]] = {
     "cut": _cut,
     "flip": _flip,
@@ -98,4 +113,5 @@ KINDS: dict[str, Callable[..., tuple[bytes, str]]] = {
     "ones": _overwrite(lambda _, n: b"\xff" * n),
     "noise over": _overwrite(lambda rng, n: rng.randbytes(n)),
     "append": _append,
+    "word": _word,
 }

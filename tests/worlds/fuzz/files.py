@@ -10,7 +10,7 @@ import struct
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import reduce
 from operator import xor
 from pathlib import Path
@@ -248,6 +248,37 @@ def _seconds(rng: np.random.Generator, folder: Path) -> Made:
     return Made(data, Truth({"acceleration": (Series(ns, acc * G),)}, 1e-12), _lines(data))
 
 
+#: Text clocks: heading, strftime (%L is milliseconds) and hours east of UTC.
+_TEXT_CLOCKS = {
+    "iso": ("time", "%Y-%m-%d %H:%M:%S.%L", 0),
+    "iso T Z": ("timestamp", "%Y-%m-%dT%H:%M:%S.%LZ", 0),
+    "zone": ("time", "%Y-%m-%d %H:%M:%S.%L+02", 2),
+    "zone by name": ("time", "%Y-%m-%d %H:%M:%S.%L CET", 1),
+    "AM/PM": ("time", "%m/%d/%Y %I:%M:%S.%L %p", 0),
+    "German": ("Zeit", "%d.%m.%Y %H:%M:%S.%L", 0),
+    "month": ("time", "%d-%b-%Y %I:%M:%S.%L p.m.", 0),
+    "Date, Time": ("Date,Time", "%d/%m/%Y,%H:%M:%S.%L", 0),
+    "parts": ("Year,Month,Day,Hour,Minute,Second", "%Y,%m,%d,%H,%M,%S.%L", 0),
+}  # fmt: skip
+
+
+def _text_clock(name: str) -> Callable[[np.random.Generator, Path], Made]:
+    """Stamps as text, 50 Hz; no two rows alike."""
+
+    def make(rng: np.random.Generator, folder: Path) -> Made:
+        heading, form, hours = _TEXT_CLOCKS[name]
+        acc, ns = np.round(_poses(rng, ROWS), 5), _times(50.0, ROWS)
+        lines = [f"{heading},acc_x [g],acc_y [g],acc_z [g]"]
+        for t, a in zip(ns.tolist(), acc.tolist(), strict=True):
+            when = datetime.fromtimestamp(t // 10**9, UTC) + timedelta(hours=hours)
+            stamp = when.strftime(form.replace("%L", f"{t // 10**6 % 1000:03d}"))
+            lines.append(",".join([stamp, *(f"{v:.5f}" for v in a)]))
+        data = ("\n".join(lines) + "\n").encode()
+        return Made(data, Truth({"acceleration": (Series(ns, acc * G),)}, 1e-12), _lines(data))
+
+    return make
+
+
 def _gzipped(
     make: Callable[[np.random.Generator, Path], Made],
 ) -> Callable[[np.random.Generator, Path], Made]:
@@ -409,6 +440,7 @@ def kinds() -> dict[str, Kind]:
         "hdf5 plain": Kind(".h5", _hdf5(), "nothing", True),
         "csv": Kind(".csv", _euroc, "nothing", False),
         "csv, comma": Kind(".csv", _seconds, "nothing", False),
+        **{f"csv, {n}": Kind(".csv", _text_clock(n), "nothing", False) for n in _TEXT_CLOCKS},
         "csv.gz": Kind(".csv.gz", _gzipped(_euroc), "all", True),
         "gt3x": Kind(".gt3x", _gt3x(False), "all", True),
         "gt3x, log.bin": Kind(".gt3x", _gt3x(True), "samples", False),

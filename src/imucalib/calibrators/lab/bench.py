@@ -106,10 +106,10 @@ def corrected_cells(
     """The table with single cells replaced, as the user asked; rows count from 1."""
     columns = {role: values.copy() for role, values in table.columns.items()}
     for row, role, value in fixes:
-        if role not in columns or not 1 <= row <= table.n:
+        if role not in columns or row not in table.row:
             raise UsageError(
                 f"--fix {row}:{role}: no such cell",
-                remedy=f"rows are 1..{table.n}, columns {', '.join(columns)}",
+                remedy=f"rows are 1..{max(table.rows, table.n)}, columns {', '.join(columns)}",
             )
         columns[role][table.at(row)] = value
     return replace(table, columns=columns)
@@ -154,6 +154,8 @@ def position_observations(
     inclination, tool_face = conventions.inside(i_table, t_table)
     i_set = _setting(table, "inclination_setting", i_table)
     t_set = _setting(table, "tool_face_setting", t_table)
+    for row in table.upright:  # a tool-face that is none shares its setting with no other
+        t_set[table.row == row] = t_set.max() + 1
     reference = KnownVector(inclination, tool_face, gravity, i_set, t_set, setting_errors)
     covariates = _covariates(table, reading) | {"inclination": inclination, "tool_face": tool_face}
     covariates |= conventions.dials(i_table, t_table)

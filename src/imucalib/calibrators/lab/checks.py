@@ -225,9 +225,10 @@ def _repair(reading: Array, usual: float, row: int) -> str:
 
 def kept_rows(table: PositionTable, exclude: tuple[int, ...]) -> Index:
     """Rows (from 0) that are left; UsageError for one that does not exist."""
-    unknown = [r for r in exclude if not 1 <= r <= table.n]
+    last = max(table.rows, table.n)
+    unknown = [r for r in exclude if not 1 <= r <= last]
     if unknown:
-        raise UsageError(f"--exclude {unknown[0]}: no such row", remedy=f"rows are 1..{table.n}")
+        raise UsageError(f"--exclude {unknown[0]}: no such row", remedy=f"rows are 1..{last}")
     return np.flatnonzero(~np.isin(table.row, exclude))
 
 

@@ -18,8 +18,11 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from imucalib.rests.refused import refusals
 from imucalib.rests.segments import Segments, StillSettings, still_segments
+from imucalib.units import ACCELERATION_UNITS
 
 ANGLES = {"inclination", "tool_face"}
+#: Inclinations at which the tool-face is none, deg.
+_VERTICAL = {"horizontal": (90.0, -90.0), "vertical": (0.0, 180.0)}
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,12 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
         need_angles=request.reference == "vector",
         need_direction=request.reference == "direction",
         mapping=files.mapping if files.recording is None else None,
+        exclude=request.exclude,
+        vertical=_VERTICAL[request.settings.conventions.inclination_zero],
     )
+    table = table.once if need_raw else table
+    if need_raw and request.unit is None and request.lsb_per_g is None:
+        table = _of_one_unit(table)
     if need_raw and files.mapping.acc_offset:
         table = _counted_from(files.mapping.acc_offset, table)
     stated, zero = table.inclination_zero, request.settings.conventions.inclination_zero
@@ -109,6 +117,23 @@ def _table(files: LabFiles, request: LabRequest, *, need_raw: bool = True) -> Po
     return table
 
 
+def _of_one_unit(table: PositionTable) -> PositionTable:
+    """The table with x, y and z in the unit of x. Raises UnreadableInput where they do not say."""
+    stated = [table.unit.get(axis, "") for axis in "xyz"]
+    if len(set(stated)) == 1:
+        return table
+    if not all(unit in ACCELERATION_UNITS for unit in stated):
+        said = ", ".join(f"{a} {u or 'nothing'}" for a, u in zip("xyz", stated, strict=True))
+        raise UnreadableInput(
+            f"the headings state different units ({said}), which do not go together",
+            where=table.path, remedy="give each axis its unit, or name one for all with --unit",
+        )  # fmt: skip
+    columns = dict(table.columns)
+    for axis, unit in zip("xyz", stated, strict=True):
+        columns[axis] = columns[axis] * (ACCELERATION_UNITS[unit] / ACCELERATION_UNITS[stated[0]])
+    return replace(table, columns=columns, unit={**table.unit, **dict.fromkeys("xyz", stated[0])})
+
+
 def _counted_from(zero: tuple[float, ...], table: PositionTable) -> PositionTable:
     """The table's readings without what they show at zero g, one number or one an axis."""
     if len(zero) not in (1, 3):
@@ -119,7 +144,7 @@ def _counted_from(zero: tuple[float, ...], table: PositionTable) -> PositionTabl
 
 def positions_in(files: LabFiles) -> PositionTable | None:
     """The table of positions that a file is, or None where it is a recording in time."""
-    of_both = {"acc_unit", "lsb_per_g", "acc_offset", "skip", "decimal", "delimiter"}
+    of_both = {"acc_unit", "lsb_per_g", "acc_offset", "skip", "decimal", "delimiter", "where"}
     if not files.mapping.to_dict().keys() <= of_both:
         return None
     for direction in (True, False):

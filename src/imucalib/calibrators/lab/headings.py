@@ -10,6 +10,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.columns import without_tex
 from imucalib.readers.csv.dialect import is_number
 
 #: What a column can be, and the names under which it is found, as `bare` gives them.
@@ -17,10 +18,15 @@ ROLES: dict[str, tuple[str, ...]] = {
     "inclination": ("inclination", "incl", "inc", "inclinaison", "neigung", "neigungswinkel"),
     "tool_face": ("toolface", "tool_face", "tf", "gtf", "toolface_angle", "tool_face_angle",
                   "gravity_toolface", "gravity_tool_face", "high_side", "highside",
-                  "werkzeuglage", "werkzeugflaeche", "werkzeugfläche"),
-    "x": ("x", "raw_x", "ax", "a_x", "acc_x", "accel_x", "rawx", "gx", "g_x"),
-    "y": ("y", "raw_y", "ay", "a_y", "acc_y", "accel_y", "rawy", "gy", "g_y"),
-    "z": ("z", "raw_z", "az", "a_z", "acc_z", "accel_z", "rawz", "gz", "g_z"),
+                  "hstf", "hs_tf", "high_side_toolface", "high_side_tool_face",
+                  "werkzeuglage", "werkzeugwinkel", "werkzeug_winkel",
+                  "werkzeugflaeche", "werkzeugfläche"),
+    "x": ("x", "raw_x", "ax", "a_x", "acc_x", "accel_x", "rawx", "gx", "g_x", "beschleunigung_x",
+          "beschl_x"),
+    "y": ("y", "raw_y", "ay", "a_y", "acc_y", "accel_y", "rawy", "gy", "g_y", "beschleunigung_y",
+          "beschl_y"),
+    "z": ("z", "raw_z", "az", "a_z", "acc_z", "accel_z", "rawz", "gz", "g_z", "beschleunigung_z",
+          "beschl_z"),
     "temperature": ("temperature", "temp", "t_sensor", "temperatur"),
     "time": ("time", "t", "zeit"),
     "inclination_approach": ("inclination_approach", "incl_approach"),
@@ -39,8 +45,8 @@ _UNIT = re.compile(
 )
 #: A temperature with its unit, which for any other quantity would mean another thing.
 _WARM = re.compile(
-    r"(temperature|temperatur|temp|t_sensor)[\s_\-.]*[\[(]?\s*(?:°\s*|deg(?:rees?)?[\s_]*)?"
-    r"(c|f|k|celsius|fahrenheit|kelvin)\s*[\])]?"
+    r"(temperature|temperatur|temp|t_sensor)[\s_\-.]*[\[(]?\s*"
+    r"(?:[^\w\s]{1,3}\s*|deg(?:rees?)?[\s_]*)?(c|f|k|celsius|fahrenheit|kelvin)\s*[\])]?"
 )
 _SCALES = {"c": "degC", "f": "degF", "k": "K"}
 #: Roles of columns that may drive what is left: "driver", "driver_2" and so on.
@@ -67,7 +73,7 @@ class Heading:
 
 def bare(text: str) -> Heading:
     """The parts of a heading such as "Inclination (deg from vertical)"."""
-    name, zero = text.strip().lower(), ""
+    name, zero = without_tex(text.strip()).lower(), ""
     warm = _WARM.fullmatch(name)
     if warm:
         return Heading(warm[1], _SCALES[warm[2][0]], "")

@@ -170,8 +170,7 @@ def _turned(table: PositionTable, rows: Index, axes: tuple[str, ...]) -> Positio
 def _rows(table: PositionTable, rows: tuple[int, int], option: str) -> tuple[int, int]:
     """Where two rows of the file stand; UsageError for one that does not exist."""
     for row in rows:
-        if not 1 <= row <= table.n:
-            raise UsageError(f"{option}: there is no row {row}", remedy=f"rows are 1..{table.n}")
+        table.demand(row, option)
     return table.at(rows[0]), table.at(rows[1])
 
 

@@ -24,11 +24,12 @@ def available() -> bool:
 
 
 def columns_of(
-    text: bytes, delimiter: str, width: int, stamps: tuple[int, str] | None, values: Sequence[int]
-) -> tuple[NDArray[np.generic], Array] | None:
-    """Stamps (n,) and values (n, m) of whole lines of `width` cells.
+    text: bytes, delimiter: str, width: int,
+    stamps: tuple[tuple[int, ...], str] | None, values: Sequence[int],
+) -> tuple[list[NDArray[np.generic]], Array] | None:  # fmt: skip
+    """Stamps (n,) of each of their columns and values (n, m) of whole lines of `width` cells.
 
-    stamps : their column and kind ("int", "float" or "text"), or None: the result is then empty
+    stamps : their columns and kind ("int", "float" or "text"), or None: there are none then
     None comes back when anything in the columns is not plainly of its kind, and for stamps as text
     of differing length.
     """
@@ -40,18 +41,21 @@ def columns_of(
     of_kind = {"int": pa.int64(), "float": pa.float64(), "text": pa.binary()}
     kinds = {str(k): pa.float64() for k in values}
     if stamps is not None:
-        kinds[str(stamps[0])] = of_kind[stamps[1]]
+        kinds |= {str(k): of_kind[stamps[1]] for k in stamps[0]}
     table = _table(text, delimiter, width, kinds)
     if table is None or any(table.column(name).null_count for name in kinds):
         return None
     found = np.empty((table.num_rows, len(values)))
     for at, k in enumerate(values):
         found[:, at] = table.column(str(k)).to_numpy()
-    if stamps is None:
-        return np.empty(0, dtype=np.int64), found
-    column = table.column(str(stamps[0])).combine_chunks()
-    times = _texts(column) if stamps[1] == "text" else column.to_numpy()
-    return None if times is None else (times, found)
+    times = []
+    for k in stamps[0] if stamps else ():
+        column = table.column(str(k)).combine_chunks()
+        part = _texts(column) if stamps and stamps[1] == "text" else column.to_numpy()
+        if part is None:
+            return None
+        times.append(part)
+    return times, found
 
 
 def _table(text: bytes, delimiter: str, width: int, kinds: dict[str, Any]) -> Any:

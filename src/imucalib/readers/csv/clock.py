@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
@@ -14,10 +16,20 @@ from imucalib.readers.csv.header import HeaderFacts
 from imucalib.readers.csv.parse import Layout, Rows
 from imucalib.readers.csv.select import Selection
 from imucalib.readers.csv.time import MISSING, TextTime
-from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, stepping
+from imucalib.readers.timebase import (
+    Stepping,
+    clock_unit,
+    contradicts,
+    date_of,
+    guess_unit,
+    seconds_of,
+    stepping,
+)
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 
-_DAY = 86_400.0
+#: What headings of stamps have in brackets that is no unit.
+_NO_UNIT = {"unix", "epoch", "posix", "utc", "gmt", "local", "iso", "iso8601", "iso 8601", "cal",
+            "raw", "time", "unix time", "posix time", "unix epoch"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -50,24 +62,13 @@ class Clock:
     typical: float = 0.0
     looks: tuple[Array, ...] = ()
 
-    def seconds(self, stamps: np.ndarray[tuple[int, ...], np.dtype[np.generic]]) -> Array:
-        """Seconds since the start of parsed stamps (n,); NaN where blank."""
-        return _seconds(stamps, self.kind, self.unit, self.origin, self.text)
-
-
-def _seconds(
-    stamps: np.ndarray[tuple[int, ...], np.dtype[np.generic]],
-    kind: str, unit: str, origin: float | int, text: TextTime | None,
-) -> Array:  # fmt: skip
-    if kind == "text" and text is not None:
-        stamps = csv_time.text_to_ns(stamps.astype(np.bytes_), text)
-    size = TIME_UNITS.get(unit, 1e-9)
-    if stamps.dtype.kind != "i":
-        return np.asarray((stamps.astype(np.float64) - origin) * size)
-    whole = stamps.astype(np.int64)
-    seconds: Array = (whole - int(origin)) / round(1.0 / size)
-    seconds[whole == MISSING] = np.nan
-    return seconds
+    def seconds(self, stamps: NDArray[np.generic]) -> tuple[Array, NDArray[np.bool_]]:
+        """Seconds since the start of parsed stamps (n,), NaN where blank; and which stamps are not
+        understood."""
+        wrong = np.zeros(stamps.shape, dtype=np.bool_)
+        if self.text is not None:
+            stamps, wrong = csv_time.text_to_ns(stamps.astype(np.bytes_), self.text)
+        return seconds_of(stamps, self.origin, self.unit, MISSING), wrong
 
 
 def clock_of(
@@ -98,34 +99,35 @@ def _by_stamps(
     *, known: Stamps, where: str,
 ) -> tuple[Clock, list[str]]:  # fmt: skip
     kind, notes = layout.time_kind, []
-    text = (
-        csv_time.text_layout(list(known.texts), mapping.time_format, where)
-        if kind == "text"
-        else None
-    )
-    unit = "text" if text else mapping.time_unit or selection.time_unit
+    text = _text_of(selection, mapping, known, where) if kind == "text" else None
+    stated = mapping.time_unit or ("" if selection.time_unit.lower() in _NO_UNIT else
+                                   selection.time_unit)  # fmt: skip
+    unit, epoch = ("text", None) if text else clock_unit(stated, where)
     raw = [_numbers(rows.stamps, text, where) for rows in known.rows]
     main = [_numbers(rows.stamps, text, where) for rows in known.main]
-    first = next((s[k][0] for s in raw for k in [_known(s)] if k.any()), None)
+    first = next((s[k][0].item() for s in raw for k in [_known(s)] if k.any()), None)
     if first is None:
         raise UnreadableInput("the time column holds no stamps", where=where, remedy="give --rate")
-    raw_steps = stepping([_seconds(s, "int" if text else kind, "s", first, None) for s in main])
-    if raw_steps is None:
+    steps = stepping([seconds_of(s, first, "s", MISSING) for s in main])
+    if steps is None:
         raise UnreadableInput("the time stamps never advance", where=where, remedy="give --rate")
     if not text and unit not in TIME_UNITS:
-        unit, note = guess_unit(float(first), raw_steps.step, where)
+        guessed, note = guess_unit(float(first), steps.step, where, facts.rate)
+        if unit and date_of(first, guessed) is None:
+            raise UnreadableInput(
+                f"the heading states the unknown unit of time '{unit[:40]}'", where=where,
+                remedy=f"name it with --time-unit: {', '.join(TIME_UNITS)}",
+            )  # fmt: skip
+        unit = guessed
         notes.append(note)
     size = TIME_UNITS.get(unit, 1e-9)
-    dated = text.dated if text else is_absolute(float(first) * size)
-    origin = first if dated else 0
-    start = int(
-        round(first * size * 1e9) if isinstance(first, float) else first * round(size * 1e9)
-    )
-    start_ns = start if dated and not (text and text.ambiguous) else facts.start_ns
+    start = (int(first) if text.dated else None) if text else date_of(first, unit, epoch)
+    origin = 0 if start is None else first
+    start_ns = facts.start_ns if start is None or (text and text.ambiguous) else start
     if text:
         notes += _text_notes(text)
-    looks = tuple(_seconds(s, "int" if text else kind, unit, origin, None) for s in raw)
-    steps = Stepping(raw_steps.step * size, raw_steps.threshold * size)
+    looks = tuple(seconds_of(s, origin, unit, MISSING) for s in raw)
+    steps = Stepping(steps.step * size, steps.threshold * size)
     clock = Clock(
         kind=kind, unit=unit, origin=origin, start_ns=start_ns, rate=1.0 / steps.step,
         threshold=steps.threshold, text=text, looks=looks,
@@ -136,28 +138,37 @@ def _by_stamps(
             f"time: stamps have a resolution of {steps.step:.6g} s; the rows that share one "
             f"(about {coarse.typical:.4g}) are spread evenly over it"
         )
+    asked = mapping.time or mapping.time_unit
+    if facts.rate and not asked and contradicts(coarse.rate, facts.rate):
+        raise UnreadableInput(
+            f"the lines above the table state {facts.rate:g} Hz, the time stamps in "
+            f"{coarse.unit} advance with {coarse.rate:.4g} Hz", where=where,
+            remedy=f"--rate {facts.rate:g} takes the former, --time-unit {coarse.unit} the latter",
+        )  # fmt: skip
     return coarse, notes
 
 
-def _numbers(
-    stamps: np.ndarray[tuple[int, ...], np.dtype[np.generic]], text: TextTime | None, where: str
-) -> np.ndarray[tuple[int, ...], np.dtype[np.generic]]:
+def _text_of(selection: Selection, mapping: FieldMapping, known: Stamps, where: str) -> TextTime:
+    """What stamps as text are made of: parts in columns of their own have a known order."""
+    if selection.time_order:
+        fraction = "f" * any(b"." in s.split()[-1] for s in known.texts if s)
+        order = selection.time_order
+        return TextTime(order if order[-1] in "iu" else order + fraction, True)
+    return csv_time.text_layout(list(known.texts), mapping.time_format, where)
+
+
+def _numbers(stamps: NDArray[np.generic], text: TextTime | None, where: str) -> NDArray[Any]:
+    """Stamps as numbers; those of bad rows, which are told when they are read, are blank here."""
     if text is None:
         return stamps
-    texts, bad = stamps.astype(np.bytes_), 0
-    while True:
-        try:
-            return csv_time.text_to_ns(texts, text)
-        except ValueError as error:  # of a bad row, which is reported when it is read
-            bad += 1
-            if 2 * bad > texts.size or not isinstance(error.args[0], int):
-                raise bad_stamp(Rows(stamps, np.empty((0, 0))), error, 0, where) from error
-            texts[error.args[0]] = b""
+    ns, wrong = csv_time.text_to_ns(stamps.astype(np.bytes_), text)
+    if 2 * np.count_nonzero(wrong) > wrong.size:
+        raise bad_stamp(Rows(stamps, np.empty((0, 0))), int(np.argmax(wrong)), 0, where)
+    return ns
 
 
-def bad_stamp(rows: Rows, error: ValueError, line: int, where: str) -> UnreadableInput:
-    """The error for a text stamp that does not parse; `line` is the first row's line, or 0."""
-    index = int(error.args[0]) if error.args and isinstance(error.args[0], int) else 0
+def bad_stamp(rows: Rows, index: int, line: int, where: str) -> UnreadableInput:
+    """The error for a text stamp that is not understood; `line` is the first row's line, or 0."""
     stamp = bytes(rows.stamps[index]).decode(errors="replace")
     line = int(rows.lines[index]) if rows.lines is not None else line and line + index
     return UnreadableInput(
@@ -167,15 +178,14 @@ def bad_stamp(rows: Rows, error: ValueError, line: int, where: str) -> Unreadabl
     )
 
 
-def _known(stamps: np.ndarray[tuple[int, ...], np.dtype[np.generic]]) -> np.ndarray[
-    tuple[int, ...], np.dtype[np.bool_]
-]:  # fmt: skip
+def _known(stamps: NDArray[Any]) -> NDArray[np.bool_]:
     return stamps != MISSING if stamps.dtype.kind == "i" else np.isfinite(stamps.astype(np.float64))
 
 
 def _text_notes(text: TextTime) -> list[str]:
     if not text.dated:
-        return ["time: stamps have no date, midnight is bridged"]
+        what = "midnight" if text.period > 3600.0 else "the end of an hour"
+        return [f"time: stamps have no date, {what} is bridged"]
     notes = [] if text.zone else ["time: stamps have no zone, taken as UTC"]
     if text.ambiguous:
         notes.append("time: day and month cannot be told apart, no start date is kept")

@@ -16,7 +16,7 @@ _ROWS = 50  # of each look
 
 def contents_of(dialect: Dialect, pieces: Sequence[bytes]) -> tuple[Content, ...]:
     """Every column with its median, and every three neighbours whose norm is that of gravity."""
-    rows = list(_rows(dialect, pieces))
+    rows = rows_of(dialect, pieces)
     names = [_address(dialect, i) for i in range(dialect.width)]
     columns: list[Content] = []
     for i, name in enumerate(names):
@@ -49,7 +49,15 @@ def _triples(dialect: Dialect, names: list[str], rows: list[list[str]]) -> list[
     return found
 
 
-def _rows(dialect: Dialect, pieces: Sequence[bytes]) -> Sequence[list[str]]:
+def like_gravity(dialect: Dialect, pieces: Sequence[bytes], columns: Sequence[int]) -> bool:
+    """Whether the median norm of three columns is that of gravity in m/s², g or mg."""
+    rows = rows_of(dialect, pieces)
+    axes = [_numbers([row[k] for row in rows], dialect.decimal) for k in columns]
+    return Content("", "", 0, norm=norm_of(np.stack(axes, axis=1))).like_gravity
+
+
+def rows_of(dialect: Dialect, pieces: Sequence[bytes]) -> list[list[str]]:
+    """The cells of some rows of every look."""
     rows = []
     for number, piece in enumerate(pieces):
         lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]

@@ -20,6 +20,7 @@ _NUMBER = {
     ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"),
     ",": re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?"),
 }
+_FEWEST = 20  # rows that show with how many decimals the last number is written
 _DELIMITERS = (",", ";", "\t", "|", " ")
 #: What some loggers write before the names of the columns.
 _BEFORE_NAMES = re.compile(r"^\s*;\s*(headers\s*,)?\s*", re.IGNORECASE)
@@ -34,6 +35,8 @@ class Dialect:
     names : column names, or () without a header; units are a part of the names
     width : cells in a row; data_line : number of the first row's line, from 1
     numeric : which columns hold numbers; preamble : the lines above the table
+    example : the cells of a row that has as many as any
+    decimals : of the last number of every row, where these are equally many, else -1
     """
 
     delimiter: str
@@ -43,6 +46,19 @@ class Dialect:
     data_line: int
     numeric: tuple[bool, ...]
     preamble: tuple[str, ...]
+    example: tuple[str, ...] = ()
+    decimals: int = -1
+
+    def is_whole(self, line: bytes) -> bool:
+        """Whether a last line without its end is a row: of a number that is cut, decimals lack."""
+        row = cells_of(decoded(line), self.delimiter)
+        return len(row) == self.width and 0 < self.decimals == _decimals(row[-1], self.decimal)
+
+
+def _decimals(cell: str, mark: str) -> int:
+    """Digits behind the decimal mark of a plain number; 0 of another."""
+    plain = is_number(cell, mark) and "e" not in cell.lower()
+    return len(cell.partition(mark)[2]) if plain else 0
 
 
 @dataclass(frozen=True)
@@ -128,7 +144,11 @@ def sniff(looks: Sequence[bytes], mapping: FieldMapping, where: str) -> Dialect:
     rows = [r for r in (cells_of(line, best.delimiter) for line in body) if len(r) == best.width]
     numeric, tail = _numeric_columns(rows, best), all(not r[-1] for r in rows)
     shape = replace(best, numeric=numeric, blank_tail=tail)
-    return _with_header(shape, pieces[0], mapping, where)
+    example = max(rows, key=lambda row: sum(not is_blank(cell) for cell in row))
+    last = {_decimals(row[-1], best.decimal) for row in rows}
+    decimals = last.pop() if len(last) == 1 and len(rows) >= _FEWEST else -1
+    found = _with_header(shape, pieces[0], mapping, where)
+    return replace(found, example=tuple(example), decimals=decimals)
 
 
 def _body(pieces: list[list[str]], skip: int) -> list[str]:
@@ -169,6 +189,9 @@ def _with_header(shape: _Shape, lines: list[str], mapping: FieldMapping, where: 
     rows = 0 if mapping.skip is not None or mapping.header else rows_of_heading(lines[first:])
     first += rows
     above = [k for k in range(start, first) if lines[k].strip()]
+    # A heading that is repeated behind the zero bytes of a power failure is the one above.
+    whole = {lines[k] for k in above}
+    above = [k for k in above if "\0" not in lines[k] or lines[k].strip("\0") not in whole]
     names = () if mapping.header is False else _names(lines, above, shape)
     if mapping.skip is None and not rows:
         while above and not mapping.header and _is_damaged_row(lines[above[-1]], shape):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +30,8 @@ _LARGEST_EXACT = 2.0**53
 class Layout:
     """Which columns to read, and how.
 
-    time : column of the stamps or -1; time_kind : "int", "float", "text" or ""
+    time : columns of the stamps, several of "text" only, or none; time_kind : "int", "float",
+        "text" or ""
     values : columns of the numbers, in the order of the output
     text_width : bytes kept of a text stamp
     """
@@ -37,7 +39,7 @@ class Layout:
     delimiter: str
     decimal: str
     width: int
-    time: int
+    time: tuple[int, ...]
     time_kind: str
     values: tuple[int, ...]
     text_width: int = 32
@@ -64,7 +66,8 @@ def parse(lines: Lines, layout: Layout, where: str) -> Rows:
     """
     rows = _whole(lines, layout)
     if rows is not None:
-        return rows
+        at = np.array(lines.numbers, dtype=np.intp)
+        return replace(rows, lines=at) if at.size == rows.values.shape[0] and at.size else rows
     good, numbers, bad = _good_lines(lines, layout, where)
     rows = _whole(good, layout)
     if rows is None or 2 * len(bad) > len(numbers) + len(bad):
@@ -93,24 +96,20 @@ def _whole(lines: Lines, layout: Layout) -> Rows | None:
 
 def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | None:
     """The C parser's result if every line has all its cells and all wanted cells are numbers."""
-    used = [layout.time] if layout.time >= 0 else []
+    used = list(layout.time)
     if csv_arrow.available():
         time = (layout.time, kind) if used else None
         found = csv_arrow.columns_of(text, delimiter, layout.width, time, layout.values)
-        if found is not None and _fits(found[0], kind, layout):
-            return Rows(found[0], _known(found[1]))
+        if found is not None and all(_fits(part, kind, layout) for part in found[0]):
+            return Rows(joined(found[0]), _known(found[1]))
     count = text.count(b"\n")
     if not _complete(text, delimiter, layout.width, count):
         return None
-    fields: list[tuple[str, object]] = []
-    if used:
-        of_kind = {"int": "i8", "float": "f8", "text": f"S{layout.text_width}"}
-        fields.append(("t", of_kind[kind]))
-    fields.append(("v", ("f8", (len(layout.values),))))
+    of_kind = {"int": "i8", "float": "f8", "text": f"S{layout.text_width}", "": "i8"}[kind]
     if count == 0:
-        empty = np.empty(0, dtype=fields[0][1] if used else np.int64)  # type: ignore[call-overload]
-        return Rows(empty, np.empty((0, len(layout.values))))
-    dtype = np.dtype([(n, *t) if isinstance(t, tuple) else (n, t) for n, t in fields])
+        return Rows(np.empty(0, dtype=of_kind), np.empty((0, len(layout.values))))
+    names = [f"t{k}" for k in range(len(used))]
+    dtype = np.dtype([*((n, of_kind) for n in names), ("v", "f8", (len(layout.values),))])
     try:
         table = np.loadtxt(
             io.BytesIO(text),
@@ -124,9 +123,22 @@ def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | N
         return None
     if table.size != count:
         return None
-    stamps = np.ascontiguousarray(table["t"]) if used else np.empty(0, dtype=np.int64)
+    stamps = joined([np.ascontiguousarray(table[n]) for n in names])
     values: Array = table["v"].reshape(count, len(layout.values))
     return Rows(stamps, _known(values))
+
+
+def joined(stamps: Sequence[NDArray[np.generic]]) -> NDArray[np.generic]:
+    """Stamps of one column, or of the parts that stand in several; blank where a part is."""
+    if len(stamps) < 2:
+        return stamps[0] if stamps else np.empty(0, dtype=np.int64)
+    texts = [s.astype(np.bytes_) for s in stamps]
+    blank = np.any([np.isin(t, [b"", b"nan", b"NaN"]) for t in texts], axis=0)
+    whole = texts[0]
+    for part in texts[1:]:
+        whole = np.char.add(np.char.add(whole, b" "), part)
+    whole[blank] = b""
+    return whole
 
 
 def _fits(stamps: NDArray[np.generic], kind: str, layout: Layout) -> bool:
@@ -170,10 +182,10 @@ def _completed(text: bytes, delimiter: str, layout: Layout) -> bytes:
     """Blank cells and the words for missing values as nan; blank lines dropped or all nan."""
     if delimiter == " ":
         missing = b" ".join([b"nan"] * layout.width) + b"\n"
-        text = re.sub(rb"(?m)^[ \t]*\n", b"" if layout.time >= 0 else missing, text)
+        text = re.sub(rb"(?m)^[ \t]*\n", b"" if layout.time else missing, text)
         return _MISSING.sub(b"nan", text)
     mark = delimiter.encode()
-    missing = b"" if layout.time >= 0 else mark * (layout.width - 1) + b"\n"
+    missing = b"" if layout.time else mark * (layout.width - 1) + b"\n"
     text = re.sub(rb"(?m)^[ ]*\n", missing, text)
     blank = re.escape(mark)
     text = b"\n" + re.sub(rb"[ ]*(" + blank + rb"|\n)[ ]*", rb"\1", text)
@@ -188,11 +200,12 @@ def _with_integers(rows: Rows) -> Rows | None:
     texts = np.char.strip(rows.stamps.astype(np.bytes_))
     blank = np.isin(texts, [b"nan", b"NaN", b""])
     stamps = np.full(texts.shape, MISSING, dtype=np.int64)
+    filled: list[bytes] = texts[~blank].tolist()
     try:
-        stamps[~blank] = texts[~blank].astype(np.int64)
+        stamps[~blank] = np.fromiter(map(int, filled), np.int64, len(filled))
     except (ValueError, OverflowError):
         try:
-            decimals = texts[~blank].astype(np.float64)
+            decimals = np.fromiter(map(float, filled), np.float64, len(filled))
         except ValueError:
             return None
         whole = np.rint(decimals)
@@ -209,15 +222,17 @@ def _good_lines(
     kept, numbers, bad = list[bytes](), list[int](), list[UnreadableInput]()
     mark = layout.delimiter.encode()
     missing = b" ".join([b"nan"] * layout.width) if mark == b" " else mark * (layout.width - 1)
-    for number, line in enumerate(lines.data.split(b"\n")[:-1], start=lines.first_line):
-        if not line.strip() and layout.time >= 0:
+    texts = lines.data.split(b"\n")[:-1]
+    every = lines.numbers or range(lines.first_line, lines.first_line + len(texts))
+    for number, line in zip(every, texts, strict=True):
+        if not line.strip() and layout.time:
             continue
         wrong = line.strip() and _wrong(line.decode("utf-8", errors="replace"), layout)
         if wrong:
             what, column = wrong
             at = f"{where}: line {number}" + (f", column {column + 1}" if column >= 0 else "")
             bad.append(UnreadableInput(what, where=at, remedy="correct or delete that line"))
-            if layout.time >= 0:
+            if layout.time:
                 continue
         kept.append((missing if wrong else line) + b"\n")
         numbers.append(number)
@@ -229,10 +244,10 @@ def _wrong(line: str, layout: Layout) -> tuple[str, int] | None:
     row = cells_of(line, layout.delimiter)
     if len(row) != layout.width:
         return f"{len(row)} cells where the other rows have {layout.width}", -1
-    timed = layout.time_kind in ("int", "float")
-    for column in (layout.time, *layout.values) if timed else layout.values:
+    stamps = layout.time if layout.time_kind in ("int", "float") else ()
+    for column in (*stamps, *layout.values):
         cell = row[column]
-        integer = column == layout.time and layout.time_kind == "int"
+        integer = column in stamps and layout.time_kind == "int"
         bad = not is_number(cell, layout.decimal) or (integer and not _is_integer(cell))
         if bad and not is_blank(cell):
             return f"'{cell[:40]}' is not {'an integer' if integer else 'a number'}", column

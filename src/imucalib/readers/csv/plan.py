@@ -13,11 +13,12 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.csv.clock import Clock, Stamps, clock_of
-from imucalib.readers.csv.contents import nothing_found
+from imucalib.readers.csv.conditions import Condition, demand_some, parted, told
+from imucalib.readers.csv.contents import nothing_found, rows_of
 from imucalib.readers.csv.dialect import Dialect, cells_of, is_blank, sniff
 from imucalib.readers.csv.header import Stated, facts_of
 from imucalib.readers.csv.parse import Layout, Rows, parse
-from imucalib.readers.csv.select import Selection, Vector, select
+from imucalib.readers.csv.select import Selection, Vector, column_index, select
 from imucalib.readers.csv.source import Lines, looks
 from imucalib.readers.devices.catalogue import Device
 from imucalib.readers.timebase import stepping
@@ -47,6 +48,7 @@ class Signal:
 class Plan:
     """How to read one file.
 
+    conditions : what the rows that are read hold
     idle : rows of zeros mean "not recorded"; stated : of its rows, by our own first line
     corrections : as in Recording
     """
@@ -60,6 +62,23 @@ class Plan:
     resolved: FieldMapping
     stated: Stated | None = None
     corrections: tuple[Correction, ...] = ()
+    conditions: tuple[Condition, ...] = ()
+
+    def chosen(self, lines: Lines) -> Lines:
+        """The lines below the heading that hold what was asked for."""
+        return _chosen(lines, self.conditions, self.dialect)
+
+
+def _chosen(lines: Lines, conditions: Sequence[Condition], dialect: Dialect) -> Lines:
+    if not conditions:
+        return lines
+    kept, numbers = [], []
+    for number, line in enumerate(lines.data.split(b"\n")[:-1], start=lines.first_line):
+        row = cells_of(line.decode("utf-8", errors="replace"), dialect.delimiter)
+        if all(c.column < len(row) and c.fits(row[c.column]) for c in conditions):
+            kept.append(line + b"\n")
+            numbers.append(number)
+    return Lines(b"".join(kept), lines.first_line, lines.note, tuple(numbers))
 
 
 def make_plan(path: Path, mapping: FieldMapping) -> Plan:
@@ -70,7 +89,12 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         raise UnreadableInput("the file holds no whole line of text", where=where)
     dialect = sniff(pieces, mapping, where)
     facts = facts_of(dialect.preamble, where)
-    selection = select(dialect, mapping, facts, where)
+    conditions = _conditions(mapping, dialect)
+    said = _columns_told(dialect, pieces) if not conditions else []
+    if conditions:
+        pieces = _pieces_chosen(pieces, conditions, dialect, mapping, where)
+        facts = replace(facts, stated=None)
+    selection = select(dialect, mapping, facts, pieces, path.name)
     if not selection.vectors:
         raise nothing_found(dialect, pieces, where)
     layout, samples = _layout(dialect, selection, pieces)
@@ -83,16 +107,17 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
     known = Stamps(tuple(parsed), tuple(stamped), tuple(samples))
     clock, clock_notes = clock_of(selection, layout, mapping, facts, known=known, where=where)
     used = [v for v in selection.vectors if _has_values(v, layout, parsed)]
-    notes = [*facts.notes, *selection.notes, *clock_notes]
+    notes = [*facts.notes, *selection.notes, *clock_notes, *said]
     notes += [
         f"{v.triad}/{v.quantity} left out: no values" for v in selection.vectors if v not in used
     ]
     if not any(v.quantity != "temperature" for v in used):
         raise UnreadableInput("the chosen columns hold no values", where=where)
     dev = facts.device
-    signals = tuple(
-        _signal(v, layout, parsed, mapping, clock=clock, device=dev, where=where) for v in used
-    )
+    signals = conversion.readable(
+        used, lambda v: _signal(v, layout, parsed, mapping, clock=clock, device=dev, where=where),
+        notes,
+    )  # fmt: skip
     notes += [s.conversion.note for s in signals if s.conversion.note]
     resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=dev.name)
     unique = tuple(dict.fromkeys(notes))
@@ -106,7 +131,37 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         resolved=resolved,
         stated=facts.stated,
         corrections=facts.corrections,
+        conditions=conditions,
     )
+
+
+def _conditions(mapping: FieldMapping, dialect: Dialect) -> tuple[Condition, ...]:
+    parts = map(parted, mapping.where)
+    return tuple(Condition(column_index(c, dialect, "where"), v) for c, v in parts)
+
+
+def _pieces_chosen(
+    pieces: Sequence[bytes], conditions: Sequence[Condition], dialect: Dialect,
+    mapping: FieldMapping, where: str,
+) -> list[bytes]:  # fmt: skip
+    """The looks without the rows that are not asked for. Raises UnreadableInput for none."""
+    lines = pieces[0].split(b"\n")
+    above = b"".join(line + b"\n" for line in lines[: dialect.data_line - 1])
+    below = [b"\n".join(lines[dialect.data_line - 1 :]), *pieces[1:]]
+    kept = [_chosen(Lines(p, 1), conditions, dialect).data for p in below]
+    rows = rows_of(dialect, pieces)
+    cells = [[row[c.column] for row in rows] for c in conditions]
+    demand_some(sum(map(len, kept)), mapping.where, cells, where)
+    return [above + kept[0], *filter(None, kept[1:])]
+
+
+def _columns_told(dialect: Dialect, pieces: Sequence[bytes]) -> list[str]:
+    """Sentences on columns of a few words, which may be of more than one sensor."""
+    if not dialect.names:
+        return []
+    rows = rows_of(dialect, pieces)
+    every = (told(name, [row[k] for row in rows]) for k, name in enumerate(dialect.names))
+    return [sentence for sentence in every if sentence]
 
 
 def _layout(
@@ -114,17 +169,17 @@ def _layout(
 ) -> tuple[Layout, list[bytes]]:
     """The layout, and up to 40 stamps of each look as text."""
     samples: list[bytes] = []
-    if selection.time >= 0:
+    if selection.time:
         for number, piece in enumerate(pieces):
             lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
             lines = lines[dialect.data_line - 1 :] if number == 0 else lines
             for line in lines[:20] + lines[-20:]:
                 row = cells_of(line, dialect.delimiter)
-                if len(row) == dialect.width and not is_blank(row[selection.time]):
-                    samples.append(row[selection.time].encode())
+                if len(row) == dialect.width and not any(is_blank(row[k]) for k in selection.time):
+                    samples.append(" ".join(row[k] for k in selection.time).encode())
     columns = tuple(dict.fromkeys(c for v in selection.vectors for c in v.columns))
     kind = _time_kind(dialect, selection.time, samples)
-    time = selection.time if kind else -1
+    time = selection.time if kind else ()
     width = max((len(s) for s in samples), default=0) + 16
     layout = Layout(
         delimiter=dialect.delimiter,
@@ -138,10 +193,10 @@ def _layout(
     return layout, samples
 
 
-def _time_kind(dialect: Dialect, time: int, samples: list[bytes]) -> str:
-    if time < 0 or not samples:
+def _time_kind(dialect: Dialect, time: tuple[int, ...], samples: list[bytes]) -> str:
+    if not samples:
         return ""
-    if not dialect.numeric[time]:
+    if len(time) > 1 or not dialect.numeric[time[0]]:
         return "text"
     integers = sum(s.lstrip(b"+-").isdigit() for s in samples)
     return "int" if 2 * integers > len(samples) else "float"
@@ -239,13 +294,13 @@ def _resolved(
         acc=addresses("acceleration"),
         gyro=addresses("angular_rate"),
         temperature=addresses("temperature"),
-        time=address(selection.time) if clock.kind else "",
+        time=",".join(map(address, selection.time)) if clock.kind else "",
         triads=_triads(selection),
         acc_unit=unit("acceleration"),
         gyro_unit=unit("angular_rate"),
         temperature_unit=unit("temperature"),
         rate=None if clock.kind else clock.rate,
-        time_unit=clock.unit,
+        time_unit="" if " since " in selection.time_unit else clock.unit,
         decimal=dialect.decimal,
         delimiter=dialect.delimiter,
         preset=mapping.preset or device,

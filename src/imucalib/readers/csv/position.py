@@ -5,26 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.clock import bad_stamp
 from imucalib.readers.csv.parse import Rows
 from imucalib.readers.csv.plan import Plan
 from imucalib.readers.csv.time import spread
 
-_DAY = 86_400.0
-_MOST_BAD_STAMPS = 1000  # of a block: each costs a pass over it
-
 
 @dataclass
 class Position:
-    """What one block hands to the next; bad_rows : left out, first_bad : why and where."""
+    """What one block hands to the next; moved : s that stamps without a date have been moved on;
+    bad_rows : left out, first_bad : why and where."""
 
     row: int = 0
     last: dict[str, float] = field(default_factory=dict)
-    days: float = 0.0
-    last_of_day: float = -np.inf
+    moved: float = 0.0
+    last_of_period: float = -np.inf
     held: tuple[Array, Array] | None = None
     first_group: bool = True
     idle_rows: int = 0
@@ -49,29 +47,29 @@ def times_of(
     if not clock.kind:
         count = rows.values.shape[0]
         return (position.row + np.arange(count, dtype=np.float64)) / clock.rate, rows
-    while True:
-        try:
-            t = clock.seconds(rows.stamps)
-            break
-        except ValueError as error:
-            rows = _without_bad_stamp(rows, bad_stamp(rows, error, line, where), error)
+    t, wrong = clock.seconds(rows.stamps)
+    if wrong.any():
+        t, rows = t[~wrong], _without(rows, wrong, line, where)
     if clock.text is None or clock.text.dated or t.size == 0:
         return t, rows
-    back = np.diff(t, prepend=position.last_of_day) < -_DAY / 2
-    position.last_of_day = float(t[-1])
-    days = position.days + _DAY * np.cumsum(back)
-    position.days = float(days[-1])
-    return np.asarray(t + days), rows
+    period, known = clock.text.period, np.isfinite(t)
+    back = np.zeros(t.shape, dtype=np.bool_)
+    back[known] = np.diff(t[known], prepend=position.last_of_period) < -period / 2
+    if known.any():
+        position.last_of_period = float(t[known][-1])
+    moved = position.moved + period * np.cumsum(back)
+    position.moved = float(moved[-1])
+    return np.asarray(t + moved), rows
 
 
-def _without_bad_stamp(rows: Rows, why: UnreadableInput, error: ValueError) -> Rows:
-    """The rows without the one whose stamp is not understood; raises when those are many."""
-    if len(rows.bad) >= min(_MOST_BAD_STAMPS, rows.stamps.size // 2):
-        raise why from error
-    index = int(error.args[0]) if error.args and isinstance(error.args[0], int) else 0
-    lines = np.delete(rows.lines, index) if rows.lines is not None else None
-    stamps, values = np.delete(rows.stamps, index), np.delete(rows.values, index, axis=0)
-    return Rows(stamps, values, (*rows.bad, why), lines)
+def _without(rows: Rows, wrong: NDArray[np.bool_], line: int, where: str) -> Rows:
+    """The rows without those whose stamps are not understood; raises when those are most."""
+    at = np.flatnonzero(wrong)
+    bad = [bad_stamp(rows, int(k), line, where) for k in at]
+    if 2 * at.size > wrong.size:
+        raise bad[0]
+    lines = rows.lines[~wrong] if rows.lines is not None else None
+    return Rows(rows.stamps[~wrong], rows.values[~wrong], (*rows.bad, *bad), lines)
 
 
 def spread_stamps(

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.csv.dialect import cells_of, is_number
+from imucalib.readers.csv.idle_sleep import without_repeats
 from imucalib.readers.csv.parse import parse
 from imucalib.readers.csv.plan import Plan, Signal, make_plan
 from imucalib.readers.csv.position import Position, count_bad, spread_stamps, times_of
 from imucalib.readers.csv.source import Lines, line_blocks, text_head
-from imucalib.readers.devices.idle_sleep import without_repeats
 from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
@@ -83,10 +83,13 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
     before: Recording | None = None
     lost: list[str] = []
     crc = 0
-    for lines in line_blocks(path, block_samples * _bytes_per_row(plan), strict=strict):
+    size = block_samples * _bytes_per_row(plan)
+    for lines in (_ended(x, plan) for x in line_blocks(path, size, strict=strict)):
         lost += [lines.note] if lines.note else []
         crc = zlib.crc32(_below_first(lines), crc) if plan.stated else 0
-        block = _block(_data_lines(lines, plan), plan, position, str(path), flush=False)
+        block = _block(
+            plan.chosen(_data_lines(lines, plan)), plan, position, str(path), flush=False
+        )
         if block is None:
             continue
         if before is not None:
@@ -111,6 +114,12 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
 
 def _bytes_per_row(plan: Plan) -> int:
     return max(16, 10 * plan.layout.width)
+
+
+def _ended(lines: Lines, plan: Plan) -> Lines:
+    """The lines, the last one with the end that it lacks where nothing else is missing."""
+    whole = lines.tail and plan.dialect.is_whole(lines.tail)
+    return Lines(lines.tail + b"\n", lines.first_line) if whole else lines
 
 
 def _below_first(lines: Lines) -> bytes:

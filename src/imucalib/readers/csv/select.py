@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from imucalib.errors import UsageError
-from imucalib.readers.columns import Column, understand
+from imucalib.readers.columns import Column, is_date, parts_of_time, understand
+from imucalib.readers.csv.contents import like_gravity
 from imucalib.readers.csv.dialect import Dialect
 from imucalib.readers.csv.header import HeaderFacts
 from imucalib.readers.devices.catalogue import Device
 from imucalib.recording.mapping import FieldMapping
+from imucalib.units import canonical
+
+_GYROSCOPE = re.compile(r"gyro|angular|drehrate", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Vector:
-    """One quantity of one triad: three columns, or one for a temperature, and the stated unit."""
+    """One quantity of one triad: three columns, or one for a temperature, and the stated unit,
+    or one an axis: "m/s2,m/s2,g"."""
 
     quantity: str
     triad: str
@@ -25,12 +31,14 @@ class Vector:
 
 @dataclass(frozen=True)
 class Selection:
-    """Vectors to read; time : column or -1; time_unit as the name states it; notes."""
+    """Vectors to read; time : column, those that make a stamp together, or none; time_unit as the
+    name states it; time_order : of the parts of a stamp, where these are known; notes."""
 
     vectors: tuple[Vector, ...]
-    time: int
+    time: tuple[int, ...]
     time_unit: str
     notes: tuple[str, ...] = ()
+    time_order: str = ""
 
 
 @dataclass(frozen=True)
@@ -40,29 +48,42 @@ class _Table:
     dialect: Dialect
 
 
-def select(dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, where: str) -> Selection:
+def select(
+    dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, pieces: Sequence[bytes],
+    stem: str = "",
+) -> Selection:  # fmt: skip
     """Choose the columns: none when neither an acceleration nor an angular rate is found.
 
+    pieces : the looks; stem : the file's name, which tells a phone's sensors apart
     Raises UsageError for a column that is not there.
     """
-    columns = understand(dialect.names) if dialect.names else []
     notes: list[str] = []
+    gyroscope = bool(_GYROSCOPE.search(stem)) and "acc" not in stem.lower()
+    columns = understand(dialect.names, "angular_rate" if gyroscope else "acceleration")
+    if gyroscope and any(c.quantity for c in columns) and columns != understand(dialect.names):
+        notes.append("x, y, z are taken as an angular rate, by the name of the file")
     table = _Table(mapping, columns, dialect)
     vectors = [
         *_vectors("acceleration", mapping.acc, table, notes),
         *_vectors("angular_rate", mapping.gyro, table, notes),
     ]
-    time, time_unit = _time(mapping, columns, dialect)
-    if vectors and time < 0 and not mapping.rate and not columns:
+    time, time_unit, order = _time(mapping, columns, dialect)
+    free = not time and not mapping.rate and not columns
+    if vectors and free:
         time = _time_beside(vectors, dialect, facts.device, notes)
     if not vectors:
-        vectors, guessed = _by_position(dialect, facts, notes)
-        time = guessed if time < 0 and not mapping.rate and not columns else time
+        vectors, guessed = _by_position(dialect, facts, pieces, notes)
+        time = guessed if free else time
     if not vectors:
-        return Selection((), -1, "")
-    vectors = _beside([_with_device_unit(v, facts.device) for v in vectors])
+        return Selection((), (), "")
+    if len(time) > 1:
+        names = ", ".join(dialect.names[k] if dialect.names else str(k + 1) for k in time)
+        notes.append(f"time: columns {names} taken together")
+    vectors = _beside(
+        [_with_device_unit(_with_unit_above(v, facts), facts.device) for v in vectors]
+    )
     temperatures = _temperatures(mapping, columns, facts, dialect)
-    return Selection((*vectors, *temperatures), time, time_unit, tuple(notes))
+    return Selection((*vectors, *temperatures), time, time_unit, tuple(notes), order)
 
 
 def _vectors(quantity: str, stated: Sequence[str], table: _Table, notes: list[str]) -> list[Vector]:
@@ -99,6 +120,16 @@ def _beside(vectors: list[Vector]) -> list[Vector]:
     return out
 
 
+def _with_unit_above(vector: Vector, facts: HeaderFacts) -> Vector:
+    """The vector with the unit that the lines above the table state; with both, where its heading
+    states another: no unit that is known, which is refused."""
+    unit = facts.acc_unit if vector.quantity == "acceleration" else facts.gyro_unit
+    if not unit or {canonical(part) for part in vector.unit.split(",")} == {unit}:
+        return vector
+    stated = f"{unit} (above the table; {vector.unit} in the heading)" if vector.unit else unit
+    return replace(vector, unit=stated)
+
+
 def _with_device_unit(vector: Vector, device: Device) -> Vector:
     """The vector, with the unit that its device always writes when the file names none."""
     if vector.unit:
@@ -115,8 +146,8 @@ def _numbered(addresses: Sequence[str], dialect: Dialect) -> tuple[int, ...]:
 
 
 def _common_unit(columns: Sequence[Column]) -> str:
-    units = {c.unit for c in columns}
-    return units.pop() if len(units) == 1 else ""
+    units = [c.unit for c in columns]
+    return units[0] if len(set(units)) == 1 else ",".join(units)
 
 
 def _stated(quantity: str, stated: Sequence[str], table: _Table) -> list[Vector]:
@@ -154,31 +185,55 @@ def column_index(address: str, dialect: Dialect, option: str) -> int:
     )
 
 
-def _time(mapping: FieldMapping, columns: list[Column], dialect: Dialect) -> tuple[int, str]:
+def _time(
+    mapping: FieldMapping, columns: list[Column], dialect: Dialect
+) -> tuple[tuple[int, ...], str, str]:
+    """Columns of the stamps, the unit that the heading states, and the order of known parts."""
     if mapping.time:
-        index = column_index(mapping.time, dialect, "time")
-        return index, columns[index].unit if columns else ""
+        indices = _addressed(mapping.time, dialect)
+        order = parts_of_time([dialect.names[k] for k in indices]) if columns else {}
+        known = "".join(order) if list(order.values()) == list(range(len(indices))) else ""
+        return indices, columns[indices[0]].unit if columns else "", known
     if mapping.rate:
-        return -1, ""
-    found = [c for c in columns if c.quantity == "time"]
-    if not found:
-        return -1, ""
-    best = min(found, key=lambda c: "stamp" not in c.name.lower())
-    return best.index, best.unit
+        return (), "", ""
+    parts = parts_of_time(dialect.names)
+    found = [c for c in columns if c.quantity == "time" and c.index not in parts.values()]
+    dates = [k for k, name in enumerate(dialect.names) if is_date(name)]
+    if parts and not found:
+        return tuple(parts.values()), "", "".join(parts)
+    best = min(found, key=lambda c: "stamp" not in c.name.lower(), default=None)
+    if best is None:
+        alone = [k for k in dates if len(re.findall(r"\d+", dialect.example[k])) >= 5]
+        return tuple(alone[:1]), "", ""
+    clock = dialect.example[best.index] if dialect.example else ""
+    bare = not dialect.numeric[best.index] and ":" in clock
+    if dates and bare and len(re.findall(r"\d+", clock)) <= 4:
+        return (dates[0], best.index), "", ""
+    return (best.index,), best.unit, ""
+
+
+def _addressed(text: str, dialect: Dialect) -> tuple[int, ...]:
+    """The columns of a stamp: one name, which may hold a comma, or several."""
+    try:
+        return (column_index(text, dialect, "time"),)
+    except UsageError:
+        if "," not in text:
+            raise
+    return tuple(column_index(part, dialect, "time") for part in text.split(","))
 
 
 def _time_beside(
     vectors: Sequence[Vector], dialect: Dialect, device: Device, notes: list[str]
-) -> int:
-    """The time column of a table without names whose other columns the user has named, or -1."""
+) -> tuple[int, ...]:
+    """The time column of a table without names whose other columns the user has named."""
     taken = {c for v in vectors for c in v.columns}
-    known = next(iter(_numbered((device.fields.time,), dialect)), -1)
-    if known >= 0 and known not in taken:
+    known = _numbered((device.fields.time,), dialect)[:1]
+    if known and known[0] not in taken:
         return known
     if 0 not in taken and (dialect.width == 1 + len(taken) or not dialect.numeric[0]):
         notes.append("no column names: column 1 taken as time")
-        return 0
-    return -1
+        return (0,)
+    return ()
 
 
 def _temperatures(
@@ -204,23 +259,34 @@ def _temperatures(
 
 
 def _by_position(
-    dialect: Dialect, facts: HeaderFacts, notes: list[str]
-) -> tuple[list[Vector], int]:
-    """Columns of a table without (useful) names: a known device, or [time,] x, y, z."""
+    dialect: Dialect, facts: HeaderFacts, pieces: Sequence[bytes], notes: list[str]
+) -> tuple[list[Vector], tuple[int, ...]]:
+    """Columns of a table without (useful) names: a known device, or [date,] [time,] x, y, z and
+    perhaps the three of the other sensor, which is told by gravity's norm."""
     if dialect.names and any(c.quantity for c in understand(dialect.names)):
-        return [], -1
+        return [], ()
     fields = facts.device.fields
     if known := _numbered(fields.acc, dialect):
-        time = next(iter(_numbered((fields.time,), dialect)), -1)
-        if time < 0 and not dialect.numeric[known[0]]:  # some exports put a stamp in front
-            known, time = tuple(k + 1 for k in known), known[0]
+        time = _numbered((fields.time,), dialect)[:1]
+        if not time and not dialect.numeric[known[0]]:  # some exports put a stamp in front
+            known, time = tuple(k + 1 for k in known), (known[0],)
         if known[-1] < dialect.width:
             return [Vector("acceleration", "imu0", known)], time
-    numbers = [i for i, n in enumerate(dialect.numeric) if n]
-    if dialect.width == 4 and numbers[-3:] == [1, 2, 3]:
-        notes.append("no column names: taken as time, x, y, z")
-        return [Vector("acceleration", "imu0", (1, 2, 3))], 0
-    if dialect.width == 3 and len(numbers) == 3:
-        notes.append("no column names: taken as x, y, z")
-        return [Vector("acceleration", "imu0", (0, 1, 2))], -1
-    return [], -1
+    words = next((k for k, n in enumerate(dialect.numeric) if n), dialect.width)
+    if words > 2 or not all(dialect.numeric[words:]):
+        return [], ()
+    front = words or int(dialect.width in (4, 7))
+    numbers = tuple(range(front, dialect.width))
+    time, said = tuple(range(front)), "time, " * bool(front)
+    if len(numbers) == 3:
+        notes.append(f"no column names: taken as {said}x, y, z")
+        return [Vector("acceleration", "imu0", numbers)], time
+    if len(numbers) == 6:
+        heavy = [at for at in (numbers[:3], numbers[3:]) if like_gravity(dialect, pieces, at)]
+        if len(heavy) == 1:
+            other = numbers[3:] if heavy[0] == numbers[:3] else numbers[:3]
+            first = "accelerometer, gyroscope" if heavy[0] < other else "gyroscope, accelerometer"
+            notes.append(f"no column names: taken as {said}{first}, by the norm of gravity")
+            return [Vector("acceleration", "imu0", heavy[0]),
+                    Vector("angular_rate", "imu0", other)], time  # fmt: skip
+    return [], ()

@@ -31,11 +31,15 @@ class Lines:
     data : bytes that end in a line feed, carriage returns removed
     first_line : number of the first line in the file, from 1
     note : what was lost at the end of these lines, or empty
+    numbers : of each line in the file, where not all lines between are here
+    tail : a last line without its end
     """
 
     data: bytes
     first_line: int
     note: str = ""
+    numbers: tuple[int, ...] = ()
+    tail: bytes = b""
 
 
 def text_head(head: bytes) -> bytes:
@@ -196,6 +200,7 @@ def line_blocks(path: Path, size: int, *, strict: bool) -> Iterator[Lines]:
                 line += int(np.count_nonzero(np.frombuffer(block, np.uint8) == ord("\n")))
     tail = rest.rstrip(b"\0")
     if tail:
-        yield Lines(b"", line, f"line {line} has no line end and may be cut: it was left out")
+        said = f"line {line} has no line end and may be cut: it was left out"
+        yield Lines(b"", line, said, tail=clean(tail) if tail == rest else b"")
     elif rest:
         yield Lines(b"", line, f"{len(rest)} zero bytes at the end of the file were left out")

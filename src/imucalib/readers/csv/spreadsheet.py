@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Collection
 from pathlib import Path
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers.csv.table import columns_of
+from imucalib.readers.csv.table import Cells, columns_of, selected
 from imucalib.readers.source import small_directory
 from imucalib.recording.mapping import FieldMapping
 
@@ -27,10 +28,10 @@ def is_spreadsheet(path: Path) -> bool:
         return False
 
 
-def sheet_cells(path: Path, mapping: FieldMapping) -> dict[str, list[str]]:
-    """Every column by its heading, in the sheet's order, as `table_cells` gives those of a text.
+def sheet_cells(path: Path, mapping: FieldMapping, exclude: Collection[int] = ()) -> Cells:
+    """The cells of the first sheet, as `table_cells` gives those of a text.
 
-    mapping : `skip` is used. Formulas count by the value that was saved with them.
+    mapping : `skip` and `where` are used. Formulas count by the value that was saved with them.
     Raises UnreadableInput with the row.
     """
     where = str(path)
@@ -41,11 +42,12 @@ def sheet_cells(path: Path, mapping: FieldMapping) -> dict[str, list[str]]:
         raise UnreadableInput("no table in its first sheet", where=where)
     width = max(k + 1 for k, cell in enumerate(rows[0][1]) if cell)
     cut = [row[:width] + [""] * (width - len(row)) for _, row in rows]
-    return columns_of(cut, f"{where}, row {rows[0][0]} of the sheet", where, commas=True)
+    top = f"{where}, row {rows[0][0]} of the sheet"
+    return selected(columns_of(cut, top, where, decimal=",", exclude=exclude), mapping, where)
 
 
 def _rows(path: Path, skip: int) -> list[tuple[int, list[str]]]:
-    """Rows with something in them, as text, with their numbers from 1."""
+    """Rows as text, with their numbers from 1."""
     try:
         import openpyxl
     except ImportError:
@@ -72,7 +74,7 @@ def _rows(path: Path, skip: int) -> list[tuple[int, list[str]]]:
             f"the spreadsheet cannot be read: {error}", where=str(path),
             remedy="save it again, or as CSV",
         ) from error  # fmt: skip
-    return [(n, row) for n, row in rows if n > skip and any(row)]
+    return [(n, row) for n, row in rows if n > skip]
 
 
 def _text(cell: object) -> str:

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from imucalib.errors import UnreadableInput
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.csv.conditions import Condition, demand_some, parted
 from imucalib.readers.csv.dialect import cells_of, decoded, is_comment, is_number
 from imucalib.readers.csv.source import whole_text
 from imucalib.recording.mapping import FieldMapping
@@ -17,53 +22,167 @@ _FEWEST = 3  # cells of a heading
 _UNITS = {*ACCELERATION_UNITS, *RATE_UNITS, *ANGLE_UNITS}
 _OTHER_UNITS = {"°", "degc", "°c", "c", "k", "s", "ms", "counts", "count", "lsb", "-"}
 _DELIMITERS = (",", ";", "\t", "|")
+_SHOWN = 10  # rows that an error lists
+_RULE = re.compile(r"\|[\s|:\-]+\|")  # below the heading of a Markdown table
+#: Numbers that show by two marks of thousands, or by one beside the decimal mark, which it is.
+_GROUPED = {
+    ",": re.compile(r"[+-]?\d{1,3}((,\d{3})+\.\d*|(,\d{3}){2,})"),
+    ".": re.compile(r"[+-]?\d{1,3}((\.\d{3})+,\d*|(\.\d{3}){2,})"),
+}
+_WITH = {
+    ",": re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d*)?"),
+    ".": re.compile(r"[+-]?\d{1,3}(\.\d{3})+(,\d*)?"),
+}
+_BLANK_BETWEEN = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'\u2019](?=\d{3})")
 
 
-def table_cells(path: Path, mapping: FieldMapping) -> dict[str, list[str]]:
-    """Every column by its heading, in the file's order; numbers with a point as decimal mark.
+@dataclass(frozen=True)
+class Cells:
+    """A small table.
 
-    mapping : `skip`, `delimiter` and `decimal` are used. A decimal comma is understood wherever
-        the comma does not separate the cells. Comments and blank lines are passed over, title lines
-        above the heading too; a row of units below it goes into the headings.
+    columns : heading -> cells, in the file's order; row : numbers of the rows that are here, from 1
+    below the heading; file_rows : that the file has; notes : what was left out
+    """
+
+    columns: Mapping[str, Array | list[str]]
+    row: tuple[int, ...]
+    file_rows: int
+    notes: tuple[str, ...] = ()
+
+    def at(self, keep: Sequence[int]) -> Cells:
+        """Some of the rows, by their places from 0."""
+        columns = {n: v[list(keep)] if isinstance(v, np.ndarray) else [v[k] for k in keep]
+                   for n, v in self.columns.items()}  # fmt: skip
+        return replace(self, columns=columns, row=tuple(self.row[k] for k in keep))
+
+
+def table_cells(path: Path, mapping: FieldMapping, exclude: Collection[int] = ()) -> Cells:
+    """The cells of a text; numbers with a point as decimal mark and no mark of thousands.
+
+    mapping : `skip`, `delimiter`, `decimal` and `where` are used. A decimal comma is understood
+        wherever the comma does not separate the cells. Comments and blank lines are passed over,
+        title lines above the heading too, the frame of a Markdown table, and lines below the last
+        blank one that are no rows; a row of units below the heading goes into it.
+    exclude : rows that may have any number of cells
     Raises UnreadableInput with the row, counted from 1 below the heading.
     """
     where = str(path)
     lines = list(_lines(path, mapping.skip or 0))
-    if not lines:
+    if not any(line for _, line in lines):
         raise UnreadableInput("no rows in it", where=where)
     lines = _without_titles(lines, mapping.delimiter)
     at, first = lines[0]
-    delimiter = mapping.delimiter or max(_DELIMITERS, key=first.count)
-    heading, *rows = [cells_of(line, delimiter) for _, line in lines]
-    commas = mapping.decimal == "," or (not mapping.decimal and delimiter != ",")
-    return columns_of([heading, *rows], f"{where}, line {at}", where, commas=commas)
+    delimiter = mapping.delimiter or _delimiter_of(first)
+    heading, *rows = [_cells(line, delimiter) for _, line in lines]
+    found = columns_of(
+        [heading, *rows], f"{where}, line {at}", where, exclude=exclude,
+        decimal=mapping.decimal or ("," if delimiter != "," else ""),
+        stated=bool(mapping.decimal),
+    )  # fmt: skip
+    return selected(found, mapping, where)
+
+
+def selected(cells: Cells, mapping: FieldMapping, where: str) -> Cells:
+    """The rows that `mapping.where` asks for. Raises UsageError for a column that is not there."""
+    if not mapping.where:
+        return cells
+    wanted, texts = [], []
+    for column, value in map(parted, mapping.where):
+        if column not in cells.columns:
+            have = ", ".join(cells.columns)
+            raise UsageError(f"no column '{column}'", where="--where", remedy=f"columns: {have}")
+        wanted.append(Condition(0, value))
+        texts.append([str(cell) for cell in cells.columns[column]])
+    keep = [k for k in range(len(cells.row))
+            if all(c.fits(t[k]) for c, t in zip(wanted, texts, strict=True))]  # fmt: skip
+    demand_some(len(keep), mapping.where, texts, where)
+    return cells.at(keep)
 
 
 def columns_of(
-    rows: list[list[str]], top: str, where: str, *, commas: bool
-) -> dict[str, list[str]]:
-    """Every column by its heading, the first row; `top` says where that is. Errors as above."""
+    rows: list[list[str]], top: str, where: str, *, decimal: str, stated: bool = False,
+    exclude: Collection[int] = (),
+) -> Cells:  # fmt: skip
+    """Every column by its heading, the first row; `top` says where that is. Errors as above.
+
+    decimal : "," where that may be the mark, or the mark itself where it is `stated`
+    """
     heading, *rows = rows
     if rows and len(rows[0]) == len(heading) and _are_units(rows[0]):
         units = rows.pop(0)
         heading = [_with_unit(n, u) for n, u in zip(heading, units, strict=True)]
-    if all(is_number(cell) or (commas and is_number(cell, ",")) for cell in heading if cell):
+    comma = decimal == ","
+    if all(is_number(cell) or (comma and is_number(cell, ",")) for cell in heading if cell):
         raise UnreadableInput(
             "the first row is numbers, not headings", where=top,
             remedy="add a heading line such as: inclination,tool_face,x,y,z",
         )  # fmt: skip
+    heading = [name or f"column {k}" for k, name in enumerate(heading, start=1)]
     if len(set(heading)) != len(heading):
         raise UnreadableInput("two columns have the same heading", where=top)
-    for number, row in enumerate(rows, start=1):
-        if len(row) != len(heading):
-            raise UnreadableInput(
-                f"{len(row)} cells where the heading has {len(heading)}",
-                where=f"{where}, row {number}",
-                remedy="complete the row, or give --delimiter and --decimal",
-            )
+    thousands = _thousands([cell for row in rows for cell in row], decimal, stated)
+    rows, lost = _without_footer(
+        [[_plain_number(cell, comma, thousands) for cell in row] for row in rows]
+    )
+    notes = [f"below the table, left out: {' | '.join(filter(None, row))}" for row in lost]
+    kept = [k for k, row in enumerate(rows) if len(row) == len(heading) or k + 1 not in exclude]
+    wrong = [k for k in kept if len(rows[k]) != len(heading)]
+    if wrong:
+        more = and_more([f"row {k + 1}" for k in wrong[1:]])
+        raise UnreadableInput(
+            f"{len(rows[wrong[0]])} cells where the heading has {len(heading)}{more}",
+            where=f"{where}, row {wrong[0] + 1}",
+            remedy="complete the row, or give --delimiter and --decimal",
+        )
     if not rows:
         raise UnreadableInput("a heading but no rows", where=where)
-    return {name: [_plain_number(row[k], commas) for row in rows] for k, name in enumerate(heading)}
+    columns = {name: [rows[k][c] for k in kept] for c, name in enumerate(heading)}
+    return Cells(columns, tuple(k + 1 for k in kept), len(rows), tuple(notes))
+
+
+def and_more(places: Sequence[str]) -> str:
+    """The first ten of some places, and how many there are."""
+    if not places:
+        return ""
+    shown = ", ".join(places[: _SHOWN - 1])
+    left = len(places) - _SHOWN + 1
+    return f"; {len(places) + 1} in all: also {shown}" + (f" and {left} more" if left > 0 else "")
+
+
+def _without_footer(rows: list[list[str]]) -> tuple[list[list[str]], list[list[str]]]:
+    """The rows with something in them, and those below the last empty one that lack a number where
+    every row above has one (means, remarks)."""
+    last = max((k for k, row in enumerate(rows) if any(row)), default=-1)
+    empty = [k for k, row in enumerate(rows[: last + 1]) if not any(row)]
+    above = [row for row in rows[: empty[-1]] if any(row)] if empty else []
+    below = [row for row in rows[empty[-1] :] if any(row)] if empty else []
+    width = min(map(len, above), default=0)
+    full = [c for c in range(width) if all(is_number(row[c]) for row in above)]
+    if full and not any(all(c < len(row) and is_number(row[c]) for c in full) for row in below):
+        return above, below
+    return [row for row in rows if any(row)], []
+
+
+def _thousands(cells: Sequence[str], decimal: str, stated: bool) -> str:
+    """The mark between thousands that some numbers of a table show beyond doubt, or ""."""
+    found = {mark for mark, form in _GROUPED.items() if any(map(form.fullmatch, cells))}
+    if stated and not found:
+        return "," if decimal == "." else "."
+    return found.pop() if len(found) == 1 else ""
+
+
+def _delimiter_of(line: str) -> str:
+    """What separates the cells of a line: blanks where nothing else does."""
+    best = max(_DELIMITERS, key=line.count)
+    return best if best in line else " "
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """The cells of a line; blanks inside a name are one, so two or more separate where they can."""
+    if delimiter == " " and '"' not in line:
+        wide = re.split(r"\s{2,}|\t", line.strip())
+        return wide if len(wide) >= _FEWEST else line.split()
+    return cells_of(line, delimiter)
 
 
 def _without_titles(lines: list[tuple[int, str]], delimiter: str) -> list[tuple[int, str]]:
@@ -72,7 +191,10 @@ def _without_titles(lines: list[tuple[int, str]], delimiter: str) -> list[tuple[
         mark = delimiter or max(_DELIMITERS, key=line.count)
         if sum(cell != "" for cell in cells_of(line, mark)) >= _FEWEST:
             return lines[k:]
-    return lines
+    for k, (_, line) in enumerate(lines):
+        if not delimiter and len(line.split()) >= _FEWEST:
+            return lines[k:]
+    return [line for line in lines if line[1]]
 
 
 def _are_units(row: list[str]) -> bool:
@@ -89,16 +211,20 @@ def _with_unit(name: str, cell: str) -> str:
     return name if not unit or name.endswith((")", "]")) else f"{name} [{unit}]"
 
 
-def _plain_number(cell: str, commas: bool) -> str:
-    """The cell with a point, without a degree sign and with the minus of a keyboard."""
-    text = cell.replace("\u2212", "-")
+def _plain_number(cell: str, comma: bool, thousands: str) -> str:
+    """The cell with a point, without a degree sign, with the minus of a keyboard and without marks
+    between thousands."""
+    text = _BLANK_BETWEEN.sub("", cell.replace("\u2212", "-"))
     text = text.removesuffix("°").rstrip()
-    text = text.replace(",", ".") if commas and is_number(text, ",") else text
+    if thousands and _WITH[thousands].fullmatch(text):
+        text = text.replace(thousands, "")
+    if (comma or thousands == ".") and is_number(text, ","):
+        text = text.replace(",", ".")
     return text if is_number(text) else cell
 
 
 def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
-    """Lines that hold something, with their numbers from 1."""
+    """Lines that are no remarks, blank ones too, with their numbers from 1."""
     data = whole_text(path)
     binary = _BINARY.search(data)
     if binary:
@@ -108,5 +234,7 @@ def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
         )  # fmt: skip
     text = decoded(data)
     for number, line in enumerate(text.split("\n"), start=1):
-        if number > skip and line.strip() and not is_comment(line):
-            yield number, line
+        bare = line.strip()
+        if number <= skip or is_comment(line) or _RULE.fullmatch(bare):
+            continue
+        yield number, bare.removeprefix("|").removesuffix("|").strip() if bare[:1] == "|" else line

@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-import re
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
-_SINCE = re.compile(r"\s*([A-Za-zµ]+)\s+since\s+(.+?)\s*$")
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-#: Spellings of the units of time in attributes.
-TIME_ALIASES = {"sec": "s", "seconds": "s", "second": "s", "secs": "s", "µs": "us", "usec": "us",
-                "microseconds": "us", "microsecond": "us", "msec": "ms", "milliseconds": "ms",
-                "millisecond": "ms", "nsec": "ns", "nanoseconds": "ns",
-                "nanosecond": "ns"}  # fmt: skip
 RATE_NAMES = ("sampling_rate", "sample_rate", "SampleRate", "rate", "fs")
 
 
@@ -27,44 +18,53 @@ def text_of(value: Any) -> str:
     return str(value).rstrip("\0").strip()
 
 
-def unit_of(node: Any) -> str:
-    """The unit attribute in any of its usual spellings, without "per count"."""
+def unit_of(node: Any, column: str = "") -> str:
+    """The unit attribute in any of its usual spellings, without "per count"; of a list of them that
+    of the column of a table, else one an axis: "m/s2,m/s2,g"."""
     for name in ("units", "unit", "Units", "Unit", "UNITS"):
         if name in node.attrs:
-            text = text_of(node.attrs[name])
-            for tail in (" per count", " per LSB", "/LSB", "/count", " per lsb"):
-                text = text.removesuffix(tail)
-            return text
+            each = [_unit(text) for text in _each(node, node.attrs[name], column)]
+            return each[0] if len(set(each)) == 1 else ",".join(each)
     return ""
 
 
-def fills_of(node: Any) -> list[Any]:
-    """Values that stand for "no value" (netCDF's `_FillValue` and `missing_value`)."""
+def _unit(value: Any) -> str:
+    text = text_of(value)
+    for tail in (" per count", " per LSB", "/LSB", "/count", " per lsb"):
+        text = text.removesuffix(tail)
+    return text
+
+
+def _each(node: Any, value: Any, column: str) -> list[Any]:
+    """The values of an attribute that belong to a column of a table, or to each of three axes."""
+    values = np.asarray(value).reshape(-1)
+    names = node.dtype.names or ()
+    if column in names and values.size == len(names):
+        return [values[names.index(column)]]
+    return list(values) if values.size == 3 and 3 in node.shape[-2:] else list(values[:1]) or [""]
+
+
+def numbers_of(node: Any, column: str, names: tuple[str, ...], usual: float) -> tuple[float, ...]:
+    """The first attribute of these names, one number or one an axis; else the usual one."""
+    for name in names:
+        if name in node.attrs:
+            try:
+                found = tuple(float(v) for v in _each(node, node.attrs[name], column))
+            except (TypeError, ValueError):
+                continue
+            if found and np.isfinite(found).all() and all(v != 0.0 for v in found if usual):
+                return found
+    return (usual,)
+
+
+def fills_of(node: Any, column: str = "") -> list[Any]:
+    """Values that stand for "no value": netCDF's `_FillValue` and `missing_value`, and what the
+    writer chose for rows that are not written. Zero, which nobody chose, is a value."""
     names = ("_FillValue", "missing_value")
     found = [np.asarray(node.attrs[name]).flat for name in names if name in node.attrs]
-    return [value for values in found for value in values if np.isreal(value)]
-
-
-def clock_unit(text: str) -> tuple[str, int | None]:
-    """Unit and origin (ns since 1970) of "milliseconds since 2020-01-01 12:00", else the text.
-
-    The form is that of netCDF (CF Conventions, 4.4); an origin without a zone is UTC there.
-    """
-    found = _SINCE.match(text)
-    if not found:
-        return TIME_ALIASES.get(text.lower(), text), None
-    unit = TIME_ALIASES.get(found[1].lower(), found[1])
-    try:
-        start = datetime.fromisoformat(_padded(found[2].removesuffix("UTC").strip()))
-    except ValueError:
-        return unit, None
-    start = start if start.tzinfo else start.replace(tzinfo=UTC)
-    return unit, round((start - _EPOCH).total_seconds() * 1e6) * 1000
-
-
-def _padded(text: str) -> str:
-    """The date with two digits where one is written: "2020-1-1 0:0:0" is common."""
-    return re.sub(r"(?<![\d.])(\d)(?!\d)", r"0\1", text)
+    fills = [v for values in found for v in values if np.asarray(v).dtype.kind in "iuf"]
+    own = node.fillvalue[column] if column in (node.dtype.names or ()) else node.fillvalue
+    return [*fills, own] if np.asarray(own).dtype.kind in "iuf" and own else fills
 
 
 def number_of(node: Any, *names: str) -> float | None:

@@ -2,26 +2,73 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from imucalib.errors import UsageError
 from imucalib.readers.columns import understand
-from imucalib.readers.hdf5.attributes import RATE_NAMES, number_of, text_of, unit_of
+from imucalib.readers.hdf5.attributes import (
+    RATE_NAMES,
+    number_of,
+    numbers_of,
+    text_of,
+    unit_of,
+)
 from imucalib.recording.mapping import FieldMapping
+from imucalib.units import canonical
 
 TIME_NAMES = ("time", "timestamp", "timestamps", "t", "times", "stamp", "time_ns", "timestamp_ns",
          "time_us", "timestamp_us", "time_ms", "timestamp_ms")  # fmt: skip
 
 
+_SCALES, _OFFSETS = ("scale", "scale_factor", "Scale"), ("add_offset",)
+
+
 @dataclass(frozen=True)
 class Place:
-    """Where numbers lie: dataset, then a field of a compound, then the triad in (N, K, 3)."""
+    """Where numbers lie: dataset, then a field of a compound, then the triad in (N, K, 3).
+
+    unit, scale, offset : that the file states for them, one or one an axis: what is stored times
+        `scale` plus `offset` is in `unit`
+    """
 
     path: str
     column: str = ""
     triad: int = -1
     transposed: bool = False
+    unit: str = ""
+    scale: tuple[float, ...] = (1.0,)
+    offset: tuple[float, ...] = (0.0,)
+
+    @property
+    def packed(self) -> bool:
+        """Whether what is stored is not yet in the unit."""
+        return any(s != 1.0 for s in self.scale) or any(o != 0.0 for o in self.offset)
+
+    def unpacked(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """Stored values (n,) or (n, 3) in the unit, of the type that they have where that is it."""
+        if not self.packed:
+            return values
+        return np.asarray(values * np.array(self.scale) + np.array(self.offset), np.float64)
+
+
+def place_of(
+    node: Any, column: str = "", triad: int = -1, *, transposed: bool = False, named: str = ""
+) -> Place:
+    """A place with what the attributes of its dataset state. named : unit that its name states"""
+    unit = unit_of(node, column)
+    if unit and named not in ("", "counts") and canonical(named) != canonical(unit):
+        unit = f"{unit} (its name says {named})"  # no unit that is known: the reader refuses it
+    scale, offset = (numbers_of(node, column, names, usual)
+                     for names, usual in ((_SCALES, 1.0), (_OFFSETS, 0.0)))  # fmt: skip
+    return Place(
+        node.name, column, triad, transposed=transposed, unit=unit or named, scale=scale,
+        offset=offset,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -30,7 +77,7 @@ class Found:
 
     parts : one place of (N, 3), or three of (N,); a temperature has one
     time : place of the stamps, or None; rate : of the attributes, when there are no stamps
-    scale, offset : that the file states for its numbers to be in `unit`; 1 and 0 when none
+    unit : of all axes, or one an axis: "m/s2,m/s2,g"
     numbered : whether `triad` is only a number, since nothing in the file names it
     epoch : ns since 1970 from which the stamps count, where their unit states it
     """
@@ -40,13 +87,11 @@ class Found:
     parts: tuple[Place, ...]
     rows: int
     unit: str = ""
-    scale: float = 1.0
     time: Place | None = None
     time_unit: str = ""
     rate: float | None = None
     preset: str = ""
     epoch: int | None = None
-    offset: float = 0.0
     numbered: bool = False
 
     @property
@@ -57,8 +102,11 @@ class Found:
         return f"{whole}[{first.triad}]" if first.triad >= 0 else whole
 
 
-def _words(path: str) -> list[str]:
-    return [w for w in path.strip("/").split("/") if w]
+def found_in(quantity: str, triad: str, parts: Sequence[Place], rows: int) -> Found:
+    """The channel that lies at some places, with their unit."""
+    units = [part.unit for part in parts]
+    unit = units[0] if len(set(units)) == 1 else ",".join(units)
+    return Found(quantity, triad, tuple(parts), rows, unit)
 
 
 def words_of(path: str) -> list[str]:
@@ -99,9 +147,9 @@ def with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMap
     if rate and not mapping.time:
         return replace(field, rate=rate)
     if mapping.time:
-        stamps = node_at(nodes, mapping.time, "time")
-        unit = mapping.time_unit or unit_of(stamps) or field.time_unit
-        return replace(field, time=Place(stamps.name), time_unit=unit)
+        place = _stamps(node_at(nodes, mapping.time, "time"))
+        unit = mapping.time_unit or place.unit or field.time_unit
+        return replace(field, time=place, time_unit=unit)
     in_table = _column_of_time(node, field, mapping)
     if in_table is not None:
         return in_table
@@ -111,10 +159,10 @@ def with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMap
             head, _, name = path.rpartition("/")
             fits = stamps.size == field.rows and stamps.dtype.kind in "iuf"
             if head == folder and name.lower() in TIME_NAMES and fits:
-                unit = mapping.time_unit or unit_of(stamps) or field.time_unit
-                suffix = name.lower().rpartition("_")[2]
+                place, suffix = _stamps(stamps), name.lower().rpartition("_")[2]
+                unit = mapping.time_unit or place.unit or field.time_unit
                 unit = unit or (suffix if suffix in ("ns", "us", "ms") else "")
-                return replace(field, time=Place(path), time_unit=unit)
+                return replace(field, time=place, time_unit=unit)
         holder = file[folder] if folder else file
         rate = number_of(node, *RATE_NAMES) or number_of(holder, *RATE_NAMES)
         if rate and rate > 0:
@@ -124,11 +172,17 @@ def with_clock(field: Found, nodes: dict[str, Any], file: Any, mapping: FieldMap
         folder = folder.rpartition("/")[0]
 
 
+def _stamps(node: Any) -> Place:
+    """Stamps (N,), or (1, N) as MATLAB writes a row of them."""
+    return place_of(node, transposed=len(node.shape) == 2 and node.shape[0] == 1 < node.shape[1])
+
+
 def _column_of_time(node: Any, field: Found, mapping: FieldMapping) -> Found | None:
     """The field with the time column of the table that it is in, if it is in one."""
     for column in understand(list(node.dtype.names or ())):
         if column.quantity == "time":
             name = node.dtype.names[column.index]
-            unit = mapping.time_unit or column.unit
-            return replace(field, time=Place(node.name, name), time_unit=unit)
+            place = place_of(node, name)
+            unit = mapping.time_unit or place.unit or column.unit
+            return replace(field, time=place, time_unit=unit)
     return None

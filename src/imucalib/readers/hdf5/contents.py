@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.errors import UnreadableInput
 from imucalib.readers.contents import Content, norm_of
 from imucalib.readers.hdf5.attributes import unit_of
 from imucalib.readers.hdf5.fields import datasets
-from imucalib.readers.hdf5.held import outside
+from imucalib.readers.hdf5.held import Walk
 
 _ROWS = 500
 
@@ -27,9 +28,11 @@ def _content(node: Any, path: Path) -> Content:
     kind = f"{shape + ' ' if shape else ''}{node.dtype if not fields else 'records'}{fields}"
     kind += f" in {unit}" if unit else ""
     norm = median = float("nan")
-    other = outside(node, path)
-    if other:
-        return Content(node.name, kind, node.shape[0], why=f"it lies in another file, {other}")
+    try:
+        Walk(path).spans(node, path)
+    except UnreadableInput as error:
+        why = error.what.removeprefix(f"{node.name} ")
+        return Content(node.name, kind, node.shape[0], why=f"it {why}")
     numeric = not fields and node.dtype.kind in "iuf"
     step = max(1, node.shape[0] // _ROWS)
     try:

@@ -12,12 +12,13 @@ from typing import Any
 
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.columns import understand
-from imucalib.readers.hdf5.attributes import number_of, unit_of
 from imucalib.readers.hdf5.clock import (
     TIME_NAMES,
     Found,
     Place,
+    found_in,
     node_at,
+    place_of,
     with_clock,
     with_device,
     words_of,
@@ -34,7 +35,6 @@ _QUANTITY = {
 }  # fmt: skip
 _GENERIC = {"sensors", "data", "raw", "calibrated", "imu", "readings", "table", "", "value",
             "values", "processed", "x"}  # fmt: skip
-_SCALES = ("scale", "scale_factor", "Scale")
 _MOST = 4096  # datasets: each costs half a millisecond before it is read
 _DEEPEST = 32  # groups within groups
 _LARGE_CHUNK, _CHUNK_RATIO = 64 << 20, 100
@@ -96,14 +96,7 @@ def fields_of(file: Any, mapping: FieldMapping, where: str) -> list[Found]:
     if mapping.temperature:
         found = [f for f in found if f.quantity != "temperature"]
         found += list(_stated_temperatures(nodes, mapping))
-    found = [_with_offset(f, nodes) for f in _unique(found)]
-    return [with_clock(with_device(f, file), nodes, file, mapping) for f in found]
-
-
-def _with_offset(found: Found, nodes: dict[str, Any]) -> Found:
-    """The field with the offset that netCDF's packed numbers have."""
-    node = nodes[found.parts[0].path]
-    return replace(found, offset=number_of(node, "add_offset") or 0.0)
+    return [with_clock(with_device(f, file), nodes, file, mapping) for f in _unique(found)]
 
 
 def _unique(found: list[Found]) -> list[Found]:
@@ -141,50 +134,44 @@ def _vectors(node: Any) -> Iterator[Found]:
     if not quantity or words_of(node.name)[-1].lower() in TIME_NAMES:
         return
     above, shape = words_of(node.name)[:at], node.shape
-    scale = number_of(node, *_SCALES) or 1.0
     if quantity == "temperature":
         if len(shape) == 1 or (len(shape) == 2 and shape[1] == 1):
-            place = Place(node.name)
-            yield Found(quantity, _triad_name(above, -1), (place,), shape[0], unit_of(node), scale)
+            yield found_in(quantity, _triad_name(above, -1), [place_of(node)], shape[0])
         return
     if len(shape) == 2 and 3 in shape:
         flipped = shape[1] != 3
-        rows = shape[1] if flipped else shape[0]
-        place = Place(node.name, transposed=flipped)
-        yield Found(quantity, _triad_name(above, -1), (place,), rows, unit_of(node), scale)
+        place = place_of(node, transposed=flipped)
+        yield found_in(quantity, _triad_name(above, -1), [place], shape[1 if flipped else 0])
     if len(shape) == 3 and shape[2] == 3:
         for k in range(shape[1]):
-            name, place = _triad_name(above, k), Place(node.name, triad=k)
-            only = name == f"imu{k}"
-            yield Found(quantity, name, (place,), shape[0], unit_of(node), scale, numbered=only)
+            name = _triad_name(above, k)
+            one = found_in(quantity, name, [place_of(node, triad=k)], shape[0])
+            yield replace(one, numbered=name == f"imu{k}")
 
 
 def _single_axes(nodes: dict[str, Any]) -> Iterator[Found]:
     """Triads whose axes are datasets of their own, or columns of a table."""
-    groups: dict[str, list[tuple[str, Place, Any]]] = {}
+    groups: dict[str, list[tuple[str, str, Any]]] = {}
     for path, node in nodes.items():
         if node.dtype.names:
             for name in node.dtype.names:
-                groups.setdefault(path, []).append((name, Place(path, name), node))
+                groups.setdefault(path, []).append((name, name, node))
         elif len(node.shape) == 1:
             folder, _, name = path.rpartition("/")
-            groups.setdefault(folder, []).append((name, Place(path), node))
+            groups.setdefault(folder, []).append((name, "", node))
     for folder, members in groups.items():
-        axes: dict[tuple[str, str], dict[int, tuple[Place, Any, str]]] = {}
-        for column, (_, place, node) in zip(
+        axes: dict[tuple[str, str], dict[int, tuple[Place, Any]]] = {}
+        for column, (_, field, node) in zip(
             understand([m[0] for m in members]), members, strict=True
         ):
             if column.axis >= 0:
                 triads = axes.setdefault((column.quantity, column.triad), {})
-                triads.setdefault(column.axis, (place, node, column.unit))
+                triads.setdefault(column.axis, (place_of(node, field, named=column.unit), node))
         for (quantity, triad), three in axes.items():
-            if len(three) == 3:
-                nodes3 = [three[k][1] for k in range(3)]
-                unit = unit_of(nodes3[0]) or three[0][2]
-                scale = number_of(nodes3[0], *_SCALES) or 1.0
-                parts = tuple(three[k][0] for k in range(3))
+            if len(three) == 3 and len({node.shape for _, node in three.values()}) == 1:
                 name = _triad_name(words_of(folder), -1) if triad == "imu0" else triad
-                yield Found(quantity, name, parts, nodes3[0].shape[0], unit, scale)
+                parts = [three[k][0] for k in range(3)]
+                yield found_in(quantity, name, parts, three[0][1].shape[0])
 
 
 def _stated(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
@@ -208,18 +195,17 @@ def _stated(nodes: dict[str, Any], mapping: FieldMapping) -> Iterator[Found]:
 
 def _all_triads(node: Any, quantity: str) -> list[Found]:
     """The triads in one dataset, whatever its name says."""
-    shape, unit = node.shape, unit_of(node)
-    scale = number_of(node, *_SCALES) or 1.0
+    shape = node.shape
     if node.dtype.kind not in "iuf":
         return []
     if len(shape) == 3 and shape[2] == 3:
-        places = [Place(node.name, triad=k) for k in range(shape[1])]
+        places = [place_of(node, triad=k) for k in range(shape[1])]
     elif len(shape) == 2 and 3 in shape:
-        places = [Place(node.name, transposed=shape[1] != 3)]
+        places = [place_of(node, transposed=shape[1] != 3)]
     else:
         return []
     rows = shape[1] if places[0].transposed else shape[0]
-    return [Found(quantity, "", (p,), rows, unit, scale) for p in places]
+    return [found_in(quantity, "", [p], rows) for p in places]
 
 
 def _temperatures_beside(nodes: dict[str, Any], stated: list[Found]) -> Iterator[Found]:
@@ -244,4 +230,4 @@ def _stated_temperatures(nodes: dict[str, Any], mapping: FieldMapping) -> Iterat
     for k, address in enumerate(mapping.temperature):
         node = node_at(nodes, address, "temperature")
         triad = mapping.triads[k] if k < len(mapping.triads) else f"imu{k}"
-        yield Found("temperature", triad, (Place(node.name),), node.shape[0], unit_of(node))
+        yield found_in("temperature", triad, [place_of(node)], node.shape[0])

@@ -15,9 +15,8 @@ from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers.hdf5.attributes import fills_of
 from imucalib.readers.hdf5.clock import Place
 from imucalib.readers.hdf5.heaps import demand_ends
-from imucalib.readers.hdf5.held import held_rows, outside
+from imucalib.readers.hdf5.held import Rows, Spans, Walk, absent, mask_of
 
-Rows = NDArray[np.bool_]
 _RANGES = 3  # of absent rows that are named
 
 
@@ -34,12 +33,13 @@ class File:
     lost: list[str] = field(default_factory=list)
     external: bool = False
     nodes: dict[str, Any] = field(default_factory=dict)  # datasets in use: looking one up is slow
-    fills: dict[str, list[Any]] = field(default_factory=dict)
-    held: dict[tuple[str, int], Rows | None] = field(default_factory=dict)  # None: all of them
+    fills: dict[tuple[str, str], list[Any]] = field(default_factory=dict)
+    held: dict[tuple[str, int], Spans] = field(default_factory=dict)
 
     def rows(self, place: Place, start: int, stop: int) -> NDArray[np.generic]:
-        """Rows of one place; those that are damaged or not in the file become NaN."""
+        """Rows of one place in its unit; those that are damaged or not in the file become NaN."""
         values, held = self.stored(place, start, stop)
+        values = place.unpacked(values)
         if held is None:
             return values
         values = values.astype(np.float64)
@@ -54,53 +54,45 @@ class File:
         node = self.nodes.get(place.path)
         if node is None:
             node = self.nodes[place.path] = self.handle[place.path]
-        known = self._known(node, 1 if place.transposed else 0)
-        held = None if known is None or known[start:stop].all() else known[start:stop]
+        held = mask_of(self._known(node, 1 if place.transposed else 0), start, stop)
         try:
-            return self._filled(node, _slice(node, place, start, stop), held)
+            return self._filled(node, place, _slice(node, place, start, stop), held)
         except (OSError, RuntimeError) as error:
             if self.strict:
                 raise UnreadableInput(
                     f"{place.path}, rows {start} to {stop}: {error}", where=self.where
                 ) from error
         values, whole = self._by_chunks(node, place, start, stop)
-        return values, whole if held is None else whole & held
+        return self._filled(node, place, values, whole if held is None else whole & held)
 
     def _filled(
-        self, node: Any, values: NDArray[np.generic], held: Rows | None
+        self, node: Any, place: Place, values: NDArray[np.generic], held: Rows | None
     ) -> tuple[NDArray[np.generic], Rows | None]:
         """The values, and which rows of them hold none of the values that stand for nothing."""
-        if node.name not in self.fills:
-            self.fills[node.name] = fills_of(node)
-        for fill in self.fills[node.name]:
+        key = (node.name, place.column)
+        if key not in self.fills:
+            self.fills[key] = fills_of(node, place.column)
+        for fill in self.fills[key]:
             there = (values != fill).reshape(values.shape[0], -1).all(axis=1)
             if not there.all():
                 held = there if held is None else held & there
         return values, held
 
-    def _known(self, node: Any, axis: int) -> Rows | None:
+    def _known(self, node: Any, axis: int) -> Spans:
         key = (node.name, axis)
         if key not in self.held:
-            path = Path(self.where)
-            other = "" if self.external else outside(node, path)
-            if other:
-                raise UnreadableInput(
-                    f"{node.name} lies in another file, {other}",
-                    where=self.where,
-                    remedy="read it with --allow-external if you trust this file",
-                )
-            found = held_rows(node, path, axis)
-            self.held[key] = None if found.all() else found
-            if not found.all():
-                self._report(node.name, found)
+            found = Walk(Path(self.where), self.external).spans(node, Path(self.where), axis)
+            self.held[key] = found
+            lost = absent(found, int(node.shape[axis]))
+            if len(lost):
+                self._report(node.name, lost)
         return self.held[key]
 
     def demand_whole(self, node: Any) -> None:
         """Raise UnreadableInput, in a strict file, unless it holds all of a dataset."""
         self._known(node, 0)
 
-    def _report(self, name: str, held: Rows) -> None:
-        edges = np.flatnonzero(np.diff(held, prepend=True, append=True)).reshape(-1, 2)
+    def _report(self, name: str, edges: Spans) -> None:
         spans = ", ".join(f"{a} to {b - 1}" for a, b in edges[:_RANGES].tolist())
         more = f" and {len(edges) - _RANGES} more ranges" if len(edges) > _RANGES else ""
         what = f"{name}: rows {spans}{more} are not in the file"
@@ -124,7 +116,8 @@ class File:
                 note = f"{place.path}: rows {a} to {b - 1} cannot be read ({_reason(error)})"
                 self.lost.append(note)
                 kind = node.dtype[place.column] if place.column else node.dtype
-                width = () if place.column or len(node.shape) == 1 else (3,)
+                across = node.shape[0] if place.transposed else 3
+                width = () if place.column or len(node.shape) == 1 else (across,)
                 parts.append(np.zeros((b - a, *width), dtype=kind))
                 held[a - start : b - start] = False
             a = b

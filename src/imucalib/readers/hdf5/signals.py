@@ -12,10 +12,18 @@ from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
 from imucalib.readers.conversion import Conversion
-from imucalib.readers.hdf5.attributes import clock_unit, number_of
+from imucalib.readers.hdf5.attributes import number_of
 from imucalib.readers.hdf5.clock import Found
 from imucalib.readers.hdf5.file import File
-from imucalib.readers.timebase import Stepping, guess_unit, is_absolute, start_of, stepping
+from imucalib.readers.timebase import (
+    Stepping,
+    clock_unit,
+    date_of,
+    guess_unit,
+    seconds_of,
+    start_of,
+    stepping,
+)
 from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 
 _LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
@@ -24,14 +32,15 @@ _REST_SECONDS = 0.5
 
 @dataclass(frozen=True)
 class Signal:
-    """One channel ready to read; origin : stamp of t = 0; size : s per stamp unit."""
+    """One channel ready to read; origin : first stamp of its clock, in `found.time_unit`;
+    shift : s from the recording's start to that stamp."""
 
     found: Found
     conversion: Conversion
     rate: float
     threshold: float
     origin: float | int
-    size: float
+    shift: float = 0.0
 
     @property
     def name(self) -> str:
@@ -44,12 +53,10 @@ def times(file: File, signal: Signal, start: int, stop: int) -> Array:
         t = np.arange(start, stop, dtype=np.float64)
         t /= signal.rate
         return t
-    found, held = file.stored(signal.found.time, start, stop)
-    stamps = found.reshape(-1)
-    if stamps.dtype.kind in "iu":
-        t = np.asarray((stamps.astype(np.int64) - int(signal.origin)) / round(1.0 / signal.size))
-    else:
-        t = np.asarray((stamps.astype(np.float64) - signal.origin) * signal.size)
+    place = signal.found.time
+    found, held = file.stored(place, start, stop)
+    t = seconds_of(place.unpacked(found).reshape(-1), signal.origin, signal.found.time_unit)
+    t = t + signal.shift if signal.shift else t
     if held is not None:
         t[~held] = np.nan
     return t
@@ -64,12 +71,8 @@ def stored_rows(file: File, found: Found, start: int, stop: int) -> NDArray[np.g
     """The same in the type of the file, as far as no factor has to be applied."""
     parts = [file.rows(p, start, stop) for p in found.parts]
     if len(parts) == 1:
-        values = parts[0].reshape(stop - start, -1)
-    else:
-        values = np.stack([p.reshape(-1) for p in parts], axis=1)
-    if found.scale == 1.0 and found.offset == 0.0:
-        return values
-    return values.astype(np.float64) * found.scale + found.offset
+        return parts[0].reshape(stop - start, -1)
+    return np.stack([p.reshape(-1) for p in parts], axis=1)
 
 
 def _looks(found: Found) -> list[tuple[int, int]]:
@@ -81,29 +84,30 @@ def _looks(found: Found) -> list[tuple[int, int]]:
 def signals_of(
     file: File, found: Sequence[Found], mapping: FieldMapping
 ) -> tuple[list[Signal], int | None, list[str]]:
-    signals: list[Signal] = []
     notes: list[str] = []
     start_ns = None
     if number_of(file.handle, "start_ns") is not None:
         start_ns = start_of(np.asarray(file.handle.attrs["start_ns"]).flat[0].item(), notes)
-    origin: dict[float, float | int] = {}
-    for one in found:
+    origin: dict[tuple[str, int | None], float | int] = {}
+
+    def signal(one: Found) -> Signal:
+        nonlocal start_ns
         clock, first, note = _clock(file, one)
-        notes += [note] if note else []
-        size = TIME_UNITS.get(clock.time_unit, 1.0)
+        notes.extend([note] if note else [])
         zero: float | int = 0
-        if first is not None and clock.epoch is not None:
-            zero = origin.setdefault(size, first)
-            start_ns = clock.epoch + round(zero * size * 1e9)
-        elif first is not None and is_absolute(float(first) * size):
-            zero = origin.setdefault(size, first)
-            start_ns = (
-                round(zero * size * 1e9) if isinstance(zero, float) else zero * round(size * 1e9)
-            )
+        shift = 0.0
+        if first is not None and date_of(first, clock.time_unit, clock.epoch) is not None:
+            dated = bool(origin)
+            zero = origin.setdefault((clock.time_unit, clock.epoch), first)
+            own = date_of(zero, clock.time_unit, clock.epoch) or 0
+            start_ns = start_ns if dated else own
+            shift = (own - (start_ns or 0)) * 1e-9
         base = Signal(
-            clock, Conversion("", "", np.ones(1), np.zeros(1)), clock.rate or 1.0, 0.0, zero, size
+            clock, Conversion("", "", np.ones(1), np.zeros(1)), clock.rate or 1.0, 0.0, zero, shift
         )
-        signals.append(_measured(file, base, mapping))
+        return _measured(file, base, mapping)
+
+    signals = list(conversion.readable(found, signal, notes))
     notes += [s.conversion.note for s in signals if s.conversion.note]
     return signals, start_ns, list(dict.fromkeys(notes))
 
@@ -128,14 +132,19 @@ def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
     looks = [file.rows(found.time, a, b).reshape(-1) for a, b in _looks(found)]
     known = [s[np.isfinite(s.astype(np.float64))] for s in looks]
     first = next((s[0].item() for s in known if s.size), None)
-    (unit, epoch), note = clock_unit(found.time_unit), ""
+    where = f"{file.where}: {found.time.path}"
+    (unit, epoch), note = clock_unit(found.time_unit, where), ""
     if unit not in TIME_UNITS:
         steps = stepping([s.astype(np.float64) for s in known])
         if steps is None or first is None:
+            raise UnreadableInput("the time stamps never advance", where=where)
+        guessed, note = guess_unit(float(first), steps.step, where)
+        if unit and date_of(first, guessed) is None:
             raise UnreadableInput(
-                "the time stamps never advance", where=f"{file.where}: {found.time.path}"
-            )
-        unit, note = guess_unit(float(first), steps.step, f"{file.where}: {found.time.path}")
+                f"the file states the unknown unit of time '{unit[:40]}'", where=where,
+                remedy=f"name it with --time-unit: {', '.join(TIME_UNITS)}",
+            )  # fmt: skip
+        unit = guessed
     return replace(found, time_unit=unit, epoch=epoch), first, note
 
 
@@ -144,7 +153,9 @@ def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
     found = signal.found
     raw_counts = found.quantity == "acceleration" and mapping.acc_unit == conversion.COUNTS
     raw_counts |= found.quantity == "angular_rate" and mapping.gyro_unit == conversion.COUNTS
-    found = replace(found, scale=1.0, offset=0.0) if raw_counts else found
+    if raw_counts:
+        bare = tuple(replace(p, scale=(1.0,), offset=(0.0,)) for p in found.parts)
+        found = replace(found, parts=bare)
     looks = [raw_rows(file, found, a, b) for a, b in _looks(found)]
     stamps = [times(file, signal, a, b) for a, b in _looks(found)]
     good = [np.isfinite(v).all(axis=1) & np.isfinite(t) for v, t in zip(looks, stamps, strict=True)]
@@ -152,7 +163,8 @@ def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
     if steps is None:
         if found.rate is None:
             why = "the time never advances" if any(g.any() for g in good) else "holds no number"
-            raise UnreadableInput(f"{signal.name}: {why}", where=file.where)
+            remedy = "give --rate, or other stamps with --time"
+            raise UnreadableInput(f"{signal.name}: {why}", where=file.where, remedy=remedy)
         steps = Stepping(1.0 / found.rate, 1.75 / found.rate)
     rate = found.rate or 1.0 / steps.step
     where = f"{file.where}: {found.parts[0].path}"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.errors import UsageError
+from imucalib.readers.csv.time import MISSING, TextTime, text_to_ns
 from imucalib.readers.messages.columns import Decoded, Widths
 from imucalib.readers.messages.definition import LayoutError
 from imucalib.readers.messages.layout import Groups
@@ -88,8 +89,11 @@ class TreeDecoder:
 def _numbers(values: list[Any]) -> NDArray[Any]:
     """(n, k) numbers; ISO 8601 text becomes int64 nanoseconds since 1970."""
     if values and isinstance(values[0], str):
-        texts = [_utc(value) for value in values]
-        return np.array(texts, dtype="datetime64[ns]").astype(np.int64)[:, None]
+        texts = [_utc(value).replace("T", " ") for value in values]
+        ns, wrong = text_to_ns(np.array(texts, dtype=np.bytes_), TextTime("YMDhmsf", True))
+        if wrong.any() or (ns == MISSING).any():
+            raise ValueError(f"'{texts[int(np.argmax(wrong | (ns == MISSING)))]}' is no date")
+        return ns[:, None]
     array = np.array([v if isinstance(v, int | float) else tuple(v) for v in values])
     if array.dtype.kind not in "iuf":
         raise TypeError("not numbers")
