@@ -18,7 +18,7 @@ from imucalib.units import STANDARD_GRAVITY
 _KEPT = 10  # candidates and gaps that are listed; the rest is counted
 _LOSS = re.compile(
     r"\bdamaged\b|\blost\b|cannot be (read|decoded)|did not close|may be cut|never defines"
-    r"|zero bytes|are missing|without its footer"
+    r"|zero bytes|are missing|without its footer|^\d+ rows left out"
 )
 _REPEATS = re.compile(r"repeat the one before to the last digit")
 _STEPS = 1 << 16  # steps a channel keeps for the jitter
@@ -45,6 +45,7 @@ class ChannelFacts:
     """One channel; low, high : (k,) extremes; noise : (k,) of one sample at rest, or empty.
 
     norm_at_rest : median norm over the still segments, in the channel's unit; NaN without rest
+    names : what the file calls the sensor: topic, dataset; a board or a calibration may go by these
     """
 
     name: str
@@ -57,6 +58,7 @@ class ChannelFacts:
     high: Array
     noise: Array
     norm_at_rest: float
+    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -193,8 +195,16 @@ def inspect_recording(
         why_not_still=why,
         candidates=_candidates(facts),
         mapping=whole.mapping,
-        notes=(*watch.notes, *(still.notes if still else ())),
+        notes=(*watch.notes, *_unnamed(watch), *(still.notes if still else ())),
     )
+
+
+def _unnamed(watch: _Watch) -> tuple[str, ...]:
+    """That sensors have numbers only, where there are several."""
+    found = {r.example.triad for r in watch.seen.values() if r.example.numbered}
+    if len(found) < 2:
+        return ()
+    return (f"the file has no names for its {len(found)} sensors: they are numbered in its order",)
 
 
 def _facts(name: str, running: _Running, still: Segments | None) -> ChannelFacts:
@@ -221,6 +231,7 @@ def _facts(name: str, running: _Running, still: Segments | None) -> ChannelFacts
         high=running.high,
         noise=noise,
         norm_at_rest=norm,
+        names=channel.names,
     )
 
 

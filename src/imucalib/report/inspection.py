@@ -224,6 +224,7 @@ def inspection_dict(
                 "jitter_s": number(f.clock.jitter),
                 "duplicates": f.clock.duplicates,
                 "back_steps": f.clock.back_steps,
+                "names": list(f.names),
                 "longest_step_s": number(f.clock.longest_step),
                 "noise": [float(v) for v in f.noise],
                 "norm_at_rest": number(f.norm_at_rest),
