@@ -99,3 +99,8 @@ def test_topics_that_do_not_differ_by_a_word_give_no_names() -> None:
     assert distinct_names([("/imu/1/data",), ("/imu/2/data",)]) == ()
     assert distinct_names([("/imu/data",), ("/imu/data_raw",)]) == ("data", "data_raw")
     assert distinct_names([("/a/acc", "/a/gyro"), ("/b/acc", "/b/gyro")]) == ("a", "b")
+
+
+def test_a_calibration_keeps_only_names_that_it_may_hold() -> None:
+    odd = recording(["imu0", "imu1"], [("/a;b",), ("/b",)])
+    assert channel_names(odd) == {"imu0": "", "imu1": "/b"}

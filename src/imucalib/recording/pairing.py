@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from imucalib.errors import UnreadableInput
+from imucalib.recording.names import fault
 from imucalib.recording.recording import Recording
 
 _SEPARATORS = re.compile(r"[/:\[\]]+")
@@ -65,12 +66,14 @@ def names_in(recording: Recording) -> dict[str, frozenset[str]]:
 
 
 def channel_names(recording: Recording) -> dict[str, str]:
-    """What the file calls each accelerometer, in full: what a later recording is paired by."""
-    return {
+    """What the file calls each accelerometer, in full: what a later recording is paired by. Empty
+    where that is no name that a calibration may hold."""
+    found = {
         c.triad: (c.names or ("" if c.numbered else c.triad,))[-1]
         for c in recording.channels.values()
         if c.quantity == "acceleration"
     }
+    return {triad: "" if fault(name) else name for triad, name in found.items()}
 
 
 def _with_parts(sensors: Sequence[Sequence[str]]) -> list[frozenset[str]]:

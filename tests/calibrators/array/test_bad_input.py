@@ -176,3 +176,12 @@ def test_readings_that_are_missing_are_no_clocks_of_their_own(recording: Recordi
     assert np.array_equal(log.t, whole.t[left])
     assert np.array_equal(log.rate, whole.rate[left])
     assert "without a partner left out" in log.notes[0]
+
+
+def test_a_board_of_a_hostile_name_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "board.yaml"
+    lines = ['imus:', '  - {name: "a */ int x;", position: [0, 0, 0], axes: "x,y,z"}',
+             '  - {name: b, position: [9, 0, 0], axes: "x,y,z"}']  # fmt: skip
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(UnreadableInput, match="';'"):
+        read_board(path)

@@ -14,6 +14,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.recording.mapping import parse_axis_map
+from imucalib.recording.names import fault
 from imucalib.recording.yaml_text import load
 from imucalib.units import DEG, STANDARD_GRAVITY
 
@@ -124,6 +125,12 @@ def _board(content: Mapping[str, Any]) -> Board:
     positions = np.array([imu["position"] for imu in imus], dtype=float).reshape(len(imus), 3)
     rotations = np.array([_rotation(imu) for imu in imus])
     names = tuple(str(imu["name"]) for imu in imus)
+    for name in names:
+        if wrong := fault(name):
+            raise UnreadableInput(
+                f"the name {name!a} of an IMU: {wrong}",
+                remedy="letters, digits, / _ - . and spaces make a name",
+            )
     if len(set(names)) < len(names) or len(names) < FEWEST_IMUS:
         raise UnreadableInput("an array has two or more IMUs of different names")
     if not np.isfinite(positions).all():
