@@ -8,6 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from imucalib.calibration.file import check
 from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
@@ -69,6 +70,7 @@ def test_six_faces_are_as_good_as_the_size_of_gravity() -> None:
             off.append(found[f"bias_{axis}"].value - bias[k] / SHEETS.MG)
             stated.append(found[f"bias_{axis}"].sd)
         assert run.outcome.advice[0].startswith("Take every face twice")
+        check(run.calibration, "of six faces")
     assert np.median(np.abs(off)) < 1.0
     assert np.sqrt(np.mean((np.array(off) / stated) ** 2)) < 1.3
 
