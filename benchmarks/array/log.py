@@ -26,13 +26,14 @@ def peak() -> float:
 def one(stage: str, path: Path) -> None:
     """The measured process."""
     from imucalib.calibrators.array.board import read_board
-    from imucalib.calibrators.array.log import array_log
+    from imucalib.calibrators.array.log import array_log, of_board
     from imucalib.readers import read
 
     recording = read(path)
     samples = next(iter(recording.channels.values())).t.size
     if stage == "side by side":
-        log, _ = array_log(recording, read_board("mimu4444"))
+        recording, board = of_board(recording, read_board("mimu4444"))
+        log = array_log(recording, board)
         assert log.acceleration.shape == (samples, 32, 3)
     print(f"| {stage} | {samples} x 32 | {time.process_time():.1f} | {peak():.0f} |", flush=True)
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.log import array_log
+from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.terms import rest_terms
@@ -116,8 +116,9 @@ def recording(truth: str, pieces: list[Piece], seed: int) -> Recording:
 
 
 def search(log: Recording) -> MotionLoop:
+    log, board = of_board(log, BOARD)
     segments = still_segments(log)
-    laid, board = array_log(log, BOARD)
+    laid = array_log(log, board)
     order = [segments.triads.index(name) for name in board.imus]
     fitted = fit_rests(segments, board, order, G)
     moving = moving_part(laid, fitted)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from trial import Job, Trial, noise, said
 
 from imucalib.calibrators.array.board import read_board
-from imucalib.calibrators.array.log import array_log
+from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import beside_the_fit, declared_term, with_declared
@@ -191,8 +191,9 @@ class _Log:
 
 def _ready(recording: Recording) -> tuple[Setup, tuple[Term, ...], Moving]:
     """All that the command does before the loop."""
+    recording, board = of_board(recording, BOARD)
     segments = still_segments(recording)
-    log, board = array_log(recording, BOARD)
+    log = array_log(recording, board)
     order = [segments.triads.index(name) for name in board.imus]
     rests = fit_rests(segments, board, order, STANDARD_GRAVITY)
     moving = moving_part(log, rests)
