@@ -92,9 +92,9 @@ def with_plausible_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:
 
 def _demand_rate(name: str, rate: float, count: int, path: str) -> None:
     if count > 1 and not SLOWEST <= rate <= FASTEST:
+        said = f"{rate:.6g} samples a second, and inertial sensors have {SLOWEST:g} to {FASTEST:g}"
         raise UnreadableInput(
-            f"{name}: {rate:.6g} samples a second, and inertial sensors have {SLOWEST:g} to "
-            f"{FASTEST:g}", where=path,
+            f"{name}: {said if rate > 0.0 else 'its times do not advance'}", where=path,
             remedy="name the unit of the stamps with --time-unit, other stamps with --time, or "
             "give --rate",
         )  # fmt: skip
