@@ -115,7 +115,7 @@ def test_every_table_and_row_of_json_is_the_users(
     assert card_two is not None
     pattern = r"inclination (-?\d+), tool-face (-?\d+) deg"
     pairs = [
-        [re.findall(pattern, w.detail) for w in card.good_to if "worst attitude (" in w.detail]
+        [re.findall(pattern, w.detail) for w in card.good_to if "one reading" in w.detail]
         for card in (card_one, card_two)
     ]
     assert pairs[0]

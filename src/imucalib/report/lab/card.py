@@ -88,7 +88,8 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
         half = np.where(used, np.hypot(own, _NORMAL_95 * reading), 0.0)
         k = int(np.argmax(half))
         attitude = f"inclination {shown[0][k]:.0f}, tool-face {shown[1][k]:.0f} deg"
-        at = f"one reading, 95 %, worst attitude ({attitude})"
+        where = "" if used.all() else f" {_FROM_VERTICAL:.0f} deg or more off the vertical"
+        at = f"one reading, 95 %, worst attitude{where} ({attitude})"
         if left_out is not None:
             at += (
                 f"; positions left out, with how they were set: {rms(left_out):.2f} rms, "
@@ -100,6 +101,6 @@ def _angles(run: LabRun) -> tuple[Worth, ...]:
     return (
         worth("inclination", found.inclination_95, found.inclination_reading, every,
               left.inclination if left else None, 90.0),
-        worth(f"tool-face {_FROM_VERTICAL:.0f} deg off vertical", found.tool_face_95,
+        worth("tool-face", found.tool_face_95,
               found.tool_face_reading, flat, left.tool_face if left else None, 180.0),
     )  # fmt: skip
