@@ -27,7 +27,9 @@ def plus_minus(value: float, sd: float, unit: str = "") -> str:
 
 
 def probability(p: float, draws: int) -> str:
-    """A Monte Carlo p-value; one that no simulated data set reached is shown as a bound."""
+    """A p-value; one of Monte Carlo that no simulated data set reached is shown as a bound."""
+    if not draws:
+        return f"{p:.2g}"
     return f"< {1.0 / draws:.1g}" if p <= 1.5 / (draws + 1) else f"{p:.2g}"
 
 

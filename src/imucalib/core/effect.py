@@ -190,6 +190,7 @@ class Family:
         nothing where the values are all there are
     unfounded : whether no physics speaks for one value before another, so that it has to stand out
         as far as a curve does
+    free : whether it is a free function, which names no cause
     """
 
     name: str
@@ -199,6 +200,7 @@ class Family:
     values: Callable[[Context], tuple[str, ...]]
     nearby: Callable[[Context, str], tuple[str, ...]] = lambda context, text: ()
     unfounded: bool = False
+    free: bool = False
 
 
 Turn = Callable[[Context], tuple[Array, Array]]

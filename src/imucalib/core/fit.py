@@ -56,6 +56,8 @@ class Fit:
     noise_covariance : (c, c) of the log noise parameters; both for `interval_dof`
     null_directions : combinations that the data leave open, in words
     prior : of the parameters, or None where the data alone speak
+    shrink : (p,) standard deviation of each parameter about its start over the noise factor, where
+        a search has found how large it may be, infinite elsewhere; or None
     mixture : over the noise, where that was integrated out; the covariance is the mixture's then
     """
 
@@ -77,6 +79,16 @@ class Fit:
     iterations: int
     prior: Prior | None = None
     mixture: NoiseMixture | None = None
+    shrink: Array | None = None
+
+    def known(self, theta: Array) -> Array:
+        """(k, 1 + p): what is left at θ of what is known of the parameters beside the readings, and
+        its derivative, with the noise factor for its noise."""
+        if self.prior is not None:
+            return self.noise.factor * self.prior.rows(theta)
+        if self.shrink is None:
+            return np.zeros((0, 1 + theta.size))
+        return shrinking(self.shrink, np.array([p.start for p in self.parameters]) - theta)
 
     @property
     def sd(self) -> Array:
@@ -129,3 +141,13 @@ class Fit:
             freedom = np.array([self.interval_dof(row) for row in rows])
             found = stdtrit(freedom, 0.5 + level / 2.0) * np.sqrt(np.maximum(variance, 0.0))
         return np.asarray(found.reshape(direction.shape[:-1]))
+
+
+def shrinking(shrink: Array, away: Array) -> Array:
+    """(k, 1 + p) rows of parameters whose standard deviation over the noise factor is finite; away
+    : (p,) start less value."""
+    told = np.flatnonzero(np.isfinite(shrink))
+    rows = np.zeros((told.size, 1 + shrink.size))
+    rows[:, 0] = away[told] / shrink[told]
+    rows[np.arange(told.size), 1 + told] = 1.0 / shrink[told]
+    return rows

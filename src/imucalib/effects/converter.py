@@ -118,5 +118,6 @@ FAMILIES = (
         "y",
         converter,
         lambda context: ("x", "y", "z", "xyz") if context.n >= _FEWEST else (),
+        free=True,
     ),
 )

@@ -83,5 +83,6 @@ FAMILIES = (
         "bias:temperature:20:30:4",
         curve,
         lambda context: (),
+        free=True,
     ),
 )

@@ -1,9 +1,7 @@
 """Forms that a curve without a name may turn out to have: a formula, though no cause.
 
 Of a driver u: an axis' own input in g, or a covariate (angles in degrees). Each form has up to
-three numbers that a search scans or takes from the range; its size is fitted. Tried where a curve
-was found, and named in its place when it predicts as well; a sine of the response, which may be too
-fine for any smooth curve to show it, also by itself.
+three numbers that a search scans or takes from the range; its size is fitted.
 """
 
 from collections.abc import Callable
@@ -11,14 +9,9 @@ from collections.abc import Callable
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Family
-from imucalib.core.references import unit_vector
 from imucalib.effects.bent import KINDS, Form, Words, bent
 
-#: Swings of a response over the whole of its range: fewer are a polynomial's; and the step, between
-#: which a wave keeps nine tenths of its amplitude.
-_LEAST_SWINGS, _MOST_SWINGS, _STEP, _FINER = 1.5, 10.0, 0.5, 5
 Pair = tuple[Callable[[Array], Array], Callable[[Array], Array]]
 
 
@@ -35,6 +28,20 @@ def _power(order: float, middle: float, reach: float) -> Pair:
     return (
         lambda u: (((u - middle) / reach) ** n)[..., None],
         lambda u: (n / reach * ((u - middle) / reach) ** (n - 1))[..., None],
+    )
+
+
+def _odd_power(order: float) -> Pair:
+    return (
+        lambda u: (np.sign(u) * np.abs(u) ** order)[..., None],
+        lambda u: (order * np.abs(u) ** (order - 1.0))[..., None],
+    )
+
+
+def _even_power(order: float) -> Pair:
+    return (
+        lambda u: (np.abs(u) ** order)[..., None],
+        lambda u: (order * np.sign(u) * np.abs(u) ** (order - 1.0))[..., None],
     )
 
 
@@ -83,6 +90,8 @@ def _exponential(scale: float, start: float) -> Pair:
 FORMS: dict[str, tuple[Callable[..., Pair], str, int]] = {
     "sine": (_sine, "a sin(2π u / P) + b cos(2π u / P), P = {0}", 2),
     "power": (_power, "a ((u - {1}) / {2})^{0}", 1),
+    "odd_power": (_odd_power, "a sign(u) |u|^{0}", 1),
+    "even_power": (_even_power, "a |u|^{0}", 1),
     "kink": (_kink, "a |u - {0}|", 1),
     "step": (_step, "a [u >= {0}]", 1),
     "saturation": (_saturation, "a sign(u) max(|u| - {0}, 0) / (1 - {0})", 1),
@@ -143,36 +152,14 @@ def in_words(name: str) -> str:
     return f"{article} {kind} of the {KINDS[what]}{driver}"
 
 
-def _swings(context: Context) -> float:
-    """The most swings of a response from -1 to 1 g that positions show, four readings of an axis to
-    each; 0 where no dial says where they stand."""
-    if "inclination" not in context or "tool_face" not in context:
-        return 0.0
-    u = np.round(unit_vector(context["inclination"], context["tool_face"]), 3)
-    return min(_MOST_SWINGS, min(len(np.unique(axis)) for axis in u.T) / 4.0)
-
-
-def _ripples(context: Context) -> tuple[str, ...]:
-    return _sines(np.arange(_LEAST_SWINGS, _swings(context) + 1e-9, _STEP))
-
-
-def _near(context: Context, value: str) -> tuple[str, ...]:
-    period = float(value.rpartition(":")[2])
-    return _sines(2.0 / period + _STEP * np.linspace(-1.0, 1.0, 2 * _FINER + 1))
-
-
-def _sines(swings: Array) -> tuple[str, ...]:
-    return tuple(f"response:xyz:sine:{2.0 / s:.4g}" for s in swings)
-
-
 FAMILIES = (
     Family(
         "shape",
-        "A form with a formula; too fine for a smooth curve, a sine of the response is tried.",
+        "A form with a formula, without a cause.",
         "response:xyz:sine:0.5",
         shape,
-        _ripples,
-        _near,
+        lambda context: (),
         unfounded=True,
+        free=True,
     ),
 )

@@ -20,7 +20,8 @@ from imucalib.core.balance import (
     setting_errors,
     whitener,
 )
-from imucalib.core.fit import Fit
+from imucalib.core.context import Context
+from imucalib.core.fit import Fit, shrinking
 from imucalib.core.identifiability import null_directions
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -60,6 +61,7 @@ def fit(
     noise: Noise | None = None,
     begin: Noise | None = None,
     prior: Prior | None = None,
+    shrink: Array | None = None,
     rounds: int = 60,
 ) -> Fit:
     """Fit θ, η and, unless `noise` is given, the noise.
@@ -68,6 +70,9 @@ def fit(
     noise : held fixed when given (held-out refits); otherwise estimated by REML, from `begin`
     prior : of θ: the maximum a posteriori, which exists for any number of observations; one that
         knows nothing of the noise serves observations without settings only
+    shrink : (p,) standard deviations of parameters about their start over the noise factor,
+        infinite where they are free: rows beside the readings, so that the noise is estimated as
+        without
     A Fit whose `converged` is False must not be reported as a calibration.
     """
     context, reference = observations.context, observations.reference
@@ -79,10 +84,11 @@ def fit(
     estimate: NoiseEstimate | None = None
     converged, steps, failed = False, 0, 0
     for turn in range(rounds):
-        solution = _solve(model, observations, state, current, prior, fresh=turn == 0)
+        solution = _solve(model, observations, state, current, prior, shrink, fresh=turn == 0)
         state, at, steps = solution.state, solution.state.at, steps + solution.iterations
         if prior is None:
-            estimate = estimate_noise(at, current, fixed=noise is not None)
+            whole = at if shrink is None else _beside(at, model, state.theta, shrink, context)
+            estimate = estimate_noise(whole, current, fixed=noise is not None)
         elif prior.noise is None:
             estimate = estimate_with_prior(at, current, prior, state.theta)
         else:
@@ -99,7 +105,19 @@ def fit(
         model=model, observations=observations, state=state, at=at, estimate=estimate,
         converged=converged, steps=steps,
     )  # fmt: skip
-    return replace(found, prior=prior)
+    return replace(found, prior=prior, shrink=shrink)
+
+
+def _beside(at: Balanced, model: Model, theta: Array, shrink: Array, context: Context) -> Balanced:
+    """The balance with what shrinks the parameters as numbers behind the readings'."""
+    rows = shrinking(shrink, model.start(context) - theta)
+    settings = tuple(np.vstack([m, np.zeros((len(rows), m.shape[1]))]) for m in at.settings)
+    return replace(
+        at,
+        residual=np.concatenate([at.residual, rows[:, 0]]),
+        jacobian=np.vstack([at.jacobian, rows[:, 1:]]),
+        settings=settings,
+    )
 
 
 def evaluate(
@@ -136,12 +154,14 @@ def _solve(
     start: State,
     noise: Noise,
     prior: Prior | None,
+    shrink: Array | None,
     *,
     fresh: bool,
 ) -> Solution[Linearised]:
     """fresh : nothing has been fitted yet, so that η may be of the start and not of the data."""
     ratio = noise.ratio
     settled = _has_settings(observations, noise)
+    first_theta = model.start(observations.context)
 
     def at_eta(theta: Array, eta: Array) -> Linearised:
         return _with_eta(model, observations, State(theta, eta), ratio, settled)
@@ -150,6 +170,8 @@ def _solve(
         both = state.white(np.column_stack([state.at.residual, state.at.jacobian]))
         if prior is not None:
             both = np.vstack([both, noise.factor * prior.rows(state.theta)])
+        if shrink is not None:
+            both = np.vstack([both, shrinking(shrink, first_theta - state.theta)])
         return both[:, 0], both[:, 1:]
 
     def move(state: Linearised, step: Array) -> Linearised:

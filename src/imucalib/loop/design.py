@@ -15,7 +15,7 @@ from imucalib.core.observations import Observations
 
 #: Folds of single positions, and groups up to which each is left out by itself, so that no shuffle
 #: decides; of stretches of time there are as many as the calibrator made.
-_FOLDS, _ALONE = 10, 30
+_FOLDS, _ALONE = 10, 12
 #: Share of a stretch's rows on either side of it that train nothing when it is left out.
 _GAP = 0.03
 #: Observations for each group from which on groups are stretches of time.

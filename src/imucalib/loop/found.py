@@ -11,6 +11,7 @@ from imucalib.core.fit import Fit
 from imucalib.effects.shape import is_form
 from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
+from imucalib.loop.faults.found import Fault
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation.products import Ambiguity
 from imucalib.loop.separation.sums import Sums
@@ -67,6 +68,8 @@ class Step:
         part gains, where there are parts
     curve : whether it is a smooth correction of structure that has no name
     e_value : evidence that stays valid while a table grows; NaN where there is none
+    probability : that it is there; rivals : (effect, share) of all that may stand in its place
+    sure : whether it is beyond doubt, where a posterior says so
     """
 
     effect: str
@@ -79,6 +82,9 @@ class Step:
     gains: tuple[float, ...] = ()
     curve: bool = False
     e_value: float = math.nan
+    probability: float = math.nan
+    rivals: tuple[tuple[str, float], ...] = ()
+    sure: bool | None = None
 
     @property
     def formed(self) -> bool:
@@ -89,6 +95,8 @@ class Step:
     def certain(self) -> bool:
         """Nothing else would do as well, and chance would not do it in a hundred searches; a form
         with a formula has no cause to be certain of."""
+        if self.sure is not None:
+            return self.sure
         caused = not self.curve and not self.formed
         return caused and not self.aliases and self.p <= CERTAIN
 
@@ -148,7 +156,7 @@ class Loop(Generic[S]):
     unexplained : structure that no effect carries, also where a curve corrects it
     difference : of the errors on data that took no part in the whole search, before and after
     doubted : whether names by themselves have not proved a gain, where curves stand beside them
-    wander : of the noise
+    wander : of the noise; complete : probability that nothing is missing
     """
 
     base: S
@@ -164,6 +172,7 @@ class Loop(Generic[S]):
     difference: Difference | None = None
     doubted: bool = False
     wander: Wander | None = None
+    complete: float = math.nan
 
     @property
     def named(self) -> tuple[Step, ...]:
@@ -212,6 +221,7 @@ class FitLoop(Loop[Fit]):
     bar : nats that the best candidate of the first search had to reach
     ambiguous : what names left open, where the search keeps its own products
     sums : what the data say of every effect beside the base model, where the search keeps that
+    slips : of hand, in the table, each with the line that mends it
     """
 
     plain: Fit
@@ -219,3 +229,4 @@ class FitLoop(Loop[Fit]):
     bar: float = math.inf
     ambiguous: tuple[Ambiguity, ...] = ()
     sums: Sums | None = None
+    slips: tuple[Fault, ...] = ()

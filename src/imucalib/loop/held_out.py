@@ -60,8 +60,7 @@ def theta_without(fit: Fit, rows: Index) -> Array:
     settings = tuple(matrix[keep] for matrix in fit.at.settings)
     white = whitener(settings, fit.noise.ratio)
     both = white(np.column_stack([fit.at.residual[keep], fit.at.jacobian[keep]]))
-    if fit.prior is not None:
-        both = np.vstack([both, fit.noise.factor * fit.prior.rows(fit.theta)])
+    both = np.vstack([both, fit.known(fit.theta)])
     scale = np.linalg.norm(both[:, 1:], axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     step = np.linalg.lstsq(both[:, 1:] / scale, both[:, 0], rcond=1e-10)[0] / scale
@@ -77,9 +76,7 @@ def each_left_out(fit: Fit, group: Index) -> Iterator[tuple[Index, Array]]:
     """
     at, white = fit.at, whitener(fit.at.settings, fit.noise.ratio)
     both = white(np.column_stack([at.jacobian, at.residual]))
-    if fit.prior is not None:
-        known = np.roll(fit.prior.rows(fit.theta), -1, axis=1)
-        both = np.vstack([both, fit.noise.factor * known])
+    both = np.vstack([both, np.roll(fit.known(fit.theta), -1, axis=1)])
     scale = np.maximum(np.linalg.norm(both[:, :-1], axis=0), 1e-300)
     q, size, turn = np.linalg.svd(both[:, :-1] / scale, full_matrices=False)
     back = turn.T / np.where(size > 0.0, size, 1.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -16,7 +17,13 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import record_candidates
 from imucalib.loop.evidence import Score, score
 from imucalib.loop.held_out import left_out_sizes
-from imucalib.loop.record_errors import RecordError, diagnose, record_names, record_number
+from imucalib.loop.record_errors import (
+    RecordError,
+    diagnose,
+    predict_record,
+    record_names,
+    record_number,
+)
 from imucalib.units import MG
 
 
@@ -85,6 +92,20 @@ def _settled(fit: Fit) -> Array:
 def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[RecordError, ...]:
     """Diagnose records from the fit in which they are set aside."""
     return tuple(diagnose(fit, row, s.name.partition(":")[2], s.p, s.evidence) for s, row in found)
+
+
+def accused(fit: Fit, found: Sequence[tuple[int, float]]) -> tuple[RecordError, ...]:
+    """The same of rows and the log odds against each, by the number that is farthest off."""
+    return tuple(diagnose(fit, row, _channel(fit, row), math.exp(-o), o) for row, o in found)
+
+
+def _channel(fit: Fit, row: int) -> str:
+    """Which axis of a record is off most."""
+    if not fit.observations.reference.directed:
+        return "norm"
+    said = predict_record(fit, row)
+    away = np.abs(fit.observations.reading[row, 0] - said.mean)
+    return "xyz"[int(np.argmax(away / np.sqrt(np.diag(said.covariance))))]
 
 
 def held_out_rms(fit: Fit) -> float:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Index
 from imucalib.calibration.outcome import ErrorSummary
 from imucalib.calibrators.lab.attitude import AttitudeErrors, attitude_errors
 from imucalib.calibrators.lab.conventions import Conventions
@@ -33,12 +33,13 @@ from imucalib.estimators.in_a_population import strangeness
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.noise_mixture import with_noise_integrated
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
-from imucalib.loop.asked import Searched, searched
-from imucalib.loop.closed_loop import close_loop
-from imucalib.loop.cross_fit import CrossFit, by_folds, cross_fitted, judged
-from imucalib.loop.design import Fold, folds_of
+from imucalib.loop.asked import searched
+from imucalib.loop.cross_fit import by_folds
+from imucalib.loop.design import folds_of
 from imucalib.loop.found import FitLoop, LoopSettings
-from imucalib.loop.held_out import fitted
+from imucalib.loop.held_out import Held, fitted
+from imucalib.loop.posterior.closed import close_loop
+from imucalib.loop.posterior.slips import Written
 from imucalib.loop.rivals.models import Rival, rivals_of
 
 Objective = Literal["settings", "vector", "angles", "paper"]
@@ -107,12 +108,13 @@ class LabResult:
 def calibrate(
     observations: Observations,
     settings: LabSettings,
-    rng: np.random.Generator,
     *,
+    written: Written | None = None,
     faulty: bool = False,
 ) -> LabResult:
     """Fit, search for what is missing, and measure the errors on data that was not fitted.
 
+    written : the sheet as its rows say it, where slips of hand can be read in it
     faulty : slips of hand are known to inflate the noise, until anything looks undetermined
 
     Raises Undetermined when the positions cannot carry the model, with what is open and what to
@@ -121,7 +123,7 @@ def calibrate(
     model = base_model(settings, observations)
     used = np.arange(observations.n) if settings.train is None else settings.train
     data = observations.take(used)
-    loop, base, final, left = _solved(model, data, settings, rng)
+    loop, base, final, left = _solved(model, data, settings, _used(written, used))
     # A wrong record inflates the noise until everything looks open: judge without it. Beside a
     # fleet nothing is: what it leaves wide has that sd.
     clean = loop.base if loop else base
@@ -152,7 +154,7 @@ def calibrate(
 
 
 def _solved(
-    model: Model, data: Observations, settings: LabSettings, rng: np.random.Generator
+    model: Model, data: Observations, settings: LabSettings, written: Written | None
 ) -> tuple[FitLoop | None, Fit, Fit, LeftOut]:
     """The search if there is one, base and final model with every record taken as it stands, and
     what is held out."""
@@ -168,46 +170,32 @@ def _solved(
     if not settings.loop:
         final = fit_model(model, data, start=start)
         return None, final, final, _left_out(final)
-    rules = replace(settings.rules, declared=settings.sigma is not None)
-    loop, left = _closed(model, data, wanted, rng, rules, start)
-    return loop, loop.plain, loop.as_recorded, left
-
-
-def _closed(
-    model: Model, data: Observations, wanted: Searched, rng: np.random.Generator,
-    rules: LoopSettings, start: Array,
-) -> tuple[FitLoop, LeftOut]:  # fmt: skip
-    """The search, and held-out errors before and after by the one design of the data, and of whole
-    sessions where there are several."""
-    loop = close_loop(
-        model=model,
-        observations=data,
-        effects=wanted.effects,
-        rng=rng,
-        settings=rules,
-        start=start,
-        families=wanted.families,
-    )
-    if not loop.steps:
-        return loop, _left_out(loop.plain)
-
-    def repeated(folds: tuple[Fold, ...]) -> CrossFit:
-        return cross_fitted(loop, folds, wanted.effects, rng, rules, wanted.families)
-
-    found, apart = repeated(folds_of(data)), session_folds(loop.plain)
-    across = repeated(apart) if apart else None
-    loop = judged(loop, found, "rms")
-    if not loop.steps:
-        return loop, _left_out(loop.plain)
+    closed = close_loop(model, data, wanted, start, written)
+    loop = closed.loop
+    if closed.left is None:
+        return loop, loop.plain, loop.as_recorded, _left_out(loop.plain)
+    across = closed.by(session_folds(loop.plain))
     by_session = (across.before, across.after) if across else None
-    return loop, LeftOut((found.before, found.after), by_session)
+    folds = (closed.left.before, closed.left.after)
+    if loop.records or loop.slips:  # the calibration takes them as they stand
+        folds = (_by_design(loop.plain), _by_design(loop.as_recorded))
+    return loop, loop.plain, loop.as_recorded, LeftOut(folds, by_session)
+
+
+def _by_design(fit: Fit) -> Held:
+    return by_folds(fit, folds_of(fit.observations))
+
+
+def _used(written: Written | None, rows: Index) -> Written | None:
+    """The rows of a sheet that are fitted."""
+    return written and replace(written, sheet=written.sheet.take(rows))
 
 
 def _left_out(fit: Fit) -> LeftOut:
     """Of a model that nothing was chosen for."""
     apart = session_folds(fit)
     across = (by_folds(fit, apart),) * 2 if apart else None
-    return LeftOut((by_folds(fit, folds_of(fit.observations)),) * 2, across)
+    return LeftOut((_by_design(fit),) * 2, across)
 
 
 def base_model(settings: LabSettings, observations: Observations) -> Model:

@@ -23,67 +23,47 @@ from imucalib.loop.faults.converter import CutOff, cut_off, mistaken_scale, rows
 from imucalib.loop.faults.directions import wrong_directions
 from imucalib.loop.faults.flat_top import flat_tops
 from imucalib.loop.faults.found import Fault
-from imucalib.loop.faults.search import row_faults
 from imucalib.loop.faults.sheet import Sheet, in_order
 from imucalib.loop.found import FitLoop
+from imucalib.loop.posterior.slips import Written
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
 
 #: Scatter of a bench's settings (deg) beyond which rows or angles are wrong, and how far held-out
 #: errors must lie below the raw readings' for a calibration to be worth its name.
 SCATTER, WORTH = 3.0, 0.9
-#: Nats from which a wrong cell is told whatever a search says.
-SURE = 30.0
 
 
 @dataclass(frozen=True)
 class Faults:
     """What was found. slips : row by row; questions : what only the user can know, in words
-    notes : what else was seen of the sheet"""
+    notes : what else was seen of the sheet; written : it, where slips can be read in it"""
 
     slips: tuple[Fault, ...] = ()
     questions: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    written: Written | None = None
 
-    def hiding(self, auto_exclude: bool) -> bool:
-        """Whether a search for physics would explain the slips instead. One wrong record it sets
-        aside on its own; a wrong angle too when it may leave the row out."""
-        alone = ("cell", "angle") if auto_exclude else ("cell",)
-        return any(fault.kind not in alone for fault in self.slips)
-
-    def confirmed(self, loop: FitLoop | None) -> Faults:
-        """Without the single cells in which a search found nothing wrong beside the effects that it
-        took: beside a dial with play a small reading seems to have lost its sign."""
-        if loop is None or not loop.steps:
+    def found_in(self, loop: FitLoop | None) -> Faults:
+        """With the slips that a search has mended on its way."""
+        if loop is None or not loop.slips:
             return self
-        wrong = {record.where for record in loop.records}
-        slips = (
-            f
-            for f in self.slips
-            if f.kind != "cell" or f.score > SURE or f"row {f.rows[0]}" in wrong
-        )
-        return replace(self, slips=tuple(slips))
+        return replace(self, slips=(*self.slips, *loop.slips))
+
+    def of_axes(self, request: LabRequest) -> Faults:
+        """With what the axes of the whole sheet ask, which say nothing where those of a part are
+        turned, or a setting is wrong. Raises UnreadableInput where they are mirrored."""
+        turned = any(slip.kind in ("axes", "setting") for slip in self.slips)
+        if self.written is None or turned:
+            return self
+        asked = axes_questions(self.written.sheet, request)
+        return replace(self, questions=(*self.questions, *asked))
 
     def undecided(self, records: tuple[RecordError, ...]) -> tuple[str, ...]:
         """Sentences for what the search's own records do not say already."""
         said = {r.where for r in records}
         slips = (f for f in self.slips if f.kind != "cell" or f"row {f.rows[0]}" not in said)
         return (*(f.sentence for f in slips), *self.questions)
-
-    def naming(self, records: tuple[RecordError, ...], si: float) -> tuple[RecordError, ...]:
-        """The search's records, with the slip and the repair where only the sheet's own digits
-        showed them; si : m/s² a unit of the sheet"""
-        cells = {f"row {f.rows[0]}": f for f in self.slips if f.kind == "cell"}
-        return tuple(
-            replace(
-                record,
-                likely=cells[record.where].what.partition(": ")[2],
-                fix=tuple((axis, value * si) for axis, value in cells[record.where].cells),
-            )
-            if record.where in cells and not record.fix
-            else record
-            for record in records
-        )
 
 
 def sheet_of(
@@ -162,10 +142,12 @@ def look_for_faults(
             raise UsageError(sentence, where=table.path, remedy=f"{line}; --keep-angles to insist")
         questions += (f"{sentence}; decide with {line}",)
     unit = tuple(DEG if table.unit.get(r) == "rad" else 1.0 for r in ("inclination", "tool_face"))
-    slips = row_faults(sheet, table.raw(), (unit[0], unit[1]))
-    if not any(slip.kind in ("axes", "setting") for slip in slips):  # the whole's say nothing then
-        questions += axes_questions(sheet, request)
-    return Faults(slips, questions, () if sheet.ordered else _order_note(table, rows))
+    return Faults(
+        (),
+        questions,
+        () if sheet.ordered else _order_note(table, rows),
+        Written(sheet, table.raw(), (unit[0], unit[1])),
+    )
 
 
 def _of_directions(whole: Observations, rows: Index, table: PositionTable) -> tuple[Fault, ...]:

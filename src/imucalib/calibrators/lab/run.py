@@ -38,7 +38,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.sessions.between import Sessions, sessions_of
 from imucalib.calibrators.population import not_of_its_kind
 from imucalib.core.observations import Observations
-from imucalib.errors import NotConverged, UnreadableInput
+from imucalib.errors import NotConverged, Undetermined, UnreadableInput
 from imucalib.loop.found import FitLoop
 from imucalib.loop.record_errors import RecordError
 
@@ -73,14 +73,14 @@ def run_lab(
     rows, excluded = _kept(table, request, lost)
     faults = look_for_faults(table, raw, whole, rows, request)
     result = _first(whole, rows, request, faults)
-    faults = faults.confirmed(result.loop)
+    faults = faults.found_in(result.loop).of_axes(request)
     bad = _wrong_rows(result, faults, rows, table) if request.auto_exclude else {}
     if bad:
         excluded += tuple(bad.values())
         rows = np.setdiff1d(rows, list(bad))
-        result = _calibrated(whole, rows, request)
-        faults = look_for_faults(table, raw, whole, rows, request).confirmed(result.loop)
-    result = _named(result, faults, raw)
+        faults = look_for_faults(table, raw, whole, rows, request)
+        result = _calibrated(whole, rows, request, faults)
+        faults = faults.found_in(result.loop).of_axes(request)
     undecided = _undecided(result, faults, raw) or doubts(result, raw, request)
     undecided += not_of_its_kind(
         result.strange, "calibrate it alone, in 24 positions or more, without --fleet"
@@ -98,14 +98,6 @@ def run_lab(
         details=details, result=result, table=table, raw=raw, request=request, excluded=excluded,
         faults=faults, sessions=sessions,
     )  # fmt: skip
-
-
-def _named(result: LabResult, faults: Faults, raw: RawUnit) -> LabResult:
-    """The result, its records named by the slips that only the sheet's own digits show."""
-    if result.loop is None:
-        return result
-    records = faults.naming(result.loop.records, raw.si)
-    return replace(result, loop=replace(result.loop, records=records))
 
 
 def _wrong_rows(
@@ -200,15 +192,18 @@ def _kept(
 
 
 def _first(whole: Observations, rows: Index, request: LabRequest, faults: Faults) -> LabResult:
-    """The calibration of the sheet as it stands; without a search where that would explain slips of
-    hand by physics. What cannot be fitted at all ends with what to paste."""
+    """The calibration of the sheet as it stands; without a search where a whole column stands in
+    the wrong place, which physics would explain. What cannot be fitted at all ends with what to
+    paste."""
     if not faults.slips:
-        return _calibrated(whole, rows, request)
-    settings = replace(
-        request.settings, loop=request.settings.loop and not faults.hiding(request.auto_exclude)
-    )
+        try:
+            return _calibrated(whole, rows, request, faults)
+        except (NotConverged, Undetermined):
+            faults.of_axes(request)  # which may say why
+            raise
+    settings = replace(request.settings, loop=False)
     try:
-        return _calibrated(whole, rows, replace(request, settings=settings), faulty=True)
+        return _calibrated(whole, rows, replace(request, settings=settings), faults, faulty=True)
     except (NotConverged, UnreadableInput) as error:
         raise UnreadableInput(
             "; ".join(f.what for f in faults.slips),
@@ -218,11 +213,11 @@ def _first(whole: Observations, rows: Index, request: LabRequest, faults: Faults
 
 
 def _calibrated(
-    whole: Observations, rows: Index, request: LabRequest, *, faulty: bool = False
+    whole: Observations, rows: Index, request: LabRequest, faults: Faults, *, faulty: bool = False
 ) -> LabResult:
-    rng = np.random.default_rng(request.seed)
     kept = whole.take(rows)
-    return calibrate(kept, with_train(request, row_numbers(kept)), rng, faulty=faulty)
+    settings = with_train(request, row_numbers(kept))
+    return calibrate(kept, settings, written=faults.written, faulty=faulty)
 
 
 def _records(result: LabResult) -> tuple[RecordError, ...]:

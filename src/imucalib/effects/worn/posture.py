@@ -91,5 +91,6 @@ FAMILIES = (
         "24",
         posture,
         _values,
+        free=True,
     ),
 )

@@ -9,14 +9,15 @@ is a sum over corners of three tables.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.loop.faults.base import Base, prior_of
 from imucalib.loop.faults.conventions import axes_text, nearest_axes
-from imucalib.loop.faults.found import ENOUGH, Fault, Hypothesis
-from imucalib.loop.faults.noise_grid import Base
+from imucalib.loop.faults.found import Fault, Hypothesis
 from imucalib.loop.faults.readings import by_rows, leading
 from imucalib.loop.faults.sheet import Sheet
 
@@ -39,16 +40,17 @@ def other_axes(base: Base) -> list[Hypothesis]:
     if not sheet.ordered or sheet.n < 2 * _LEAST:
         return []
     at = np.arange(_LEAST, sheet.n - _LEAST + 1)
-    paid = float(np.log(2.0 * len(_AXES) * len(at)))
+    count = 2.0 * len(_AXES) * len(at)
     turned = np.stack([sheet.reading[:, order] * sign for order, sign in _AXES])
     few = base.at(base.few)
-    if (few.best(_corners(few, turned)[:, :, at]) - few.as_it_stands - paid).max() <= ENOUGH:
+    if not leading(few.gain(_corners(few, turned)[:, :, at], count).ravel()).size:
         return []
-    score = base.best(_corners(base, turned)[:, :, at]) - base.as_it_stands - paid
+    score = base.gain(_corners(base, turned)[:, :, at], count)
     found = []
     for k in leading(score.ravel()):
         which, start = divmod(int(k), len(at))
         one = _turned(sheet, which, int(at[start]), float(score[which, start]))
+        one = replace(one, prior=prior_of(count))
         if np.abs(one.repaired.reading - sheet.reading).max() > _MOVED * sheet.gravity:
             found.append(one)
     return found

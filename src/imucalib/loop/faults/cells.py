@@ -7,22 +7,20 @@ Every such change d of row k's reading is exact, at each point of noise:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from imucalib.arrays import Array
+from imucalib.loop.faults.base import Base, prior_of
 from imucalib.loop.faults.found import Fault, Hypothesis
-from imucalib.loop.faults.noise_grid import Base
-from imucalib.loop.faults.readings import by_rows, leading, strays
+from imucalib.loop.faults.readings import by_rows, leading
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 #: Significant figures of a cell of which two neighbours may have changed places.
 _FIGURES = 10
-#: Nats by which exchanged digits must explain a reading better than that it strays: seven to one.
-_BEYOND_STRAY = 2.0
 
 
 @dataclass(frozen=True)
@@ -58,11 +56,13 @@ def cells(base: Base, si: Array) -> list[Hypothesis]:
     own = P[:, np.arange(sheet.n), np.arange(sheet.n)]
     moved = np.einsum("Ghij,hj->Ghi", own[:, row], d)
     rss = base.rss[:, None] + np.einsum("hi,Ghi->Gh", d, 2.0 * g[:, row] + moved)
-    score = base.best(rss) - base.as_it_stands - np.log(len(tried))
-    # Of so many values one lies near any stray reading: it must say more than that it strays.
-    any_value = np.array([slip.digits for slip in tried])
-    score[any_value & (score < strays(base)[row] + _BEYOND_STRAY)] = -np.inf
-    return [_told(base, si, tried[k], float(score[k])) for k in leading(score)]
+    digits = np.array([slip.digits for slip in tried])
+    # Cells of two digits exchanged are as many as all others, or more, and share their prior.
+    count = 2.0 * np.where(digits, max(int(digits.sum()), 1), max(int((~digits).sum()), 1))
+    score = base.gain(rss, 1.0) - np.log(count)
+    prior = prior_of(1.0) - np.log(count)
+    told = [(_told(base, si, tried[k], float(score[k])), float(prior[k])) for k in leading(score)]
+    return [replace(one, prior=p) for one, p in told]
 
 
 def _slips(row: int, si: Array, reading: Array) -> list[_Slip]:

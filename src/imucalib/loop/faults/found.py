@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from imucalib.loop.faults.sheet import Sheet
@@ -43,22 +43,9 @@ class Fault:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A fault that was tried, and the sheet that its repair would give."""
+    """A fault that was tried, and the sheet that its repair would give; its score is what it gains
+    at first glance, with `prior`, the log odds of its class and place."""
 
     fault: Fault
     repaired: Sheet
-
-
-def with_rivals(every: list[Hypothesis]) -> Hypothesis | None:
-    """The best of all that were tried, its rivals named; None when nothing is sure enough."""
-    ranked = sorted(every, key=lambda h: -h.fault.score)
-    if not ranked or ranked[0].fault.score <= ENOUGH:
-        return None
-    best = ranked[0]
-    near = [
-        h.fault.line
-        for h in ranked[1:]
-        if h.fault.score > max(ENOUGH, best.fault.score - ENOUGH)
-        and h.fault.line != best.fault.line
-    ]
-    return replace(best, fault=replace(best.fault, rivals=tuple(dict.fromkeys(near))[:4]))
+    prior: float = 0.0

@@ -1,4 +1,4 @@
-"""Readings in the wrong place: two rows exchanged, one moved, a block shifted, one from nowhere.
+"""Readings in the wrong place: two rows exchanged, one moved, a block shifted.
 
 Every such change D of the readings is exact: RSS' = RSS + 2 D'g + D'P D at each point of noise.
 """
@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
-from imucalib.loop.faults.found import ENOUGH, Fault, Hypothesis
-from imucalib.loop.faults.noise_grid import Base
+from imucalib.loop.faults.base import Base, prior_of
+from imucalib.loop.faults.found import Fault, Hypothesis
+from imucalib.loop.posterior.odds import OPEN
 
 #: Hypotheses about blocks that are looked at on the whole grid, after a few of its points.
 _SHORT_LIST = 60
@@ -32,7 +33,7 @@ def exchanges(base: Base) -> list[Hypothesis]:
     both = P[:, p, p] + P[:, q, q] - P[:, p, q] - P[:, q, p]
     rss = base.rss[:, None] + 2.0 * np.einsum("hi,Ghi->Gh", d, g[:, p] - g[:, q])
     rss += np.einsum("hi,Ghij,hj->Gh", d, both, d)
-    score = base.best(rss) - base.as_it_stands - np.log(len(p))
+    score = base.gain(rss, len(p))
     found = []
     for k in leading(score):
         order = np.arange(n)
@@ -40,31 +41,8 @@ def exchanges(base: Base) -> list[Hypothesis]:
         rows = (int(sheet.row[p[k]]), int(sheet.row[q[k]]))
         what = f"rows {rows[0]} and {rows[1]}: their readings are exchanged"
         fault = Fault("exchange", what, rows, float(score[k]), f"--swap {rows[0]},{rows[1]}")
-        found.append(Hypothesis(fault, sheet.with_reading(sheet.reading[order])))
+        found.append(Hypothesis(fault, sheet.with_reading(sheet.reading[order]), prior_of(len(p))))
     return found
-
-
-def records(base: Base) -> list[Hypothesis]:
-    """A reading that belongs nowhere. It proposes nothing; it keeps slips from being claimed."""
-    score, found = strays(base), []
-    for k in leading(score)[:1]:
-        row = int(base.sheet.row[k])
-        fault = Fault("record", f"row {row}: wrong", (row,), float(score[k]), f"--exclude {row}")
-        rest = np.delete(np.arange(base.sheet.n), k)
-        found.append(Hypothesis(fault, base.sheet.take(rest)))
-    return found
-
-
-def strays(base: Base) -> Array:
-    """(n,) nats for each row's reading to belong nowhere: the row integrated out, the reading
-    Cauchy about what the others predict."""
-    n = base.sheet.n
-    P, g = by_rows(base)
-    own = P[:, np.arange(n), np.arange(n)]
-    off = np.asarray(np.linalg.solve(own, g[..., None])[..., 0], np.float64)
-    rss = base.rss[:, None] - np.einsum("Gni,Gni->Gn", off, g)
-    each = base.each(rss * base.dof / max(base.dof - 3.0, 1.0))
-    return np.asarray((each - _stray(off)).max(axis=0) - base.as_it_stands - np.log(n))
 
 
 def _stray(away: Array) -> Array:
@@ -95,35 +73,30 @@ def blocks(base: Base) -> list[Hypothesis]:
     tried = _orders(sheet.n, sheet.beside()) if sheet.ordered else None
     if tried is None:
         return []
-    score = _scores(base, tried, np.arange(len(tried.lost)), base.few)
-    short = np.argsort(-score)[:_SHORT_LIST]
-    score = _scores(base, tried, short, np.arange(len(base.c))) - base.as_it_stands
-    score -= np.log(len(tried.lost))
+    every = np.arange(len(tried.lost))
+    short = np.argsort(-_scores(base.at(base.few), tried, every))[:_SHORT_LIST]
+    score = _scores(base, tried, short)
     return [_block(base, tried, int(short[k]), float(score[k])) for k in leading(score)]
 
 
-def _scores(base: Base, tried: _Blocks, which: Index, points: Index) -> Array:
+def _scores(base: Base, tried: _Blocks, which: Index) -> Array:
+    """(h,) nats of some changes of the order beyond the sheet as it stands."""
     reading, n = base.sheet.reading, base.sheet.n
-    y = reading[tried.source[which]].reshape(len(which), -1)
+    change = (reading[tried.source[which]] - reading).reshape(len(which), -1)
     lost = tried.lost[which]
     at = np.flatnonzero(lost >= 0)
     rows = 3 * lost[at, None] + np.arange(3)
-    rss = np.empty((len(points), len(which)))
-    for k, point in enumerate(points):
-        h = y @ base.P[point]
-        rss[k] = np.einsum("hi,hi->h", h, y)
-        own = base.P[point].reshape(n, 3, n, 3)[lost[at], :, lost[at]]
-        part = h[at[:, None], rows]
+    rss = np.empty((len(base.rss), len(which)))
+    for k, (P, g) in enumerate(zip(base.P, base.g, strict=True)):
+        h = change @ P
+        rss[k] = base.rss[k] + 2.0 * change @ g + np.einsum("hi,hi->h", h, change)
+        own = P.reshape(n, 3, n, 3)[lost[at], :, lost[at]]
+        part = h[at[:, None], rows] + g[rows]
         rss[k, at] -= np.einsum("hi,hi->h", part, np.linalg.solve(own, part[..., None])[..., 0])
     rss[:, at] *= base.dof / max(base.dof - 3.0, 1.0)
-    each = base.c[points, None] - 0.5 * base.dof * np.log(np.maximum(rss, 1e-12))
-    noise = np.sqrt(np.maximum(rss, 1e-12) / base.dof)
-    grid = base.grid
-    taken = type(grid)(grid.inclination[points], grid.tool_face[points], grid.share[points])
-    score = (each + taken.prior(noise)).max(axis=0)
     twin = np.where(tried.late[which], tried.first[which], tried.last[which])
     away = reading[tried.spare[which]] - reading[tried.source[which, twin]]
-    return np.asarray(score - np.where(lost >= 0, _stray(away), 0.0))
+    return base.gain(rss, len(tried.lost)) - np.where(lost >= 0, _stray(away), 0.0)
 
 
 def _orders(n: int, beside: Index) -> _Blocks | None:
@@ -154,7 +127,7 @@ def _orders(n: int, beside: Index) -> _Blocks | None:
 
 
 def _block(base: Base, tried: _Blocks, k: int, score: float) -> Hypothesis:
-    sheet = base.sheet
+    sheet, prior = base.sheet, prior_of(len(tried.lost))
     a, b = int(sheet.row[tried.first[k]]), int(sheet.row[tried.last[k]])
     rows = tuple(range(a, b + 1))
     reading = sheet.reading[tried.source[k]]
@@ -163,7 +136,7 @@ def _block(base: Base, tried: _Blocks, k: int, score: float) -> Hypothesis:
         at, to = (a, b) if late else (b, a)
         what = f"row {at}: its reading belongs to row {to}, and those between one row nearer"
         fault = Fault("move", what, rows, score, f"--move {at},{to}")
-        return Hypothesis(fault, sheet.with_reading(reading))
+        return Hypothesis(fault, sheet.with_reading(reading), prior)
     step, lost = (-1, b) if late else (1, a)
     what = (
         f"rows {a} to {b}: their readings stand one row {'late' if late else 'early'}, "
@@ -171,7 +144,7 @@ def _block(base: Base, tried: _Blocks, k: int, score: float) -> Hypothesis:
     )
     fault = Fault("shift", what, rows, score, f"--shift readings:{a}-{b}={step}")
     left = np.setdiff1d(np.arange(sheet.n), tried.lost[k])
-    return Hypothesis(fault, sheet.with_reading(reading).take(left))
+    return Hypothesis(fault, sheet.with_reading(reading).take(left), prior)
 
 
 def by_rows(base: Base) -> tuple[Array, Array]:
@@ -182,9 +155,9 @@ def by_rows(base: Base) -> tuple[Array, Array]:
 
 
 def leading(score: Array) -> Index:
-    """Those that could be said, and their rivals, best first."""
+    """Those that are worth being solved again, best first."""
     best = float(score.max(initial=-np.inf))
-    if best <= ENOUGH:
+    if best <= -OPEN / 3.0:
         return np.zeros(0, np.intp)
     order = np.argsort(-score)[:8]
-    return order[score[order] > max(ENOUGH, best - ENOUGH)]
+    return order[score[order] > max(-OPEN / 3.0, best - OPEN)]

@@ -1,0 +1,1 @@
+"""One posterior over what a calibration may lack: components, their evidence, and the words."""

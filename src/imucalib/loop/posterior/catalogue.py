@@ -1,0 +1,196 @@
+"""The components that some observations can carry: tables, and no rules about single effects.
+
+Names and scans come from the catalogue (`imucalib.effects`). Beside them stand free functions of
+every driver, which hold any smooth course, and unnamed laws, which are as simple as a name but of
+another shape: what a name cannot beat has no name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect, Family
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.effects.curve import curve
+from imucalib.effects.shape import shape
+from imucalib.loop.asked import Searched
+from imucalib.loop.posterior.component import Component, Kind, Member
+from imucalib.loop.posterior.odds import SCANNED, TOGETHER
+
+#: Terms of free functions: of a response one for so many rows, within bounds; of others.
+_ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 8
+#: Drivers of the bias and the scale, and of dials beside these.
+_SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
+#: Laws of a response: odd and even powers, ends, kinks (of the input in g).
+_OF_RESPONSE = (
+    "odd_power:1.5", "odd_power:2", "power:4:0:1", "power:5:0:1", "even_power:1.5",
+    "saturation:0.1", "saturation:0.3", "saturation:0.5", "saturation:0.7",
+    "soft_saturation:0.3", "kink:0.3", "kink:-0.3",
+)  # fmt: skip
+
+
+def components_of(model: Model, data: Observations, asked: Searched) -> tuple[Component, ...]:
+    """Everything that may be missing from a model of some observations.
+
+    asked : effects and scans that are wanted; where the user limited them, no free function or law
+        is left out, so that no name is certain for want of a rival
+    """
+    return (
+        *_names(model, data, asked.effects),
+        *(c for family in asked.families if (c := scan_of(data, family)) is not None),
+        *_free(data),
+        *_laws(data),
+    )
+
+
+def _usable(data: Observations, effect: Effect) -> bool:
+    """Whether the data can carry an effect: of gravity's size only what the sensor does by itself
+    shows, and no part of what another effect holds whole."""
+    directed = data.reference.directed
+    seen = directed or (effect.stage == "sensor" and not effect.part_of)
+    wanted = effect.channel == "acceleration" and effect.stage != "mounting"
+    return seen and wanted and not effect.missing(data.context)
+
+
+def _names(model: Model, data: Observations, effects: Mapping[str, Effect]) -> Iterator[Component]:
+    for effect in effects.values():
+        if effect.name in model.names or not _usable(data, effect):
+            continue
+        if members := tuple(_ways(effect, data.context, single=effect.stage == "sensor")):
+            yield Component(effect.name, "name", members)
+
+
+def _ways(effect: Effect, context: Context, *, single: bool) -> Iterator[Member]:
+    """All parameters of an effect together, and one alone."""
+    typical = np.array([p.typical for p in effect.parameters(context)])
+    count = typical.size
+    if not count:
+        return
+    whole = np.log(TOGETHER) if single and count > 1 else 0.0
+    yield Member(((effect, np.arange(count), typical),), float(whole))
+    if single and count > 1:
+        each = float(np.log((1.0 - TOGETHER) / count))
+        for k in range(count):
+            yield Member(((effect, np.array([k]), typical[k : k + 1]),), each)
+
+
+def scan_of(data: Observations, family: Family, near: Sequence[str] = ()) -> Component | None:
+    """A scan as a component: values over all of its range, each with the same weight, which those
+    around a value that is `near` share with it."""
+    values = family.values(data.context)
+    some = values[:: max(1, -(-len(values) // SCANNED))]
+    members, seen = list[Member](), set[str]()
+    for text in dict.fromkeys((*some, *near)):
+        finer = family.nearby(data.context, text) if text in near else ()
+        own = []
+        for one in dict.fromkeys((text, *finer)):
+            effect = family.member(one)
+            if effect.name not in seen and _usable(data, effect):
+                seen.add(effect.name)
+                typical = np.array([p.typical for p in effect.parameters(data.context)])
+                own.append((effect, np.arange(typical.size), typical))
+        share = -float(np.log(max(len(own), 1) * len(some)))
+        members += [Member((o,), share) for o in own]
+    if not members:
+        return None
+    kind: Kind = "free" if family.free else "loose" if family.unfounded else "name"
+    return Component(family.name, kind, tuple(members))
+
+
+def _free(data: Observations) -> Iterator[Component]:
+    """Smooth functions of every driver: of each axis' own input and of all three, of what is slow,
+    and of the dials."""
+    low, high = _RESPONSE_TERMS
+    terms = int(np.clip(data.n // _ROWS_A_TERM, low, high))
+    rough = {a: _curved(data, f"response:{a}:-1:1:{terms}", 1.0) for a in "xyz"}
+    smooth = {a: _curved(data, f"response:{a}:-1:1:{low}", 2.0) for a in "xyz"}
+    half = float(np.log(0.5))
+    for a in "xyz":
+        ways = tuple(Member((one[a],), half) for one in (rough, smooth))
+        yield Component(f"response of {a}", "free", ways, "response")
+    every = tuple(Member(tuple(one.values()), half) for one in (rough, smooth))
+    yield Component("response of all axes", "free", every, "response")
+    for name in _varying(data, _SLOW):
+        for what in ("bias", "scale"):
+            yield _function(data, what, name)
+    if data.reference.directed:
+        for what in _varying(data, _DIALS):
+            for name in _varying(data, (*_DIALS, "order")):
+                yield _function(data, what, name)
+
+
+def _varying(data: Observations, names: Sequence[str]) -> list[str]:
+    return [n for n in names if n in data.context and np.ptp(data.context[n]) > 0.0]
+
+
+def _function(data: Observations, what: str, name: str) -> Component:
+    values = data.context[name]
+    text = f"{what}:{name}:{values.min():.6g}:{values.max():.6g}:{_TERMS}"
+    member = Member((_curved(data, text, 1.0),), 0.0)
+    return Component(f"{what} against {name}".replace("_", "-"), "free", (member,), name)
+
+
+def _curved(data: Observations, text: str, decay: float) -> tuple[Effect, Index, Array]:
+    """A curve whose terms are the smaller the quicker they turn."""
+    effect = curve(text)
+    what, against = text.split(":")[:2]
+    parameters = effect.parameters(data.context)
+    axes = 3 if what in ("bias", "scale") else 1
+    count = len(parameters) // axes
+    first = 2 if what == "response" else 1
+    order = np.arange(first, count + first)
+    if against == "tool_face" and what != "response":
+        order = np.tile(np.arange(1, count // 2 + 1), 2)
+    each = np.tile((first / order) ** decay, axes)
+    typical = np.array([p.typical for p in parameters])
+    return effect, np.arange(len(parameters)), each * typical
+
+
+def _laws(data: Observations) -> Iterator[Component]:
+    """One component a driver, its shape a member."""
+    yield _law(data, "response", [f"response:xyz:{text}" for text in _OF_RESPONSE])
+    for name in _varying(data, _SLOW):
+        yield _law(data, name, [f"bias:{name}:{text}" for text in _courses(data.context[name])])
+    if data.reference.directed:
+        for what in _varying(data, _DIALS):
+            yield _law(data, what, [f"{what}:{what}:{text}" for text in _of_dial(data, what)])
+
+
+def _courses(values: Array) -> Iterator[str]:
+    """Simple courses over the range of a driver."""
+    low, high = float(values.min()), float(values.max())
+    span, middle = high - low, 0.5 * (low + high)
+    for share in (0.03, 0.1, 0.25, 0.7):
+        yield f"exponential:{share * span:.6g}:{low:.6g}"
+        yield f"exponential:{-share * span:.6g}:{high:.6g}"
+    yield f"power:2:{middle:.6g}:{0.5 * span:.6g}"
+    yield f"power:3:{middle:.6g}:{0.5 * span:.6g}"
+    for share in (0.25, 0.5, 0.75):
+        yield f"kink:{low + share * span:.6g}"
+
+
+def _of_dial(data: Observations, what: str) -> Iterator[str]:
+    """Courses over a dial's range in degrees; of a whole turn waves and teeth."""
+    degrees = np.degrees(data.context[what])
+    if what == "tool_face":
+        for lobes in (1, 2, 3, 4, 6):
+            yield f"sine:{360.0 / lobes:.6g}"
+            yield f"saw_tooth:{360.0 / lobes:.6g}:0"
+        return
+    yield from _courses(degrees)
+
+
+def _law(data: Observations, driver: str, texts: Sequence[str]) -> Component:
+    members = []
+    for text in texts:
+        effect = shape(text)
+        typical = np.array([p.typical for p in effect.parameters(data.context)])
+        members.append((effect, np.arange(typical.size), typical))
+    weight = -float(np.log(len(members)))
+    every = tuple(Member((m,), weight) for m in members)
+    return Component(f"another law of {driver}".replace("_", "-"), "law", every, driver)

@@ -1,0 +1,169 @@
+"""The closed loop: fit, ask the posterior what is missing, add it, prove it on rows left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.effects.record_error import record_of
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.asked import Searched
+from imucalib.loop.design import Fold, folds_of, parts_of
+from imucalib.loop.difference import Difference, difference, with_density
+from imucalib.loop.found import Checked, FitLoop, Step, Unexplained
+from imucalib.loop.posterior.explored import Explored
+from imucalib.loop.posterior.held_out import LeftOut, left_out
+from imucalib.loop.posterior.slips import Written, mended
+from imucalib.loop.posterior.solution import fit_of, solved
+from imucalib.loop.posterior.tried import scores_of
+from imucalib.loop.posterior.words import Place, Told, told
+from imucalib.loop.record_errors import record_names
+from imucalib.loop.records import accused, reduced
+from imucalib.units import MG
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A finished loop, what it explored, and its predictions of what was left out, where anything
+    was corrected."""
+
+    loop: FitLoop
+    found: Explored
+    left: LeftOut | None
+
+    def by(self, folds: tuple[Fold, ...]) -> LeftOut | None:
+        """The same by other folds; None where there are none."""
+        return left_out(self.found.problem, self.found.posterior, folds) if folds else None
+
+
+def close_loop(
+    model: Model,
+    observations: Observations,
+    asked: Searched,
+    start: Array | None = None,
+    written: Written | None = None,
+) -> Closed:
+    """Fit the base model, search for what it lacks, and judge it on rows left out.
+
+    start : θ of the base model to start from; written : the sheet, where slips can be read in it
+    A correction that rows left out refuse is not made. `base` and `final` are those of the table
+    with its slips mended and what a wrong record is off by free, `plain` and `as_recorded` take
+    every record as it stands.
+    """
+    plain = fit_model(model, observations, start=start)
+    state = mended(plain, asked, written)
+    found = state.found
+    said = told(found.problem, found.posterior)
+    loop = _empty(plain, found, asked, said)
+    final, left = found.base, None
+    if said.places:
+        loop, final, left = _corrected(loop, found, said)
+    loop = replace(loop, records=accused(final, state.aside), slips=state.slips)
+    if state.slips:
+        loop = replace(loop, as_recorded=_as_recorded(loop.as_recorded, observations))
+    return Closed(loop, found, left)
+
+
+def _as_recorded(fit: Fit, observations: Observations) -> Fit:
+    """A model of the mended table, fitted to the table as it stands."""
+    return fit_model(fit.model, observations, start=fit.theta, shrink=fit.shrink)
+
+
+def _empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
+    """The loop before anything is corrected."""
+    recorded = reduced(found.base, record_names(found.base)) if found.base is not plain else plain
+    missing = {
+        name: reason
+        for name, effect in asked.effects.items()
+        if (reason := effect.missing(plain.observations.context))
+    }
+    scores = scores_of(found.problem, found.posterior)
+    return FitLoop(
+        base=found.base, final=found.base, plain=plain, as_recorded=recorded, scores=scores,
+        first_scores=scores, missing=missing, complete=said.complete,
+    )  # fmt: skip
+
+
+def _corrected(loop: FitLoop, found: Explored, said: Told) -> tuple[FitLoop, Fit, LeftOut | None]:
+    """The loop with what is told in the model, unless data that took no part refuse it."""
+    one = solved(found.problem, found.posterior.grams, said.hypothesis)
+    final = fit_of(found.problem, one, found.base.observations)
+    names = tuple(_effect(found, place.component, said) for place in said.places)
+    if not final.converged:
+        return _refused(loop, found, said, names, None), loop.final, None
+    data = found.base.observations
+    folds = folds_of(data)
+    left = left_out(found.problem, found.posterior, folds)
+    aside = [record_of(name) for name in record_names(found.base)]
+    good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
+    sizes = left.before.size[good], left.after.size[good]
+    gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
+    gain = with_density(gain, left.nats, decides=bool(found.base.at.settings))
+    if not gain.holds:
+        return _refused(loop, found, said, names, gain), loop.final, None
+    steps = tuple(
+        _step(found, said, place, name, left)
+        for place, name in zip(said.places, names, strict=True)
+    )
+    recorded = reduced(final, record_names(final)) if record_names(final) else final
+    done = replace(loop, final=final, as_recorded=recorded, steps=steps, difference=gain)
+    return done, final, left
+
+
+def _effect(found: Explored, component: int, said: Told) -> str:
+    """The name of the effect that stands for a component in what is told, or in its likeliest
+    set."""
+    sets = (said.hypothesis, *found.posterior.hypotheses)
+    own = next(h for h in sets if component in h.components)
+    choices = found.problem.choices
+    return next(
+        choices[p.choice].member.name for p in own.picks if choices[p.choice].component == component
+    )
+
+
+def _step(found: Explored, said: Told, place: Place, name: str, left: LeftOut) -> Step:
+    rivals = tuple((_effect(found, c, said), share) for c, share in place.rivals)
+    component = found.problem.components[place.component]
+    odds = place.probability / max(1.0 - place.probability, 1e-12)
+    return Step(
+        effect=name,
+        p=said.complete,
+        draws=0,
+        evidence=float(np.log(max(odds, 1e-12))),
+        checked=(Checked("error", "m/s2", left.before.rms(), left.after.rms()),),
+        aliases=tuple(dict.fromkeys(n for n, _ in rivals if n != name)),
+        curve=component.kind == "free",
+        probability=place.probability,
+        rivals=rivals,
+        sure=place.certain,
+    )
+
+
+def _refused(
+    loop: FitLoop, found: Explored, said: Told, names: tuple[str, ...], gain: Difference | None
+) -> FitLoop:
+    """Nothing is corrected; what is missing stays without a name."""
+    why = "no fit settles with it"
+    if gain is not None:
+        why = f"on data that took no part the error is {gain.before / MG:.3g} mg without it, "
+        why += f"{gain.after / MG:.3g} with it"
+    left = tuple(
+        Unexplained(
+            name=name, driver=found.problem.components[place.component].driver, kind="probe",
+            p=said.complete, evidence=0.0, share=0.0,
+            alike=tuple(_effect(found, c, said) for c, _ in place.rivals),
+        )
+        for place, name in zip(said.places, names, strict=True)
+    )  # fmt: skip
+    return replace(
+        loop,
+        difference=gain,
+        rejected=tuple((name, why) for name in names),
+        refuted=names,
+        unexplained=left,
+    )

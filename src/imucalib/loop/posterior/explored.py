@@ -1,0 +1,78 @@
+"""A fitted base model with the posterior over what it lacks, scans refined where they count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.core.fit import Fit
+from imucalib.effects import families
+from imucalib.loop.asked import Searched
+from imucalib.loop.posterior.catalogue import components_of, scan_of
+from imucalib.loop.posterior.component import Component
+from imucalib.loop.posterior.gram import grams_of
+from imucalib.loop.posterior.noise import Terms, terms_of
+from imucalib.loop.posterior.odds import HEARD
+from imucalib.loop.posterior.problem import Problem, problem_of
+from imucalib.loop.posterior.solution import noises_of
+from imucalib.loop.posterior.space import Posterior, search
+
+#: Probability from which on a scan is refined around what it found.
+_LIKELY = 0.05
+
+
+@dataclass(frozen=True)
+class Explored:
+    """A base fit with the posterior over what it lacks."""
+
+    base: Fit
+    problem: Problem
+    terms: Terms
+    posterior: Posterior
+
+
+def explored(base: Fit, asked: Searched) -> Explored:
+    """The posterior at a fitted base model, scans refined where they count."""
+    data = base.observations
+    components = components_of(base.model, data, asked)
+    first = _once(base, components)
+    near = _near(first)
+    if near:
+        own = {f.name: f for f in asked.families}
+        finer = tuple(
+            scan_of(data, own[c.name], near[c.name]) or c if c.name in near else c
+            for c in components
+        )
+        first = _once(base, finer)
+    return replace(first, posterior=_heard(first))
+
+
+def _once(base: Fit, components: tuple[Component, ...]) -> Explored:
+    problem = problem_of(base, components)
+    terms = terms_of(base)
+    return Explored(base, problem, terms, search(problem, grams_of(problem, terms)))
+
+
+def _near(found: Explored) -> dict[str, list[str]]:
+    """Values of scans that stand in likely sets, by family."""
+    near: dict[str, list[str]] = {}
+    problem, posterior = found.problem, found.posterior
+    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+        for pick in hypothesis.picks if p > _LIKELY else ():
+            family, at, value = problem.choices[pick.choice].member.name.partition("@")
+            own = problem.components[problem.choices[pick.choice].component].name
+            if at and family == own and family in families() and value not in near.get(family, []):
+                near.setdefault(family, []).append(value)
+    return near
+
+
+def _heard(found: Explored) -> Posterior:
+    """The posterior at the noises that any leading set still gives a say."""
+    posterior, problem = found.posterior, found.problem
+    weights = [
+        noises_of(problem, posterior.grams, h.picks)
+        for h in (*posterior.hypotheses[:4], posterior.base)
+    ]
+    kept = np.flatnonzero(np.max(weights, axis=0) > np.exp(-HEARD / 2.0))
+    return replace(posterior, grams=posterior.grams.of(kept))

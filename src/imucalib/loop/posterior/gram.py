@@ -1,0 +1,212 @@
+"""Products of the problem's columns at every noise: all that the search, folds and words ever see.
+
+    A = Zᵀ V⁻¹ Z - Σ Xᵀ X,  Z = [base | members | y]
+
+What is taken out leaves as factors X: a block of columns S with a normal prior of size τ as
+L⁻¹ A_S, L Lᵀ = A_SS + 1/τ² (`swept`). Numbers that are left out are free, each by a column of its
+own with a flat prior, which is exact however V couples them (`without`). Only blocks on the
+diagonal of A and a few of its rows are ever formed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.loop.posterior.noise import Point, Terms
+from imucalib.loop.posterior.odds import GROSS, HEARD, REACH, RECORD_MG
+from imucalib.loop.posterior.problem import Problem
+from imucalib.units import MG
+
+
+@dataclass(frozen=True)
+class Products:
+    """Zᵀ V⁻¹ Z at E noises. columns : (N, q) Z; weighted : (E, N, q) V⁻¹ Z; known : (k, q) rows of
+    what is known before the readings"""
+
+    columns: Array
+    weighted: Array
+    known: Array
+
+    def rows(self, at: Index) -> Array:
+        """(E, s, q) some rows."""
+        found = self.columns[:, at].T @ self.weighted
+        return np.asarray(found + self.known[:, at].T @ self.known)
+
+    @cached_property
+    def along(self) -> Array:
+        """(E, q) products with y."""
+        return np.asarray(self.rows(np.array([self.columns.shape[1] - 1]))[:, 0])
+
+    def blocks(self, index: Index) -> Array:
+        """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
+        left, right = self.columns[:, index], self.weighted[:, :, index]
+        own = np.matmul(left.transpose(1, 2, 0)[None], right.transpose(0, 2, 1, 3))
+        known = self.known[:, index]
+        return np.asarray(own + np.einsum("kmw,kmv->mwv", known, known))
+
+
+@dataclass(frozen=True)
+class Grams:
+    """products : of all data; taken : (E, t, q) what has been taken out
+    log_weight : (E,) log prior of each noise less half of log |V| and what was taken
+    numbers : how many numbers they hold; points : the noises
+    spread : sd of the log of the noise factor about 1, infinite where nothing is known of it
+    """
+
+    products: Products
+    taken: Array
+    log_weight: Array
+    numbers: int
+    points: tuple[Point, ...]
+    spread: float
+
+    def log_noise(self, power: Array, dof: int) -> Array:
+        """(...) what is left of yᵀ V⁻¹ y with the noise factor integrated out: under Jeffreys'
+        prior, and what is known of the factor at its likeliest value."""
+        factor = 0.5 * np.log(power / dof)
+        return np.asarray(-0.5 * dof * np.log(power) - 0.5 * (factor / self.spread) ** 2)
+
+    def rows(self, at: Index) -> Array:
+        """(E, s, q) some rows of A."""
+        own = self.taken[:, :, at].transpose(0, 2, 1)
+        return np.asarray(self.products.rows(at) - own @ self.taken)
+
+    def blocks(self, index: Index, whole: Array | None = None) -> Array:
+        """(E, m, w, w) blocks on its diagonal; whole : those of `products`, where they are there"""
+        first = self.products.blocks(index) if whole is None else whole
+        own = self.taken[:, :, index].transpose(0, 2, 3, 1)
+        return np.asarray(first - own @ own.swapaxes(2, 3))
+
+    @cached_property
+    def along(self) -> Array:
+        """(E, q) products with y."""
+        own = self.taken[:, :, -1:].swapaxes(1, 2) @ self.taken
+        return np.asarray(self.products.along - own[:, 0])
+
+    @property
+    def power(self) -> Array:
+        """(E,) what is left of yᵀ V⁻¹ y."""
+        return np.asarray(np.maximum(self.along[:, -1], 1e-9))
+
+    def of(self, noises: Index) -> Grams:
+        """At some of the noises."""
+        return Grams(
+            products=replace(self.products, weighted=self.products.weighted[noises]),
+            taken=self.taken[noises],
+            log_weight=self.log_weight[noises],
+            numbers=self.numbers,
+            points=tuple(self.points[k] for k in noises),
+            spread=self.spread,
+        )
+
+
+def grams_of(problem: Problem, terms: Terms) -> Grams:
+    """At all noises that the data do not exclude, be the base complete or lack every free function
+    at once: what a model lacks looks like noise, and what it holds does not."""
+    n = len(terms.order)
+    free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
+    rich = problem.columns[:n, np.concatenate(free)] if free else np.zeros((n, 0))
+    brief = problem.columns[:, [*range(problem.base), problem.columns.shape[1] - 1]]
+    found = np.zeros(len(terms.points), bool)
+    smooth, gross = REACH**2 * rich @ rich.T, _gross(problem, terms)
+    for beside in (0.0, smooth, gross, smooth + gross):
+        evidence = np.array([_evidence(brief, terms, p, beside) for p in terms.points])
+        found |= evidence > evidence.max() - HEARD
+    kept = tuple(terms.points[k] for k in np.flatnonzero(found))
+    weighted = np.empty((len(kept), n, problem.columns.shape[1]))
+    weight = np.empty(len(kept))
+    for k, point in enumerate(kept):
+        lower = _cholesky(terms.covariance(point))
+        weighted[k] = _both(lower, problem.columns[:n])
+        weight[k] = point.log_prior - float(np.log(np.diag(lower)).sum())
+    products = Products(problem.columns[:n], weighted, problem.columns[n:])
+    nothing = np.zeros((len(kept), 0, problem.columns.shape[1]))
+    return Grams(products, nothing, weight, problem.numbers, kept, _spread(problem))
+
+
+def _spread(problem: Problem) -> float:
+    prior = problem.fit.observations.noise_prior
+    return prior.spread if prior else np.inf
+
+
+def _gross(problem: Problem, terms: Terms) -> Array:
+    """Covariance of gross errors of the records, and of the setting of each dial, that belong least
+    to the others."""
+    fit, n = problem.fit, len(terms.order)
+    white, basis = fit.white_basis()
+    root = white(np.eye(n))
+    root = root - basis @ (basis.T @ root)
+    precision = root.T @ root
+    pulled = root.T @ white(fit.at.residual)
+    unit = RECORD_MG * MG / fit.at.unit
+    whole = np.zeros((n, n))
+    rows = [np.flatnonzero(terms.order == row) for row in range(fit.observations.n)]
+    ridge = 1e-9 * np.eye(max(own.size for own in rows))
+    size = [
+        pulled[own]
+        @ np.linalg.solve(precision[np.ix_(own, own)] + ridge[: own.size, : own.size], pulled[own])
+        for own in rows
+    ]
+    for row in np.argsort(size)[-GROSS:]:
+        whole[rows[row], rows[row]] += unit[rows[row]] ** 2
+    for settings in fit.at.settings[: fit.at.free]:
+        power = np.einsum("nk,nm,mk->k", settings, precision, settings, optimize=True)
+        worst = int(np.argmax((settings.T @ pulled) ** 2 / (power + 1e-9)))
+        whole += np.outer(settings[:, worst], settings[:, worst])
+    return whole
+
+
+def _evidence(brief: Array, terms: Terms, point: Point, beside: Array | float) -> float:
+    """Log evidence of the base model at one noise, beside a covariance of what it may lack; brief :
+    (N, p + 1) its columns and the misfit."""
+    n = len(terms.order)
+    lower = _cholesky(terms.covariance(point) + beside)
+    white = np.vstack([_solved(lower, brief[:n]), brief[n:]])
+    r = np.linalg.qr(white, mode="r")
+    size = np.maximum(np.abs(np.diag(r)), 1e-12)
+    dof = len(brief) - brief.shape[1] + 1
+    logs = np.log(np.diag(lower)).sum() + np.log(size[:-1]).sum() + dof * np.log(size[-1])
+    return float(point.log_prior - logs)
+
+
+def _cholesky(covariance: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(covariance))
+
+
+def _solved(lower: Array, columns: Array) -> Array:
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(lower, columns, lower=True, check_finite=False))
+
+
+def _both(lower: Array, columns: Array) -> Array:
+    from scipy.linalg import cho_solve
+
+    return np.asarray(cho_solve((lower, True), columns, check_finite=False))
+
+
+def without(grams: Grams, columns: Index) -> Grams:
+    """Of the data without some of its numbers: their own `columns` (`Problem.of_rows`) are free."""
+    return replace(swept(grams, columns, np.inf), numbers=grams.numbers - columns.size)
+
+
+def swept(grams: Grams, columns: Index, size: float) -> Grams:
+    """With a block of columns integrated out under a normal prior of sd `size` times the noise
+    factor; infinite where it is flat."""
+    rows = grams.rows(columns)
+    inner = rows[:, :, columns]
+    log_size = 0.0
+    if np.isfinite(size):
+        inner = inner + np.eye(columns.size) / size**2
+        log_size = columns.size * float(np.log(size))
+    lower = np.linalg.cholesky(inner)
+    diagonal = np.diagonal(lower, axis1=1, axis2=2)
+    return replace(
+        grams,
+        taken=np.concatenate([grams.taken, np.linalg.solve(lower, rows)], axis=1),
+        log_weight=grams.log_weight - np.log(diagonal).sum(axis=1) - log_size,
+    )

@@ -1,0 +1,107 @@
+"""Before and after on rows that took no part in any choice: the search anew without each fold.
+
+The folds are one design, fixed by the structure of the data. In each, every choice is made and
+every number estimated without the fold's rows, by down-dates of the same products.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.loop.design import Fold
+from imucalib.loop.held_out import Held, errors
+from imucalib.loop.posterior.gram import Grams, without
+from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
+from imucalib.loop.posterior.problem import Choice, Problem
+from imucalib.loop.posterior.solution import solved
+from imucalib.loop.posterior.space import Hypothesis, Posterior, log_evidence, log_sum, search
+from imucalib.loop.posterior.words import told
+
+#: Probability of the sets whose components are searched anew, and single ones beside them.
+_SEEN, _SINGLES = 1e-3, 12
+#: The same of the sets over which a density is averaged.
+_LIKELY = 0.01
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Predictions of every observation without its fold, by the base model and by what a search
+    finds there
+
+    nats : (K,) of log density that each fold gains by it; agreed : in how many folds the search
+    tells the components of the whole
+    """
+
+    before: Held
+    after: Held
+    nats: Array
+    agreed: int
+
+
+def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> LeftOut:
+    """Every fold of a design, in the order of the observations."""
+    choices = tuple(_rivals(problem, posterior))
+    grams = posterior.grams
+    whole = told(problem, posterior).hypothesis.components
+    before, after, nats, agreed = list[Held](), list[Held](), list[float](), 0
+    for fold in folds:
+        kept = _without(grams, problem, fold)
+        found = search(problem, kept, choices, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
+        said = told(problem, found).hypothesis
+        agreed += said.components == whole
+        nats.append(
+            _foretold(problem, grams, kept, choices, found)
+            - _beside(problem, grams, kept, choices, found.base)
+        )
+        held = problem.fit.observations.take(fold.rows)
+        for hypothesis, out in ((found.base, before), (said, after)):
+            one = solved(problem, kept, hypothesis, choices)
+            fit = replace(problem.fit, model=one.model, theta=one.theta)
+            out.append(errors(fit, one.theta, held))
+    return LeftOut(_joined(before, folds), _joined(after, folds), np.array(nats), agreed)
+
+
+def _foretold(
+    problem: Problem, grams: Grams, kept: Grams, choices: Sequence[Choice], found: Posterior
+) -> float:
+    """Log density of a fold's rows given all others, over all sets that these leave, up to what the
+    base model shares."""
+    pairs = zip(found.hypotheses, found.probability, strict=True)
+    likely = [(h, p) for h, p in pairs if p > _LIKELY] or [(found.best, 1.0)]
+    logs = [np.log(p) + _beside(problem, grams, kept, choices, h) for h, p in likely]
+    return log_sum(np.array(logs)) - float(np.log(sum(p for _, p in likely)))
+
+
+def _beside(
+    problem: Problem, grams: Grams, kept: Grams, choices: Sequence[Choice], hypothesis: Hypothesis
+) -> float:
+    """The same under one set."""
+    picks = [(choices[p.choice].at, p.size) for p in hypothesis.picks]
+    return log_evidence(problem, grams, picks) - log_evidence(problem, kept, picks)
+
+
+def _without(grams: Grams, problem: Problem, fold: Fold) -> Grams:
+    gone = np.setdiff1d(np.arange(problem.fit.observations.n), fold.rest)
+    return without(grams, problem.of_rows(gone))
+
+
+def _rivals(problem: Problem, posterior: Posterior) -> Iterator[Choice]:
+    """Members of every component that any data have a say for."""
+    pairs = zip(posterior.hypotheses, posterior.probability, strict=True)
+    used = {c for h, p in pairs if p > _SEEN for c in h.components}
+    single = [h for h in posterior.hypotheses if len(h.components) == 1][:_SINGLES]
+    used |= {h.components[0] for h in single}
+    return (c for c in problem.choices if c.component in used)
+
+
+def _joined(parts: Sequence[Held], folds: Sequence[Fold]) -> Held:
+    order = np.argsort(np.concatenate([fold.rows for fold in folds]))
+    return Held(
+        np.concatenate([p.corrected for p in parts])[order],
+        np.concatenate([p.expected for p in parts])[order],
+        np.concatenate([p.error for p in parts])[order],
+    )

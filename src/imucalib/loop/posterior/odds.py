@@ -1,0 +1,48 @@
+"""Every number that decides in the posterior, each with its source.
+
+"simulated" : set on simulated recordings that lack nothing, so that one or two of a hundred claim
+something (`benchmarks/closed_loop`). No other file of this room holds a number that decides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: Prior odds that a recording lacks something: four of five measured instruments did; simulated.
+MISSING = 10.0
+#: Share of these odds of all names and free functions together, and of loose scans, where no
+#: physics speaks for one value before another; simulated.
+KNOWN, LOOSE = 0.4, 0.05
+#: Prior odds that a sheet has a slip, shared by the classes of slips, of which a record that
+#: belongs nowhere is one; and odds from which on one is told; simulated.
+WRONG, SLIPS, ACCUSED = 0.1, 6.0, 19.0
+#: Share of a name's odds that all of its parameters act together; the rest is one alone. Most
+#: effects of chips act on every axis.
+TOGETHER = 0.6
+#: Sizes of a component over the noise factor: nine octaves from what no data show to ten times what
+#: data sheets give.
+SIZES = 2.0 ** np.arange(-2.0, 7.0)
+#: Above its typical size a component's density falls as a log-normal of this factor: data sheets
+#: quote what most devices stay below. Below it is flat: a size centred there made trifles certain.
+SPREAD = 3.5
+#: Probability below which the base model is called incomplete, and above which a name is certain.
+COMPLETE, CERTAIN = 0.05, 0.95
+#: Nats by which the best set must lead a simpler one that is told (Occam's window; Raftery 1995).
+TOLD = 3.0
+#: Nats below the best at which a set is opened no further, and below which a noise is dropped.
+OPEN, HEARD = 9.0, 12.0
+#: Records that may be wrong, and mg of a gross error, while noises are dropped.
+GROSS, RECORD_MG = 3, 50.0
+#: Size of what a model may lack at most, over the noise, while noises are dropped.
+REACH = 4.0
+#: Sets that are opened at each depth, and the most components of one.
+BEAMS, DEEPEST = (8, 5, 3), 4
+#: The same in a fold, which the components of the whole search limit already.
+FOLD_BEAMS, FOLD_DEEPEST = (4, 2), 3
+#: Sd of a setting as its largest effect on a reading over the readings' noise; the half-Cauchy
+#: prior of the sd is the bench's own (`NoisePrior`).
+SETTINGS = (0.0, 1.0, 4.0, 15.0, 50.0)
+#: Prior probability that the bias walks, and sizes and memories (share of the rows) of the walk.
+WALKS, WALK_SIZES, WALK_MEMORIES = 0.15, (0.5, 2.0, 8.0), (0.2,)
+#: Values of a scan that are tried at first; nearer ones are tried around those that lead.
+SCANNED = 16

@@ -1,0 +1,154 @@
+"""The linear problem: readings less the base model's, and the columns of all that may be missing.
+
+    y = X b + Σ_c C_c u_c + n
+
+Linearised at the fitted base model in units of the declared noise (`core.balance`): one observation
+gives three numbers where the direction is known, one where only gravity's size is, and as many more
+as there are triads. What is known of the base before the readings stands as rows of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.effect import Effect
+from imucalib.core.fit import Fit
+from imucalib.core.model import Prediction
+from imucalib.core.truth import Truth
+from imucalib.effects.record_error import is_record_error
+from imucalib.loop.posterior.component import Component, Member, log_odds
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A member among all: its component, its columns in `Problem.columns`, its log weight."""
+
+    component: int
+    member: Member
+    at: Index
+    log_weight: float
+
+
+@dataclass(frozen=True)
+class Problem:
+    """fit : the base model, where all is linearised
+    components : that the data can show, odds : (C,) log prior odds of each
+    choices : every member of every component
+    columns : (N, q) base, members, one for each reading's number by itself, misfit; the first
+        `base` are the base model's, and `single` is where the readings' own begin
+    owner : (N,) observation of each number, -1 where it is known before the readings
+    """
+
+    fit: Fit
+    components: tuple[Component, ...]
+    odds: Array
+    choices: tuple[Choice, ...]
+    columns: Array
+    base: int
+    single: int
+    owner: Index
+
+    def of_rows(self, rows: Index) -> Index:
+        """Columns of the numbers of some observations, each by itself: a number that is free is as
+        good as one that is not there."""
+        return np.asarray(self.single + np.flatnonzero(np.isin(self.owner, rows)), np.intp)
+
+    @property
+    def numbers(self) -> int:
+        return len(self.columns)
+
+
+def problem_of(fit: Fit, components: tuple[Component, ...]) -> Problem:
+    """The problem at a fitted base model. Members whose columns are zero or not finite, and
+    components without a member, are left out."""
+    prediction = _prediction(fit)
+    seen: dict[str, Array] = {}
+    blocks, choices, kept = [fit.at.jacobian], list[Choice](), list[Component]()
+    at = fit.at.jacobian.shape[1]
+    for component in components:
+        found = []
+        for member in component.members:
+            columns = np.concatenate(
+                [
+                    _of_effect(seen, fit, prediction, effect)[:, own] * size
+                    for effect, own, size in member.effects
+                ],
+                axis=1,
+            )
+            if not np.isfinite(columns).all() or not columns.any():
+                continue
+            blocks.append(columns)
+            found.append((member, np.arange(at, at + columns.shape[1])))
+            at += columns.shape[1]
+        if found:
+            whole = np.log(sum(np.exp(m.log_weight) for m, _ in found))
+            choices += [Choice(len(kept), m, c, m.log_weight - whole) for m, c in found]
+            kept.append(component)
+    own, away = _known_before(fit)
+    blocks += [np.eye(fit.at.residual.size), fit.at.residual[:, None]]
+    columns = np.concatenate(blocks, axis=1)
+    rows = np.zeros((len(away), columns.shape[1]))
+    rows[:, : own.shape[1]], rows[:, -1] = own, away
+    return Problem(
+        fit=fit,
+        components=tuple(kept),
+        odds=log_odds(tuple(kept)),
+        choices=tuple(choices),
+        columns=np.vstack([columns, rows]),
+        base=fit.at.jacobian.shape[1],
+        single=at,
+        owner=np.concatenate([fit.at.owner, np.full(len(away), -1)]),
+    )
+
+
+def _prediction(fit: Fit) -> Prediction:
+    data = fit.observations
+    return fit.model.predict(fit.theta, data.reference.truth(fit.eta), data.context)
+
+
+def _of_effect(seen: dict[str, Array], fit: Fit, prediction: Prediction, effect: Effect) -> Array:
+    """(N, p) what each parameter of an effect does, per unit, where the effect is absent."""
+    if effect.name not in seen:
+        seen[effect.name] = columns_of(fit, prediction, effect)
+    return seen[effect.name]
+
+
+def columns_of(fit: Fit, prediction: Prediction, effect: Effect) -> Array:
+    """(N, p) the same, from the fit's own prediction: the effect's derivative at the fitted truth,
+    through what acts after it."""
+    context = fit.observations.context
+    start = np.array([p.start for p in effect.parameters(context)])
+    if effect.stage == "sensor":
+        slope = effect.act(start, Truth(prediction.force), context).d_theta
+    else:
+        slope = effect.act(start, Truth(prediction.set_up), context).d_theta
+        slope = prediction.d_set_up @ slope
+    return fit.at.columns(slope)
+
+
+def _known_before(fit: Fit) -> tuple[Array, Array]:
+    """Rows (k, p) and values (k,) of what is known of the base before its readings, in units of the
+    noise that the fit has estimated: of a bench's sensor, and of a record that is set aside."""
+    sd = known_sd(fit)
+    told = np.flatnonzero(np.isfinite(sd))
+    weight = fit.noise.factor / sd[told]
+    rows = np.zeros((told.size, fit.theta.size))
+    rows[np.arange(told.size), told] = weight
+    start = np.array([p.start for p in fit.parameters])
+    return rows, weight * (start - fit.theta)[told]
+
+
+def known_sd(fit: Fit) -> Array:
+    """(p,) standard deviation of each parameter of the base before its readings; infinite where
+    nothing is known."""
+    prior = fit.observations.noise_prior
+    sd = np.array(
+        [prior.parameters.get(p.name, np.inf) if prior else np.inf for p in fit.parameters]
+    )
+    for name, part in fit.model.slices(fit.observations.context).items():
+        if is_record_error(name):
+            sd[part] = [p.typical for p in fit.parameters[part]]
+    return sd

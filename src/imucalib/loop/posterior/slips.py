@@ -1,0 +1,221 @@
+"""Wrong records and slips of hand in the same posterior: each is another sheet, solved anew.
+
+Every class of slip proposes what gains most at first glance, beside nothing and beside the
+likeliest sets. The best few are solved again as sheets of their own, physics included, and what
+decides is the odds of the two sheets. A record that no slip explains is set aside, its numbers
+free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.context import Context
+from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownVector
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.asked import Searched
+from imucalib.loop.faults.angles import angles
+from imucalib.loop.faults.axes import other_axes
+from imucalib.loop.faults.base import base_of, prior_of
+from imucalib.loop.faults.cells import cells
+from imucalib.loop.faults.found import Fault
+from imucalib.loop.faults.readings import blocks, exchanges
+from imucalib.loop.faults.sheet import Sheet
+from imucalib.loop.posterior.explored import Explored, explored
+from imucalib.loop.posterior.gram import swept
+from imucalib.loop.posterior.odds import ACCUSED, OPEN, RECORD_MG
+from imucalib.loop.posterior.problem import known_sd
+from imucalib.loop.posterior.space import Pick, block_logs, log_sum
+from imucalib.loop.records import foreseen, set_aside
+from imucalib.units import DEG, MG
+
+#: Slips of one sheet, sheets that are solved again for each, and rows up to which all are compared
+#: with all: a sheet with more slips is better written anew, longer ones are recordings.
+_MOST, _TRIED, _LONGEST = 5, 3, 250
+
+
+@dataclass(frozen=True)
+class Written:
+    """A sheet as its rows see it; cell : (n, 3) the readings in its own unit; unit : what one
+    degree is in its columns of inclination and tool-face"""
+
+    sheet: Sheet
+    cell: Array
+    unit: tuple[float, float] = (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Mended:
+    """found : the exploration with every slip mended and every other wrong record aside
+    slips : what was mended; aside : (row, log odds) of the records that are set aside
+    """
+
+    found: Explored
+    slips: tuple[Fault, ...] = ()
+    aside: tuple[tuple[int, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """score : nats at first glance; prior : log odds; row : that is set aside, or -1
+    fault, sheet : the slip and the sheet without it, of anything else
+    """
+
+    score: float
+    prior: float
+    row: int = -1
+    fault: Fault | None = None
+    sheet: Sheet | None = None
+
+
+def mended(base: Fit, asked: Searched, written: Written | None = None) -> Mended:
+    """The posterior of a table with everything that is wrong in it beyond doubt set right.
+
+    written : the sheet, where its angles are known; without one only records are asked
+    """
+    state = Mended(explored(base, asked))
+    for _ in range(_MOST):
+        best = _best(state, asked, written)
+        if best is None:
+            break
+        state, sheet = best
+        written = replace(written, sheet=sheet) if written and sheet else None
+    return state
+
+
+def log_density(found: Explored) -> float:
+    """Log evidence of a sheet over all sets and noises, with the priors of what is free in it."""
+    sd = known_sd(found.base)
+    told = np.isfinite(sd)
+    return found.posterior.evidence + float(np.log(found.base.noise.factor / sd[told]).sum())
+
+
+def _best(
+    state: Mended, asked: Searched, written: Written | None
+) -> tuple[Mended, Sheet | None] | None:
+    """The likeliest of the sheets that are solved again, if it is so beyond doubt."""
+    trials = sorted(_trials(state, written), key=lambda t: -t.score)
+    bar = max(trials[0].score - OPEN, -OPEN / 3.0) if trials else 0.0
+    now, odds = log_density(state.found), []
+    for trial in [t for t in trials if t.score > bar][:_TRIED]:
+        base = _solved_again(state.found.base, trial, written)
+        if base is None:
+            continue
+        found = explored(base, asked)
+        odds.append((log_density(found) - now + trial.prior, trial, found))
+    odds.sort(key=lambda o: -o[0])
+    if not odds or odds[0][0] < np.log(ACCUSED):
+        return None
+    nats, trial, found = odds[0]
+    if trial.fault is None:
+        return replace(state, found=found, aside=(*state.aside, (trial.row, nats))), _sheet(written)
+    near = (t.fault.line for o, t, _ in odds[1:] if t.fault and o > nats - OPEN / 3.0)
+    fault = replace(trial.fault, score=float(nats), rivals=tuple(dict.fromkeys(near)))
+    return replace(state, found=found, slips=(*state.slips, fault)), trial.sheet
+
+
+def _sheet(written: Written | None) -> Sheet | None:
+    return written.sheet if written else None
+
+
+def _trials(state: Mended, written: Written | None) -> Iterator[_Trial]:
+    found = state.found
+    n = found.base.observations.n
+    if n > _LONGEST:
+        return
+    leading = (found.posterior.base, *found.posterior.hypotheses[:2])
+    sets = list(dict.fromkeys(h.picks for h in leading))
+    touched = {row for fault in state.slips for row in fault.rows}
+    taken = {row for row, _ in state.aside}
+    freed = np.max([_freed(found, picks) for picks in sets], axis=0) + prior_of(n)
+    for row in map(int, np.argsort(-freed)[:_TRIED]):
+        if row not in taken:
+            yield _Trial(float(freed[row]), prior_of(n), row=row)
+    if written is None:
+        return
+    best: dict[str, _Trial] = {}
+    for picks in sets:
+        base = base_of(found, written.sheet, picks)
+        own = written.cell[written.sheet.place]
+        every = (
+            *exchanges(base), *cells(base, own), *blocks(base), *angles(base, written.unit),
+            *other_axes(base),
+        )  # fmt: skip
+        for one in every:
+            if touched & set(one.fault.rows):
+                continue
+            old = best.get(one.fault.line)
+            if old is None or one.fault.score > old.score:
+                best[one.fault.line] = _Trial(
+                    one.fault.score, one.prior, fault=one.fault, sheet=one.repaired
+                )
+    yield from best.values()
+
+
+def _solved_again(base: Fit, trial: _Trial, written: Written | None) -> Fit | None:
+    """The base model of the sheet that a trial would leave, or None where it cannot be fitted."""
+    if trial.sheet is None or written is None:
+        other = set_aside(base, trial.row)
+        return other if foreseen(base, other) else None
+    data = _observed(base.observations, written.sheet, trial.sheet)
+    other = fit_model(base.model, data, start=base.theta)
+    return other if other.converged else None
+
+
+def _observed(data: Observations, before: Sheet, after: Sheet) -> Observations:
+    """The observations of a sheet that was mended."""
+    kept = np.flatnonzero(np.isin(before.row, after.row))
+    some = data.take(kept).with_reading(MG * after.reading[:, None])
+    old = before.take(kept)
+    if np.array_equal(old.inclination, after.inclination) and np.array_equal(
+        old.tool_face, after.tool_face
+    ):
+        return some
+    reference = some.reference
+    assert isinstance(reference, KnownVector)
+    inclination, tool_face = after.angles()
+    moved = replace(
+        reference,
+        inclination=inclination,
+        tool_face=tool_face,
+        inclination_setting=_settings(reference.inclination_setting, old, after, "inclination"),
+        tool_face_setting=_settings(reference.tool_face_setting, old, after, "tool_face"),
+    )
+    return replace(some, reference=moved, context=_turned(some.context, after))
+
+
+def _settings(ids: Index, before: Sheet, after: Sheet, name: str) -> Index:
+    """Setting ids of a dial once rows have other angles."""
+    changed = getattr(before, name) != getattr(after, name)
+    if not changed.any():
+        return ids
+    fresh: Index = getattr(after, f"{name}_setting")
+    return fresh if after.ordered else np.where(changed, ids.max() + 1, ids)
+
+
+def _turned(context: Context, sheet: Sheet) -> Context:
+    inclination, tool_face = sheet.angles()
+    found = {**context.covariates, "inclination": inclination, "tool_face": tool_face}
+    dials = {"inclination_dial": sheet.inclination, "tool_face_dial": sheet.tool_face}
+    found |= {name: value * DEG for name, value in dials.items() if name in context}
+    return replace(context, covariates=found)
+
+
+def _freed(found: Explored, picks: tuple[Pick, ...]) -> Array:
+    """(n,) nats that freeing each record gains beside a set, before anything is solved again."""
+    problem, dof = found.problem, found.posterior.dof
+    one = swept(found.posterior.grams, np.arange(problem.base), np.inf)
+    for pick in picks:
+        one = swept(one, problem.choices[pick.choice].at, pick.size)
+    whole = log_sum(one.log_weight + one.log_noise(one.power, dof))
+    n, fit = found.base.observations.n, found.base
+    index = np.array([problem.of_rows(np.array([row])) for row in range(n)])
+    size = RECORD_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor
+    logs = block_logs(one, index, np.array([size]), dof)[0][..., 0]
+    return np.array([log_sum(column) for column in logs.T]) - whole

@@ -1,0 +1,123 @@
+"""A set of components as a model: its parameters by linear algebra, and as a fit.
+
+Given a noise and the sizes, the parameters are normal; what is returned is their mean over the
+noises, at the linearisation of the problem. The final fit solves the equations as they are, with
+the sizes as priors of what the set adds (`Fit.shrink`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.effect import Effect
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.loop.posterior.gram import Grams
+from imucalib.loop.posterior.problem import Choice, Problem
+from imucalib.loop.posterior.space import Hypothesis, Pick
+
+#: Of its typical size, what is left to a parameter that a member does not free.
+_HELD = 1e-6
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A model with its θ (p,) and, over the noise factor, the sd of each parameter: infinite for
+    the base model's."""
+
+    model: Model
+    theta: Array
+    shrink: Array
+
+
+def solved(
+    problem: Problem, grams: Grams, hypothesis: Hypothesis, choices: Sequence[Choice] | None = None
+) -> Solved:
+    """The model of a set and its parameters, at the mean over the noises of these Grams."""
+    every = problem.choices if choices is None else choices
+    picks = [(every[p.choice], p.size) for p in hypothesis.picks]
+    columns = np.concatenate([np.arange(problem.base), *(c.at for c, _ in picks)]).astype(np.intp)
+    mean = _mean(problem, grams, columns, [(c.at.size, size) for c, size in picks])
+    fit, context = problem.fit, problem.fit.observations.context
+    value = dict[str, Array]()
+    spread = dict[str, Array]()
+    effects = dict[str, Effect]()
+    at = problem.base
+    for choice, size in picks:
+        for effect, own, scale in choice.member.effects:
+            count = len(effect.parameters(context))
+            effects[effect.name] = effect
+            sds, values = spread.setdefault(effect.name, np.zeros(count)), np.zeros(count)
+            values[own] = mean[at : at + own.size] * scale
+            at += own.size
+            sds[own] = np.hypot(sds[own], size * scale)
+            value[effect.name] = value.get(effect.name, 0.0) + values
+    model = Model((*fit.model.effects, *effects.values()))
+    return _placed(problem, model, mean[: problem.base], value, spread)
+
+
+def _placed(
+    problem: Problem, model: Model, step: Array, value: dict[str, Array], spread: dict[str, Array]
+) -> Solved:
+    fit, context = problem.fit, problem.fit.observations.context
+    theta, shrink = model.start(context), np.full(len(model.parameters(context)), np.inf)
+    own = fit.model.slices(context)
+    for name, part in model.slices(context).items():
+        if name in own:
+            theta[part] = fit.theta[own[name]] + step[own[name]]
+            continue
+        typical = np.array([p.typical for p in model.parameters(context)[part]])
+        theta[part] += value[name]
+        shrink[part] = np.maximum(spread[name], _HELD * typical)
+    return Solved(model, theta, shrink)
+
+
+def _mean(
+    problem: Problem, grams: Grams, columns: Index, blocks: Sequence[tuple[int, float]]
+) -> Array:
+    """(k,) mean of the numbers of some columns over the noises."""
+    weight, each = conditional(problem, grams, columns, blocks)
+    return np.asarray(weight @ each)
+
+
+def conditional(
+    problem: Problem, grams: Grams, columns: Index, blocks: Sequence[tuple[int, float]]
+) -> tuple[Array, Array]:
+    """(E,) weight of each noise beside a set, and (E, k) the numbers of its columns there; blocks :
+    width and size of what stands behind the base model's."""
+    prior = np.zeros(columns.size)
+    at = problem.base
+    for width, size in blocks:
+        prior[at : at + width] = size**-2.0
+        at += width
+    rows = grams.rows(columns)
+    inner = rows[:, :, columns] + np.diag(prior)
+    along = rows[:, :, -1]
+    each = np.linalg.solve(inner, along[..., None])[..., 0]
+    left = np.maximum(grams.power - np.einsum("ek,ek->e", along, each), 1e-9)
+    dof = grams.numbers - problem.base
+    logs = grams.log_weight - 0.5 * np.linalg.slogdet(inner)[1] + grams.log_noise(left, dof)
+    weight = np.exp(logs - logs.max())
+    return weight / weight.sum(), np.asarray(each)
+
+
+def noises_of(problem: Problem, grams: Grams, picks: Sequence[Pick]) -> Array:
+    """(E,) weight of each noise beside a set."""
+    own = [(problem.choices[p.choice].at, p.size) for p in picks]
+    columns = np.concatenate([np.arange(problem.base), *(c for c, _ in own)]).astype(np.intp)
+    return conditional(problem, grams, columns, [(c.size, s) for c, s in own])[0]
+
+
+def fit_of(problem: Problem, found: Solved, data: Observations) -> Fit:
+    """The model fitted to observations, with its sizes as priors, from where it is."""
+    adds = found.model.names != problem.fit.model.names
+    return fit_model(
+        found.model, data, start=found.theta, begin=problem.fit.noise,
+        shrink=found.shrink if adds else None,
+    )  # fmt: skip

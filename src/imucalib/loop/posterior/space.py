@@ -1,0 +1,234 @@
+"""The posterior over sets of components: every set near the best is opened and scored.
+
+The evidence of a set is the sum over its members, their sizes and all noises, each with its prior:
+
+    log L = -½ log|V| - ½ log|1 + τ² CᵀPC| - ν/2 log RSS
+
+What other members and sizes of a component add to its best is carried along as one number, so that
+the evidence of a set does not depend on the order in which it was built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.eigen import eigen
+from imucalib.loop.posterior.component import log_set_prior, log_size_prior
+from imucalib.loop.posterior.gram import Grams, swept
+from imucalib.loop.posterior.odds import BEAMS, DEEPEST, OPEN, SIZES
+from imucalib.loop.posterior.problem import Choice, Problem
+
+#: Sets of one depth that are kept, and likeliest members and sizes of a set that carry its mixture.
+_KEPT, _CARRIED = 60, 4
+
+
+@dataclass(frozen=True)
+class Pick:
+    """A member of a component and its size over the noise factor."""
+
+    choice: int
+    size: float
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of components.
+
+    components : which, sorted; picks : its likeliest members and sizes
+    evidence, prior : logs; mixture : likeliest picks and their weights
+    """
+
+    components: tuple[int, ...]
+    picks: tuple[Pick, ...]
+    evidence: float
+    prior: float
+    mixture: tuple[tuple[tuple[Pick, ...], float], ...] = (((), 1.0),)
+    added: float = 0.0
+
+    @property
+    def log_posterior(self) -> float:
+        return self.evidence + self.prior
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """hypotheses : likeliest first; probability : of each; grams : at the noises that count
+    evidence : log of all that they explain together"""
+
+    hypotheses: tuple[Hypothesis, ...]
+    probability: Array
+    grams: Grams
+    dof: int
+    evidence: float
+
+    @property
+    def best(self) -> Hypothesis:
+        return self.hypotheses[0]
+
+    @property
+    def base(self) -> Hypothesis:
+        """That nothing is missing."""
+        return next(h for h in self.hypotheses if not h.components)
+
+
+@dataclass(frozen=True)
+class _State:
+    """A hypothesis that is opened, with its own Grams."""
+
+    hypothesis: Hypothesis
+    grams: Grams
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Blocks of columns by their width: which of `count`, index (m, w), and those of all data."""
+
+    count: int
+    by_width: tuple[tuple[Index, Index, Array], ...]
+
+
+def _blocks(grams: Grams, columns: Sequence[Index]) -> _Blocks:
+    widths = np.array([c.size for c in columns])
+    every = []
+    for width in np.unique(widths):
+        which = np.flatnonzero(widths == width)
+        index = np.array([columns[int(j)] for j in which])
+        every.append((which, index, grams.products.blocks(index)))
+    return _Blocks(len(columns), tuple(every))
+
+
+def search(
+    problem: Problem,
+    grams: Grams,
+    choices: tuple[Choice, ...] | None = None,
+    *,
+    beams: tuple[int, ...] = BEAMS,
+    deepest: int = DEEPEST,
+) -> Posterior:
+    """The posterior over sets of components by a beam search; choices : those of the problem by
+    default, with their columns in these Grams; beams : sets that are opened at each depth."""
+    every = problem.choices if choices is None else choices
+    dof = grams.numbers - problem.base
+    base = swept(grams, np.arange(problem.base), np.inf)
+    alone = base.log_weight + base.log_noise(base.power, dof)
+    nothing = Hypothesis((), (), log_sum(alone), 0.0)
+    found: dict[tuple[int, ...], Hypothesis] = {(): nothing}
+    level = [_State(nothing, base)]
+    blocks = _blocks(grams, [c.at for c in every])
+    for depth in range(deepest):
+        born: dict[tuple[int, ...], tuple[Hypothesis, _State]] = {}
+        for state in level:
+            for one in _opened(problem, state, every, blocks, dof):
+                key = one.components
+                if key not in found and (key not in born or one.evidence > born[key][0].evidence):
+                    born[key] = one, state
+        best = max(h.log_posterior for h in found.values())
+        top = sorted(born.values(), key=lambda b: -b[0].log_posterior)
+        found.update({h.components: h for h, _ in top[:_KEPT]})
+        if not top or top[0][0].log_posterior < best - OPEN / 3.0:
+            break
+        bar = max(best, top[0][0].log_posterior) - OPEN
+        width = beams[min(depth, len(beams) - 1)]
+        level = [_state(h, s, every) for h, s in top[:width] if h.log_posterior > bar]
+    ranked = sorted(found.values(), key=lambda h: -h.log_posterior)
+    logs = np.array([h.log_posterior for h in ranked])
+    whole = log_sum(logs)
+    return Posterior(tuple(ranked), np.exp(logs - whole), grams, dof, whole)
+
+
+def log_evidence(problem: Problem, grams: Grams, blocks: Sequence[tuple[Index, float]]) -> float:
+    """Over all noises, of the base model with blocks of columns of given sizes."""
+    one = swept(grams, np.arange(problem.base), np.inf)
+    for columns, size in blocks:
+        one = swept(one, columns, size)
+    dof = grams.numbers - problem.base
+    return log_sum(one.log_weight + one.log_noise(one.power, dof))
+
+
+def _state(hypothesis: Hypothesis, source: _State, choices: tuple[Choice, ...]) -> _State:
+    pick = hypothesis.picks[-1]
+    return _State(hypothesis, swept(source.grams, choices[pick.choice].at, pick.size))
+
+
+def _opened(
+    problem: Problem, state: _State, choices: tuple[Choice, ...], blocks: _Blocks, dof: int
+) -> list[Hypothesis]:
+    """Every set with one component more."""
+    own = state.hypothesis
+    score, raw = _scores(state, blocks, dof)
+    score = score + np.array([c.log_weight for c in choices])[:, None]
+    of = np.array([c.component for c in choices])
+    found = []
+    for component in np.setdiff1d(of, own.components):
+        rows = np.flatnonzero(of == component)
+        part = score[rows]
+        total = log_sum(part)
+        if not np.isfinite(total):
+            continue
+        share = np.exp(part - total)
+        likely = np.argsort(-share, axis=None)[:_CARRIED]
+        at = [np.unravel_index(k, share.shape) for k in likely]
+        picks = [(Pick(int(rows[a]), float(SIZES[b])), float(share[a, b])) for a, b in at]
+        mixture = sorted(
+            (((*before, pick), w * s) for before, w in own.mixture for pick, s in picks),
+            key=lambda m: -m[1],
+        )[:_CARRIED]
+        a, b = at[0]
+        key = tuple(sorted((*own.components, int(component))))
+        found.append(
+            Hypothesis(
+                components=key,
+                picks=(*own.picks, picks[0][0]),
+                evidence=total + own.added,
+                prior=log_set_prior(problem.odds, key),
+                mixture=tuple(mixture),
+                added=own.added + total - float(raw[rows[a], b]),
+            )
+        )
+    return found
+
+
+def _scores(state: _State, opened: _Blocks, dof: int) -> tuple[Array, Array]:
+    """(M, T) log evidence of each block at each size, over all noises, with the prior of the size
+    and without."""
+    out = np.full((2, opened.count, SIZES.size), -np.inf)
+    for which, index, whole in opened.by_width:
+        logs, factor = block_logs(state.grams, index, SIZES, dof, whole)
+        out[0, which] = _log_sums(logs + log_size_prior(SIZES * factor))
+        out[1, which] = _log_sums(logs)
+    return out[0], out[1]
+
+
+def block_logs(
+    grams: Grams, index: Index, size: Array, dof: int, whole: Array | None = None
+) -> tuple[Array, Array]:
+    """(E, m, T) log evidence of each block of columns index (m, w) at each size (T,) over the noise
+    factor, and that factor; whole : the blocks' own products, where they are there."""
+    inner, along = grams.blocks(index, whole), grams.along[:, index]
+    if index.shape[1] == 1:
+        values = inner[..., 0]
+    else:
+        values, vectors = eigen(inner)
+        along = np.einsum("emij,emi->emj", vectors, along)
+    values, square = np.maximum(values, 0.0), size**2
+    taken = along[..., None] ** 2 / (values[..., None] + 1.0 / square)
+    rest = np.maximum(grams.power[:, None, None] - taken.sum(axis=2), 1e-9)
+    logs = grams.log_weight[:, None, None] + grams.log_noise(rest, dof)
+    logs = logs - 0.5 * np.log1p(values[..., None] * square).sum(axis=2)
+    return logs, np.sqrt(rest / dof)
+
+
+def _log_sums(logs: Array) -> Array:
+    """Over the first axis."""
+    top = logs.max(axis=0)
+    return np.asarray(top + np.log(np.exp(logs - top).sum(axis=0)))
+
+
+def log_sum(logs: Array) -> float:
+    """Log of the sum of exponentials."""
+    top = float(logs.max())
+    return top + float(np.log(np.exp(logs - top).sum())) if np.isfinite(top) else top

@@ -1,0 +1,60 @@
+"""What the data say of every component alone, and what could hide: for reports and plans."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.loop.evidence import Candidate, Score
+from imucalib.loop.posterior.gram import swept
+from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.space import Posterior
+
+_NOTHING = np.zeros((0, 0))
+
+
+def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
+    """Every component, likeliest first, by its first member at typical size.
+
+    Its evidence beside the base model alone, the probability that it is not there in `p`, and what
+    the base model leaves of it at the likeliest noise.
+    """
+    grams = posterior.grams
+    base = swept(grams, np.arange(problem.base), np.inf)
+    logs = base.log_weight + base.log_noise(base.power, posterior.dof)
+    noise = np.array([int(np.argmax(logs))])
+    one, whole = base.of(noise), grams.of(noise)
+    factor = float(np.sqrt(one.power[0] / posterior.dof))
+    alone = {h.components[0]: h.evidence for h in posterior.hypotheses if len(h.components) == 1}
+    inside = np.zeros(len(problem.components))
+    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+        inside[list(hypothesis.components)] += p
+    found, seen = [], set[int]()
+    for choice in problem.choices:
+        if choice.component in seen:
+            continue
+        seen.add(choice.component)
+        component = problem.components[choice.component]
+        index = choice.at[None]
+        first = float(np.trace(whole.blocks(index)[0, 0]))
+        left = max(float(np.trace(one.blocks(index)[0, 0])), 0.0)
+        columns = problem.columns[: len(problem.fit.at.owner), choice.at]
+        sized = columns * problem.fit.at.unit[:, None]
+        found.append(
+            Score(
+                candidate=Candidate(
+                    component.name,
+                    "effect" if component.named else "probe",
+                    _NOTHING,
+                    driver=component.driver,
+                ),
+                evidence=alone.get(choice.component, posterior.base.evidence)
+                - posterior.base.evidence,
+                p=float(1.0 - min(inside[choice.component], 1.0)),
+                draws=0,
+                left=left / first if first > 0.0 else 0.0,
+                strength=float(np.sqrt(left)) / factor,
+                share=0.0,
+                size=float(np.linalg.norm(sized) / problem.fit.observations.n**0.5),
+            )
+        )
+    return tuple(sorted(found, key=lambda s: s.p))

@@ -1,0 +1,95 @@
+"""What the posterior says, in names and probabilities.
+
+Something is missing where the base model is unlikely. Told is the simplest set that the best does
+not beat by more than chance (Occam's window); in each of its places stands everything that could,
+with its share. A name is certain where it is in nearly all of the posterior, and no free function
+or unnamed law is likelier than not to stand in for what it leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, TOLD
+from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.space import Hypothesis, Posterior
+
+
+@dataclass(frozen=True)
+class Place:
+    """One thing that is missing.
+
+    component : that is told; probability : that it is there, in its place or beside others
+    rivals : (component, share of this place) of all that could stand there, likeliest first, until
+        they are 95 %; certain : whether it is a cause beyond doubt
+    """
+
+    component: int
+    probability: float
+    rivals: tuple[tuple[int, float], ...]
+    certain: bool
+
+
+@dataclass(frozen=True)
+class Told:
+    """complete : probability that nothing is missing; hypothesis : the set that is told and
+    corrected; places : its components, likeliest first"""
+
+    complete: float
+    hypothesis: Hypothesis
+    places: tuple[Place, ...]
+
+
+def told(problem: Problem, posterior: Posterior) -> Told:
+    """The words of a posterior."""
+    pairs = list(zip(posterior.hypotheses, posterior.probability, strict=True))
+    complete = float(sum(p for h, p in pairs if not h.components))
+    if complete >= COMPLETE:
+        return Told(complete, posterior.base, ())
+    bar = np.exp(-TOLD) * posterior.probability[0]
+    said = min(
+        ((h, p) for h, p in pairs if p > bar and h.components),
+        key=lambda pair: (len(pair[0].components), -pair[1]),
+    )[0]
+    inside = _inclusion(posterior)
+    nameless = sum(
+        p for h, p in pairs if any(not problem.components[c].named for c in h.components)
+    )
+    places = []
+    for component in said.components:
+        rivals = _rivals(posterior, said, component)
+        likely = inside[component]
+        alone = len(rivals) == 1 and likely > CERTAIN and nameless < 0.5
+        sure = alone and problem.components[component].named
+        places.append(Place(component, likely, rivals, sure))
+    return Told(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
+
+
+def _inclusion(posterior: Posterior) -> dict[int, float]:
+    found: dict[int, float] = {}
+    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+        for component in hypothesis.components:
+            found[component] = found.get(component, 0.0) + float(p)
+    return found
+
+
+def _rivals(
+    posterior: Posterior, said: Hypothesis, component: int
+) -> tuple[tuple[int, float], ...]:
+    """What stands in a component's place in sets that have all the others."""
+    rest = set(said.components) - {component}
+    weight: dict[int, float] = {}
+    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+        own = set(hypothesis.components)
+        if len(own) == len(said.components) and rest <= own:
+            other = (own - rest).pop()
+            weight[other] = weight.get(other, 0.0) + float(p)
+    total, told_of, so_far = sum(weight.values()), [], 0.0
+    for other in sorted(weight, key=lambda c: -weight[c]):
+        told_of.append((other, weight[other] / total))
+        so_far += weight[other] / total
+        if so_far > CERTAIN:
+            break
+    return tuple(told_of)
