@@ -95,6 +95,18 @@ def test_what_only_one_side_has_is_left_out_and_said() -> None:
     assert found.notes == ("not of the board, left as they are: x",)
 
 
+@given(st.lists(WORDS, min_size=3, max_size=6, unique=True))
+def test_a_name_that_several_have_is_none(names: list[str]) -> None:
+    *own, shared = names
+    plain = recording([f"{k}" for k in range(len(own))], [(n, shared) for n in own], numbered=True)
+    pairs = {str(k): k for k in range(len(own))}
+    found = paired([(n,) for n in names], plain, "the board")
+    assert (found.partner, len(found.notes)) == (pairs, 2)
+    assert found.notes[1] == f"of the board, not in the recording: {shared}"
+    with pytest.raises(UnreadableInput, match=f"no name fits: {shared}"):
+        paired([(shared,)], plain, "the calibration")
+
+
 def test_topics_that_do_not_differ_by_a_word_give_no_names() -> None:
     assert distinct_names([("/imu/1/data",), ("/imu/2/data",)]) == ()
     assert distinct_names([("/imu/data",), ("/imu/data_raw",)]) == ("data", "data_raw")

@@ -2,8 +2,8 @@
 calibration.
 
 A recording's sensor is called by `Channel.triad`, unless that is only a number that a reader gave,
-and by `Channel.names`: its topic, dataset, column. A part of such a name counts where no other
-sensor of the recording has it: "imu_fl" of /imu_fl/data_raw.
+and by `Channel.names`: its topic, dataset, column, frame_id. A name counts where no other sensor
+of the recording has it, and so does a part of one: "imu_fl" of /imu_fl/data_raw.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def channel_names(recording: Recording) -> dict[str, str]:
     """What the file calls each accelerometer, in full: what a later recording is paired by. Empty
     where that is no name that a calibration may hold."""
     found = {
-        c.triad: (c.names or ("" if c.numbered else c.triad,))[-1]
+        c.triad: (c.names or ("" if c.numbered else c.triad,))[0]
         for c in recording.channels.values()
         if c.quantity == "acceleration"
     }
@@ -77,11 +77,12 @@ def channel_names(recording: Recording) -> dict[str, str]:
 
 
 def _with_parts(sensors: Sequence[Sequence[str]]) -> list[frozenset[str]]:
-    """The names of each sensor, and the parts of them that no other sensor has."""
+    """The names of each sensor, and the parts of them, that no other sensor has."""
     every = [{*names, *(p for name in names for p in parts_of(name))} for names in sensors]
+    whole = Counter(n for names in sensors for n in set(names))
     count = Counter(p for names in every for p in names)
     return [
-        frozenset(n for n in one if n in own or count[n] == 1)
+        frozenset(n for n in one if (whole if n in own else count)[n] == 1)
         for one, own in zip(every, sensors, strict=True)
     ]
 

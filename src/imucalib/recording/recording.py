@@ -33,7 +33,7 @@ class Channel:
     values : (N, k) in SI units (m/s², rad/s, °C), or raw counts when `unit` is "counts"
     quantity : "acceleration", "angular_rate", "temperature", or a name from the file
     triad : the sensor that it belongs to, for example "imu0"
-    names : what else the file calls that sensor: topic, dataset, in full
+    names : what else the file calls that sensor, in full: topic or dataset, then its frame_id
     numbered : whether `triad` is only a number, since the file has no name for the sensor
     rate : samples a second, from the median time step (or the file's header)
     pending : None, except in blocks that were asked for as stored (`readers.stored_blocks`): there

@@ -19,6 +19,7 @@ _LOUDEST_STEPS = 2.0
 _ZONE = 3  # stretches of one number that make a gyroscope's dead zone
 _WITNESSES = 5000  # windows that the size of gravity is told from
 _POSTURES = 5  # different constant readings of gravity's size that a dead sensor does not have
+_SINGLE = 3  # windows in which one axis stands still beside others, as in none of a live sensor
 _SIZE = 0.2  # share of gravity by which the size of a reading at rest may be off
 
 
@@ -113,19 +114,22 @@ class Sensor:
     def fine(self) -> bool:
         """Whether the resolution shows the noise, so that no axis stands still by chance.
 
-        Noise of more than two steps always shows. Below that, a sensor whose quiet windows move
-        on all axes is fine, one of which single axes stand still now and then is not.
+        Noise of more than two steps shows, unless it is motion's. Below that, a sensor whose quiet
+        windows move on all axes is fine. One is not of which single axes stand still more often,
+        or as well, where posture after posture does: what is held stands still on all axes.
         """
         w = self.windows
         moving = w.high > w.low
         either, whole = some(moving), every(moving)
         live = whole if 2 * whole.sum() > either.sum() else either
         noise = self.level(live if live.any() else np.ones_like(live))
-        if np.all(noise > 2.0 * self.step):
-            return not self._hidden(noise)
         quiet = every(w.variance <= (3.0 * self.step) ** 2)
+        alone = quiet & either & ~whole
+        shown = bool(np.all(noise > 2.0 * self.step))
+        if (shown or alone.sum() >= _SINGLE) and self._hidden(noise):
+            return False
         extreme = some(~moving & _at_extreme(w))
-        return bool((quiet & whole).sum() > (quiet & either & ~whole & ~extreme).sum())
+        return shown or bool((quiet & whole).sum() > (alone & ~extreme).sum())
 
     def _hidden(self, noise: Array) -> bool:
         """Whether more postures stand still to the step than pairs of windows share the noise.

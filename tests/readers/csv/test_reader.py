@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from imucalib import readers, writers
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
+from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
@@ -432,6 +433,28 @@ def test_a_tail_of_zero_bytes_is_noted(tmp_path: Path) -> None:
     found = readers.read(path, FieldMapping(rate=100))
     assert acc_of(found).shape == (100, 3)
     assert any("4096 zero bytes" in n for n in found.notes)
+
+
+@pytest.mark.parametrize("before", ["", "0.1,-0.2,0.9"])
+@pytest.mark.parametrize("zeros", [4096, 3 << 20])
+@pytest.mark.parametrize("block", [100, 1 << 18])
+def test_zero_bytes_complete_no_cut_line(
+    before: str, zeros: int, block: int, tmp_path: Path
+) -> None:
+    """before : of a line that zero bytes follow; some loggers go on behind them"""
+    whole, hole = at_rest(400), "\0" * zeros
+    text = "\n".join(["x,y,z", *rows(whole)]) + "\n" + before + hole
+    mapping = FieldMapping(rate=100)
+    for after, notes in (
+        ("", ("line 402 has no line end",) if before else (f"{zeros} zero bytes",)),
+        ("7,8\n" + "\n".join(rows(whole)) + "\n", ("1 rows left out; line 402",)),
+    ):
+        path = put(tmp_path, text + after)
+        found = join(readers.blocks(path, mapping, block_samples=block), "")
+        wanted = np.concatenate([whole] * (2 if after else 1)) * G
+        np.testing.assert_allclose(acc_of(found), wanted, rtol=1e-14)
+        for note in notes:
+            assert any(note in n for n in found.notes), found.notes
 
 
 def test_errors_of_the_mapping(tmp_path: Path) -> None:

@@ -72,6 +72,47 @@ def test_a_flipped_bit_is_told(tmp_path: Path) -> None:
     assert any("breaks off" in note or "no samples" in note for note in notes), notes
 
 
+class _Pipe(io.BytesIO):
+    """What cannot be written again: zipfile puts sizes and checksums behind each member."""
+
+    def seekable(self) -> bool:
+        return False
+
+    def seek(self, *where: int) -> int:
+        raise OSError
+
+
+def _archive(activity: bytes, method: int, *, piped: bool) -> bytes:
+    out = _Pipe() if piped else io.BytesIO()
+    with zipfile.ZipFile(out, "w", method) as file:
+        file.writestr("info.txt", "Sample Rate: 30\nStart Date: 634556532600000000\n")
+        file.writestr("activity.bin", activity)
+        file.writestr("lux.bin", b"")
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("method", "piped"),
+    [(zipfile.ZIP_STORED, False), (zipfile.ZIP_DEFLATED, False), (zipfile.ZIP_DEFLATED, True)],
+)
+def test_a_lost_directory_is_told_and_the_checksum_holds(
+    method: int, piped: bool, tmp_path: Path
+) -> None:
+    data = _archive(np.random.default_rng(0).bytes(9 * 400), method, piped=piped)
+    directory = data.index(b"PK\x01\x02")
+    whole, cut = (read(saved(tmp_path, d)) for d in (data, data[:directory]))
+    assert any("lost its directory" in note for note in cut.notes)
+    assert not any("breaks off" in note for note in cut.notes)
+    one, other = (r.channels["imu0/acceleration"].values for r in (whole, cut))
+    np.testing.assert_array_equal(one, other)
+    with pytest.raises(UnreadableInput, match="no directory"):
+        read(path := saved(tmp_path, data[:directory]), strict=True)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        crc = archive.getinfo("activity.bin").CRC.to_bytes(4, "little")
+    path.write_bytes(data[:directory].replace(crc, b"\x5a" * 4))
+    assert any("checksum" in note for note in read(path).notes)
+
+
 def test_an_archive_made_to_cost_ends_soon(tmp_path: Path) -> None:
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as file:

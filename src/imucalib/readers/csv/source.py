@@ -183,17 +183,23 @@ def line_blocks(path: Path, size: int, *, strict: bool) -> Iterator[Lines]:
     bytes, which a file system leaves after a power failure. With `strict` packed data that
     breaks off raises UnreadableInput.
     """
-    rest, line, end = b"", 1, b""
+    rest, line, end, zeros = b"", 1, b"", 0
     with _opened(path) as (stream, _):
         for piece, note in _chunks(stream, path, size, strict=strict):
             end = end or (b"\r" if b"\n" not in piece and b"\r" in piece[:-1] else b"\n")
             text = rest + piece
             cut = text.rfind(end) + 1
             block, rest = clean(text[:cut]), text[cut:]
-            if len(rest) > max(size, _LONGEST_LINE) and rest.strip(b"\0"):
-                raise UnreadableInput(
-                    f"no line end within {len(rest)} bytes", where=f"{path}: line {line}"
-                )
+            zeros = 0 if cut else zeros
+            if len(rest) > _LONGEST_LINE:
+                # One zero byte stays, so that what may follow does not complete a cut number.
+                kept = rest.rstrip(b"\0")
+                zeros += max(len(rest) - len(kept) - 1, 0)
+                rest = rest[: len(kept) + 1]
+                if len(kept) > max(size, _LONGEST_LINE):
+                    raise UnreadableInput(
+                        f"no line end within {len(kept)} bytes", where=f"{path}: line {line}"
+                    )
             if block or note:
                 yield Lines(block, line, note)
                 # Several times as fast as bytes.count.
@@ -203,4 +209,6 @@ def line_blocks(path: Path, size: int, *, strict: bool) -> Iterator[Lines]:
         said = f"line {line} has no line end and may be cut: it was left out"
         yield Lines(b"", line, said, tail=clean(tail) if tail == rest else b"")
     elif rest:
-        yield Lines(b"", line, f"{len(rest)} zero bytes at the end of the file were left out")
+        yield Lines(
+            b"", line, f"{len(rest) + zeros} zero bytes at the end of the file were left out"
+        )

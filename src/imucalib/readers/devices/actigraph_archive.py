@@ -31,9 +31,9 @@ _MOST_RATE = 10_000.0  # Hz
 _PIECE = 1 << 16  # bytes: what a checksum that fails at the end may cost
 #: What no device writes: a longer info.txt, a large log that packs better than this.
 _INFO_BYTES, _LARGE, _RATIO = 1 << 20, 16 << 20, 100
-#: A member's header; the size of one that was not known when it was written; members at most; and
-#: packed bytes that are unpacked at a time.
-_LOCAL, _LOCAL_HEADER = b"PK\x03\x04", struct.Struct("<8xH8xI4xHH")
+#: A member's header, and what follows one whose size and checksum were not known when it was
+#: written (flag 8); its size then; members at most; and packed bytes that are unpacked at a time.
+_LOCAL, _LOCAL_HEADER, _DESCRIPTOR = b"PK\x03\x04", struct.Struct("<6xHH4xII4xHH"), b"PK\x07\x08"
 _NO_SIZE, _MOST_MEMBERS, _PACKED = 0xFFFF_FFFF, 1000, 1 << 12
 
 
@@ -73,10 +73,13 @@ class Loss:
 
 @dataclass(frozen=True)
 class _Member:
-    """A member by its own header: where its bytes begin, and whether they are deflated."""
+    """A member by its own header: where its bytes begin, how many they are when packed (None:
+    unknown), whether they are deflated, and their checksum (None: it follows them)."""
 
     at: int
+    packed: int | None
     deflated: bool
+    crc: int | None
 
 
 def _by_headers(path: Path) -> dict[str, _Member]:
@@ -87,11 +90,14 @@ def _by_headers(path: Path) -> dict[str, _Member]:
         while len(found) < _MOST_MEMBERS and (at := raw.find(_LOCAL, at)) >= 0:
             if at + 30 > len(raw):
                 break
-            method, packed, name, extra = _LOCAL_HEADER.unpack(raw[at : at + 30])
+            flags, method, crc, packed, name, extra = _LOCAL_HEADER.unpack(raw[at : at + 30])
             begin, text = at + 30 + name + extra, raw[at + 30 : at + 30 + name]
             if method in (0, 8) and text and text.isascii() and text.decode("ascii").isprintable():
-                found.setdefault(text.decode("ascii"), _Member(begin, method == 8))
-                at = begin + (packed if packed != _NO_SIZE else 0)
+                later = bool(flags & 8) and not crc
+                size = None if packed == _NO_SIZE or (later and not packed) else packed
+                one = _Member(begin, size, method == 8, None if later else crc)
+                found.setdefault(text.decode("ascii"), one)
+                at = begin + (size or 0)
             else:
                 at += len(_LOCAL)
     return found
@@ -118,18 +124,29 @@ def member(path: Path, name: str) -> Iterator[Unpacked]:
     found = _by_headers(path)[name]
     with path.open("rb") as raw:
         raw.seek(found.at)
-        yield _Inflated(raw) if found.deflated else raw
+        yield _Alone(raw, found)
 
 
-class _Inflated:
-    """A deflated member up to its own end mark; raises EOFError where that is missing."""
+class _Alone:
+    """A member without a directory, up to its own end. Behind all that comes before, raises
+    EOFError where that end is missing and BadZipFile where the checksum is another."""
 
-    def __init__(self, raw: IO[bytes]) -> None:
-        self._raw, self._unpacker = raw, zlib.decompressobj(-15)
+    def __init__(self, raw: IO[bytes], found: _Member) -> None:
+        self._raw, self._found, self._unpacker = raw, found, zlib.decompressobj(-15)
+        self._left, self._crc = found.packed, 0
         self._fault: Exception | None = None
 
     def read(self, size: int, /) -> bytes:
         """The next bytes, at most `size`; none at the end."""
+        whole = self._inflated(size) if self._found.deflated else self._stored(size)
+        self._crc = zlib.crc32(whole, self._crc)
+        if not whole and self._fault is None and self._stated() not in (None, self._crc):
+            self._fault = zipfile.BadZipFile("its checksum differs")
+        if not whole and self._fault is not None:
+            raise self._fault
+        return whole
+
+    def _inflated(self, size: int) -> bytes:
         parts, held = list[bytes](), 0
         while held < size and not self._unpacker.eof and self._fault is None:
             try:
@@ -141,9 +158,21 @@ class _Inflated:
                 self._fault, data = error, b""
             parts.append(data)
             held += len(data)
-        if self._fault is not None and not held:
-            raise self._fault
         return b"".join(parts)
+
+    def _stored(self, size: int) -> bytes:
+        data = self._raw.read(size if self._left is None else min(size, self._left))
+        self._left = None if self._left is None else self._left - len(data)
+        if self._left and not data:
+            self._fault = EOFError("the archive ends within it")
+        return data
+
+    def _stated(self) -> int | None:
+        """The checksum of the header, or of what follows; None where that is cut off."""
+        if self._found.crc is not None:
+            return self._found.crc
+        after = (self._unpacker.unused_data + self._raw.read(8)).removeprefix(_DESCRIPTOR)
+        return int.from_bytes(after[:4], "little") if len(after) >= 4 else None
 
 
 def _sound(path: Path) -> bool:
@@ -155,6 +184,16 @@ def _sound(path: Path) -> bool:
             return True
     except DAMAGED:
         return False
+
+
+def without_directory(path: Path, *, strict: bool) -> str:
+    """What to tell of an archive that has lost its directory, empty of a sound one; raises
+    UnreadableInput with `strict`."""
+    if _sound(path):
+        return ""
+    if strict:
+        raise UnreadableInput("the archive has no directory", where=str(path))
+    return "the archive has lost its directory: its members were found without"
 
 
 def members_of(path: Path, head: bytes) -> frozenset[str]:
@@ -176,6 +215,7 @@ def info_of(path: Path, data: str) -> dict[str, str]:
     try:
         with member(path, "info.txt") as stream:
             raw = stream.read(_INFO_BYTES + 1)
+            raw += stream.read(1)  # the end, where the checksum is seen
         if _sound(path):
             with zipfile.ZipFile(path) as archive:
                 log = archive.getinfo(data)
@@ -222,9 +262,7 @@ def pieces_of(path: Path, loss: Loss) -> Iterator[bytes]:
     """
     passed = 0
     try:
-        if not _sound(path):
-            loss.refuse("the archive has no directory", path.stat().st_size)
-            loss.broken = "the archive has lost its directory: its members were found without"
+        loss.broken = without_directory(path, strict=loss.strict)
         with member(path, "log.bin") as log:
             while piece := log.read(_PIECE):
                 passed += len(piece)

@@ -21,6 +21,7 @@ from imucalib.readers.devices.actigraph_archive import (
     info_of,
     member,
     members_of,
+    without_directory,
 )
 from imucalib.readers.devices.gt3x import unpacked
 from imucalib.readers.devices.packets import Log, Packets, recordings
@@ -71,7 +72,7 @@ class OldGt3xReader:
             start_ns = _NO_DATE
         if abs(start_ns) >= _NO_DATE:
             raise UnreadableInput("info.txt states no start date", where=str(path))
-        lost: list[str] = []
+        lost = [note] if (note := without_directory(path, strict=strict)) else []
         start = _Start(start_ns, rate, scale)
         packets = _packets(path, start, block_samples, lost=lost, strict=strict)
         serial = info.get("Serial Number", "of unknown number")

@@ -1,7 +1,7 @@
 """Messages of a block decoded into columns: ROS by compiled layouts, JSON and protobuf by parsing.
 
-Every decoder answers two questions: which numeric fields does a message have (`leaves`), and
-what are their values in all messages of a block (`decode`).
+Every decoder answers which numeric fields a message has (`leaves`), what their values are in all
+messages of a block (`decode`), and what a string of one message says (`text`).
 """
 
 from __future__ import annotations
@@ -36,6 +36,10 @@ class Decoder(Protocol):
         """Path of every number in a message, with its element count; raises LayoutError."""
         ...
 
+    def text(self, payload: bytes, path: str) -> str:
+        """A string of a message, empty where it has none; raises LayoutError."""
+        ...
+
     def decode(self, block: MessageBlock, groups: Groups, widths: Widths) -> Decoded:
         """The values of the groups, of known widths, in every message of the block."""
         ...
@@ -68,10 +72,15 @@ class RosDecoder:
         self._families: dict[Groups, list[_Family]] = {}
 
     def leaves(self, payload: bytes) -> dict[str, int]:
+        return {path: count for path, (_, _, count) in self._layout(payload).fields.items()}
+
+    def text(self, payload: bytes, path: str) -> str:
+        return self._layout(payload).texts.get(path, "")
+
+    def _layout(self, payload: bytes) -> Layout:
         if payload[:4] == ZSTD_MAGIC:
             payload = inflate(payload)
-        layout = compile_layout(self._definition, payload)
-        return {path: count for path, (_, _, count) in layout.fields.items()}
+        return compile_layout(self._definition, payload)
 
     def decode(self, block: MessageBlock, groups: Groups, widths: Widths) -> Decoded:
         filler = Filler(block.starts.size, widths)

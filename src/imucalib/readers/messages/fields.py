@@ -56,12 +56,14 @@ class TopicFields:
     """What is read from one topic.
 
     time : address of its stamp, "" for none
+    frame : the frame_id of its first message, "" for none
     triad, origin_ns, dated : as this package's own files state them, else "" and None
     """
 
     fields: tuple[Field, ...]
     time: str = ""
     time_leaves: tuple[str, ...] = ()
+    frame: str = ""
     triad: str = ""
     origin_ns: int | None = None
     dated: bool = True

@@ -28,6 +28,7 @@ class Layout:
     """Where the numbers of a message are.
 
     fields : path ("linear_acceleration.x") -> (byte offset, numpy type, element count)
+    texts : path -> string, of the one message that was walked
     guards : (offset, value) of every 4-byte length that the offsets depend on
     head : the encapsulation bytes that the message must begin with
     end : size of the message; up to `slack` bytes of padding may follow
@@ -39,6 +40,7 @@ class Layout:
     end: int
     slack: int
     order: str
+    texts: dict[str, str] = field(default_factory=dict)
 
     def pick(self, groups: Groups) -> tuple[np.dtype[np.void], list[list[str]]]:
         """A record type holding the paths of every group, and the field names of each group.
@@ -92,6 +94,7 @@ class _Walk:
     order: str
     fields: dict[str, tuple[int, str, int]] = field(default_factory=dict)
     guards: list[tuple[int, int]] = field(default_factory=list)
+    texts: dict[str, str] = field(default_factory=dict)
     visited: int = 0
     depth: int = 0
 
@@ -149,6 +152,8 @@ class _Walk:
             raise LayoutError(f"it has more than {_MAX_ELEMENTS} elements")
         if kind == "string":
             size = self.length()
+            raw = self.data[self.at : self.at + size]
+            self.texts[path] = raw.rstrip(b"\0").decode("utf-8", "replace")
             self.at += size
         elif kind == "wstring":
             raise LayoutError(f"'{path}' is a wide string, which is not supported")
@@ -181,4 +186,7 @@ def compile_layout(definition: Definition, data: bytes) -> Layout:
     if not walk.at <= len(data) <= walk.at + slack:
         raise LayoutError(f"the message has {len(data)} bytes, its definition {walk.at}")
     head = b"" if definition.ros1 else data[:2]
-    return Layout(walk.fields, tuple(walk.guards), head, walk.at, slack, walk.order)
+    return Layout(
+        fields=walk.fields, guards=tuple(walk.guards), head=head, end=walk.at, slack=slack,
+        order=walk.order, texts=walk.texts,
+    )  # fmt: skip

@@ -36,7 +36,8 @@ _HOUR = 3_600_000_000_000
 
 @dataclass(frozen=True)
 class Part:
-    """One channel to be: its name and triad, where its values come from, how they become SI."""
+    """One channel to be: its name and triad, where its values come from, how they become SI; frame:
+    the frame_id of its messages, or empty."""
 
     name: str
     triad: str
@@ -45,6 +46,7 @@ class Part:
     column: int
     conversion: Conversion
     numbered: bool
+    frame: str
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,7 @@ def _parts(
                     column=column,
                     conversion=convert,
                     numbered=triad.numbered,
+                    frame=topics.fields[topic].frame,
                 )
             )
     return parts, notes

@@ -133,7 +133,7 @@ def _recording(
             quantity=CHANNEL_NAMES[part.quantity],
             triad=part.triad,
             rate=1e9 / period if period else 0.0,
-            names=(part.topic,),
+            names=(part.topic, part.frame) if part.frame else (part.topic,),
             numbered=part.numbered,
         )
     head, ordered = plan.head, sorted(gaps, key=lambda gap: (gap.start, gap.stop, gap.reason))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from imucalib.readers.messages.select import fields_of, split_address
 from imucalib.recording.mapping import FieldMapping
 
 _UNDECIDED, _SKIPPED = -1, -2
+_FRAME = "header.frame_id"
 _GATHER = 1 << 16  # rows that are decoded before they are divided among their topics
 
 
@@ -126,13 +128,16 @@ class TopicStream:
             try:
                 decoder = self._decoder(topic)
                 fields = fields_of(topic, decoder.leaves(payload), self.mapping)
+                frame = decoder.text(payload, _FRAME) if fields else ""
             except LayoutError as error:
                 return self._refuse(number, topic, str(error), bool(stated or imu), count)
             except UsageError as error:
                 if stated or imu:
                     raise
                 return self._refuse(number, topic, str(error), False, count)
-        return self._assign(number, topic, decoder, fields, count) if fields else _SKIPPED
+        if fields is None:
+            return _SKIPPED
+        return self._assign(number, topic, decoder, replace(fields, frame=frame), count)
 
     def _assign(
         self, number: int, topic: Topic, decoder: Decoder, fields: TopicFields, count: int

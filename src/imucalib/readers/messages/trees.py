@@ -41,10 +41,20 @@ class TreeDecoder:
         self._parse, self._flatten, self._step = parse, flatten, step
 
     def leaves(self, payload: bytes) -> dict[str, int]:
+        return self._flatten(self._tree(payload))
+
+    def text(self, payload: bytes, path: str) -> str:
+        try:
+            (value,) = self._walk(tuple(path.split(".")), {(): [self._tree(payload)]})
+        except _UNREADABLE:
+            return ""
+        return value if isinstance(value, str) else ""
+
+    def _tree(self, payload: bytes) -> Any:
         (tree,) = self._parse([payload])
         if tree is None:
             raise LayoutError("a message cannot be parsed")
-        return self._flatten(tree)
+        return tree
 
     def decode(self, block: MessageBlock, groups: Groups, widths: Widths) -> Decoded:
         trees = self._parse(block.payloads())
