@@ -31,7 +31,7 @@ def test_the_interval_of_a_gain_is_students() -> None:
         assert (found.high, found.low) == pytest.approx((off.mean() + half, off.mean() - half))
         nats = rng.standard_normal(m)
         low = nats.sum() - t * np.std(nats, ddof=1) * np.sqrt(m)
-        assert with_density(found, nats, decides=True).nats_low == pytest.approx(low, rel=1e-9)
+        assert with_density(found, nats).nats_low == pytest.approx(low, rel=1e-9)
 
 
 def test_the_interval_of_a_parameter_is_students() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from imucalib.loop.faults.noise_grid import beside_rows
 
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
@@ -19,7 +20,6 @@ from imucalib.estimators.least_squares import fit
 from imucalib.loop.closed_loop import close_loop
 from imucalib.loop.evidence_gram import gram_evidence
 from imucalib.loop.faults.angles import apart
-from imucalib.loop.faults.noise_grid import beside_rows
 from imucalib.loop.noise.shared import _without
 from imucalib.loop.record_errors import predict_record
 from imucalib.loop.records import set_aside

@@ -133,7 +133,7 @@ class Fit:
         of the mixture over the noise, else Student's t."""
         from scipy.special import stdtrit
 
-        rows = np.atleast_2d(direction)
+        rows = direction.reshape(-1, direction.shape[-1])
         if self.mixture is not None:
             found = self.mixture.half_widths(rows, level)
         else:

@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from imucalib.errors import UnreadableInput
 from imucalib.units import DEG, MG
+
+#: Share of the rows that make the map where the whole is mirrored, and steps in which they are
+#: found.
+_SHARE, _STEPS = 0.6, 20
 
 
 def full_matrix_start(model: Model, observations: Observations) -> Array:
@@ -29,6 +33,8 @@ def full_matrix_start(model: Model, observations: Observations) -> Array:
     sensitivity, offset, rank = linear_map(observations)
     if rank < 4:
         return theta
+    if np.linalg.det(sensitivity) <= 0.0:  # of a part of the rows, perhaps
+        sensitivity, offset, _ = linear_map(observations.take(alike_rows(observations)))
     if np.linalg.det(sensitivity) <= 0.0:
         raise UnreadableInput(
             "the readings are a mirror image of the reference: an axis has the other sign",
@@ -46,6 +52,35 @@ def full_matrix_start(model: Model, observations: Observations) -> Array:
     theta[slices["non_orthogonality"]] = [lower[1, 0], lower[2, 0], lower[2, 1]]
     theta[slices["bias"]] = offset / MG
     return theta
+
+
+def alike_rows(observations: Observations) -> Index:
+    """The larger part of the rows (K = 1, known directions) that fit one linear map best, by
+    concentration steps (Rousseeuw and Van Driessen 1999) from all rows, from those in front and
+    from those at the end."""
+    n = observations.n
+    many = max(5, int(_SHARE * n))
+    starts = (np.arange(n), np.arange(many), np.arange(n - many, n))
+    return min((_concentrated(observations, s, many) for s in starts), key=lambda f: f[0])[1]
+
+
+def _concentrated(observations: Observations, kept: Index, many: int) -> tuple[float, Index]:
+    """The misfit (m/s²) of the rows that fit best, and these, from those that are kept."""
+    reference = observations.reference
+    truth = reference.truth(np.zeros(reference.eta_size))[:, 0]
+    left = np.inf
+    for _ in range(_STEPS):
+        sensitivity, offset, rank = linear_map(observations.take(kept))
+        if rank < 4:
+            return np.inf, kept
+        away = observations.reading[:, 0] - truth @ sensitivity.T - offset
+        size = np.linalg.norm(away, axis=1)
+        best = np.sort(np.argsort(size)[:many])
+        left = float(size[best].sum())
+        if np.array_equal(best, kept):
+            break
+        kept = best
+    return left, kept
 
 
 def linear_map(observations: Observations) -> tuple[Array, Array, int]:

@@ -98,7 +98,7 @@ def judged(loop: FitLoop, held: CrossFit, metric: Metric) -> FitLoop:
     sizes = held.clean_before.size[good], held.clean_after.size[good]
     found = difference(*sizes, parts_of(held.folds)[good], len(held.folds), metric)
     if loop.plain.at.settings:
-        found = with_density(found, held.nats, decides=True)
+        found = with_density(found, held.nats)
     if found.holds:
         return replace(loop, difference=found)
     why = f"on data that took no part the error is {found.before / MG:.3g} mg without it, "

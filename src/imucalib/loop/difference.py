@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.estimators.student import quantile
-from imucalib.loop.thresholds import LOSS
 
 Metric = Literal["rms", "mean"]
 _LEVEL = 0.95
@@ -31,8 +30,6 @@ class Difference:
     parts : numbers that the interval rests on
     nats, nats_low : what the log density of the rows that were left out has gained, and the lower
         edge of its plain interval over the folds; NaN where it was not computed
-    by_density : whether it decides: where rows share setting errors, the plain error is mostly
-        theirs, and the other rows of a setting tell what a fixture does
     """
 
     before: float
@@ -43,7 +40,6 @@ class Difference:
     parts: int
     nats: float = float("nan")
     nats_low: float = float("nan")
-    by_density: bool = False
 
     @property
     def gain(self) -> float:
@@ -51,10 +47,8 @@ class Difference:
 
     @property
     def proved(self) -> bool:
-        """Whether the interval of the error, or of a density that decides, lies above zero, the
-        other not being worse: the word "explained" follows from what is printed."""
-        dense = self.by_density and self.nats_low > 0.0 and self.gain > 0.0
-        return dense or (self.low > 0.0 and not self.nats < 0.0)
+        """Whether the interval of the error or of the density lies above zero."""
+        return self.low > 0.0 or self.nats_low > 0.0
 
     @property
     def likely(self) -> bool:
@@ -64,12 +58,10 @@ class Difference:
 
     @property
     def holds(self) -> bool:
-        """Whether data that took no part allow the steps. Of a density only a loss refutes, and
-        not one that a single surprised fold may make where the error has fallen."""
-        if not self.by_density:
-            return self.gain > 0.0
-        nats_high = 2.0 * self.nats - self.nats_low
-        return self.nats > LOSS or (nats_high > 0.0 and self.plain_low > 0.0)
+        """Whether data that took no part allow the steps: error and density both gain, or the error
+        falls beyond the scatter of the parts. Where rows share setting errors the plain error is
+        mostly theirs, and the density excuses what a dial does by its other rows."""
+        return self.plain_low > 0.0 or (self.gain > 0.0 and not self.nats <= 0.0)
 
 
 def difference(
@@ -100,9 +92,9 @@ def difference(
     return Difference(start, end, low, high, (mean - reach * error) / unit, m)
 
 
-def with_density(found: Difference, nats: Array, *, decides: bool) -> Difference:
+def with_density(found: Difference, nats: Array) -> Difference:
     """With the gains (K,) in log density, fold by fold."""
     k = nats.size
     error = float(np.std(nats, ddof=1) * np.sqrt(k)) if k > 1 else np.inf
     low = float(nats.sum()) - quantile(max(k - 1, 1), 0.5 + _LEVEL / 2.0) * error
-    return replace(found, nats=float(nats.sum()), nats_low=low, by_density=decides)
+    return replace(found, nats=float(nats.sum()), nats_low=low)

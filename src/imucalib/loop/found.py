@@ -12,6 +12,7 @@ from imucalib.effects.shape import is_form
 from imucalib.loop.difference import Difference
 from imucalib.loop.evidence import Score
 from imucalib.loop.faults.found import Fault
+from imucalib.loop.posterior.rivals import Rival
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation.products import Ambiguity
 from imucalib.loop.separation.sums import Sums
@@ -222,6 +223,7 @@ class FitLoop(Loop[Fit]):
     ambiguous : what names left open, where the search keeps its own products
     sums : what the data say of every effect beside the base model, where the search keeps that
     slips : of hand, in the table, each with the line that mends it
+    weighed : the models that would do, with their weights
     """
 
     plain: Fit
@@ -230,3 +232,4 @@ class FitLoop(Loop[Fit]):
     ambiguous: tuple[Ambiguity, ...] = ()
     sums: Sums | None = None
     slips: tuple[Fault, ...] = ()
+    weighed: tuple[Rival, ...] = ()

@@ -71,10 +71,8 @@ def test_a_wrong_record_is_named_and_left_to_the_user(tmp_path: Path) -> None:
     assert result.return_value == 5
     report = validated((out / "report.json").read_text(), "report")
     assert report["status"] == "marginal"
-    (record,) = report["loop"]["record_errors"]
-    named = (record["where"], record["channel"], record["likely"])
-    assert named == ("row 10", "y", "lost sign of y")
-    assert abs(record["size"] - 2 * 45.86) < 4.5 * record["sd"]
+    (slip,) = report["faults"]
+    assert (slip["kind"], slip["what"]) == ("cell", "row 10: y lost its sign")
     assert "--fix 10:y=-45.86119676" in result.stdout.replace("\n", " ")
     page = (out / "report.html").read_text(encoding="utf-8")
     assert len(page) < 1_000_000

@@ -23,7 +23,7 @@ from worlds import sheets
 
 def lab(path: Path, *options: str) -> tuple[int, str, dict]:
     """Exit code, what is said, and the report (empty for a refusal)."""
-    arguments = ["lab", str(path), "--no-loop", "--json", "-q", *options]
+    arguments = ["lab", str(path), "--json", "-q", *options]
     result = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)
     if isinstance(result.exception, ImucalError):
         return result.exception.exit_code, str(result.exception), {}

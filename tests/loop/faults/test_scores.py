@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from imucalib.loop.faults.noise_grid import Base, Grid, base_of
 from numpy.typing import NDArray
 
 from imucalib.core.known_direction import KnownDirection
@@ -18,7 +19,6 @@ from imucalib.loop.faults.cells import cells
 from imucalib.loop.faults.conventions import Meaning, as_meant, linear_misfit, nearest_axes
 from imucalib.loop.faults.converter import cut_off, mistaken_scale, step_of
 from imucalib.loop.faults.found import Fault, Hypothesis, with_rivals
-from imucalib.loop.faults.noise_grid import Base, Grid, base_of
 from imucalib.loop.faults.readings import blocks, exchanges, leading, records
 from imucalib.loop.faults.sheet import Sheet, slopes
 from worlds import sheets

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from imucalib.loop.faults.noise_grid import base_of
+from imucalib.loop.faults.search import row_faults
 
 from gates.bounds import at_most
 from imucalib.loop.faults.angles import _density, _others, dial_of, rounded
 from imucalib.loop.faults.conventions import misread_angles, nearest_axes
 from imucalib.loop.faults.converter import cut_off, mistaken_scale, step_of
 from imucalib.loop.faults.found import Fault
-from imucalib.loop.faults.noise_grid import base_of
 from imucalib.loop.faults.readings import exchanges
-from imucalib.loop.faults.search import row_faults
 from imucalib.loop.faults.sheet import Sheet, in_order
 from worlds import sheets
 from worlds.places import SAMPLES

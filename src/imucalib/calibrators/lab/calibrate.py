@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -20,6 +19,7 @@ from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.errors import LeftOut, Split, error_summary, held_out_splits
 from imucalib.calibrators.lab.sessions.between import session_folds
 from imucalib.calibrators.population import Population, of_a_kind
+from imucalib.calibrators.rivals import with_rivals
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
@@ -39,8 +39,8 @@ from imucalib.loop.design import folds_of
 from imucalib.loop.found import FitLoop, LoopSettings
 from imucalib.loop.held_out import Held, fitted
 from imucalib.loop.posterior.closed import close_loop
+from imucalib.loop.posterior.rivals import Rival
 from imucalib.loop.posterior.slips import Written
-from imucalib.loop.rivals.models import Rival, rivals_of
 
 Objective = Literal["settings", "vector", "angles", "paper"]
 
@@ -99,10 +99,10 @@ class LabResult:
     settings: LabSettings
     strange: float = float("nan")
 
-    @cached_property
-    def rivals(self) -> tuple[tuple[Rival, ...], ...]:
-        """For every effect that others would replace, the models with each of them."""
-        return rivals_of(self.loop) if self.loop else ()
+    @property
+    def rivals(self) -> tuple[Rival, ...]:
+        """The models that would do, with their weights."""
+        return self.loop.weighed if self.loop else ()
 
 
 def calibrate(
@@ -135,6 +135,8 @@ def calibrate(
     searched = base is not final
     final = with_noise_integrated(final)
     base = with_noise_integrated(base) if searched else final
+    if loop is not None:
+        final = with_rivals(final, loop.weighed, gravity_of(data))
     splits = held_out_splits(base, final, observations, used, settings.objective, left)
     known = isinstance(data.reference, KnownVector)
     angles = attitude_errors(fitted(final), settings.conventions) if known else None

@@ -34,25 +34,20 @@ def bends(fit: Fit) -> bool:
 
 
 def dial_of(result: LabResult, inclination: Array) -> Dial:
-    """The dial at its settings (m,) in deg, at tool-face 0, with the doubt between rivals.
+    """The dial at its settings (m,) in deg, at tool-face 0, with the doubt between models.
 
-    Of each effect that others would replace: the rivals' mean by evidence, and their spread in sd
-    and interval, beside those of the final model.
+    The mean over all models that would do, and their spread in sd and interval (Hoeting et al.
+    1999, eq. 2 and 3).
     """
     conventions = result.settings.conventions
-    noted = dial_of_fit(result.final, inclination, conventions)
-    shift, variance, half = noted.shift, noted.sd**2, noted.half**2
-    # The rivals' models set wrong records aside, and so does the one that they stand beside.
-    beside = result.loop.final if result.rivals and result.loop else result.final
-    own = dial_of_fit(beside, inclination, conventions)
-    for group in result.rivals:
-        each = [(r.weight, dial_of_fit(r.fit, inclination, conventions)) for r in group]
-        mean = sum((w * d.shift for w, d in each), np.zeros_like(shift))
-        apart = sum((w * (d.shift - mean) ** 2 for w, d in each), np.zeros_like(shift))
-        shift = shift + mean - own.shift
-        variance = variance + sum(w * d.sd**2 for w, d in each) - own.sd**2 + apart
-        half = half + sum(w * d.half**2 for w, d in each) - own.half**2 + _NORMAL**2 * apart
-    return Dial(shift, np.sqrt(np.maximum(variance, 0.0)), np.sqrt(np.maximum(half, 0.0)))
+    each = [(r.weight, dial_of_fit(r.fit, inclination, conventions)) for r in result.rivals]
+    if len(each) < 2:
+        return dial_of_fit(result.final, inclination, conventions)
+    mean = sum((w * d.shift for w, d in each), np.zeros_like(inclination))
+    apart = sum((w * (d.shift - mean) ** 2 for w, d in each), np.zeros_like(inclination))
+    variance = sum((w * d.sd**2 for w, d in each), apart)
+    half = sum((w * d.half**2 for w, d in each), _NORMAL**2 * apart)
+    return Dial(mean, np.sqrt(variance), np.sqrt(half))
 
 
 def dial_of_fit(fit: Fit, setting: Array, conventions: Conventions) -> Dial:
@@ -92,6 +87,7 @@ def dial_words(result: LabResult) -> str:
         f"{plus_minus(float(s), float(d))} at {round(float(a))} (95 %: {s - h:.2f} to {s + h:.2f})"
         for a, s, d, h in zip(at, dial.shift, dial.sd, dial.half, strict=True)
     ]
-    records = result.loop.records if result.loop else ()
-    kept = f"With {' and '.join(r.where for r in records)} as noted, i" if records else "I"
+    loop = result.loop
+    wrong = [*(r.where for r in loop.records), *(f.where for f in loop.slips)] if loop else []
+    kept = f"With {' and '.join(wrong)} set right, i" if wrong else "I"
     return f"{kept}nclination on this bench is the dial plus {', '.join(parts)} deg."

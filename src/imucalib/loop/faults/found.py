@@ -35,6 +35,12 @@ class Fault:
     cells: tuple[tuple[str, float], ...] = ()
 
     @property
+    def where(self) -> str:
+        """The rows in words."""
+        first, last = self.rows[0], self.rows[-1]
+        return f"row {first}" if first == last else f"rows {first} to {last}"
+
+    @property
     def sentence(self) -> str:
         """What, and what to paste."""
         rivals = f" (or: {'; '.join(self.rivals)})" if self.rivals else ""

@@ -11,6 +11,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects.record_error import record_of
+from imucalib.errors import NotConverged
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.asked import Searched
 from imucalib.loop.design import Fold, folds_of, parts_of
@@ -18,6 +19,8 @@ from imucalib.loop.difference import Difference, difference, with_density
 from imucalib.loop.found import Checked, FitLoop, Step, Unexplained
 from imucalib.loop.posterior.explored import Explored
 from imucalib.loop.posterior.held_out import LeftOut, left_out
+from imucalib.loop.posterior.odds import OPEN
+from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.slips import Written, mended
 from imucalib.loop.posterior.solution import fit_of, solved
 from imucalib.loop.posterior.tried import scores_of
@@ -63,7 +66,12 @@ def close_loop(
     final, left = found.base, None
     if said.places:
         loop, final, left = _corrected(loop, found, said)
-    loop = replace(loop, records=accused(final, state.aside), slips=state.slips)
+    loop = replace(
+        loop,
+        records=accused(final, state.aside),
+        slips=state.slips,
+        weighed=rivals_of(found.problem, found.posterior),
+    )
     if state.slips:
         loop = replace(loop, as_recorded=_as_recorded(loop.as_recorded, observations))
     return Closed(loop, found, left)
@@ -98,12 +106,15 @@ def _corrected(loop: FitLoop, found: Explored, said: Told) -> tuple[FitLoop, Fit
         return _refused(loop, found, said, names, None), loop.final, None
     data = found.base.observations
     folds = folds_of(data)
-    left = left_out(found.problem, found.posterior, folds)
+    try:
+        left = left_out(found.problem, found.posterior, folds)
+    except NotConverged:  # a response that has no inverse
+        return _refused(loop, found, said, names, None), loop.final, None
     aside = [record_of(name) for name in record_names(found.base)]
     good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
     sizes = left.before.size[good], left.after.size[good]
     gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
-    gain = with_density(gain, left.nats, decides=bool(found.base.at.settings))
+    gain = with_density(gain, left.nats)
     if not gain.holds:
         return _refused(loop, found, said, names, gain), loop.final, None
     steps = tuple(
@@ -147,8 +158,8 @@ def _step(found: Explored, said: Told, place: Place, name: str, left: LeftOut) -
 def _refused(
     loop: FitLoop, found: Explored, said: Told, names: tuple[str, ...], gain: Difference | None
 ) -> FitLoop:
-    """Nothing is corrected; what is missing stays without a name."""
-    why = "no fit settles with it"
+    """Nothing is corrected; what is missing beyond doubt stays without a name."""
+    why = "it has no inverse, or no fit settles with it"
     if gain is not None:
         why = f"on data that took no part the error is {gain.before / MG:.3g} mg without it, "
         why += f"{gain.after / MG:.3g} with it"
@@ -159,6 +170,7 @@ def _refused(
             alike=tuple(_effect(found, c, said) for c, _ in place.rivals),
         )
         for place, name in zip(said.places, names, strict=True)
+        if said.complete < np.exp(-OPEN)
     )  # fmt: skip
     return replace(
         loop,

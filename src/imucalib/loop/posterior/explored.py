@@ -6,14 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imucalib.core.balance import Noise, balance
 from imucalib.core.fit import Fit
 from imucalib.effects import families
+from imucalib.estimators.least_squares import fit as fit_model
+from imucalib.estimators.starting_point import alike_rows, full_matrix_start
 from imucalib.loop.asked import Searched
 from imucalib.loop.posterior.catalogue import components_of, scan_of
 from imucalib.loop.posterior.component import Component
 from imucalib.loop.posterior.gram import grams_of
 from imucalib.loop.posterior.noise import Terms, terms_of
-from imucalib.loop.posterior.odds import HEARD
+from imucalib.loop.posterior.odds import FAR, HEARD
 from imucalib.loop.posterior.problem import Problem, problem_of
 from imucalib.loop.posterior.solution import noises_of
 from imucalib.loop.posterior.space import Posterior, search
@@ -32,8 +35,9 @@ class Explored:
     posterior: Posterior
 
 
-def explored(base: Fit, asked: Searched) -> Explored:
+def explored(fit: Fit, asked: Searched) -> Explored:
     """The posterior at a fitted base model, scans refined where they count."""
+    base = _anchored(fit)
     data = base.observations
     components = components_of(base.model, data, asked)
     first = _once(base, components)
@@ -46,6 +50,30 @@ def explored(base: Fit, asked: Searched) -> Explored:
         )
         first = _once(base, finer)
     return replace(first, posterior=_heard(first))
+
+
+def _anchored(fit: Fit) -> Fit:
+    """The fit, or one in which settings scatter as hands set them, where they were fitted beyond:
+    rows in the wrong place are no scatter, and nothing can be linearised about angles that far. It
+    stands at the angles that were meant."""
+    at, prior = fit.at, fit.observations.noise_prior
+    if prior is None or max(fit.noise.sd[: at.free], default=0.0) < FAR * prior.setting:
+        return fit
+    held = [min(sd, prior.setting) for sd in fit.noise.sd[: at.free]]
+    noise = Noise(max(fit.noise.factor, 1.0), at.component, (*held, *fit.noise.sd[at.free :]))
+    data = fit.observations
+    rows = alike_rows(data)
+    again = fit_model(
+        fit.model,
+        data.take(rows),
+        start=full_matrix_start(fit.model, data),
+        noise=noise,
+    )
+    theta = fit.theta if again.null_directions else again.theta
+    meant = np.zeros_like(fit.eta)
+    return replace(
+        fit, theta=theta, eta=meant, noise=noise, at=balance(fit.model, theta, meant, data)
+    )
 
 
 def _once(base: Fit, components: tuple[Component, ...]) -> Explored:

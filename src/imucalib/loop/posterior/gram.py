@@ -145,12 +145,10 @@ def _gross(problem: Problem, terms: Terms) -> Array:
     unit = RECORD_MG * MG / fit.at.unit
     whole = np.zeros((n, n))
     rows = [np.flatnonzero(terms.order == row) for row in range(fit.observations.n)]
-    ridge = 1e-9 * np.eye(max(own.size for own in rows))
-    size = [
-        pulled[own]
-        @ np.linalg.solve(precision[np.ix_(own, own)] + ridge[: own.size, : own.size], pulled[own])
-        for own in rows
-    ]
+    size = []
+    for own in rows:
+        inner = precision[np.ix_(own, own)] + 1e-9 * np.eye(own.size)
+        size.append(pulled[own] @ np.linalg.solve(inner, pulled[own]))
     for row in np.argsort(size)[-GROSS:]:
         whole[rows[row], rows[row]] += unit[rows[row]] ** 2
     for settings in fit.at.settings[: fit.at.free]:

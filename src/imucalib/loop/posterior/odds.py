@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 #: Prior odds that a recording lacks something: four of five measured instruments did; simulated.
-MISSING = 10.0
+MISSING = 5.0
 #: Share of these odds of all names and free functions together, and of loose scans, where no
 #: physics speaks for one value before another; simulated.
 KNOWN, LOOSE = 0.4, 0.05
@@ -31,6 +31,8 @@ COMPLETE, CERTAIN = 0.05, 0.95
 TOLD = 3.0
 #: Nats below the best at which a set is opened no further, and below which a noise is dropped.
 OPEN, HEARD = 9.0, 12.0
+#: Times what hands usually set an angle to beyond which a scatter is none: 3 deg.
+FAR = 10.0
 #: Records that may be wrong, and mg of a gross error, while noises are dropped.
 GROSS, RECORD_MG = 3, 50.0
 #: Size of what a model may lack at most, over the noise, while noises are dropped.
@@ -43,6 +45,6 @@ FOLD_BEAMS, FOLD_DEEPEST = (4, 2), 3
 #: prior of the sd is the bench's own (`NoisePrior`).
 SETTINGS = (0.0, 1.0, 4.0, 15.0, 50.0)
 #: Prior probability that the bias walks, and sizes and memories (share of the rows) of the walk.
-WALKS, WALK_SIZES, WALK_MEMORIES = 0.15, (0.5, 2.0, 8.0), (0.2,)
+WALKS, WALK_SIZES, WALK_MEMORIES = 0.15, (0.5, 2.0), (0.2,)
 #: Values of a scan that are tried at first; nearer ones are tried around those that lead.
 SCANNED = 16

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -28,11 +27,12 @@ _HELD = 1e-6
 
 @dataclass(frozen=True)
 class Solved:
-    """A model with its θ (p,) and, over the noise factor, the sd of each parameter: infinite for
-    the base model's."""
+    """A model with its θ (p,), their covariance (p, p) and, over the noise factor, the sd of each
+    parameter before the data: infinite for the base model's."""
 
     model: Model
     theta: Array
+    covariance: Array
     shrink: Array
 
 
@@ -43,54 +43,47 @@ def solved(
     every = problem.choices if choices is None else choices
     picks = [(every[p.choice], p.size) for p in hypothesis.picks]
     columns = np.concatenate([np.arange(problem.base), *(c.at for c, _ in picks)]).astype(np.intp)
-    mean = _mean(problem, grams, columns, [(c.at.size, size) for c, size in picks])
+    mean, covariance = _moments(problem, grams, columns, [(c.at.size, size) for c, size in picks])
     fit, context = problem.fit, problem.fit.observations.context
-    value = dict[str, Array]()
-    spread = dict[str, Array]()
-    effects = dict[str, Effect]()
+    effects = {e.name: e for c, _ in picks for e, _, _ in c.member.effects}
+    model = Model((*fit.model.effects, *effects.values()))
+    # θ is linear in the numbers of the columns: two members may share a parameter.
+    slices, theta = model.slices(context), model.start(context)
+    turn, spread = np.zeros((theta.size, columns.size)), np.zeros(theta.size)
+    for name, part in fit.model.slices(context).items():
+        theta[slices[name]] = fit.theta[part]
+        turn[slices[name], part] = np.eye(part.stop - part.start)
     at = problem.base
     for choice, size in picks:
         for effect, own, scale in choice.member.effects:
-            count = len(effect.parameters(context))
-            effects[effect.name] = effect
-            sds, values = spread.setdefault(effect.name, np.zeros(count)), np.zeros(count)
-            values[own] = mean[at : at + own.size] * scale
+            rows = slices[effect.name].start + own
+            turn[rows, at + np.arange(own.size)] = scale
+            spread[rows] = np.hypot(spread[rows], size * scale)
             at += own.size
-            sds[own] = np.hypot(sds[own], size * scale)
-            value[effect.name] = value.get(effect.name, 0.0) + values
-    model = Model((*fit.model.effects, *effects.values()))
-    return _placed(problem, model, mean[: problem.base], value, spread)
+    shrink = np.full(theta.size, np.inf)
+    for effect in effects.values():
+        part = slices[effect.name]
+        held = _HELD * np.array([p.typical for p in effect.parameters(context)])
+        shrink[part] = np.maximum(spread[part], held)
+    return Solved(model, theta + turn @ mean, turn @ covariance @ turn.T, shrink)
 
 
-def _placed(
-    problem: Problem, model: Model, step: Array, value: dict[str, Array], spread: dict[str, Array]
-) -> Solved:
-    fit, context = problem.fit, problem.fit.observations.context
-    theta, shrink = model.start(context), np.full(len(model.parameters(context)), np.inf)
-    own = fit.model.slices(context)
-    for name, part in model.slices(context).items():
-        if name in own:
-            theta[part] = fit.theta[own[name]] + step[own[name]]
-            continue
-        typical = np.array([p.typical for p in model.parameters(context)[part]])
-        theta[part] += value[name]
-        shrink[part] = np.maximum(spread[name], _HELD * typical)
-    return Solved(model, theta, shrink)
-
-
-def _mean(
+def _moments(
     problem: Problem, grams: Grams, columns: Index, blocks: Sequence[tuple[int, float]]
-) -> Array:
-    """(k,) mean of the numbers of some columns over the noises."""
-    weight, each = conditional(problem, grams, columns, blocks)
-    return np.asarray(weight @ each)
+) -> tuple[Array, Array]:
+    """Mean (k,) and covariance (k, k) of the numbers of some columns over the noises."""
+    weight, each, spread = conditional(problem, grams, columns, blocks)
+    mean = weight @ each
+    away = each - mean
+    between = (away * weight[:, None]).T @ away
+    return mean, np.asarray(np.einsum("e,ekl->kl", weight, spread) + between)
 
 
 def conditional(
     problem: Problem, grams: Grams, columns: Index, blocks: Sequence[tuple[int, float]]
-) -> tuple[Array, Array]:
-    """(E,) weight of each noise beside a set, and (E, k) the numbers of its columns there; blocks :
-    width and size of what stands behind the base model's."""
+) -> tuple[Array, Array, Array]:
+    """(E,) weight of each noise beside a set, (E, k) the numbers of its columns there and their
+    covariance (E, k, k); blocks : width and size of what stands behind the base model's."""
     prior = np.zeros(columns.size)
     at = problem.base
     for width, size in blocks:
@@ -99,12 +92,13 @@ def conditional(
     rows = grams.rows(columns)
     inner = rows[:, :, columns] + np.diag(prior)
     along = rows[:, :, -1]
-    each = np.linalg.solve(inner, along[..., None])[..., 0]
+    inverse = np.linalg.inv(inner)
+    each = (inverse @ along[..., None])[..., 0]
     left = np.maximum(grams.power - np.einsum("ek,ek->e", along, each), 1e-9)
     dof = grams.numbers - problem.base
     logs = grams.log_weight - 0.5 * np.linalg.slogdet(inner)[1] + grams.log_noise(left, dof)
     weight = np.exp(logs - logs.max())
-    return weight / weight.sum(), np.asarray(each)
+    return weight / weight.sum(), each, inverse * (left / dof)[:, None, None]
 
 
 def noises_of(problem: Problem, grams: Grams, picks: Sequence[Pick]) -> Array:

@@ -22,7 +22,8 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
     base = swept(grams, np.arange(problem.base), np.inf)
     logs = base.log_weight + base.log_noise(base.power, posterior.dof)
     noise = np.array([int(np.argmax(logs))])
-    one, whole = base.of(noise), grams.of(noise)
+    one, n = base.of(noise), len(problem.fit.at.owner)
+    basis = np.linalg.qr(problem.fit.at.jacobian)[0]
     factor = float(np.sqrt(one.power[0] / posterior.dof))
     alone = {h.components[0]: h.evidence for h in posterior.hypotheses if len(h.components) == 1}
     inside = np.zeros(len(problem.components))
@@ -35,9 +36,9 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
         seen.add(choice.component)
         component = problem.components[choice.component]
         index = choice.at[None]
-        first = float(np.trace(whole.blocks(index)[0, 0]))
-        left = max(float(np.trace(one.blocks(index)[0, 0])), 0.0)
-        columns = problem.columns[: len(problem.fit.at.owner), choice.at]
+        power = max(float(np.trace(one.blocks(index)[0, 0])), 0.0)
+        columns = problem.columns[:n, choice.at]
+        rest = columns - basis @ (basis.T @ columns)
         sized = columns * problem.fit.at.unit[:, None]
         found.append(
             Score(
@@ -51,8 +52,8 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
                 - posterior.base.evidence,
                 p=float(1.0 - min(inside[choice.component], 1.0)),
                 draws=0,
-                left=left / first if first > 0.0 else 0.0,
-                strength=float(np.sqrt(left)) / factor,
+                left=float(np.sum(rest**2) / np.sum(columns**2)),
+                strength=float(np.sqrt(power)) / factor,
                 share=0.0,
                 size=float(np.linalg.norm(sized) / problem.fit.observations.n**0.5),
             )

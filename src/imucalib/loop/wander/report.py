@@ -113,7 +113,7 @@ def held_difference(
     before, after = (np.abs(held.error[rows, 0, 0]) for held in (each.before, each.after))
     found = difference(before, after, part[rows], len(folds) - len(but), "mean")
     nats = np.delete(each.gains, list(but))
-    return with_density(found, nats, decides=False)
+    return with_density(found, nats)
 
 
 def beside_its_moment(

@@ -49,7 +49,7 @@ def _verdict(fleet: Fleet) -> str:
     gain = fleet.difference
     if gain is None:
         return text
-    if gain.by_density:
+    if not np.isnan(gain.nats):
         return (
             f"{text} The others foretell {gain.parts} devices by {gain.nats:+.1f} nats in sum "
             f"(95 %: at least {gain.nats_low:+.1f}); error of a posture {gain.before:.3g} to "

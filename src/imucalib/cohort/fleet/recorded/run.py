@@ -183,7 +183,7 @@ def _gain(own: Sequence[Device], said: Said) -> Difference:
     told = [foretold(device, said.inner.get(device.name, {})) for device in own]
     before, after = np.array([d.noise for d in own]), np.array([one.error for one in told])
     found = difference(before, after, np.arange(len(own)), len(own), "rms")
-    return with_density(found, np.array([one.nats for one in told]), decides=True)
+    return with_density(found, np.array([one.nats for one in told]))
 
 
 def _following(

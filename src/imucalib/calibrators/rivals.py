@@ -1,0 +1,91 @@
+"""A fit's intervals with the doubt between models in them.
+
+What is corrected is the likeliest model's; what another model that would do corrects otherwise, at
+attitudes all over the sphere, is part of the interval (Hoeting et al. 1999). It is carried as a
+shift of the parameters that does the most of it, and what these cannot express as an uncertainty of
+the bias.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibration.uncertainty import corrected_by, force_slope
+from imucalib.core.fit import Fit, NoiseMixture
+from imucalib.core.sphere import even_directions
+from imucalib.errors import NotConverged
+from imucalib.loop.posterior.rivals import Rival
+from imucalib.units import MG
+
+#: Attitudes at which models are compared, and a ridge on the shifts in standard deviations.
+_ATTITUDES = 100
+_RIDGE = 1e-3
+
+
+def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
+    """The fit with its covariance and its intervals widened by what the rivals correct otherwise.
+
+    rivals : likeliest first, `fit` among them; gravity : m/s²
+    """
+    own = [r for r in rivals if set(r.fit.model.names) == set(fit.model.names)]
+    others = [r for r in rivals if r not in own]
+    if not others or not own:
+        return fit
+    force = gravity * even_directions(_ATTITUDES)[:, None]
+    slope = force_slope(fit, force)[0].reshape(3 * _ATTITUDES, -1)
+    try:
+        reading = _readings(own[0].fit, force)
+        plain = corrected_by(own[0].fit, reading)
+    except NotConverged:  # its inverse ends where the recording did
+        return fit
+    mixture = fit.mixture or NoiseMixture(
+        np.zeros(1), np.ones(1), np.zeros((1, fit.theta.size)), fit.covariance[None]
+    )
+    kept = sum(r.weight for r in own)
+    parts = [(kept, np.zeros(fit.theta.size), np.zeros_like(fit.covariance))]
+    for rival in others:
+        try:
+            away = (corrected_by(rival.fit, reading) - plain).reshape(-1)
+        except NotConverged:
+            continue
+        shift, rest = _shift(fit, slope, away)
+        parts.append((rival.weight, shift, rest))
+    weight = np.concatenate([w * mixture.weight for w, _, _ in parts])
+    shift = np.concatenate([mixture.shift + s for _, s, _ in parts])
+    spread = np.concatenate([mixture.covariance + c for _, _, c in parts])
+    more = sum((w * (np.outer(s, s) + c) for w, s, c in parts), np.zeros_like(fit.covariance))
+    whole = NoiseMixture(mixture.log_sd, weight / weight.sum(), shift, spread)
+    return replace(fit, covariance=fit.covariance + more, mixture=whole)
+
+
+def _readings(fit: Fit, force: Array) -> Array:
+    """(n, 3) what the sensor of a fit reads under forces (n, 1, 3)."""
+    slope, inverse = force_slope(fit, force)
+    del slope
+    nothing = corrected_by(fit, np.zeros((1, 3)))[0]
+    reading = np.linalg.solve(inverse, (force[:, 0] - nothing)[..., None])[..., 0]
+    for _ in range(8):  # Newton: readings whose correction is the force
+        off = force[:, 0] - corrected_by(fit, reading)
+        reading = reading + np.linalg.solve(inverse, off[..., None])[..., 0]
+    return np.asarray(reading)
+
+
+def _shift(fit: Fit, slope: Array, away: Array) -> tuple[Array, Array]:
+    """The shift of θ that moves corrections (m,) as they are away, and the covariance (p, p) of the
+    bias that stands for what is left."""
+    size = np.sqrt(np.diag(fit.covariance))
+    ridge = _RIDGE * float(np.linalg.norm(slope * size)) * np.eye(size.size)
+    scaled = np.vstack([slope * size, ridge])
+    shift = (
+        size * np.linalg.lstsq(scaled, np.concatenate([away, np.zeros(size.size)]), rcond=None)[0]
+    )
+    left = float(np.mean((away - slope @ shift) ** 2)) / MG**2
+    covariance = np.zeros((size.size, size.size))
+    part = fit.model.slices(fit.observations.context).get("bias")
+    if part is not None:
+        covariance[part, part] = left * np.eye(part.stop - part.start)
+    return shift, covariance
