@@ -1,0 +1,2 @@
+from world import World, Recipe
+class Worn(World): pass
