@@ -49,7 +49,10 @@ class Table(World):
         else:
             force = sphere(rng, int(rng.integers(24, 121)))
             dial = np.column_stack(
-                [np.degrees(np.arcsin(force[:, 2])), np.degrees(np.arctan2(force[:, 0], force[:, 1]))]
+                [
+                    np.degrees(np.arcsin(force[:, 2])),
+                    np.degrees(np.arctan2(force[:, 0], force[:, 1])),
+                ]
             )
         self.c = conditions(rng, dial, self.sensor.axes(direction(*dial.T)))
         self.plant(rng)

@@ -81,7 +81,7 @@ def accuses(lines: Iterable[str]) -> bool:
 
 
 def repaired(planted: tuple[str, ...], lines: list[str]) -> bool:
-    """Whether the lines hold every planted repair; a row that no repair restores has to be named."""
+    """Whether the lines hold every planted repair; a row that none restores has to be named."""
     given = repairs(lines)
     for one in planted:
         if one.startswith("row "):
@@ -97,6 +97,8 @@ def _same(one: str, other: str) -> bool:
         return one == other
     (cell, value), (mine, told) = one.split("="), other.split("=")
     try:
-        return cell == mine and abs(float(told) - float(value)) <= _CLOSE * max(1, abs(float(value)))
+        return cell == mine and abs(float(told) - float(value)) <= _CLOSE * max(
+            1, abs(float(value))
+        )
     except ValueError:
         return False

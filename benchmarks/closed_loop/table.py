@@ -25,7 +25,9 @@ def table(judged: Sequence[Judged]) -> str:
         if some:
             lines.append(f"| {' | '.join(_cells(row, some))} |")
     failed = [j for j in judged if j.told is None and not j.recipe.slip]
-    lines += [f"no report: {j.recipe.kind} {j.recipe.seed}, exit {j.code}: {j.said}" for j in failed]
+    lines += [
+        f"no report: {j.recipe.kind} {j.recipe.seed}, exit {j.code}: {j.said}" for j in failed
+    ]
     return "\n".join([*lines, *_slips(judged), *_reliability(judged)])
 
 
@@ -88,5 +90,7 @@ def _reliability(judged: Sequence[Judged]) -> list[str]:
         mine = (p >= low) & (p < high)
         if mine.any():
             words = f"{low:.2f} to {min(high, 1.0):.2f}"
-            lines.append(f"| {words} | {mine.sum()} | {p[mine].mean():.2f} | {true[mine].mean():.2f} |")
+            lines.append(
+                f"| {words} | {mine.sum()} | {p[mine].mean():.2f} | {true[mine].mean():.2f} |"
+            )
     return lines

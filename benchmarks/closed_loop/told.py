@@ -4,6 +4,7 @@ readings that were never recorded. When the report's keys change, this file does
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,9 +13,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Steps that are a function without a cause: no name, so neither right nor wrong.
-NAMELESS = ("curve", "shape", "follows", "third_degree", "converter", "cycle", "scale_cycle",
-            "session", "posture", "wandering_bias")  # fmt: skip
+#: Parts of names of steps that are a function or noise without a cause: neither right nor wrong.
+NAMELESS = re.compile(
+    r"^(curve|shape|follows|third_degree|converter|cycle|scale_cycle|session|posture|wandering|"
+    r"unlisted)|_root_of_|_over_"
+)
+_UNIT = 9.80665e-3  # m/s2, a mg
 #: Verdicts that say that something is missing, whether or not a name is given.
 MISSING = ("unexplained", "explained", "explained in part")
 
@@ -31,7 +35,7 @@ class Step:
     @property
     def named(self) -> bool:
         """Whether it has a cause."""
-        return self.names[0] not in NAMELESS
+        return NAMELESS.search(self.names[0]) is None
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,14 @@ def _plain(name: str) -> str:
     return name.partition("@")[0]
 
 
+def follows(folder: Path) -> bool:
+    """Whether the calibration undoes a course of time, be it drawn or a walk."""
+    import imucalib
+
+    effects = {p.effect for p in imucalib.load(folder / "calibration.yaml").parameters}
+    return any(NAMELESS.search(name) for name in effects)
+
+
 def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Array, Array]:
     """(n, 3) mg, readings (n, 3) mg corrected under what is known beside them, by name and in SI;
     and (n, 3, 3) mg2, their covariance by that of the parameters. What is not known stands where
@@ -77,7 +89,6 @@ def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Ar
     import imucalib
     from imucalib.core.context import Context
 
-    unit = 9.80665e-3
     calibration = imucalib.load(folder / "calibration.yaml")
     names = set(calibration.valid)
     rest = calibration.usual(len(reading))
@@ -85,11 +96,10 @@ def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Ar
 
     def at(values: Array) -> Array:
         moved = tuple(
-            replace(p, value=float(v))
-            for p, v in zip(calibration.parameters, values, strict=True)
+            replace(p, value=float(v)) for p, v in zip(calibration.parameters, values, strict=True)
         )
-        done = replace(calibration, parameters=moved).apply(unit * reading, context)
-        return np.asarray(done) / unit
+        done = replace(calibration, parameters=moved).apply(_UNIT * reading, context)
+        return np.asarray(done) / _UNIT
 
     value = np.array([p.value for p in calibration.parameters])
     sd = np.sqrt(np.maximum(np.diag(calibration.covariance), 0.0))
@@ -100,3 +110,10 @@ def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Ar
     spread = np.einsum("nik,kl,njl->nij", slope, calibration.covariance, slope)
     return at(value), spread
 
+
+def read_corrected(path: Path) -> Array:
+    """(n, 3) mg of a recording that `imucal apply` wrote as CSV."""
+    rows = [line for line in path.read_text(encoding="utf-8").splitlines() if line[:1] != "#"]
+    at = [k for k, name in enumerate(rows[0].split(",")) if "acceleration/" in name]
+    values = np.loadtxt(rows[1:], delimiter=",", usecols=at)
+    return np.asarray(values / _UNIT)

@@ -52,17 +52,19 @@ class Recipe:
 @dataclass(frozen=True)
 class Attitudes:
     """force : (n, 3) g, true; reading : (n, 3) mg of the sensor there, without noise; c : under
-    which conditions; covariates : them by the names that a calibration uses, in SI"""
+    which conditions; covariates : them by the names that a calibration uses, in SI; walk : what of
+    the reading is a walk of the bias, mg"""
 
     force: Array
     reading: Array
     c: Conditions
     covariates: dict[str, Array]
+    walk: Array | float = 0.0
 
 
 @dataclass
 class Sensor:
-    """bias : mg; scale, cross (yx, zx, zy) : 1; mounting : deg; size : parameters of every effect"""
+    """bias : mg; scale, cross (yx, zx, zy) : 1; mounting : deg; size : of every effect"""
 
     bias: Array
     scale: Array
@@ -173,7 +175,7 @@ class World:
         return np.asarray(np.einsum("nj,ik->nijk", every, np.eye(3)).reshape(len(x), 3, 12))
 
     def planted_columns(self, names: Iterable[str], c: Conditions, force: Array | None) -> Array:
-        """(n, 3, p) mg per unit of every parameter, at the truth; force : given, or by the dials."""
+        """(n, 3, p) mg per unit of every parameter, at the truth; force : else by the dials."""
         made = []
         kept = self.sensor.size
         for name in names:
@@ -203,7 +205,9 @@ class World:
 
     def length(self, column: Array) -> float:
         """Strength of a column (m,): its length beside the base, in units of the noise."""
-        white = self.white(np.column_stack([self.observed(self.base_columns(self.truth())), column]))
+        white = self.white(
+            np.column_stack([self.observed(self.base_columns(self.truth())), column])
+        )
         basis, scale, _ = np.linalg.svd(white[:, :-1], full_matrices=False)
         basis = basis[:, scale > 1e-9 * scale[0]]
         left = white[:, -1] - basis @ (basis.T @ white[:, -1])
