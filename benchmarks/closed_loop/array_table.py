@@ -1,11 +1,12 @@
-"""The benchmark's table: what was measured in each scenario, beside its mark."""
+"""The table of the array's trials: what was measured in each scenario, beside its mark."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
+import array_world
 import numpy as np
-from scenarios import world
 from trial import Trial
 
 Trials = Sequence[Trial]
@@ -36,27 +37,21 @@ def _ratio(trials: Trials, below: str) -> list[float]:
     return [t.after / max(getattr(t, below), 1e-12) for t in trials]
 
 
-def table(calibrator: str, trials: Trials) -> str:
+def table(trials: Trials) -> str:
     """One Markdown table."""
-    own = getattr(world(calibrator), "rows", None)
-    rows = own(trials) if own else _rows(calibrator, trials)
-    lines = [f"| {calibrator} | trials | measured | mark |", "|---|---|---|---|"]
-    lines += [f"| {a} | {b} | {c} | {d} |" for a, b, c, d in rows]
-    return "\n".join(lines) + "\n"
-
-
-def _rows(calibrator: str, trials: Trials) -> list[Row]:
-    return [
+    rows = [
         *_clean(trials),
         *_noise(trials),
         *_one(trials),
         *_two(trials),
-        *_outside(calibrator, trials),
+        *_outside(trials),
         *_confounded(trials),
-        *_faults(trials),
-        *_absorbed(calibrator, trials),
+        *_absorbed(trials),
         *_rest(trials),
     ]
+    lines = ["| array | trials | measured | mark |", "|---|---|---|---|"]
+    lines += [f"| {a} | {b} | {c} | {d} |" for a, b, c, d in rows]
+    return "\n".join(lines) + "\n"
 
 
 def _clean(trials: Trials) -> list[Row]:
@@ -89,16 +84,7 @@ def _noise(trials: Trials) -> list[Row]:
     return rows
 
 
-def _of_noise(trial: Trial) -> bool:
-    return any(kind == "noise" for kind, _ in trial.unexplained)
-
-
-RIGHT_NOISE: dict[str, Test] = {
-    "t4": lambda t: not t.sets and (_of_noise(t) or bool(t.records)),
-    "ar": lambda t: not t.sets and any(d in ("order", "time") for _, d in t.unexplained),
-    "scatter": lambda t: not t.sets and _of_noise(t),
-    "slow clock": lambda t: not t.sets,
-}
+RIGHT_NOISE: dict[str, Test] = {"slow clock": lambda t: not t.sets}
 
 
 def _one(trials: Trials) -> list[Row]:
@@ -135,9 +121,9 @@ def _two(trials: Trials) -> list[Row]:
     ]
 
 
-def _outside(calibrator: str, trials: Trials) -> list[Row]:
+def _outside(trials: Trials) -> list[Row]:
     rows: list[Row] = []
-    drivers = world(calibrator).OUTSIDE
+    drivers = array_world.OUTSIDE
     for words, named, ratio in (("strong", "<= 5 %", "<= 0.6"), ("weak", "<= 15 %", "<= 1.05")):
         some = _of(trials, f"outside, {words}")
         rows.append((f"outside, {words}: named", len(some), share(some, lambda t: t.named), named))
@@ -149,7 +135,7 @@ def _outside(calibrator: str, trials: Trials) -> list[Row]:
         for name, right in drivers.items():
             own = [t for t in some if t.job.outside and t.job.outside[0] == name]
             mark = (">= 90 %", "0 %") if words == "strong" else ("-", "-")
-            said = share(own, lambda t, right=right: _drives(t, right))
+            said = share(own, partial(_drives, right=right))
             rows.append((f"{words} {name}: driver right", len(own), said, mark[0]))
             silent = share(own, lambda t: not t.alarm)
             rows.append((f"{words} {name}: nothing missing", len(own), silent, mark[1]))
@@ -172,45 +158,18 @@ def _confounded(trials: Trials) -> list[Row]:
     ]  # fmt: skip
 
 
-def _faults(trials: Trials) -> list[Row]:
-    rows: list[Row] = []
-    for scenario in dict.fromkeys(t.job.scenario for t in trials):
-        if scenario.startswith("fault: "):
-            some = _of(trials, scenario)
-            found = share(some, lambda t: bool(t.records or t.refused))
-            rows.append((f"{scenario}: found", len(some), found, ">= 99 %"))
-    clean = _of(trials, "clean")
-    if rows and clean:
-        false = share(clean, lambda t: bool(t.records or t.refused))
-        rows.append(("fault: seen in clean data", len(clean), false, "<= 1 %"))
-    return rows
-
-
-def _absorbed(calibrator: str, trials: Trials) -> list[Row]:
-    silent = set(getattr(world(calibrator), "ABSORBED", ()))
-    if not silent:
-        return []
+def _absorbed(trials: Trials) -> list[Row]:
+    silent = set(array_world.ABSORBED)
     said = share(trials, lambda t: silent <= set(t.absorbed))
     return [("absorbed effects: all listed with what they would do", len(trials), said, "100 %")]
 
 
 def _rest(trials: Trials) -> list[Row]:
-    usual = [
-        t
-        for t in trials
-        if t.intervals and not (t.job.outside or t.job.layout) and t.job.noise == "gaussian"
-    ]
+    usual = [t for t in trials if t.intervals and not t.job.outside and t.job.noise == "gaussian"]
     hits, count = sum(t.covered for t in usual), sum(t.intervals for t in usual)
     seconds = quantiles((t.seconds for t in trials), 0.5, 0.9)
     cover = f"{100.0 * hits / count:.1f} % ({hits}/{count})" if count else "-"
     return [
         ("95 % intervals of the final parameters cover", len(usual), cover, "90-97 %"),
-        ("CPU s a run, median and 90 %", len(trials), seconds, SECONDS[trials[0].job.calibrator]),
+        ("CPU s a run, median and 90 %", len(trials), seconds, "<= 20 at 32 IMUs, T = 500"),
     ]
-
-
-SECONDS = {
-    "lab": "<= 1",
-    "actigraph": "<= 2 beside the base fit",
-    "array": "<= 20 at 32 IMUs, T = 500",
-}

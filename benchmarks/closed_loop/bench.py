@@ -115,7 +115,7 @@ class Table(World):
 
     def write(self, folder: Path) -> list[str]:
         """The sheet as the technician would save it."""
-        columns = {}
+        columns: dict[str, Array] = {}
         if self.dials:
             columns |= {"inclination": self.dial[:, 0], "tool_face": self.dial[:, 1]}
         columns |= {f"{a}_mg": self.noted[:, k] for k, a in enumerate("xyz")}
@@ -160,12 +160,13 @@ def warmth(rng: np.random.Generator, n: int) -> Array:
     """(n,) degC: a room, a sensor that warms up, or a chamber of two temperatures."""
     share = np.linspace(0.0, 1.0, n)
     kind = rng.integers(3)
+    course: Array
     if kind == 0:
         course = 4.0 * np.sin(2 * np.pi * rng.uniform(0.5, 2.5) * share + rng.uniform(0.0, 6.3))
     elif kind == 1:
         course = 10.0 * (1.0 - np.exp(-share / rng.uniform(0.1, 0.5)))
     else:
-        course = 15.0 * (np.sin(2 * np.pi * rng.uniform(1.0, 2.5) * share) > 0)
+        course = 15.0 * np.where(np.sin(2 * np.pi * rng.uniform(1.0, 2.5) * share) > 0, 1.0, 0.0)
     return np.asarray(22.0 + rng.uniform(0.0, 6.0) + course + 0.3 * rng.standard_normal(n))
 
 

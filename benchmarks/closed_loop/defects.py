@@ -187,13 +187,14 @@ SENSOR: dict[str, tuple[int, float, Force]] = {
 
 def beyond(x: Array, limit: float) -> Array:
     """0 up to the limit, 1 at 1 g."""
-    return np.maximum(np.abs(x) - limit, 0.0) / (1.0 - limit)
+    return np.asarray(np.maximum(np.abs(x) - limit, 0.0) / (1.0 - limit), float)
 
 
 def squares(c: C) -> Array:
     """(n, 1) of -1 and 1: what switches at random moments, a relay or a supply."""
     edges = np.sort((c.phase[:, None] * np.array([[0.37, 1.21, 2.53]]) % 1.0).ravel())
-    return (1.0 - 2.0 * (np.searchsorted(edges, c.order) % 2))[:, None]
+    odd = np.searchsorted(edges, c.order) % 2
+    return np.where(odd, -1.0, 1.0)[:, None]
 
 
 def thermal_loop(c: C) -> Array:

@@ -220,7 +220,7 @@ class World:
     def low(self) -> Array:
         """(m, m), the lower Cholesky factor of the variance."""
         if self._low is None:
-            self._low = np.linalg.cholesky(self.variance())
+            self._low = np.asarray(np.linalg.cholesky(self.variance()), float)
         return self._low
 
     def errors(self, seen: Attitudes) -> tuple[float, float]:
@@ -243,7 +243,7 @@ class World:
     def _solved(self, design: Array, what: Array) -> tuple[Array, Array]:
         """Parameters, and V^-1 times the residual."""
         white, target = self.white(design), self.white(what[:, None])[:, 0]
-        delta = np.linalg.lstsq(white, target, rcond=1e-9)[0]
+        delta = np.asarray(np.linalg.lstsq(white, target, rcond=1e-9)[0], float)
         return delta, np.asarray(np.linalg.solve(self.low().T, target - white @ delta))
 
     def size_of(self, reading: Array, seen: Attitudes) -> float:

@@ -73,7 +73,7 @@ class Worn(World):
         habits = sphere(rng, int(rng.integers(12, 27)))
         facing = habits[rng.integers(0, len(habits), len(start))]
         facing = facing + 0.15 * rng.standard_normal(facing.shape)
-        self.facing = facing / np.linalg.norm(facing, axis=1, keepdims=True)
+        self.facing: Array = facing / np.linalg.norm(facing, axis=1, keepdims=True)
         self.start, self.stop = np.array(start), np.array(stop)
         self.time = 0.5 * (self.start + self.stop)
 
@@ -111,7 +111,7 @@ class Worn(World):
             temperature=warm,
             late=self._at(self.late, time),
             order=time / self.span,
-            row=np.searchsorted(self.time, time + 1e-6) - 1.0,
+            row=np.asarray(np.searchsorted(self.time, time + 1e-6) - 1.0, float),
             hour=(START + time) / HOUR % 24.0,
             approach_i=np.zeros(n),
             approach_t=np.zeros(n),
