@@ -43,8 +43,8 @@ def line(j: Judged) -> str:
     planted = ", ".join(f"{n} {v:.1f}" for n, v in j.recipe.planted.items()) or j.recipe.slip
     return (
         f"{j.recipe.row:8s} {j.recipe.seed} [{planted}] -> {j.told.verdict if j.told else j.code}"
-        f" [{told}] {j.slip} over oracle {j.over_oracle:.2f}, base {j.over_base:.2f}, held "
-        f"{j.held}/{j.intervals}, {j.seconds:.1f} s"
+        f" [{told}] {j.slip} over oracle {j.over_oracle:.2f}, response {j.over_response:.2f}, "
+        f"base {j.over_base:.2f}, held {j.held}/{j.intervals}, {j.seconds:.1f} s"
     )
 
 

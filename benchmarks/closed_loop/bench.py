@@ -13,8 +13,16 @@ from world import ATTITUDES, Attitudes, Recipe, World, drawn_sensor, sphere
 
 G = 9.80665
 #: Of the sensor, what every table can show.
-PLAIN = ("quadratic", "cubic", "asymmetry", "cross_axis", "bias_drift", "scale_drift", "warm_up",
-         "bias_step")  # fmt: skip
+PLAIN = (
+    "quadratic",
+    "cubic",
+    "asymmetry",
+    "cross_axis",
+    "bias_drift",
+    "scale_drift",
+    "warm_up",
+    "bias_step",
+)
 WARM = ("temperature_bias", "temperature_scale")
 PAST = ("hysteresis", "approach_hysteresis")
 BACKLASH = ("inclination_backlash", "tool_face_backlash")

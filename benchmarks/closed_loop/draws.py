@@ -13,14 +13,37 @@ from world import NoSuchWorld, Recipe, World
 
 KINDS = ("bench", "norm", "worn")
 #: Strengths by row of the table; of two effects each.
-STRENGTH = {"4-7": (4.0, 7.0), "8-12": (8.0, 12.0), "15-40": (15.0, 40.0), "two": (8.0, 25.0),
-            "outside": (8.0, 40.0)}  # fmt: skip
+STRENGTH = {
+    "4-7": (4.0, 7.0),
+    "8-12": (8.0, 12.0),
+    "15-40": (15.0, 40.0),
+    "two": (8.0, 25.0),
+    "outside": (8.0, 40.0),
+}
 ROWS = ("clean", *STRENGTH, "slip")
 #: In this order, so that any count holds all rows in about their shares.
 _TURN = (
-    "clean", "8-12", "15-40", "outside", "4-7", "two", "clean", "slip", "15-40", "4-7",
-    "8-12", "clean", "outside", "4-7", "15-40", "slip", "8-12", "two", "clean", "outside",
-)  # fmt: skip
+    "clean",
+    "8-12",
+    "15-40",
+    "outside",
+    "4-7",
+    "two",
+    "clean",
+    "slip",
+    "15-40",
+    "4-7",
+    "8-12",
+    "clean",
+    "outside",
+    "4-7",
+    "15-40",
+    "slip",
+    "8-12",
+    "two",
+    "clean",
+    "outside",
+)
 _TRIES = 60
 
 

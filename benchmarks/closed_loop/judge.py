@@ -16,17 +16,18 @@ from bench import Table
 from numpy.typing import NDArray
 from slips import accuses, repaired
 from told import Told, corrected, follows, read_corrected, read_report
-from world import Attitudes, Recipe, World
+from world import Attitudes, Bounds, Recipe, World
 from worn import Worn
 
 Array = NDArray[np.float64]
+NOTHING = Bounds(np.nan, np.nan, np.nan)
 SOURCE = Path(__file__).parents[2] / "src"
 
 
 @dataclass(frozen=True)
 class Judged:
-    """told : None where there is no report; error, oracle, base : mg rms of the program, of least
-    squares that know what is planted, and of those that know the base model alone; held, intervals
+    """told : None where there is no report; error : mg rms of the program; response : that apart
+    from a walk, where nothing follows it; bounds : of least squares at the truth; held, intervals
     : of 95 % intervals of corrected readings; seconds : of CPU; slip : right, wrong or missed;
     accused : whether any record is said to be wrong"""
 
@@ -34,8 +35,8 @@ class Judged:
     code: int
     told: Told | None = None
     error: float = np.nan
-    oracle: float = np.nan
-    base: float = np.nan
+    response: float = np.nan
+    bounds: Bounds = NOTHING
     held: int = 0
     intervals: int = 0
     seconds: float = 0.0
@@ -75,11 +76,15 @@ class Judged:
 
     @property
     def over_oracle(self) -> float:
-        return self.error / self.oracle
+        return self.error / self.bounds.oracle
 
     @property
     def over_base(self) -> float:
-        return self.error / self.base
+        return self.error / self.bounds.base
+
+    @property
+    def over_response(self) -> float:
+        return self.response / self.bounds.response
 
 
 def made(recipe: Recipe) -> World:
@@ -95,8 +100,7 @@ def judge(recipe: Recipe) -> Judged:
 def judged(world: World) -> Judged:
     """Run the command on a world's file, and judge."""
     seen = world.attitudes()
-    oracle, base = world.errors(seen)
-    found: dict[str, Any] = {"oracle": oracle, "base": base}
+    found: dict[str, Any] = {"bounds": world.errors(seen)}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         code, seconds, said = ran([*world.write(folder), "-o", str(folder / "out")])
@@ -141,15 +145,17 @@ def errors(world: World, seen: Attitudes, folder: Path) -> dict[str, float | int
         }
     # Of a norm the frame is a convention: the size is judged alone.
     size = np.linalg.norm(value, axis=1)
-    still = size
+    still, response = size, np.nan
     if isinstance(world, Worn) and not follows(folder / "out"):
         # Parameters do not speak of a walk that nothing follows, nor do their intervals.
         alone, spread = corrected(folder / "out", seen.reading - seen.walk, seen.covariates)
         still = np.linalg.norm(alone, axis=1)
+        response = float(np.sqrt(np.mean((still - 1000.0) ** 2)))
     along = value / size[:, None]
     half = 1.96 * np.sqrt(np.einsum("ni,nij,nj->n", along, spread, along))
     return {
         "error": float(np.sqrt(np.mean((size - 1000.0) ** 2))),
+        "response": response,
         "held": int(np.sum(np.abs(still - 1000.0) <= half)),
         "intervals": size.size,
     }

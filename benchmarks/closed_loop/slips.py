@@ -9,9 +9,14 @@ import numpy as np
 from defects import Array, direction
 
 KINDS = (
-    "exchanged rows", "lost sign", "factor ten", "mistyped inclination", "mistyped tool-face",
-    "exchanged cells", "copied row",
-)  # fmt: skip
+    "exchanged rows",
+    "lost sign",
+    "factor ten",
+    "mistyped inclination",
+    "mistyped tool-face",
+    "exchanged cells",
+    "copied row",
+)
 _AXES = "xyz"
 #: Share by which a repair's value may differ: sheets are rounded.
 _CLOSE = 1e-3

@@ -9,10 +9,20 @@ from draws import ROWS
 from judge import Judged
 
 HEADING = (
-    "worlds", "n", "claims", "truth in the sets", "certain and right", "certain and wrong",
-    "error over oracle: median, 90 %, worst", "over base: median", "worse than base by 5 %",
-    "95 % intervals hold", "record accused", "CPU s",
-)  # fmt: skip
+    "worlds",
+    "n",
+    "claims",
+    "truth in the sets",
+    "certain and right",
+    "certain and wrong",
+    "error over oracle: median, 90 %, worst",
+    "response over its oracle",
+    "over base: median",
+    "worse than base by 5 %",
+    "95 % intervals hold",
+    "record accused",
+    "CPU s",
+)
 #: By how much an error may exceed the base model's before it counts as worse.
 _WORSE = 1.05
 
@@ -44,6 +54,7 @@ def _cells(row: str, some: Sequence[Judged]) -> list[str]:
         _share(some, lambda j: j.right) if planted else "",
         str(sum(j.wrong for j in some)),
         _quantiles([j.over_oracle for j in valued], 0.5, 0.9, 1.0),
+        _quantiles([j.over_response for j in valued if np.isfinite(j.response)], 0.5, 0.9, 1.0),
         _quantiles([j.over_base for j in valued], 0.5),
         f"{worse} of {len(valued)}" if valued else "",
         f"{held / of:.3f}" if of else "",

@@ -62,6 +62,17 @@ class Attitudes:
     walk: Array | float = 0.0
 
 
+@dataclass(frozen=True)
+class Bounds:
+    """mg rms. oracle : of least squares that know what is planted and predict a walk, or of the
+    base where knowing is no help, as a table hardly determines it; base : of least squares that
+    know gain and bias alone; response : of the oracle, apart from a walk"""
+
+    oracle: float
+    base: float
+    response: float
+
+
 @dataclass
 class Sensor:
     """bias : mg; scale, cross (yx, zx, zy) : 1; mounting : deg; size : of every effect"""
@@ -153,8 +164,8 @@ class World:
         raise NotImplementedError
 
     def apart(self, seen: Attitudes) -> tuple[Array, Array]:
-        """(n, m) weights and (n, k, 3): how the noise as drawn moves the readings at `seen` (a walk
-        that goes on there), as what is observed tells; nothing unless a kind says otherwise."""
+        """A walk at `seen`: (n, 3, m) what predicts it from V^-1 times the residual, and (n, 3) mg
+        as it was drawn. None unless a kind says otherwise."""
         return np.zeros((ATTITUDES, 3, self.away.size)), np.zeros((ATTITUDES, 3))
 
     def observed(self, change: Array) -> Array:
@@ -223,9 +234,8 @@ class World:
             self._low = np.asarray(np.linalg.cholesky(self.variance()), float)
         return self._low
 
-    def errors(self, seen: Attitudes) -> tuple[float, float]:
-        """mg rms at `seen`, of an oracle that knows what is planted, and of least squares that
-        know the gain and the bias only."""
+    def errors(self, seen: Attitudes) -> Bounds:
+        """What least squares at the truth come to at `seen`."""
         names, free = list(self.recipe.planted), self.recipe.kind != "bench"
         mine = self.planted_columns(names, self.c, self.truth() if free else None)
         there = self.planted_columns(names, seen.c, seen.force)
@@ -238,7 +248,13 @@ class World:
         knows = np.concatenate([at, there], axis=2) @ delta + weights @ left - drawn
         delta, _ = self._solved(base, self.away + self.observed(mine) @ size)
         plain = at @ delta - there @ size - drawn
-        return self.size_of(knows, seen), self.size_of(plain, seen)
+        apart = knows - (weights @ left - drawn)
+        base_error = self.size_of(plain, seen)
+        return Bounds(
+            oracle=min(self.size_of(knows, seen), base_error),
+            base=base_error,
+            response=self.size_of(apart, seen),
+        )
 
     def _solved(self, design: Array, what: Array) -> tuple[Array, Array]:
         """Parameters, and V^-1 times the residual."""
