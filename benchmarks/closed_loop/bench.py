@@ -52,16 +52,7 @@ class Table(World):
         names = set(recipe.planted)
         self.warm = bool(rng.random() < 0.6 or names & set(BY_TEMPERATURE))
         self.approached = bool(rng.random() < 0.2 or names & set(BACKLASH))
-        if self.dials:
-            dial, force = positions(rng), None
-        else:
-            force = sphere(rng, int(rng.integers(24, 121)))
-            dial = np.column_stack(
-                [
-                    np.degrees(np.arcsin(force[:, 2])),
-                    np.degrees(np.arctan2(force[:, 0], force[:, 1])),
-                ]
-            )
+        dial = positions(rng) if self.dials else angles(sphere(rng, int(rng.integers(24, 121))))
         self.c = conditions(rng, dial, self.sensor.axes(direction(*dial.T)))
         self.plant(rng)
         self.reading, self.away = self._read(rng)
@@ -106,15 +97,15 @@ class Table(World):
         rng = np.random.default_rng((self.recipe.seed, 1))
         force = sphere(rng, ATTITUDES)
         rows = rng.integers(0, len(self.c.order), ATTITUDES)
-        angles = np.degrees(np.arcsin(force[:, 2])), np.degrees(np.arctan2(*force.T[:2]))
-        c = replace(self.c.take(rows), inclination=angles[0], tool_face=angles[1])
+        i, t = angles(force).T
+        c = replace(self.c.take(rows), inclination=i, tool_face=t)
         x = self.sensor.axes(force)
         step = np.where(np.abs(x - c.previous) > 0.02, np.sign(x - c.previous), 0.0)
         known = {
             "order": c.order,
             "record": c.row,
-            "inclination": np.deg2rad(angles[0]),
-            "tool_face": np.deg2rad(angles[1]),
+            "inclination": np.deg2rad(i),
+            "tool_face": np.deg2rad(t),
             **({"temperature": c.temperature} if self.warm else {}),
             **{f"previous_{a}": G * c.previous[:, k] for k, a in enumerate("xyz")},
             **{f"approach_{a}": step[:, k] for k, a in enumerate("xyz")},
@@ -139,6 +130,12 @@ class Table(World):
         path = folder / "sheet.csv"
         path.write_text(f"{','.join(columns)}\n{text}\n", encoding="utf-8")
         return ["lab", str(path), *([] if self.dials else ["--reference", "norm"])]
+
+
+def angles(force: Array) -> Array:
+    """(n, 2) deg, inclination and tool-face of directions (n, 3)."""
+    x, y, z = force.T
+    return np.column_stack([np.degrees(np.arcsin(z)), np.degrees(np.arctan2(x, y))])
 
 
 def positions(rng: np.random.Generator) -> Array:
