@@ -17,6 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import numpy as np
 from draws import KINDS, ROWS, drawn, rows
 from judge import Judged, judged
 from table import table
@@ -41,9 +42,10 @@ def line(j: Judged) -> str:
     steps = j.told.steps if j.told else ()
     told = "; ".join("/".join(s.names) + " certain" * s.certain for s in steps)
     planted = ", ".join(f"{n} {v:.1f}" for n, v in j.recipe.planted.items()) or j.recipe.slip
+    apart = "" if np.isnan(j.response) else f"response {j.over_response:.2f}, "
     return (
         f"{j.recipe.row:8s} {j.recipe.seed} [{planted}] -> {j.told.verdict if j.told else j.code}"
-        f" [{told}] {j.slip} over oracle {j.over_oracle:.2f}, response {j.over_response:.2f}, "
+        f" [{told}] {j.slip} over oracle {j.over_oracle:.2f}, {apart}"
         f"base {j.over_base:.2f}, held {j.held}/{j.intervals}, {j.seconds:.1f} s"
     )
 

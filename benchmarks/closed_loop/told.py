@@ -18,6 +18,8 @@ NAMELESS = re.compile(
     r"^(curve|shape|follows|third_degree|converter|cycle|scale_cycle|session|posture|wandering|"
     r"unlisted)|_root_of_|_over_"
 )
+#: Effects of a calibration that undo a course of time.
+_COURSE = re.compile(r"^(follows|wandering)|^(curve|shape)@.*:(time|order|record):")
 _UNIT = 9.80665e-3  # m/s2, a mg
 #: Verdicts that say that something is missing, whether or not a name is given.
 MISSING = ("unexplained", "explained", "explained in part")
@@ -52,6 +54,11 @@ class Told:
         """Something is said to be missing from the model."""
         return bool(self.steps) or self.verdict in MISSING
 
+    @property
+    def names(self) -> bool:
+        """A cause is told, as certain or not."""
+        return any(s.named for s in self.steps)
+
 
 def read_report(folder: Path) -> Told:
     """What report.json says. Raises FileNotFoundError where the command wrote none."""
@@ -79,7 +86,7 @@ def follows(folder: Path) -> bool:
     import imucalib
 
     effects = {p.effect for p in imucalib.load(folder / "calibration.yaml").parameters}
-    return any(NAMELESS.search(name) for name in effects)
+    return any(_COURSE.search(name) for name in effects)
 
 
 def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Array, Array]:

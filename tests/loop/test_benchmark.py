@@ -129,7 +129,8 @@ def test_the_table_counts_what_was_told() -> None:
     wrong = replace(right, told=told.Told("explained", (other,), (), 0))
     text = table.table([right, wrong])
     assert (
-        "| 8-12 | 2 | 100 % | 50 % | 50 % | 1 | 1.00 1.00 1.00 |  | 0.50 | 0 of 2 | 0.950 |" in text
+        "| 8-12 | 2 | 100 % | 100 % | 50 % | 50 % | 1 | 1.00 1.00 1.00 |  | 0.50 | 0 of 2 | 0.950 |"
+        in text
     )
     assert "| 0.95 to 1.00 | 2 | 0.97 | 0.50 |" in text
     shape = told.Step(("bias_over_temperature",), certain=True, probability=None)
