@@ -1,94 +1,73 @@
-"""The acceptance benchmark of the closed loop. Prints one Markdown table a calibrator:
+"""The acceptance benchmark of the search for what a model lacks, on worlds that share no code with
+it. Prints one Markdown table:
 
-    python benchmarks/closed_loop [--scale 1] [--jobs 2] [--only lab ...] [--keep FOLDER]
+    python benchmarks/closed_loop bench --count 60 --seed 1 [--jobs 2] [--only two] [--each]
 
-Trials are kept in FOLDER as one JSON line each, so that a run that was stopped goes on.
+KIND is bench, norm or worn; `array` runs the boards of array_world (see array_jobs). The same seed
+gives the same worlds, and a larger count goes on from a smaller one.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from scenarios import WORLDS, jobs, world
+import numpy as np
+from draws import KINDS, ROWS, drawn, rows
+from judge import Judged, judged
 from table import table
-from trial import Job, Trial
+
+#: Worlds that a seed has room for.
+_ROOM = 100_000
 
 
-def one(job: Job) -> Trial:
-    """Run a job in whatever process this is."""
-    run: Callable[[Job], Trial] = world(job.calibrator).trial
-    return run(job)
+def one(job: tuple[str, str, int]) -> Judged:
+    """Make a world and judge what the program does with it."""
+    return judged(drawn(*job))
 
 
-def kept(path: Path) -> dict[int, Trial]:
-    """Trials that are already there, by seed."""
-    found: dict[int, Trial] = {}
-    if path.is_file():
-        for line in path.read_text().splitlines():
-            trial = _thawed(json.loads(line))
-            found[trial.job.seed] = trial
-    return found
+def jobs(kind: str, count: int, seed: int) -> Iterator[tuple[str, str, int]]:
+    """Kind, row and seed of every world."""
+    for k, row in enumerate(rows(kind, count)):
+        yield kind, row, _ROOM * seed + k
 
 
-def _thawed(values: dict[str, object]) -> Trial:
-    def tuples(value: object) -> object:
-        return tuple(tuples(v) for v in value) if isinstance(value, list) else value
-
-    plain = {name: tuples(value) for name, value in values.items()}
-    job = values["job"]
-    assert isinstance(job, dict)
-    plain["job"] = Job(**{name: tuples(value) for name, value in job.items()})
-    return Trial(**plain)  # type: ignore[arg-type]
-
-
-def run(calibrator: str, every: list[Job], workers: int, folder: Path) -> list[Trial]:
-    """All trials of a calibrator, those that are kept and those that are missing."""
-    path = folder / f"{calibrator}.jsonl"
-    done = kept(path)
-    missing = [job for job in every if job.seed not in done or done[job.seed].job != job]
-    with path.open("a") as out, ProcessPoolExecutor(workers) as pool:
-        for n, trial in enumerate(_results(pool, missing), 1):
-            out.write(json.dumps(asdict(trial)) + "\n")
-            out.flush()
-            done[trial.job.seed] = trial
-            if n % 50 == 0 or n == len(missing):
-                print(f"{calibrator}: {n} of {len(missing)}", file=sys.stderr, flush=True)
-    return [done[job.seed] for job in every]
-
-
-def _results(pool: ProcessPoolExecutor, missing: list[Job]) -> Iterator[Trial]:
-    return pool.map(one, missing, chunksize=4)
+def line(j: Judged) -> str:
+    """One world, for those who look into a figure of the table."""
+    steps = j.told.steps if j.told else ()
+    told = "; ".join("/".join(s.names) + " certain" * s.certain for s in steps)
+    planted = ", ".join(f"{n} {v:.1f}" for n, v in j.recipe.planted.items()) or j.recipe.slip
+    apart = "" if np.isnan(j.response) else f"response {j.over_response:.2f}, "
+    return (
+        f"{j.recipe.row:8s} {j.recipe.seed} [{planted}] -> {j.told.verdict if j.told else j.code}"
+        f" [{told}] {j.slip} over oracle {j.over_oracle:.2f}, {apart}"
+        f"base {j.over_base:.2f}, held {j.held}/{j.intervals}, {j.seconds:.1f} s"
+    )
 
 
 def main() -> None:
-    """Run what is asked for and print the tables."""
+    """Run what is asked for and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scale", type=float, default=1.0)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--only", nargs="*", choices=list(WORLDS), default=list(WORLDS))
-    parser.add_argument("--scenarios", nargs="*", default=[""], help="beginnings of their names")
-    parser.add_argument("--keep", type=Path)
+    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", nargs="*", choices=ROWS, default=list(ROWS), help="rows")
+    parser.add_argument("--each", action="store_true", help="tell every world on stderr")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = options.keep or Path(scratch)
-        folder.mkdir(parents=True, exist_ok=True)
-        for calibrator in options.only:
-            asked = [
-                job
-                for job in jobs(calibrator, options.scale)
-                if job.scenario.startswith(tuple(options.scenarios))
-            ]
-            print(table(calibrator, run(calibrator, asked, options.jobs, folder)))
+    asked = [j for j in jobs(options.kind, options.count, options.seed) if j[1] in options.only]
+    found = []
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for j in pool.map(one, asked):
+            found.append(j)
+            if options.each:
+                print(line(j), file=sys.stderr, flush=True)
+    print(table(found))
 
 
 if __name__ == "__main__":

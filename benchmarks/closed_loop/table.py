@@ -1,216 +1,109 @@
-"""The benchmark's table: what was measured in each scenario, beside its mark."""
+"""The benchmark's table: a row for each sort of world."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from scenarios import world
-from trial import Trial
+from draws import ROWS
+from judge import Judged
 
-Trials = Sequence[Trial]
-Test = Callable[[Trial], bool]
-#: What was measured, of how many trials, the measure, and its mark.
-Row = tuple[str, int, str, str]
-
-
-def share(trials: Trials, test: Test) -> str:
-    """ "96.5 % (193/200)" """
-    hits = sum(test(t) for t in trials)
-    return f"{100.0 * hits / len(trials):.1f} % ({hits}/{len(trials)})" if trials else "-"
-
-
-def quantiles(values: Iterable[float], *levels: float) -> str:
-    """Quantiles as text."""
-    found = [v for v in values if np.isfinite(v)]
-    if not found:
-        return "-"
-    return ", ".join(f"{q:.2f}" for q in np.quantile(found, levels))
-
-
-def _of(trials: Trials, scenario: str) -> list[Trial]:
-    return [t for t in trials if t.job.scenario == scenario or t.job.scenario.startswith(scenario)]
+HEADING = (
+    "worlds",
+    "n",
+    "claims",
+    "names a cause",
+    "truth in the sets",
+    "certain and right",
+    "certain and wrong",
+    "error over oracle: median, 90 %, worst",
+    "response over its oracle",
+    "over base: median",
+    "worse than base by 5 %",
+    "95 % intervals hold",
+    "record accused",
+    "CPU s",
+)
+#: By how much an error may exceed the base model's before it counts as worse.
+_WORSE = 1.05
 
 
-def _ratio(trials: Trials, below: str) -> list[float]:
-    return [t.after / max(getattr(t, below), 1e-12) for t in trials]
+def table(judged: Sequence[Judged]) -> str:
+    """Markdown, and below it what is said of slips and how reliable probabilities are."""
+    lines = [f"| {' | '.join(HEADING)} |", "|" + "---|" * len(HEADING)]
+    for row in ROWS:
+        some = [j for j in judged if j.recipe.row == row]
+        if some:
+            lines.append(f"| {' | '.join(_cells(row, some))} |")
+    failed = [j for j in judged if j.told is None and not j.recipe.slip]
+    lines += [
+        f"no report: {j.recipe.kind} {j.recipe.seed}, exit {j.code}: {j.said}" for j in failed
+    ]
+    return "\n".join([*lines, *_slips(judged), *_reliability(judged)])
 
 
-def table(calibrator: str, trials: Trials) -> str:
-    """One Markdown table."""
-    own = getattr(world(calibrator), "rows", None)
-    rows = own(trials) if own else _rows(calibrator, trials)
-    lines = [f"| {calibrator} | trials | measured | mark |", "|---|---|---|---|"]
-    lines += [f"| {a} | {b} | {c} | {d} |" for a, b, c, d in rows]
-    return "\n".join(lines) + "\n"
-
-
-def _rows(calibrator: str, trials: Trials) -> list[Row]:
+def _cells(row: str, some: Sequence[Judged]) -> list[str]:
+    planted = row not in ("clean", "slip", "outside")
+    valued = [j for j in some if np.isfinite(j.error) and row != "slip"]
+    held, of = sum(j.held for j in valued), sum(j.intervals for j in valued)
+    worse = sum(j.over_base > _WORSE for j in valued)
     return [
-        *_clean(trials),
-        *_noise(trials),
-        *_one(trials),
-        *_two(trials),
-        *_outside(calibrator, trials),
-        *_confounded(trials),
-        *_faults(trials),
-        *_absorbed(calibrator, trials),
-        *_rest(trials),
+        row,
+        str(len(some)),
+        _share(some, lambda j: j.claims),
+        _share(some, lambda j: j.told is not None and j.told.names),
+        _share(some, lambda j: j.within) if planted else "",
+        _share(some, lambda j: j.right) if planted else "",
+        str(sum(j.wrong for j in some)),
+        _quantiles([j.over_oracle for j in valued], 0.5, 0.9, 1.0),
+        _quantiles([j.over_response for j in valued if np.isfinite(j.response)], 0.5, 0.9, 1.0),
+        _quantiles([j.over_base for j in valued], 0.5),
+        f"{worse} of {len(valued)}" if valued else "",
+        f"{held / of:.3f}" if of else "",
+        _share(some, lambda j: j.accused),
+        _quantiles([j.seconds for j in some], 0.5, 0.9),
     ]
 
 
-def _clean(trials: Trials) -> list[Row]:
-    clean = _of(trials, "clean")
-    if not clean:
-        return []
-    return [
-        ("clean: any alarm", len(clean), share(clean, lambda t: t.alarm), "<= 6 %"),
-        (
-            "clean: an effect named as certain",
-            len(clean),
-            share(clean, lambda t: t.named),
-            "<= 2 %",
-        ),
-        ("clean: an effect added", len(clean), share(clean, lambda t: bool(t.sets)), "-"),
-    ]
+def _share(some: Sequence[Judged], test: Callable[[Judged], bool]) -> str:
+    return f"{100.0 * sum(test(j) for j in some) / len(some):.0f} %"
 
 
-def _noise(trials: Trials) -> list[Row]:
-    rows: list[Row] = []
-    for scenario in dict.fromkeys(t.job.scenario for t in trials):
-        if not scenario.startswith("noise: "):
-            continue
-        some, kind = _of(trials, scenario), scenario.removeprefix("noise: ")
-        right, loud = RIGHT_NOISE[kind], [t for t in some if t.alarm]
-        rows.append((f"clean, {kind}: named", len(some), share(some, lambda t: t.named), "<= 5 %"))
-        rows.append((f"clean, {kind}: alarm", len(some), share(some, lambda t: t.alarm), "-"))
-        said = share(loud, right)
-        rows.append((f"clean, {kind}: alarms that speak of noise", len(loud), said, ">= 80 %"))
-    return rows
+def _quantiles(values: Sequence[float], *levels: float) -> str:
+    return " ".join(f"{q:.2f}" for q in np.quantile(values, levels)) if values else ""
 
 
-def _of_noise(trial: Trial) -> bool:
-    return any(kind == "noise" for kind, _ in trial.unexplained)
-
-
-RIGHT_NOISE: dict[str, Test] = {
-    "t4": lambda t: not t.sets and (_of_noise(t) or bool(t.records)),
-    "ar": lambda t: not t.sets and any(d in ("order", "time") for _, d in t.unexplained),
-    "scatter": lambda t: not t.sets and _of_noise(t),
-    "slow clock": lambda t: not t.sets,
-}
-
-
-def _one(trials: Trials) -> list[Row]:
-    one = [t for t in _of(trials, "one effect") if t.strength]
-    rows: list[Row] = []
-    middle = [t for t in one if 6.0 <= t.strength[0] < 10.0]
-    high = [t for t in one if t.strength[0] >= 10.0]
-    low = [t for t in one if 3.0 <= t.strength[0] < 6.0]
-    sizes = [len(s) for t in middle for s in t.sets if t.job.effects[0][0] in s]
-    within, first = share(middle, lambda t: t.within), share(middle, lambda t: t.first)
-    rows.append(("6 <= λ < 10: in the set", len(middle), within, ">= 97 %"))
-    rows.append(("6 <= λ < 10: first", len(middle), first, ">= 88 %"))
-    mean = f"{np.mean(sizes):.2f}" if sizes else "-"
-    rows.append(("6 <= λ < 10: set size, mean", len(sizes), mean, "<= 2"))
-    rows.append(("λ >= 10: first", len(high), share(high, lambda t: t.first), ">= 97 %"))
-    over = quantiles(_ratio(high, "oracle"), 0.5, 0.9)
-    rows.append(("λ >= 10: error / oracle, median and 90 %", len(high), over, "<= 1.03, 1.10"))
-    wrong = share(low, lambda t: t.wrong)
-    rows.append(("3 <= λ < 6: wrong name as certain", len(low), wrong, "<= 1 %"))
-    over = quantiles(_ratio(low, "oracle"), 0.9)
-    rows.append(("3 <= λ < 6: error / oracle, 90 %", len(low), over, "<= 1.8"))
-    return rows
-
-
-def _two(trials: Trials) -> list[Row]:
-    two = _of(trials, "two effects")
-    # Effects too weak to be found by anyone do not count against the sets.
-    seen = [t for t in two if t.strength and min(t.strength) >= 4.7]
-    over = quantiles(_ratio(two, "oracle"), 0.5, 0.75)
-    return [
-        ("two effects: both in sets", len(two), share(two, lambda t: t.within), ">= 92 %"),
-        ("where both λ >= 4.7: both in sets", len(seen), share(seen, lambda t: t.within), "-"),
-        ("two effects: error / oracle, median and 75 %", len(two), over, "<= 1.05, 1.3"),
-    ]
-
-
-def _outside(calibrator: str, trials: Trials) -> list[Row]:
-    rows: list[Row] = []
-    drivers = world(calibrator).OUTSIDE
-    for words, named, ratio in (("strong", "<= 5 %", "<= 0.6"), ("weak", "<= 15 %", "<= 1.05")):
-        some = _of(trials, f"outside, {words}")
-        rows.append((f"outside, {words}: named", len(some), share(some, lambda t: t.named), named))
-        over = _ratio(some, "before")
-        rows.append(
-            (f"outside, {words}: after / before, median and largest", len(some),
-             quantiles(over, 0.5, 1.0), f"{ratio}, 1.05")
-        )  # fmt: skip
-        for name, right in drivers.items():
-            own = [t for t in some if t.job.outside and t.job.outside[0] == name]
-            mark = (">= 90 %", "0 %") if words == "strong" else ("-", "-")
-            said = share(own, lambda t, right=right: _drives(t, right))
-            rows.append((f"{words} {name}: driver right", len(own), said, mark[0]))
-            silent = share(own, lambda t: not t.alarm)
-            rows.append((f"{words} {name}: nothing missing", len(own), silent, mark[1]))
-    return rows
-
-
-def _drives(trial: Trial, right: str) -> bool:
-    return any(driver and driver in right for _, driver in trial.unexplained)
-
-
-def _confounded(trials: Trials) -> list[Row]:
-    some = _of(trials, "confounded")
+def _slips(judged: Sequence[Judged]) -> list[str]:
+    """What came of each kind of slip."""
+    some = [j for j in judged if j.recipe.slip]
     if not some:
         return []
-    strong = [t for t in some if t.sets]
-    return [
-        ("confounded: truth in the set, where a set is given", len(strong),
-         share(strong, lambda t: t.within), ">= 98 %"),
-        ("confounded: another name alone", len(some), share(some, lambda t: t.wrong), "0 %"),
-    ]  # fmt: skip
+    lines = ["", "| slip | n | right | wrong | missed |", "|---|---|---|---|---|"]
+    for kind in dict.fromkeys(sorted(j.recipe.slip for j in some)):
+        mine = [j.slip for j in some if j.recipe.slip == kind]
+        counts = " | ".join(str(mine.count(w)) for w in ("right", "wrong", "missed"))
+        lines.append(f"| {kind} | {len(mine)} | {counts} |")
+    return lines
 
 
-def _faults(trials: Trials) -> list[Row]:
-    rows: list[Row] = []
-    for scenario in dict.fromkeys(t.job.scenario for t in trials):
-        if scenario.startswith("fault: "):
-            some = _of(trials, scenario)
-            found = share(some, lambda t: bool(t.records or t.refused))
-            rows.append((f"{scenario}: found", len(some), found, ">= 99 %"))
-    clean = _of(trials, "clean")
-    if rows and clean:
-        false = share(clean, lambda t: bool(t.records or t.refused))
-        rows.append(("fault: seen in clean data", len(clean), false, "<= 1 %"))
-    return rows
-
-
-def _absorbed(calibrator: str, trials: Trials) -> list[Row]:
-    silent = set(getattr(world(calibrator), "ABSORBED", ()))
-    if not silent:
+def _reliability(judged: Sequence[Judged]) -> list[str]:
+    """How often a name is true that is given with a probability; nothing where none is stated."""
+    said = [
+        (s.probability, s.names[0] in j.recipe.planted)
+        for j in judged
+        if j.told and not j.recipe.outside
+        for s in j.told.steps
+        if s.probability is not None and s.named
+    ]
+    if not said:
         return []
-    said = share(trials, lambda t: silent <= set(t.absorbed))
-    return [("absorbed effects: all listed with what they would do", len(trials), said, "100 %")]
-
-
-def _rest(trials: Trials) -> list[Row]:
-    usual = [
-        t
-        for t in trials
-        if t.intervals and not (t.job.outside or t.job.layout) and t.job.noise == "gaussian"
-    ]
-    hits, count = sum(t.covered for t in usual), sum(t.intervals for t in usual)
-    seconds = quantiles((t.seconds for t in trials), 0.5, 0.9)
-    cover = f"{100.0 * hits / count:.1f} % ({hits}/{count})" if count else "-"
-    return [
-        ("95 % intervals of the final parameters cover", len(usual), cover, "90-97 %"),
-        ("CPU s a run, median and 90 %", len(trials), seconds, SECONDS[trials[0].job.calibrator]),
-    ]
-
-
-SECONDS = {
-    "lab": "<= 1",
-    "actigraph": "<= 2 beside the base fit",
-    "array": "<= 20 at 32 IMUs, T = 500",
-}
+    p, true = np.array([a for a, _ in said]), np.array([b for _, b in said])
+    lines = ["", "| probability stated | n | stated, mean | true |", "|---|---|---|---|"]
+    for low, high in ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 0.95), (0.95, 1.01)):
+        mine = (p >= low) & (p < high)
+        if mine.any():
+            words = f"{low:.2f} to {min(high, 1.0):.2f}"
+            lines.append(
+                f"| {words} | {mine.sum()} | {p[mine].mean():.2f} | {true[mine].mean():.2f} |"
+            )
+    return lines

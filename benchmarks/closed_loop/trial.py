@@ -1,4 +1,4 @@
-"""One trial: what was planted, what the loop said, and what came of the calibration."""
+"""One trial of the array: what was planted, what the loop said, and what came of it."""
 
 from __future__ import annotations
 
@@ -7,25 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibration.uncertainty import correcting
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
-from imucalib.core.balance import whitener
-from imucalib.core.context import Context
-from imucalib.core.fit import Fit
-from imucalib.core.model import Model
-from imucalib.loop.found import FitLoop
-from imucalib.units import MG
 
 Array = NDArray[np.float64]
-
-BASE = ("bias", "scale")  # effects whose intervals are counted
 
 
 @dataclass(frozen=True)
 class Job:
     """What to simulate. effects : (name, size in typical sizes); outside : the same for effects
-    that no catalogue holds; noise : kind; fault : of a record or a label; layout : of a bench;
-    junk : effects that are declared and are not there"""
+    that no catalogue holds; noise : kind"""
 
     calibrator: str
     scenario: str
@@ -33,9 +23,6 @@ class Job:
     effects: tuple[tuple[str, float], ...] = ()
     outside: tuple[str, float] | None = None
     noise: str = "gaussian"
-    fault: str = ""
-    layout: str = ""
-    junk: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -48,9 +35,6 @@ class Trial:
     before, after, oracle : true error of the base calibration, of the final one and of one that
         knows the planted effects; covered : of `intervals` 95 % intervals
     refused : the error that the command stopped with, if it did
-    names : of every step, itself and its aliases, in full
-    alike : what is told to do as well as noise that neighbours share, or to be refused
-    told : change of the error that is reported as held out; new : the same on data made anew
     """
 
     job: Job
@@ -68,10 +52,6 @@ class Trial:
     intervals: int = 0
     seconds: float = 0.0
     refused: str = ""
-    names: tuple[str, ...] = ()
-    told: float = 0.0
-    new: float = 0.0
-    alike: tuple[str, ...] = ()
 
     @property
     def alarm(self) -> bool:
@@ -102,7 +82,7 @@ class Trial:
         return self.verdict == "explained" and bool(set(self.certain) - planted)
 
 
-def said(trial: Trial, loop: FitLoop | MotionLoop) -> Trial:
+def said(trial: Trial, loop: MotionLoop) -> Trial:
     """The trial with what the loop said; members of scans by the scan's name."""
 
     def plain(name: str) -> str:
@@ -120,7 +100,6 @@ def said(trial: Trial, loop: FitLoop | MotionLoop) -> Trial:
             *(("curve", _against(s.effect)) for s in getattr(loop, "curves", ())),
         ),
         absorbed=tuple(plain(s.name) for s in loop.first_scores if s.absorbed),
-        alike=tuple(dict.fromkeys(plain(n) for u in loop.unexplained for n in u.alike)),
     )
 
 
@@ -129,54 +108,6 @@ def _against(curve: str) -> str:
     if not curve.startswith("curve@"):
         return curve.rpartition(" against ")[2]
     return curve.split(":")[1].replace("_", "-")
-
-
-def strengths(oracle: Fit, planted: dict[str, Array]) -> tuple[float, ...]:
-    """λ of each planted effect: its columns times its true size, beside all else that is fitted,
-    in units of the noise."""
-    white = whitener(oracle.at.settings, oracle.noise.ratio)
-    slices = oracle.model.slices(oracle.observations.context)
-    mine = [k for name in planted for k in range(slices[name].start, slices[name].stop)]
-    others = np.setdiff1d(np.arange(oracle.theta.size), mine)
-    basis = np.linalg.qr(white(oracle.at.jacobian[:, others]))[0]
-    found = []
-    for name, theta in planted.items():
-        column = white((oracle.at.jacobian[:, slices[name]] @ theta)[:, None])[:, 0]
-        rest = column - basis @ (basis.T @ column)
-        found.append(float(np.linalg.norm(rest)) / oracle.noise.factor)
-    return tuple(found)
-
-
-def coverage(fit: Fit, truth: dict[str, Array]) -> tuple[int, int]:
-    """95 % intervals of the base model's parameters that hold the truth, of how many."""
-    slices, hits, count = fit.model.slices(fit.observations.context), 0, 0
-    for name in BASE:
-        for k, value in zip(range(slices[name].start, slices[name].stop), truth[name], strict=True):
-            half = fit.half_width(np.eye(fit.theta.size)[k])
-            hits += bool(abs(fit.theta[k] - value) <= half)
-            count += 1
-    return hits, count
-
-
-def corrected(fit: Fit, reading: Array, context: Context) -> Array:
-    """Readings (n, 3) that were never recorded, corrected by a fit, in m/s²."""
-    model: Model = correcting(fit.model)
-    slices = fit.model.slices(fit.observations.context)
-    parts = [fit.theta[slices[name]] for name in model.names]
-    theta = np.concatenate(parts) if parts else np.zeros(0)
-    return model.correct(theta, reading[:, None], context)[:, 0]
-
-
-def vector_error(fit: Fit, reading: Array, force: Array, context: Context) -> float:
-    """mg rms, of the vector."""
-    away = corrected(fit, reading, context) - force
-    return float(np.sqrt(np.mean(np.sum(away**2, axis=1)))) / MG
-
-
-def norm_error(fit: Fit, reading: Array, force: Array, context: Context) -> float:
-    """mg rms, of the norm: all that gravity alone can determine."""
-    size = np.linalg.norm(corrected(fit, reading, context), axis=1)
-    return float(np.sqrt(np.mean((size - np.linalg.norm(force, axis=1)) ** 2))) / MG
 
 
 def noise(kind: str, shape: tuple[int, ...], rng: np.random.Generator) -> Array:

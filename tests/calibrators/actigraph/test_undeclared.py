@@ -1,6 +1,6 @@
 """Effects that nobody listed: no name is certain beside them, and they are told as something.
 
-The recordings come from plain numpy, the equations written anew (`benchmarks/closed_loop`).
+The recordings come from plain numpy, the equations written anew (`tests/worlds/worn_walk.py`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Worn sensors whose bias wanders: what is planted is named, and noise is named as noise.
 
-The recordings come from plain numpy, the equations written anew (`benchmarks/closed_loop`).
+The recordings come from plain numpy, the equations written anew (`tests/worlds/worn_walk.py`).
 """
 
 from __future__ import annotations
