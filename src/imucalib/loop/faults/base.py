@@ -35,7 +35,7 @@ class Base:
     g: Array
     rss: Array
     grams: Grams
-    dof: int
+    dof: float
     response: Array
 
     def each(self, rss: Array) -> Array:

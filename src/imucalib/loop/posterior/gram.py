@@ -60,11 +60,11 @@ class Grams:
     products: Products
     taken: Array
     log_weight: Array
-    numbers: int
+    numbers: float
     points: tuple[Point, ...]
     spread: float
 
-    def log_noise(self, power: Array, dof: int) -> Array:
+    def log_noise(self, power: Array, dof: float) -> Array:
         """(...) what is left of yᵀ V⁻¹ y with the noise factor integrated out: under Jeffreys'
         prior, and what is known of the factor at its likeliest value."""
         factor = 0.5 * np.log(power / dof)
@@ -111,10 +111,10 @@ def grams_of(problem: Problem, terms: Terms) -> Grams:
     free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
     rich = problem.columns[:n, np.concatenate(free)] if free else np.zeros((n, 0))
     brief = problem.columns[:, [*range(problem.base), problem.columns.shape[1] - 1]]
-    found = np.zeros(len(terms.points), bool)
+    found, dof = np.zeros(len(terms.points), bool), problem.numbers - problem.base
     smooth, gross = REACH**2 * rich @ rich.T, _gross(problem, terms)
     for beside in (0.0, smooth, gross, smooth + gross):
-        evidence = np.array([_evidence(brief, terms, p, beside) for p in terms.points])
+        evidence = np.array([_evidence(brief, terms, p, beside, dof) for p in terms.points])
         found |= evidence > evidence.max() - HEARD
     kept = tuple(terms.points[k] for k in np.flatnonzero(found))
     weighted = np.empty((len(kept), n, problem.columns.shape[1]))
@@ -158,7 +158,7 @@ def _gross(problem: Problem, terms: Terms) -> Array:
     return whole
 
 
-def _evidence(brief: Array, terms: Terms, point: Point, beside: Array | float) -> float:
+def _evidence(brief: Array, terms: Terms, point: Point, beside: Array | float, dof: float) -> float:
     """Log evidence of the base model at one noise, beside a covariance of what it may lack; brief :
     (N, p + 1) its columns and the misfit."""
     n = len(terms.order)
@@ -166,7 +166,6 @@ def _evidence(brief: Array, terms: Terms, point: Point, beside: Array | float) -
     white = np.vstack([_solved(lower, brief[:n]), brief[n:]])
     r = np.linalg.qr(white, mode="r")
     size = np.maximum(np.abs(np.diag(r)), 1e-12)
-    dof = len(brief) - brief.shape[1] + 1
     logs = np.log(np.diag(lower)).sum() + np.log(size[:-1]).sum() + dof * np.log(size[-1])
     return float(point.log_prior - logs)
 

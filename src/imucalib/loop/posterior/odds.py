@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 #: Prior odds that a recording lacks something: four of five measured instruments did; simulated.
-MISSING = 5.0
+MISSING = 10.0
 #: Share of these odds of all names and free functions together, and of loose scans, where no
 #: physics speaks for one value before another; simulated.
 KNOWN, LOOSE = 0.4, 0.05

@@ -57,8 +57,14 @@ class Problem:
         return np.asarray(self.single + np.flatnonzero(np.isin(self.owner, rows)), np.intp)
 
     @property
-    def numbers(self) -> int:
-        return len(self.columns)
+    def numbers(self) -> float:
+        """How many numbers speak of the noise: the readings', and as many as what is known of the
+        base before them settles of its parameters, which then cost none."""
+        n = len(self.fit.at.owner)
+        told, known = self.columns[:n, : self.base], self.columns[n:, : self.base]
+        inner = told.T @ told
+        used = np.trace(np.linalg.pinv(inner + known.T @ known, hermitian=True) @ inner)
+        return float(n + self.base - used)
 
 
 def problem_of(fit: Fit, components: tuple[Component, ...]) -> Problem:

@@ -62,7 +62,7 @@ class Posterior:
     hypotheses: tuple[Hypothesis, ...]
     probability: Array
     grams: Grams
-    dof: int
+    dof: float
     evidence: float
 
     @property
@@ -155,7 +155,7 @@ def _state(hypothesis: Hypothesis, source: _State, choices: tuple[Choice, ...]) 
 
 
 def _opened(
-    problem: Problem, state: _State, choices: tuple[Choice, ...], blocks: _Blocks, dof: int
+    problem: Problem, state: _State, choices: tuple[Choice, ...], blocks: _Blocks, dof: float
 ) -> list[Hypothesis]:
     """Every set with one component more."""
     own = state.hypothesis
@@ -192,7 +192,7 @@ def _opened(
     return found
 
 
-def _scores(state: _State, opened: _Blocks, dof: int) -> tuple[Array, Array]:
+def _scores(state: _State, opened: _Blocks, dof: float) -> tuple[Array, Array]:
     """(M, T) log evidence of each block at each size, over all noises, with the prior of the size
     and without."""
     out = np.full((2, opened.count, SIZES.size), -np.inf)
@@ -204,7 +204,7 @@ def _scores(state: _State, opened: _Blocks, dof: int) -> tuple[Array, Array]:
 
 
 def block_logs(
-    grams: Grams, index: Index, size: Array, dof: int, whole: Array | None = None
+    grams: Grams, index: Index, size: Array, dof: float, whole: Array | None = None
 ) -> tuple[Array, Array]:
     """(E, m, T) log evidence of each block of columns index (m, w) at each size (T,) over the noise
     factor, and that factor; whole : the blocks' own products, where they are there."""
