@@ -185,10 +185,20 @@ def test_a_damaged_index_never_gives_wrong_samples(tmp_path: Path) -> None:
     assert told > 20
 
 
-def test_too_many_datasets_end_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fields, "_MOST", 50)
+@pytest.mark.parametrize(
+    ("limit", "what"),
+    [("_MOST", [1.0]), ("_MOST_OBJECTS", 1.0), ("_MOST_OBJECTS", None)],
+    ids=["rows", "no rows", "groups"],
+)
+def test_too_many_datasets_end_soon(
+    limit: str, what: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fields, limit, 50)
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for k in range(60):
-            file[f"d{k}"] = [1.0]
+            if what is None:
+                file.create_group(f"d{k}")
+            else:
+                file[f"d{k}"] = what
     with pytest.raises(UnreadableInput, match="more than 50 datasets"):
         readers.read(tmp_path / "a.h5")

@@ -104,7 +104,8 @@ class Misfits:
             white = self.white(self.white(part.covariance).T)
             values, vectors = eigen(0.5 * (white + white.T))
             keep = values > 1e-12 * max(float(values[-1]), 1e-300)
-            root = vectors[:, keep] * np.sqrt(values[keep])
+            # The symmetric root: equal values leave the vectors open, and rounding would choose.
+            root = (vectors[:, keep] * np.sqrt(values[keep])) @ vectors[:, keep].T
             size = np.sqrt(part.dof / rng.chisquare(part.dof, draws))[:, None]
             total += size * (rng.standard_normal((draws, root.shape[1])) @ root.T)
         return total

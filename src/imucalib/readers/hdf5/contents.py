@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,14 @@ import numpy as np
 from imucalib.errors import UnreadableInput
 from imucalib.readers.contents import Content, norm_of
 from imucalib.readers.hdf5.attributes import unit_of
-from imucalib.readers.hdf5.fields import datasets
 from imucalib.readers.hdf5.held import Walk
 
 _ROWS = 500
 
 
-def contents_of(file: Any, where: str) -> tuple[Content, ...]:
+def contents_of(held: Iterable[Any], where: str) -> tuple[Content, ...]:
     """Every dataset with its shape, type and unit, and the norm or median of its first rows."""
-    return tuple(_content(node, Path(where)) for node in datasets(file, where))
+    return tuple(_content(node, Path(where)) for node in held)
 
 
 def _content(node: Any, path: Path) -> Content:

@@ -19,7 +19,7 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers.contents import listing, suggestion
 from imucalib.readers.hdf5.attributes import text_of
 from imucalib.readers.hdf5.contents import contents_of
-from imucalib.readers.hdf5.fields import fields_of
+from imucalib.readers.hdf5.fields import datasets, fields_of
 from imucalib.readers.hdf5.file import File, opened
 from imucalib.readers.hdf5.signals import Signal, resolved_mapping, signals_of, stored_rows, times
 from imucalib.readers.joining import join
@@ -68,9 +68,10 @@ def blocks_of(
     file: File, path: Path, mapping: FieldMapping, size: int, *, stored: bool = False
 ) -> Iterator[Recording]:
     """The fields of an open file in blocks of about `size` rows; errors as in `Reader.blocks`."""
-    found = fields_of(file.handle, mapping, file.where)
+    nodes = list(datasets(file.handle, file.where))
+    found = fields_of(file.handle, nodes, mapping)
     if not any(f.quantity != "temperature" for f in found):
-        held = contents_of(file.handle, file.where)
+        held = contents_of(nodes, file.where)
         raise UnreadableInput(
             f"no inertial dataset was found among:{listing(held) or ' none'}\n",
             where=file.where,
