@@ -142,10 +142,10 @@ def test_no_import_circles() -> None:
 
 
 def test_a_climbing_import_is_seen() -> None:
-    tree = ast.parse("def f():\n    from imucalib.loop.closed_loop import close_loop\n")
+    tree = ast.parse("def f():\n    from imucalib.loop.posterior.closed import close_loop\n")
     TREES["errors_test"], SOURCES["errors_test"] = tree, ROOT
     try:
-        assert _own_imports("errors_test") == {"loop.closed_loop"}
+        assert _own_imports("errors_test") == {"loop.posterior.closed"}
     finally:
         del TREES["errors_test"], SOURCES["errors_test"]
 

@@ -25,7 +25,7 @@ from imucalib.calibrators.lab.calibrate import LabSettings, calibrate
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.simulation import BenchPlan, planted_truth, simulated_table
 from imucalib.core.references import angles_of, unit_vector
-from imucalib.loop.closed_loop import LoopSettings
+from imucalib.loop.found import LoopSettings
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]

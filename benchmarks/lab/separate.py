@@ -41,8 +41,8 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.estimators.starting_point import full_matrix_start
 from imucalib.loop.asked import searched
-from imucalib.loop.closed_loop import close_loop
-from imucalib.loop.found import FitLoop, LoopSettings
+from imucalib.loop.found import FitLoop
+from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.separation.ambiguities import ambiguities
 from imucalib.loop.separation.plan import separation
 
@@ -142,10 +142,7 @@ def search(kind: str, table: Table) -> FitLoop:
     model = base_model(settings, data)
     wanted = searched((), settings.without, {})
     start = full_matrix_start(model, data)
-    rng = np.random.default_rng(0)
-    return close_loop(
-        model, data, wanted.effects, rng, LoopSettings(draws=299), start, wanted.families
-    )
+    return close_loop(model, data, wanted, start).loop
 
 
 def calibration_of(fit: Fit):

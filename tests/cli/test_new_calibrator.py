@@ -36,8 +36,9 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.core.sphere import even_directions
 from imucalib.effects import catalogue, named
-from imucalib.loop.closed_loop import close_loop
+from imucalib.loop.asked import Searched
 from imucalib.loop.held_out import Held, fitted, held_out
+from imucalib.loop.posterior.closed import close_loop
 from imucalib.report.files import Report
 from imucalib.report.sections import standard_document
 from imucalib.units import MG
@@ -56,7 +57,7 @@ def toy_run(path: Path, asked: Shared) -> Run:
     )  # fmt: skip
     model = Model(tuple(named(name) for name in ("bias", "scale", "non_orthogonality")))
     effects = {n: e for n, e in catalogue().items() if e.stage == "sensor"}
-    loop = close_loop(model, data, effects, np.random.default_rng(asked.seed), asked.rules)
+    loop = close_loop(model, data, Searched(effects, ())).loop
     base, final = loop.plain, loop.as_recorded
     raw = _raw(data, asked)
     out = [_mg(held_out(f)) for f in (base, final)]

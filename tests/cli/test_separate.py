@@ -97,7 +97,7 @@ def test_what_gravity_alone_never_tells_is_said_with_what_would(cave: Path) -> N
     assert (told.return_value, told.stdout) == (5, "")
 
 
-@pytest.mark.parametrize("name", ["bi", "fb"])
+@pytest.mark.parametrize("name", ["ai"])
 def test_noise_that_neighbours_share_is_noise_of_later_rests(name: str, tmp_path: Path) -> None:
     """Of cave_bi the walk takes all of the noise: rests without any would tell everything."""
     table = SAMPLES / f"cave_{name}.csv"

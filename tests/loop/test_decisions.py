@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import stats
 
 from imucalib.calibrators.array.loop.subject import MotionSubject
 from imucalib.calibrators.array.loop.worth import not_held_out, why_not
@@ -17,10 +16,8 @@ from imucalib.core.context import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from imucalib.effects import catalogue
-from imucalib.loop import candidates, choice, search, shapes, unexplained
-from imucalib.loop.anytime import e_value as anytime
-from imucalib.loop.design import Fold, folds_of, parts_of
-from imucalib.loop.difference import Difference, difference, with_density
+from imucalib.loop import candidates, search, shapes
+from imucalib.loop.design import Fold
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import LoopSettings, Wander
 from imucalib.loop.noise import shared
@@ -69,12 +66,6 @@ def test_a_curve_is_clear_three_nats_beyond_chance() -> None:
     assert search.clear(score(evidence=10.0, bar=99.0), replace(rules, bar=7.0))
 
 
-def test_what_data_refuse_is_told_beyond_ten_nats_or_one_in_a_hundred() -> None:
-    assert unexplained.beyond_chance(score(evidence=10.1, p=0.03))
-    assert not unexplained.beyond_chance(score(evidence=10.0, p=0.011))
-    assert unexplained.beyond_chance(score(evidence=1.0, p=0.01))
-
-
 def test_beside_structure_without_a_cause_a_name_has_to_be_certain() -> None:
     """A third harmonic of the tool-face with a product of forces at p 0.034 beside it: the true
     error was 0.80 mg with the product and 0.43 without."""
@@ -102,34 +93,6 @@ def test_a_scan_is_worth_the_mean_of_its_values() -> None:
     assert [s.name for s in found] == ["1", "plain", "low"]
     assert found[0].evidence == pytest.approx(np.log(np.mean(np.exp(nats))))
     assert found[2].evidence == 0.0
-
-
-def test_structure_is_told_three_times_at_most_and_by_its_p() -> None:
-    rules = LoopSettings(alpha=0.05)
-    every = (score("effect"), *(score(str(k), kind="probe", p=0.05) for k in range(4)),
-             score("late", kind="probe", p=0.051))  # fmt: skip
-    assert [u.name for u in unexplained.unexplained(every, rules)] == ["0", "1", "2"]
-    assert search.choose(every, rules) is every[0]
-    assert search.choose(every[1:], rules) is None
-
-
-def leads(monkeypatch: pytest.MonkeyPatch, curve: list[float], name: list[float],
-          before: float) -> bool:  # fmt: skip
-    monkeypatch.setattr(choice, "log_predictives", np.array)
-    monkeypatch.setattr(choice, "log_predictive", lambda fit: fit)
-    return choice._leads(curve, name, before)  # type: ignore[arg-type]
-
-
-def test_a_curve_leads_by_a_standard_error_and_a_fifth_of_its_gain(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Leads of 2 and 4 have a sum of 6 and a standard error of 2."""
-    assert leads(monkeypatch, [5.0, 9.0], [3.0, 5.0], 13.0)
-    assert not leads(monkeypatch, [5.0, 9.0], [3.0, 5.0], 14.0 - 31.0)  # of 31 nats in all
-    assert leads(monkeypatch, [5.0, 9.0], [3.0, 5.0], 14.0 - 29.0)
-    assert leads(monkeypatch, [10.0, 0.0], [-1.0, -9.01], 9.0)
-    assert not leads(monkeypatch, [1.0, -0.9], [-1.0, 1.0], 9.0)
-    assert not leads(monkeypatch, [0.0, 1.0], [-1.0, 0.001 + 1.0 + 0.5], 0.9)
 
 
 def fit_of(theta: float = 1.0, *, nats: float, rms: float, **more: object) -> SimpleNamespace:
@@ -216,51 +179,6 @@ def test_both_halves_of_a_motion_must_agree(
     nothing = trial(2.0)
     nothing.terms[0].value = np.zeros(0)
     assert "determine none" in why_not(trial(1.0), nothing)  # type: ignore[arg-type]
-
-
-def test_the_difference_is_a_ratio_estimate_with_a_wider_interval() -> None:
-    """Student's t over the parts; √(1 + K / (K - 1)) for the training data that folds share."""
-    rng = np.random.default_rng(0)
-    before, after = rng.uniform(1.0, 2.0, 30), rng.uniform(0.5, 1.5, 30)
-    part = np.repeat(np.arange(6), [3, 7, 5, 5, 4, 6])
-    for metric, power in (("rms", 2.0), ("mean", 1.0)):
-        found = difference(before, after, part, 6, metric)  # type: ignore[arg-type]
-        change = before**power - after**power
-        mean, count = change.mean(), np.bincount(part)
-        off = (np.bincount(part, change) - mean * count) / count.mean()
-        error = np.sqrt(np.sum(off**2) / 5.0 / 6.0) * stats.t.ppf(0.975, 5)
-        start, end = (np.mean(e**power) ** (1.0 / power) for e in (before, after))
-        unit = start + end if metric == "rms" else 1.0
-        assert (found.before, found.after) == pytest.approx((start, end))
-        assert found.gain == pytest.approx(mean / unit)
-        wide = np.sqrt(1.0 + 6.0 / 5.0)
-        assert (found.low, found.high, found.plain_low) == pytest.approx(
-            ((mean - wide * error) / unit, (mean + wide * error) / unit, (mean - error) / unit)
-        )
-    nats = np.array([1.0, 2.0, 4.0])
-    dense = with_density(found, nats, decides=True)
-    low = 7.0 - stats.t.ppf(0.975, 2) * np.std(nats, ddof=1) * np.sqrt(3.0)
-    assert (dense.nats, dense.nats_low) == pytest.approx((7.0, low))
-
-
-@pytest.mark.parametrize(
-    ("low", "plain", "nats", "least", "dense", "told"),
-    [
-        (0.1, 0.2, 1.0, -1.0, False, (True, True, True)),
-        (0.1, 0.2, -0.1, -1.0, False, (False, True, True)),
-        (-0.1, 0.2, 5.0, 1.0, False, (False, True, True)),
-        (-0.1, -0.2, 5.0, 1.0, True, (True, True, True)),
-        (-0.1, -0.2, -0.9, -3.0, True, (False, False, True)),
-        (-0.1, -0.2, -1.1, -3.0, True, (False, False, False)),
-        (-0.1, 0.2, -1.1, -2.1, True, (False, True, False)),
-        (-0.1, 0.2, -1.1, -2.3, True, (False, True, True)),
-    ],
-)
-def test_what_is_proved_likely_and_refuted(
-    low: float, plain: float, nats: float, least: float, dense: bool, told: tuple[bool, ...]
-) -> None:
-    one = Difference(2.0, 1.0, low, 9.0, plain, 10, nats, least, by_density=dense)
-    assert (one.proved, one.likely, one.holds) == told
 
 
 def test_walks_remember_from_three_minutes_to_a_sixth_of_the_recording() -> None:
@@ -404,18 +322,6 @@ def test_the_best_of_a_scan_is_sought_between_its_neighbours() -> None:
     assert shapes._numbers_of("shape@bias:order:kink:1.5:2") == (1.5, 2.0)
 
 
-def test_an_e_value_is_the_mean_over_its_stakes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tenth on the martingales, the rest on the looks that stand beforehand, which pay twenty."""
-    at = SimpleNamespace(residual=np.zeros(5), jacobian=np.zeros((5, 1)), settings=(), free=0)
-    own = SimpleNamespace(at=at, noise=Noise(1.0), observations=SimpleNamespace(n=5))
-    monkeypatch.setattr(anytime, "log_e_value", lambda fit, blocks: np.array([1.0, 3.0, -2.0]))
-    monkeypatch.setattr(anytime, "passed", lambda table, chance, seed: True)
-    blocks = [np.zeros((5, 2))] * 3
-    due = 0.1 * (np.exp(1.0) + np.exp(3.0) + np.exp(-2.0)) / 4.0 + 20.0
-    assert anytime.e_value(own, blocks, 4) == pytest.approx(due)  # type: ignore[arg-type]
-    assert np.isnan(anytime.e_value(own, [*blocks, np.zeros((4, 2))], 4))  # type: ignore[arg-type]
-
-
 def test_stretches_of_time_stand_for_noise_that_neighbours_share() -> None:
     """Forty-eight of them, in the order of recording, at a mg each."""
     n = 480
@@ -471,22 +377,6 @@ def bench(groups: Array) -> SimpleNamespace:
     reference = KnownVector(np.zeros(n), np.zeros(n), 9.8, ids, ids)
     reading = np.random.default_rng(0).normal(size=(n, 1, 3))
     return SimpleNamespace(group=groups, n=n, reading=reading, reference=reference)
-
-
-def test_positions_are_left_out_one_by_one_up_to_thirty_and_stretches_with_a_gap() -> None:
-    assert len(folds_of(bench(np.arange(30)))) == 30  # type: ignore[arg-type]
-    ten = folds_of(bench(np.arange(31)))  # type: ignore[arg-type]
-    assert sorted(f.rows.size for f in ten) == [3] * 9 + [4]
-    assert all(
-        np.array_equal(np.sort(np.concatenate([f.rows, f.rest])), np.arange(31)) for f in ten
-    )
-    time = np.arange(300) // 100
-    first, second, third = folds_of(bench(time))  # type: ignore[arg-type]
-    assert first.rest.tolist() == list(range(103, 300))
-    assert second.rest.tolist() == [*range(97), *range(203, 300)]
-    assert third.stretch
-    assert np.unique(parts_of((first, second, third))).tolist() == [0, 100, 200]
-    assert not folds_of(bench(np.arange(29) // 10))[0].stretch  # type: ignore[arg-type]
 
 
 def rivals() -> Ambiguity:

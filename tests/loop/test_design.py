@@ -7,7 +7,7 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.loop.design import folds_of
-from imucalib.loop.difference import difference, with_density
+from imucalib.loop.difference import difference
 from worlds.bench import bench
 
 
@@ -51,7 +51,8 @@ def test_the_order_of_the_rows_is_no_part_of_the_design(n: int, groups: int) -> 
 
 
 def test_few_positions_are_left_out_one_by_one() -> None:
-    assert {f.rows.size for f in folds_of(_grouped(24, 24))} == {1}
+    assert {f.rows.size for f in folds_of(_grouped(12, 12))} == {1}
+    assert {f.rows.size for f in folds_of(_grouped(13, 13))} == {1, 2}
 
 
 def test_the_interval_covers_the_gain() -> None:
@@ -91,16 +92,3 @@ def test_one_part_proves_nothing() -> None:
     found = difference(np.ones(5), np.zeros(5), np.zeros(5, dtype=np.intp), 1, "mean")
     assert not found.proved
     assert found.low == -np.inf
-
-
-def test_one_surprised_fold_refutes_nothing_that_the_error_shows() -> None:
-    """The density of one part may fall by as much as its noise is small; a loss in all of them
-    refutes, and so does any where the error has not fallen."""
-    part = np.arange(20)
-    fallen = difference(np.full(20, 3.0), np.linspace(0.9, 1.1, 20), part, 20, "rms")
-    one = np.full(20, 2.0)
-    one[3] = -90.0
-    assert with_density(fallen, one, decides=True).holds
-    assert not with_density(fallen, np.full(20, -2.5), decides=True).holds
-    same = difference(np.full(20, 3.0), np.full(20, 3.0), part, 20, "rms")
-    assert not with_density(same, one, decides=True).holds

@@ -12,9 +12,10 @@ from imucalib.core.context import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue
-from imucalib.loop.closed_loop import close_loop
+from imucalib.loop.asked import Searched
 from imucalib.loop.found import FitLoop
 from imucalib.loop.noise.grid import TAU
+from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.separation import plan, repeated
 from imucalib.loop.separation.ambiguities import ambiguities
 from imucalib.loop.separation.angle import Pair, apart, pairs_of
@@ -46,7 +47,7 @@ def searched(seed: int = 3, noise: float = 0.3) -> FitLoop:
     )
     model = base_model(("bias", "scale", "non_orthogonality"))
     effects = {name: catalogue()[name] for name in NAMES}
-    return close_loop(model, data, effects, np.random.default_rng(0))
+    return close_loop(model, data, Searched(effects, ())).loop
 
 
 def ambiguity() -> Ambiguity:

@@ -37,7 +37,8 @@ class FoundStep:
     not, as their metric says; held_out : nats that data gain which did not estimate it; curve :
     what a correction without a name corrects, in words, or empty; formula : of a form that has no
     cause, in words, or empty; certain : nothing else would do, chance would not, and held-out data
-    prove it; e_value : see `Step`
+    prove it
+    probability : that it is there; rivals : (effect, share) of all that may stand in its place
     """
 
     effect: str
@@ -52,7 +53,8 @@ class FoundStep:
     curve: str = ""
     formula: str = ""
     certain: bool = False
-    e_value: float = math.nan
+    probability: float = math.nan
+    rivals: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,8 @@ def _step(step: Step, loop: FitLoop) -> FoundStep:
         curve=curve,
         formula=f"{form.sentence.rstrip('.')}, {form.equation}" if form else "",
         certain=step.certain and not loop.suspected,
-        e_value=step.e_value,
+        probability=step.probability,
+        rivals=step.rivals,
     )
 
 

@@ -59,6 +59,12 @@ def known(name: str) -> Effect | None:
     return catalogue().get(name)
 
 
+def names_a_cause(name: str) -> bool:
+    """Whether an effect of this name is a cause, and no free function or form."""
+    family = families().get(name.partition("@")[0])
+    return family is None or not family.free
+
+
 def load_file(path: Path) -> dict[str, Effect]:
     """Add the effects of a user's file to the catalogue.
 

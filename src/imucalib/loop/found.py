@@ -68,7 +68,6 @@ class Step:
     value : its size in words, where the parameters do not say it; gains : nats that each held-out
         part gains, where there are parts
     curve : whether it is a smooth correction of structure that has no name
-    e_value : evidence that stays valid while a table grows; NaN where there is none
     probability : that it is there; rivals : (effect, share) of all that may stand in its place
     sure : whether it is beyond doubt, where a posterior says so
     """
@@ -82,7 +81,6 @@ class Step:
     value: str = ""
     gains: tuple[float, ...] = ()
     curve: bool = False
-    e_value: float = math.nan
     probability: float = math.nan
     rivals: tuple[tuple[str, float], ...] = ()
     sure: bool | None = None

@@ -7,7 +7,7 @@ what a user would see: the corrected reading against the reference, fixture effe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.truth import Truth
 from imucalib.effects.record_error import is_record_error
+from imucalib.loop.design import Fold
 from imucalib.loop.foretold import foretold_stretches
 
 #: What a group must leave of the data's information on every direction, for θ without it to follow
@@ -138,6 +139,27 @@ def held_out(fit: Fit, observations: Observations | None = None) -> Held:
     for rows, held in parts:
         corrected[rows], expected[rows], error[rows] = held.corrected, held.expected, held.error
     return Held(corrected, expected, error)
+
+
+def by_folds(fit: Fit, folds: tuple[Fold, ...]) -> Held:
+    """Held-out predictions by the folds of a design, of a model that nothing was chosen for."""
+    data = fit.observations
+    every = np.arange(data.n)
+    parts = []
+    for fold in folds:
+        theta = without_records(fit, theta_without(fit, np.setdiff1d(every, fold.rest)))
+        parts.append(errors(fit, theta, data.take(fold.rows)))
+    return joined(parts, folds)
+
+
+def joined(parts: Sequence[Held], folds: Sequence[Fold]) -> Held:
+    """Predictions of every fold in the order of the observations."""
+    order = np.argsort(np.concatenate([fold.rows for fold in folds]))
+
+    def each(name: str) -> Array:
+        return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])
+
+    return Held(each("corrected"), each("expected"), each("error"))
 
 
 def left_out_sizes(fit: Fit) -> Array:

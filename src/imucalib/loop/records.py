@@ -14,9 +14,9 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.effects.record_error import record_error, record_of
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.candidates import record_candidates
+from imucalib.loop.candidates import ALL_TRIADS, record_candidates
 from imucalib.loop.evidence import Score, score
-from imucalib.loop.held_out import left_out_sizes
+from imucalib.loop.held_out import left_out_sizes, theta_without, without_records
 from imucalib.loop.record_errors import (
     RecordError,
     diagnose,
@@ -99,10 +99,27 @@ def accused(fit: Fit, found: Sequence[tuple[int, float]]) -> tuple[RecordError, 
     return tuple(diagnose(fit, row, _channel(fit, row), math.exp(-o), o) for row, o in found)
 
 
+def _of_triads(fit: Fit, row: int) -> str:
+    """The triad that is farther off the others than these are off gravity's size, or all; of a
+    single one the norm."""
+    context, reference = fit.observations.context, fit.observations.reference
+    if len(context.triads) == 1:
+        return "norm"
+    rows = np.array([row])
+    theta = without_records(fit, theta_without(fit, rows))
+    force = fit.model.correct(theta, fit.observations.reading[rows], context.take(rows))
+    common = context.in_common(force)[0]
+    middle = np.median(common, axis=0)
+    away = np.linalg.norm(common - middle, axis=1)
+    gravity = float(np.linalg.norm(reference.truth(fit.eta)[row, 0]))
+    alone = float(away.max()) > abs(float(np.linalg.norm(middle)) - gravity)
+    return context.triads[int(np.argmax(away))] if alone else ALL_TRIADS
+
+
 def _channel(fit: Fit, row: int) -> str:
     """Which axis of a record is off most."""
     if not fit.observations.reference.directed:
-        return "norm"
+        return _of_triads(fit, row)
     said = predict_record(fit, row)
     away = np.abs(fit.observations.reading[row, 0] - said.mean)
     return "xyz"[int(np.argmax(away / np.sqrt(np.diag(said.covariance))))]

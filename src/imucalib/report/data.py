@@ -137,7 +137,8 @@ def _step(step: FoundStep) -> dict[str, Any]:
         "size": step.size,
         "p_value": step.p,
         "draws": step.draws,
-        "e_value": step.e_value,
+        "probability": step.probability,
+        "in_its_place": [{"effect": name, "share": share} for name, share in step.rivals],
         "evidence_nats": step.evidence,
         "held_out_nats": list(step.held_out),
         "checks": [

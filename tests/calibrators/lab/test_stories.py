@@ -16,7 +16,7 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_table
 from imucalib.errors import UsageError
-from imucalib.loop.closed_loop import LoopSettings
+from imucalib.loop.found import LoopSettings
 from imucalib.units import MG, STANDARD_GRAVITY
 
 RULES = LabSettings(rules=LoopSettings(draws=199, alpha=0.04, record_alpha=0.01))

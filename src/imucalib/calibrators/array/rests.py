@@ -35,9 +35,9 @@ from imucalib.core.truth import Truth
 from imucalib.effects import catalogue, families
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.asked import searched
-from imucalib.loop.closed_loop import close_loop
+from imucalib.loop.asked import Searched, searched
 from imucalib.loop.found import FitLoop, LoopSettings
+from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.thresholds import GROSS
 from imucalib.rests.segments import Segments
 
@@ -218,8 +218,7 @@ def _searched(model: Model, data: Observations, asked: Asked, seed: int) -> FitL
     wanted = searched(only, without, {}, lambda e: e.stage == "sensor" and e.name not in BASE)
     effects = {} if asked.only and not only else wanted.effects
     scans = () if asked.only else wanted.families
-    rng = np.random.default_rng(seed)
-    return close_loop(model, data, effects, rng, REST_RULES, families=scans)
+    return close_loop(model, data, Searched(effects, scans)).loop
 
 
 def _too_alike() -> Undetermined:

@@ -13,7 +13,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.loop.design import Fold
-from imucalib.loop.held_out import Held, errors
+from imucalib.loop.held_out import Held, errors, joined
 from imucalib.loop.posterior.gram import Grams, without
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import Choice, Problem
@@ -62,7 +62,7 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
             one = solved(problem, kept, hypothesis, choices)
             fit = replace(problem.fit, model=one.model, theta=one.theta)
             out.append(errors(fit, one.theta, held))
-    return LeftOut(_joined(before, folds), _joined(after, folds), np.array(nats), agreed)
+    return LeftOut(joined(before, folds), joined(after, folds), np.array(nats), agreed)
 
 
 def _foretold(
@@ -96,12 +96,3 @@ def _rivals(problem: Problem, posterior: Posterior) -> Iterator[Choice]:
     single = [h for h in posterior.hypotheses if len(h.components) == 1][:_SINGLES]
     used |= {h.components[0] for h in single}
     return (c for c in problem.choices if c.component in used)
-
-
-def _joined(parts: Sequence[Held], folds: Sequence[Fold]) -> Held:
-    order = np.argsort(np.concatenate([fold.rows for fold in folds]))
-    return Held(
-        np.concatenate([p.corrected for p in parts])[order],
-        np.concatenate([p.expected for p in parts])[order],
-        np.concatenate([p.error for p in parts])[order],
-    )

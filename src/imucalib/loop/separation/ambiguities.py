@@ -13,7 +13,7 @@ from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.effects import known
+from imucalib.effects import known, names_a_cause
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.candidates import effect_columns
 from imucalib.loop.found import FitLoop, Step
@@ -30,7 +30,8 @@ def ambiguities(loop: FitLoop) -> tuple[Ambiguity, ...]:
 
 
 def _of_step(loop: FitLoop, step: Step) -> Ambiguity | None:
-    named = [e for name in (step.effect, *step.aliases) if (e := known(name)) is not None]
+    causes = filter(names_a_cause, (step.effect, *step.aliases))
+    named = [e for name in causes if (e := known(name)) is not None]
     if len(named) < 2 or step.effect not in loop.final.model.names:
         return None
     without = reduced(loop.final, (step.effect,))
@@ -68,7 +69,7 @@ def _near(loop: FitLoop, step: Step) -> list[Effect]:
         and s.name.partition("@")[0] not in taken
         and s.name not in loop.final.model.names
     ]
-    return [e for name in near if (e := known(name)) is not None]
+    return [e for name in filter(names_a_cause, near) if (e := known(name)) is not None]
 
 
 def _products(fit: Fit, columns: Sequence[Array]) -> Products:

@@ -1,0 +1,220 @@
+"""Laws of the posterior: of its algebra by other ways to the same number, and of its words by
+worlds that it did not make."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imucalib
+from imucalib.core.context import Context
+from imucalib.core.observations import Observations
+from imucalib.core.references import KnownNorm
+from imucalib.effects import catalogue, families
+from imucalib.estimators.least_squares import fit
+from imucalib.loop.asked import Searched, searched
+from imucalib.loop.posterior.closed import close_loop
+from imucalib.loop.posterior.component import log_odds, log_set_prior, log_size_prior
+from imucalib.loop.posterior.explored import Explored, explored
+from imucalib.loop.posterior.gram import swept, without
+from imucalib.loop.posterior.odds import SIZES
+from imucalib.loop.posterior.solution import solved
+from imucalib.loop.posterior.space import log_evidence, search
+from imucalib.loop.posterior.words import told
+from imucalib.units import MG
+from worlds.bench import base_model
+
+G = 9.80665
+NINE = ("bias", "scale", "non_orthogonality")
+
+
+def at_rest(seed: int, n: int = 40, bend: float = 0.0, noise: float = 0.3) -> Observations:
+    """Attitudes at random of a sensor in plain numpy; bend : mg/g² along each axis."""
+    rng = np.random.default_rng(seed)
+    u = rng.normal(size=(n, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    gain = np.eye(3) + np.triu(0.003 * rng.normal(size=(3, 3))) + 0.004 * np.diag([1.0, -1.0, 0.5])
+    reading = 1000.0 * u @ gain.T + [12.0, -9.0, 20.0] + bend * np.array([1.0, -0.8, 1.2]) * u**2
+    reading = reading + noise * rng.normal(size=(n, 3))
+    context = Context(n, {"order": np.linspace(0.0, 1.0, n), "record": np.arange(n, dtype=float)})
+    return Observations(
+        reading[:, None] * MG, np.full((n, 1, 3), MG), KnownNorm(n, G), context, np.arange(n),
+        tuple(f"row {k + 1}" for k in range(n)),
+    )  # fmt: skip
+
+
+def asked() -> Searched:
+    return searched((), (), {}, lambda effect: effect.stage == "sensor")
+
+
+@cache
+def found(seed: int = 1, bend: float = 3.0) -> Explored:
+    return explored(fit(base_model(NINE), at_rest(seed, bend=bend)), asked())
+
+
+def test_the_evidence_of_a_set_does_not_depend_on_its_order() -> None:
+    one = found()
+    at = [c.at for c in one.problem.choices[:3]]
+    sizes = (0.5, 2.0, 8.0)
+    values = [
+        log_evidence(one.problem, one.posterior.grams, [(at[k], sizes[k]) for k in order])
+        for order in permutations(range(3))
+    ]
+    np.testing.assert_allclose(values, values[0], rtol=1e-9)
+
+
+def test_the_evidence_is_that_of_the_joint_normal() -> None:
+    """By the determinant and the quadratic form of the whole covariance, base flat."""
+    one = found()
+    problem, grams = one.problem, one.posterior.grams.of(np.array([0]))
+    at, size = problem.choices[0].at, 2.0
+    n = len(problem.fit.at.owner)
+    x, c = problem.columns[:n, : problem.base], problem.columns[:n, at]
+    y = problem.columns[:n, -1]
+    whole = np.linalg.inv(grams.products.weighted[0][:, problem.single : problem.single + n])
+
+    def density(v: np.ndarray) -> float:
+        inverse = np.linalg.inv(v)
+        inner = x.T @ inverse @ x
+        p = inverse - inverse @ x @ np.linalg.solve(inner, x.T @ inverse)
+        dof = n - problem.base
+        log_det = np.linalg.slogdet(v)[1] + np.linalg.slogdet(inner)[1]
+        return float(-0.5 * log_det - 0.5 * dof * np.log(y @ p @ y))
+
+    gain = log_evidence(problem, grams, [(at, size)]) - log_evidence(problem, grams, [])
+    assert gain == pytest.approx(density(whole + size**2 * c @ c.T) - density(whole), rel=1e-6)
+
+
+def test_rows_left_out_are_as_good_as_never_taken() -> None:
+    one = found()
+    problem, grams = one.problem, one.posterior.grams.of(np.array([0]))
+    rows = np.array([3, 7, 21])
+    kept = swept(without(grams, problem.of_rows(rows)), np.arange(problem.base), np.inf)
+    n = len(problem.fit.at.owner)
+    inverse = grams.products.weighted[0][:, problem.single : problem.single + n]
+    rest = np.setdiff1d(np.arange(n), np.flatnonzero(np.isin(problem.owner, rows)))
+    alone = np.linalg.inv(np.linalg.inv(inverse)[np.ix_(rest, rest)])
+    z = problem.columns[rest]
+    a = z.T @ alone @ z
+    b = a[: problem.base]
+    a = a - b.T @ np.linalg.solve(b[:, : problem.base], b)
+    assert kept.power[0] == pytest.approx(a[-1, -1], rel=1e-6)
+    own = problem.choices[0].at
+    np.testing.assert_allclose(kept.along[0, own], a[own, -1], rtol=1e-6, atol=1e-9)
+
+
+def test_priors_sum_to_one_and_share_their_odds() -> None:
+    assert np.exp(log_size_prior(0.3 * SIZES)).sum() == pytest.approx(1.0)
+    flat = log_size_prior(SIZES * 0.001)
+    np.testing.assert_allclose(flat, flat[0])
+    components = found().problem.components
+    odds = np.exp(log_odds(components))
+    assert len({round(float(o), 12) for o in odds}) <= 2
+    assert log_set_prior(np.log(odds), ()) == 0.0
+
+
+def test_members_of_every_component_share_its_odds() -> None:
+    problem = found().problem
+    weight = np.zeros(len(problem.components))
+    for choice in problem.choices:
+        weight[choice.component] += np.exp(choice.log_weight)
+    np.testing.assert_allclose(weight, 1.0)
+
+
+def test_no_effect_s_name_stands_in_the_room() -> None:
+    """Nothing here knows a single effect: what is wrong of one is its prior or its columns."""
+    room = Path(imucalib.__file__).parent / "loop" / "posterior"
+    names = [n for n in (*catalogue(), *families()) if len(n) > 7 and "_" in n]
+    for path in room.glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert not [n for n in names if n in text], path.name
+
+
+def test_the_mean_of_what_is_likely_against_a_clean_recording_is_one() -> None:
+    """The evidence of a component over the base model averages one on data that lack nothing:
+    whatever its columns, sizes and the noise's factor."""
+    one = found(bend=0.0)
+    problem, grams = one.problem, one.posterior.grams.of(np.array([0]))
+    rng = np.random.default_rng(0)
+    n = len(problem.fit.at.owner)
+    lower = np.linalg.cholesky(
+        np.linalg.inv(grams.products.weighted[0][:, problem.single : problem.single + n])
+    )
+    (j,) = (
+        j for j, c in enumerate(problem.choices)
+        if c.member.name == "quadratic" and c.at.size == 3
+    )  # fmt: skip
+    ratios = []
+    for _ in range(400):
+        columns = problem.columns.copy()
+        columns[:n, -1] = lower @ rng.normal(size=n)
+        other = replace(problem, columns=columns)
+        weighted = grams.products.weighted.copy()
+        inverse = weighted[0][:, problem.single : problem.single + n]
+        weighted[0][:, -1] = inverse @ columns[:n, -1]
+        products = replace(grams.products, columns=columns[:n], weighted=weighted)
+        drawn = replace(grams, products=products)
+        at = problem.choices[j].at
+        gain = log_evidence(other, drawn, [(at, 1.0)]) - log_evidence(other, drawn, [])
+        ratios.append(np.exp(gain))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * np.std(ratios) / 20.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_clean_recording_lacks_nothing(seed: int) -> None:
+    assert not told(found(seed, 0.0).problem, found(seed, 0.0).posterior).places
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_was_planted_stands_in_its_place_and_is_undone(seed: int) -> None:
+    data = at_rest(seed, 60, bend=4.0)
+    loop = close_loop(base_model(NINE), data, asked()).loop
+    (step,) = loop.steps
+    assert "quadratic" in {step.effect, *step.aliases}
+    assert loop.difference is not None
+    assert loop.difference.holds
+    slices = loop.final.model.slices(data.context)
+    if step.effect == "quadratic":
+        size = loop.final.theta[slices["quadratic"]]
+        np.testing.assert_allclose(size, [4.0, -3.2, 4.8], atol=5.0 * loop.final.sd.max())
+
+
+def test_a_rest_that_was_none_is_set_aside_and_nothing_else() -> None:
+    data = at_rest(3, 40)
+    reading = data.reading.copy()
+    reading[11] *= 1.02
+    loop = close_loop(base_model(NINE), data.with_reading(reading), asked()).loop
+    assert [r.where for r in loop.records] == ["row 12"]
+    assert not loop.steps
+
+
+def test_the_same_recording_gives_the_same_answer_in_any_order() -> None:
+    """By the size of gravity alone, and without an order, rows have none."""
+    data = at_rest(5, 40, bend=3.0)
+    data = replace(data, context=Context(data.n))
+    mixed = data.take(np.random.default_rng(0).permutation(data.n))
+    one, two = (explored(fit(base_model(NINE), d), asked()) for d in (data, mixed))
+    assert one.posterior.probability[0] == pytest.approx(two.posterior.probability[0], rel=1e-6)
+
+
+def test_the_linear_solution_is_the_fit_where_all_is_linear() -> None:
+    one = found()
+    said = told(one.problem, one.posterior).hypothesis
+    linear = solved(one.problem, one.posterior.grams, said)
+    again = fit(linear.model, one.base.observations, start=linear.theta, shrink=linear.shrink)
+    off = np.abs(again.theta - linear.theta) / np.sqrt(np.diag(linear.covariance))
+    assert off.max() < 0.2
+
+
+def test_fewer_choices_give_the_same_sets() -> None:
+    one = found()
+    best = one.posterior.best
+    some = tuple(c for c in one.problem.choices if c.component in best.components)
+    again = search(one.problem, one.posterior.grams, some)
+    same = next(h for h in again.hypotheses if h.components == best.components)
+    assert same.evidence == pytest.approx(best.evidence, abs=1e-9)
