@@ -33,6 +33,13 @@ def probability(p: float, draws: int) -> str:
     return f"< {1.0 / draws:.1g}" if p <= 1.5 / (draws + 1) else f"{p:.2g}"
 
 
+def per_cent(share: float) -> str:
+    """A probability as a person reads it: never 0 or 100 %."""
+    if share > 0.99:
+        return "> 99 %"
+    return "< 1 %" if share < 0.01 else f"{100.0 * share:.0f} %"
+
+
 def spread(values: tuple[float, float], places: int = 2) -> str:
     """Largest and rms value: "0.84 / 0.36"."""
     return f"{values[0]:.{places}f} / {values[1]:.{places}f}"

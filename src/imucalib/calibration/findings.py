@@ -181,7 +181,8 @@ def _facts(loop: FitLoop) -> tuple[tuple[str, str], ...]:
 
 def _step(step: Step, loop: FitLoop) -> FoundStep:
     before, after = step.checked[0].before, step.checked[0].after
-    check = Check("leave-one-out error, rms", "mg", before / MG, after / MG)
+    held = "leave-one-out error, rms" if math.isnan(step.probability) else "held-out error, rms"
+    check = Check(held, "mg", before / MG, after / MG)
     curve = ""
     if step.curve:
         what, against = step.effect.partition("@")[2].split(":")[:2]

@@ -11,13 +11,13 @@ from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.report.document import Card, Text, Tone, Worth
 from imucalib.report.gain import density_words, refuted_words
-from imucalib.significant_digits import plus_minus, two_digits
+from imucalib.significant_digits import per_cent, plus_minus, two_digits
 from imucalib.units import MG
 
 #: Parameters of one effect that a card names, steps of advice that it gives, names left open.
 _PARAMETERS, _STEPS, _LEFT = 3, 4, 3
 #: Effects whose meaning is told: of more the names must do.
-_TOLD = 3
+_TOLD, _RIVALS = 3, 3
 #: What stands between a slip and the option that repairs it.
 _DECIDE = "; decide with"
 _USE = (
@@ -130,11 +130,25 @@ def _meaning(step: FoundStep) -> str:
 def _doubt(step: FoundStep, found: Findings) -> str:
     """What else it may be, and whether data that took no part prove it."""
     doubts = []
-    if step.aliases:
+    if not math.isnan(step.probability):
+        doubts.append(_likely(step))
+    elif step.aliases:
         doubts.append(f"or {' or '.join(map(in_words, step.aliases))}")
     if found.verdict == "suspected":
         doubts.append("not proved by held-out data, yet corrected")
     return f" ({'; '.join(doubts)})" if doubts else ""
+
+
+def _likely(step: FoundStep) -> str:
+    """How likely it is there, and what stands in its place."""
+    others = [(n, s) for n, s in step.rivals if n != step.effect][:_RIVALS]
+    own = sum(share for n, share in step.rivals if n == step.effect)
+    rest = 1.0 - own - sum(share for _, share in others)
+    words = [f"{in_words(name)} {per_cent(share)}" for name, share in others]
+    if not words:
+        return per_cent(step.probability)
+    more = [f"something else {per_cent(rest)}"] if rest > 0.005 else []
+    return f"{per_cent(own)}; or {', '.join(words + more)}"
 
 
 def _to_do(outcome: Outcome, more: tuple[str, ...]) -> tuple[str, ...]:

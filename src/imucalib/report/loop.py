@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from imucalib.calibration.findings import Findings, FoundStep
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.calibration.power import hidden
+from imucalib.effects.shape import in_words
 from imucalib.loop.evidence import Score
 from imucalib.report.document import Block, Facts, Section, Table, Text, Tone
 from imucalib.report.gain import refuted_words
 from imucalib.report.steps import step_tables
-from imucalib.significant_digits import plus_minus, probability
+from imucalib.significant_digits import per_cent, plus_minus, probability
 from imucalib.units import MG
 
 _HELD_OUT = {
@@ -120,7 +121,7 @@ def _verdict(found: Findings) -> Text:
     names = ", ".join(
         f"a form without a known cause ({s.formula})"
         if s.formula
-        else " or ".join((s.effect, *s.aliases)).replace("_", " ")
+        else " or ".join(map(in_words, (s.effect, *s.aliases)))
         for s in named
     )
     records = ", ".join(r.where for r in found.records)
@@ -163,7 +164,7 @@ def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
             s.name,
             s.candidate.kind,
             "absorbed" if s.absorbed else f"{s.evidence:.2f}",
-            "-" if s.absorbed else probability(s.p, s.draws),
+            "-" if s.absorbed else probability(s.p, s.draws) if s.draws else per_cent(1.0 - s.p),
             f"{100.0 * s.left:.1f}",
             f"{s.strength:.1f}",
             f"{s.size / MG:.2g}" if s.size else "-",
@@ -178,9 +179,10 @@ def candidate_section(found: Findings) -> Section:
     # Of a scan only members that say something: it has hundreds.
     scores = [s for s in found.scores if "@" not in s.name or s.evidence > 1.0]
     rows = candidate_rows(scores)
+    chance = "p" if any(s.draws for s in scores) else "there"
     rows += [(name, "effect", "rejected", "-", "-", "-", "-") for name in rejected]
     rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in found.missing]
-    header = ("candidate", "kind", "evidence (nats)", "p", "left (%)", "λ", "size (mg)")
+    header = ("candidate", "kind", "evidence (nats)", chance, "left (%)", "λ", "size (mg)")
     note = (
         "Last search, after everything above was added. Left: share of the effect that the fitted "
         "parameters do not absorb. λ: strength at typical size; about 4.7 gives an 80 % chance to "

@@ -21,7 +21,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
 from imucalib.core.references import KnownVector, angles_of, unit_vector
-from imucalib.effects import known
+from imucalib.effects import known, names_a_cause
 from imucalib.effects.shape import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
@@ -30,6 +30,8 @@ from imucalib.loop.noise.doubts import beyond_declared
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
 
+#: Share of a place from which on an effect is worth telling apart.
+_WORTH_TELLING = 0.05
 #: Standard deviation of a log whose 95 % interval is a factor of two either way.
 _FACTOR_TWO = np.log(2.0) / 1.96
 
@@ -70,9 +72,10 @@ def advice(result: LabResult, raw: RawUnit) -> tuple[str, ...]:
         )
     for step in loop.steps if loop else ():
         effect = known(step.effect)
-        told = (in_words(n) if n.startswith(("shape@", "curve@")) else n for n in step.aliases)
-        names = " or ".join((step.effect, *told))
-        if step.aliases and effect is not None:
+        others = [n for n, share in step.rivals if n != step.effect and share > _WORTH_TELLING]
+        told = (n if names_a_cause(n) else in_words(n) for n in (step.effect, *others))
+        names = " or ".join(told)
+        if others and effect is not None:
             found.append(f"These positions cannot tell {names} apart. {effect.identify}")
         elif effect is not None and effect.stage == "fixture":
             sentence = _by_row(effect.sentence, fit)

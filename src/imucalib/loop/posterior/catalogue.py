@@ -99,7 +99,7 @@ def scan_of(data: Observations, family: Family, near: Sequence[str] = ()) -> Com
     if not members:
         return None
     kind: Kind = "free" if family.free else "loose" if family.unfounded else "name"
-    return Component(family.name, kind, tuple(members))
+    return Component(f"{family.name}@", kind, tuple(members))
 
 
 def _free(data: Observations) -> Iterator[Component]:

@@ -44,7 +44,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Component:
-    """name : as `imucal effects` has it, of a scan without its value; driver : what it follows, in
+    """name : as `imucal effects` has it, of a scan without its value ("name@"); driver : what it follows, in
     words, or empty"""
 
     name: str

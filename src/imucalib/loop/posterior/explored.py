@@ -8,7 +8,6 @@ import numpy as np
 
 from imucalib.core.balance import Noise, balance
 from imucalib.core.fit import Fit
-from imucalib.effects import families
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import alike_rows, full_matrix_start
 from imucalib.loop.asked import Searched
@@ -43,7 +42,7 @@ def explored(fit: Fit, asked: Searched) -> Explored:
     first = _once(base, components)
     near = _near(first)
     if near:
-        own = {f.name: f for f in asked.families}
+        own = {f"{f.name}@": f for f in asked.families}
         finer = tuple(
             scan_of(data, own[c.name], near[c.name]) or c if c.name in near else c
             for c in components
@@ -83,15 +82,16 @@ def _once(base: Fit, components: tuple[Component, ...]) -> Explored:
 
 
 def _near(found: Explored) -> dict[str, list[str]]:
-    """Values of scans that stand in likely sets, by family."""
+    """Values of scans that stand in likely sets, by component."""
     near: dict[str, list[str]] = {}
     problem, posterior = found.problem, found.posterior
     for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
         for pick in hypothesis.picks if p > _LIKELY else ():
-            family, at, value = problem.choices[pick.choice].member.name.partition("@")
-            own = problem.components[problem.choices[pick.choice].component].name
-            if at and family == own and family in families() and value not in near.get(family, []):
-                near.setdefault(family, []).append(value)
+            choice = problem.choices[pick.choice]
+            name = problem.components[choice.component].name
+            value = choice.member.name.removeprefix(name)
+            if name.endswith("@") and value not in near.get(name, []):
+                near.setdefault(name, []).append(value)
     return near
 
 
