@@ -46,19 +46,23 @@ def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
         np.zeros(1), np.ones(1), np.zeros((1, fit.theta.size)), fit.covariance[None]
     )
     kept = sum(r.weight for r in own)
-    parts = [(kept, np.zeros(fit.theta.size), np.zeros_like(fit.covariance))]
+    weight, shift, spread = [kept * mixture.weight], [mixture.shift], [mixture.covariance]
+    more = np.zeros_like(fit.covariance)
     for rival in others:
         try:
             away = (corrected_by(rival.fit, reading) - plain).reshape(-1)
         except NotConverged:
             continue
-        shift, rest = _shift(fit, slope, away)
-        parts.append((rival.weight, shift, rest))
-    weight = np.concatenate([w * mixture.weight for w, _, _ in parts])
-    shift = np.concatenate([mixture.shift + s for _, s, _ in parts])
-    spread = np.concatenate([mixture.covariance + c for _, _, c in parts])
-    more = sum((w * (np.outer(s, s) + c) for w, s, c in parts), np.zeros_like(fit.covariance))
-    whole = NoiseMixture(mixture.log_sd, weight / weight.sum(), shift, spread)
+        moved, left = _shift(fit, slope, away)
+        weight.append(np.array([rival.weight]))
+        shift.append(moved[None])
+        # Of a model that is one of many, what noise does is as good as normal.
+        spread.append((fit.covariance + left)[None])
+        more += rival.weight * (np.outer(moved, moved) + left)
+    total = np.concatenate(weight)
+    whole = NoiseMixture(
+        mixture.log_sd, total / total.sum(), np.concatenate(shift), np.concatenate(spread)
+    )
     return replace(fit, covariance=fit.covariance + more, mixture=whole)
 
 

@@ -23,7 +23,7 @@ from imucalib.loop.posterior.component import Component, Kind, Member
 from imucalib.loop.posterior.odds import SCANNED, TOGETHER
 
 #: Terms of free functions: of a response one for so many rows, within bounds; of others.
-_ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 8
+_ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 6
 #: Drivers of the bias and the scale, and of dials beside these.
 _SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
 #: Laws of a response: odd and even powers, ends, kinks (of the input in g).

@@ -44,8 +44,8 @@ class Member:
 
 @dataclass(frozen=True)
 class Component:
-    """name : as `imucal effects` has it, of a scan without its value ("name@"); driver : what it follows, in
-    words, or empty"""
+    """name : as `imucal effects` has it, of a scan without its value ("name@"); driver : what it
+    follows, in words, or empty"""
 
     name: str
     kind: Kind

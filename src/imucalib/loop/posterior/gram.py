@@ -106,14 +106,13 @@ class Grams:
 
 def grams_of(problem: Problem, terms: Terms) -> Grams:
     """At all noises that the data do not exclude, be the base complete or lack every free function
-    at once: what a model lacks looks like noise, and what it holds does not."""
+    at once, with gross errors: what a model lacks looks like noise, and what it holds does not."""
     n = len(terms.order)
     free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
     rich = problem.columns[:n, np.concatenate(free)] if free else np.zeros((n, 0))
     brief = problem.columns[:, [*range(problem.base), problem.columns.shape[1] - 1]]
     found, dof = np.zeros(len(terms.points), bool), problem.numbers - problem.base
-    smooth, gross = REACH**2 * rich @ rich.T, _gross(problem, terms)
-    for beside in (0.0, smooth, gross, smooth + gross):
+    for beside in (0.0, REACH**2 * rich @ rich.T + _gross(problem, terms)):
         evidence = np.array([_evidence(brief, terms, p, beside, dof) for p in terms.points])
         found |= evidence > evidence.max() - HEARD
     kept = tuple(terms.points[k] for k in np.flatnonzero(found))

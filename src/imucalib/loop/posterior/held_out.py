@@ -47,10 +47,11 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
     choices = tuple(_rivals(problem, posterior))
     grams = posterior.grams
     whole = told(problem, posterior).hypothesis.components
+    deepest = min(FOLD_DEEPEST, len(whole) + 1)
     before, after, nats, agreed = list[Held](), list[Held](), list[float](), 0
     for fold in folds:
         kept = _without(grams, problem, fold)
-        found = search(problem, kept, choices, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
+        found = search(problem, kept, choices, beams=FOLD_BEAMS, deepest=deepest)
         said = told(problem, found).hypothesis
         agreed += said.components == whole
         nats.append(
