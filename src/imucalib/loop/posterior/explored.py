@@ -52,23 +52,20 @@ def explored(fit: Fit, asked: Searched) -> Explored:
 
 
 def _anchored(fit: Fit) -> Fit:
-    """The fit, or one in which settings scatter as hands set them, where they were fitted beyond:
-    rows in the wrong place are no scatter, and nothing can be linearised about angles that far. It
-    stands at the angles that were meant."""
-    at, prior = fit.at, fit.observations.noise_prior
-    if prior is None or max(fit.noise.sd[: at.free], default=0.0) < FAR * prior.setting:
+    """The fit as it stands at the angles that were meant: a tilt that was fitted would be told from
+    the reading that it explains, and give a response the blame. Where settings were fitted to
+    scatter beyond what hands do, rows are in the wrong place: there θ is that of the larger part
+    of the rows that are alike."""
+    data, at, prior = fit.observations, fit.at, fit.observations.noise_prior
+    if not at.free:
         return fit
-    held = [min(sd, prior.setting) for sd in fit.noise.sd[: at.free]]
-    noise = Noise(max(fit.noise.factor, 1.0), at.component, (*held, *fit.noise.sd[at.free :]))
-    data = fit.observations
-    rows = alike_rows(data)
-    again = fit_model(
-        fit.model,
-        data.take(rows),
-        start=full_matrix_start(fit.model, data),
-        noise=noise,
-    )
-    theta = fit.theta if again.null_directions else again.theta
+    theta, noise = fit.theta, fit.noise
+    if prior is not None and max(noise.sd[: at.free], default=0.0) > FAR * prior.setting:
+        held = [min(sd, prior.setting) for sd in noise.sd[: at.free]]
+        noise = Noise(max(noise.factor, 1.0), at.component, (*held, *noise.sd[at.free :]))
+        alike, start = data.take(alike_rows(data)), full_matrix_start(fit.model, data)
+        again = fit_model(fit.model, alike, start=start, noise=noise)
+        theta = theta if again.null_directions else again.theta
     meant = np.zeros_like(fit.eta)
     return replace(
         fit, theta=theta, eta=meant, noise=noise, at=balance(fit.model, theta, meant, data)

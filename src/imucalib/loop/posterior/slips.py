@@ -8,7 +8,7 @@ free.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,9 +35,10 @@ from imucalib.loop.posterior.space import Pick, block_logs, log_sum
 from imucalib.loop.records import foreseen, set_aside
 from imucalib.units import DEG, MG
 
-#: Slips of one sheet, sheets that are solved again for each, and rows up to which all are compared
-#: with all: a sheet with more slips is better written anew, longer ones are recordings.
-_MOST, _TRIED, _LONGEST = 5, 3, 250
+#: Slips of one sheet, sheets that are refitted and that are searched again for each, and rows up to
+#: which all are compared with all: a sheet with more slips is better written anew, longer ones are
+#: recordings.
+_MOST, _REFITTED, _TRIED, _LONGEST = 5, 8, 2, 250
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,7 @@ def _best(
     trials = sorted(_trials(state, written), key=lambda t: -t.score)
     bar = max(trials[0].score - OPEN, -OPEN / 3.0) if trials else 0.0
     now, odds = log_density(state.found), []
-    for trial in [t for t in trials if t.score > bar][:_TRIED]:
-        base = _solved_again(state.found.base, trial, written)
-        if base is None:
-            continue
+    for trial, base in _likeliest([t for t in trials if t.score > bar], state, written):
         found = explored(base, asked)
         odds.append((log_density(found) - now + trial.prior, trial, found))
     odds.sort(key=lambda o: -o[0])
@@ -118,6 +116,19 @@ def _best(
     near = (t.fault.line for o, t, _ in odds[1:] if t.fault and o > nats - OPEN / 3.0)
     fault = replace(trial.fault, score=float(nats), rivals=tuple(dict.fromkeys(near)))
     return replace(state, found=found, slips=(*state.slips, fault)), trial.sheet
+
+
+def _likeliest(
+    trials: Sequence[_Trial], state: Mended, written: Written | None
+) -> list[tuple[_Trial, Fit]]:
+    """The trials whose sheets the base model fits best, refitted."""
+    seen = []
+    for trial in trials[:_REFITTED]:
+        base = _solved_again(state.found.base, trial, written)
+        if base is not None:
+            seen.append((base.log_likelihood + trial.prior, trial, base))
+    seen.sort(key=lambda s: -s[0])
+    return [(trial, base) for _, trial, base in seen[:_TRIED]]
 
 
 def _sheet(written: Written | None) -> Sheet | None:
