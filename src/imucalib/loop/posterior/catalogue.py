@@ -165,7 +165,7 @@ def _courses(values: Array) -> Iterator[str]:
     """Simple courses over the range of a driver."""
     low, high = float(values.min()), float(values.max())
     span, middle = high - low, 0.5 * (low + high)
-    for share in (0.03, 0.1, 0.25, 0.7):
+    for share in (0.1, 0.25, 0.7):
         yield f"exponential:{share * span:.6g}:{low:.6g}"
         yield f"exponential:{-share * span:.6g}:{high:.6g}"
     yield f"power:2:{middle:.6g}:{0.5 * span:.6g}"
