@@ -171,7 +171,8 @@ def _solved(
     if not settings.loop:
         final = fit_model(model, data, start=start)
         return None, final, final, _left_out(final)
-    closed = close_loop(model, data, wanted, start, written)
+    curves = settings.rules.curves
+    closed = close_loop(model, data, wanted, start, written, curves=curves)
     loop = closed.loop
     if closed.left is None:
         return loop, loop.plain, loop.as_recorded, _left_out(loop.plain)

@@ -50,10 +50,13 @@ def close_loop(
     asked: Searched,
     start: Array | None = None,
     written: Written | None = None,
+    *,
+    curves: bool = True,
 ) -> Closed:
     """Fit the base model, search for what it lacks, and judge it on rows left out.
 
     start : θ of the base model to start from; written : the sheet, where slips can be read in it
+    curves : whether structure without a name is corrected
     A correction that rows left out refuse is not made. `base` and `final` are those of the table
     with its slips mended and what a wrong record is off by free, `plain` and `as_recorded` take
     every record as it stands.
@@ -64,7 +67,10 @@ def close_loop(
     said = told(found.problem, found.posterior)
     loop = _empty(plain, found, asked, said)
     final, left = found.base, None
-    if said.places:
+    nameless = any(found.problem.components[p.component].kind == "free" for p in said.places)
+    if nameless and not curves:
+        loop = _refused(loop, found, said, None)
+    elif said.places:
         loop, final, left = _corrected(loop, found, said)
     loop = replace(
         loop,
@@ -103,20 +109,20 @@ def _corrected(loop: FitLoop, found: Explored, said: Told) -> tuple[FitLoop, Fit
     final = fit_of(found.problem, one, found.base.observations)
     names = tuple(_effect(found, place.component, said) for place in said.places)
     if not final.converged:
-        return _refused(loop, found, said, names, None), loop.final, None
+        return _refused(loop, found, said, None), loop.final, None
     data = found.base.observations
     folds = folds_of(data)
     try:
         left = left_out(found.problem, found.posterior, folds)
     except NotConverged:  # a response that has no inverse
-        return _refused(loop, found, said, names, None), loop.final, None
+        return _refused(loop, found, said, None), loop.final, None
     aside = [record_of(name) for name in record_names(found.base)]
     good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
     sizes = left.before.size[good], left.after.size[good]
     gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
     gain = with_density(gain, left.nats)
     if not gain.holds:
-        return _refused(loop, found, said, names, gain), loop.final, None
+        return _refused(loop, found, said, gain), loop.final, None
     steps = tuple(
         _step(found, said, place, name, left)
         for place, name in zip(said.places, names, strict=True)
@@ -155,14 +161,13 @@ def _step(found: Explored, said: Told, place: Place, name: str, left: LeftOut) -
     )
 
 
-def _refused(
-    loop: FitLoop, found: Explored, said: Told, names: tuple[str, ...], gain: Difference | None
-) -> FitLoop:
+def _refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None) -> FitLoop:
     """Nothing is corrected; what is missing beyond doubt stays without a name."""
-    why = "it has no inverse, or no fit settles with it"
+    why = "it has no inverse, no fit settles with it, or curves are not wanted"
     if gain is not None:
         why = f"on data that took no part the error is {gain.before / MG:.3g} mg without it, "
         why += f"{gain.after / MG:.3g} with it"
+    names = tuple(_effect(found, place.component, said) for place in said.places)
     left = tuple(
         Unexplained(
             name=name, driver=found.problem.components[place.component].driver, kind="probe",
@@ -176,6 +181,6 @@ def _refused(
         loop,
         difference=gain,
         rejected=tuple((name, why) for name in names),
-        refuted=names,
+        refuted=names if gain is not None else (),
         unexplained=left,
     )
