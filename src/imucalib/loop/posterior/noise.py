@@ -19,7 +19,8 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
-from imucalib.loop.posterior.odds import SETTINGS, WALK_MEMORIES, WALK_SIZES, WALKS
+from imucalib.loop.faults.sheet import in_order
+from imucalib.loop.posterior.odds import AS_SET, SETTINGS, WALK_MEMORIES, WALK_SIZES, WALKS
 
 
 @dataclass(frozen=True)
@@ -106,14 +107,26 @@ def _points(fit: Fit, ways: tuple[tuple[Array, ...], ...], n: int) -> Iterator[P
     if "order" in fit.observations.context and n > 8:
         sizes = [(s, max(m * n, 1.5)) for s in WALK_SIZES for m in WALK_MEMORIES]
         walks = [(None, 1.0 - WALKS), *((w, WALKS / len(sizes)) for w in sizes)]
+    shared = _ways_prior(fit, len(ways))
     for way in range(len(ways)):
         for picked in product(*levels):
             some = any(r for r, _ in picked[: fit.at.free])
             if way and not some:  # without scatter there is nothing to share
                 continue
             for walk, share in walks:
-                weight = np.log(share / (len(ways) if some else 1)) + sum(w for _, w in picked)
+                weight = np.log(share * (shared[way] if some else 1.0)) + sum(w for _, w in picked)
                 yield Point(float(weight), tuple(r for r, _ in picked), way, walk)
+
+
+def _ways_prior(fit: Fit, ways: int) -> Array:
+    """(ways,) prior of every way of sharing settings: as set, where the rows stand in an order of
+    work; else nobody knows."""
+    reference = fit.observations.reference
+    if ways == 1 or not isinstance(reference, KnownVector):
+        return np.full(ways, 1.0 / ways)
+    if not in_order(reference.inclination, reference.tool_face):
+        return np.full(ways, 1.0 / ways)
+    return np.array([AS_SET, *np.full(ways - 1, (1.0 - AS_SET) / (ways - 1))])
 
 
 def _levels(fit: Fit, component: int) -> Iterator[tuple[float, float]]:

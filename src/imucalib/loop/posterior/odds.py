@@ -44,6 +44,9 @@ FOLD_BEAMS, FOLD_DEEPEST = (4, 2), 3
 #: Sd of a setting as its largest effect on a reading over the readings' noise; the half-Cauchy
 #: prior of the sd is the bench's own (`NoisePrior`).
 SETTINGS = (0.0, 1.0, 2.5, 6.0, 15.0, 40.0)
+#: Prior probability that rows in an order of work share settings as their neighbours do: all rows
+#: of one dial value together would hold any error of the dial.
+AS_SET = 0.98
 #: Prior probability that the bias walks, and sizes and memories (share of the rows) of the walk.
 WALKS, WALK_SIZES, WALK_MEMORIES = 0.15, (0.5, 2.0), (0.2,)
 #: Values of a scan that are tried at first; nearer ones are tried around those that lead.
