@@ -55,6 +55,22 @@ def test_a_typed_angle_is_told_with_the_value(tmp_path: Path) -> None:
     assert "e-0" not in text
 
 
+def test_a_typed_angle_is_told_in_rows_that_stand_in_no_order(tmp_path: Path) -> None:
+    """Its setting was its own: mended, one fewer is left."""
+    rng = np.random.default_rng(5)
+    n = 40
+    i, t = rng.integers(-8, 9, n) * 10.0, rng.integers(0, 36, n) * 10.0
+    reading = 1000.0 * sheets.direction(i, t) + [12.0, -9.0, 4.0] + rng.normal(0.0, 0.3, (n, 3))
+    said = t.copy()
+    said[20] = (t[20] + 70.0) % 360.0
+    path = tmp_path / "sheet.csv"
+    head = "inclination,tool_face,x_mg,y_mg,z_mg"
+    np.savetxt(path, np.column_stack([i, said, reading]), "%.4f", ",", header=head, comments="")
+    code, text, _ = lab(path)
+    assert code == 5
+    assert f"--fix 21:tool_face={t[20]:g}" in text
+
+
 def test_a_lost_sign_is_told_once(tmp_path: Path) -> None:
     made = sheets.cell(sheets.bench(4, scatter=0.1), 14, 0, -1.0)
     path = made.write(tmp_path / "sheet.csv")

@@ -207,7 +207,9 @@ def _settings(ids: Index, before: Sheet, after: Sheet, name: str) -> Index:
     if not changed.any():
         return ids
     fresh: Index = getattr(after, f"{name}_setting")
-    return fresh if after.ordered else np.where(changed, ids.max() + 1, ids)
+    found = fresh if after.ordered else np.where(changed, ids.max() + 1, ids)
+    # A setting that no row has any more has no number either.
+    return np.asarray(np.unique(found, return_inverse=True)[1], np.intp)
 
 
 def _turned(context: Context, sheet: Sheet) -> Context:
