@@ -309,19 +309,6 @@ def test_forms_are_scanned_over_the_range_of_their_driver() -> None:
     assert numbers("kink", u[:7]) == []
 
 
-def test_the_best_of_a_scan_is_sought_between_its_neighbours() -> None:
-    tried = [(0.5, 7.0), (1.25, 7.0), (2.5, 7.0), (2.5, 8.0)]
-    near = shapes._between(tried, (1.25, 7.0))
-    np.testing.assert_allclose([v for v, _ in near], np.linspace(0.5, 2.5, 11)[1:-1])
-    assert {n for _, n in near} == {7.0}
-    np.testing.assert_allclose([v for v, _ in shapes._between(tried, (2.5, 8.0))],
-                               np.linspace(1.25, 2.5, 11)[1:-1])  # fmt: skip
-    np.testing.assert_allclose([v for v, _ in shapes._between(tried, (0.5, 8.0))],
-                               np.linspace(0.5, 1.25, 11)[1:-1])  # fmt: skip
-    assert shapes._between([(2.0,), (3.0,)], (2.0,)) == []
-    assert shapes._numbers_of("shape@bias:order:kink:1.5:2") == (1.5, 2.0)
-
-
 def test_stretches_of_time_stand_for_noise_that_neighbours_share() -> None:
     """Forty-eight of them, in the order of recording, at a mg each."""
     n = 480

@@ -16,36 +16,26 @@ from imucalib.loop.posterior.rivals import Rival
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation.products import Ambiguity
 from imucalib.loop.separation.sums import Sums
-from imucalib.loop.thresholds import ALPHA, CERTAIN, MARGIN, NOISE_ALPHA, RECORD_ALPHA, STRONG
+from imucalib.loop.thresholds import ALPHA, CERTAIN, MARGIN, STRONG
 
 _WALK_NATS = 5.0  # from which on a walk is more than independent noise
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """alpha : family-wise false-alarm rate of the physics search; record_alpha : of the record
-    search; noise_alpha : of each doubt about the noise; margin : nats by which a probe must beat
-    the best catalogue effect; draws : simulated data sets per search; declared : whether the
-    observations' sigma is a noise that the user stands for; bar : evidence in nats that decides
-    instead of simulated data, where a search of the whole data has set it; curves : whether
-    structure without a name is corrected by a smooth curve, where that holds out; quicker : s, of
-    what moves with time only what swings in less is, where it is said; gross : mg, the smallest
-    error that makes a record wrong"""
+    """alpha : family-wise false-alarm rate of the physics search; margin : nats by which a probe
+    must beat the best catalogue effect; draws : simulated data sets per search; bar : evidence in
+    nats that decides instead of simulated data, where a search of the whole data has set it; curves
+    : whether structure without a name is corrected by a smooth curve, where that holds out; quicker
+    : s, of what moves with time only what swings in less is, where it is said"""
 
     alpha: float = ALPHA
-    record_alpha: float = RECORD_ALPHA
-    noise_alpha: float = NOISE_ALPHA
-    declared: bool = False
     bar: float | None = None
     curves: bool = True
     quicker: float | None = None
-    gross: float = 0.0
     margin: float = MARGIN
     draws: int = 1000
     most_effects: int = 4
-    most_records: int = 4
-    #: records are searched one by one up to so many observations
-    searchable: int = 500
     #: candidates are scored on at most so many observations
     most_scored: int = 3000
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.effects.record_error import record_error, record_of
 from imucalib.estimators.least_squares import fit as fit_model
-from imucalib.loop.candidates import ALL_TRIADS, record_candidates
-from imucalib.loop.evidence import Score, score
+from imucalib.loop.candidates import ALL_TRIADS
 from imucalib.loop.held_out import left_out_sizes, theta_without, without_records
 from imucalib.loop.record_errors import (
     RecordError,
@@ -25,36 +24,6 @@ from imucalib.loop.record_errors import (
     record_number,
 )
 from imucalib.units import MG
-
-
-def record_scores(
-    fit: Fit, taken: set[int], rng: np.random.Generator, *, draws: int, alpha: float
-) -> tuple[Score, ...]:
-    """Every component of every record and every setting of one record, best first."""
-    candidates = [c for c in record_candidates(fit) if row_of(c.name) not in taken]
-    return score(fit, tuple(candidates), rng, draws=draws, alpha=alpha)
-
-
-def least_strange(
-    fit: Fit, row: int, taken: set[int], swaps: Iterable[tuple[str, Effect]],
-    rng: np.random.Generator, *, draws: int, alpha: float,
-) -> float:  # fmt: skip
-    """The largest p of a record over models that would do as well: each swap puts an effect in the
-    named one's place. A record that stands out beside one of them only may be right."""
-    largest = 0.0
-    for name, effect in swaps:
-        other = extended(reduced(fit, (name,)), effect)
-        scores = record_scores(other, taken, rng, draws=draws, alpha=alpha)
-        own = min((s.p for s in scores if row_of(s.name) == row), default=1.0)
-        largest = max(largest, own if other.converged else 0.0)
-        if largest > alpha:
-            break
-    return largest
-
-
-def row_of(name: str) -> int:
-    """The row of a record candidate's name, "9:y" or "9:inclination setting"."""
-    return int(name.partition(":")[0])
 
 
 def set_aside(fit: Fit, row: int) -> Fit:
@@ -87,11 +56,6 @@ def foreseen(fit: Fit, aside: Fit) -> bool:
 def _settled(fit: Fit) -> Array:
     """η with the settings as they were meant, for references that have settings."""
     return np.zeros_like(fit.eta) if fit.at.free else fit.eta
-
-
-def named_records(fit: Fit, found: tuple[tuple[Score, int], ...]) -> tuple[RecordError, ...]:
-    """Diagnose records from the fit in which they are set aside."""
-    return tuple(diagnose(fit, row, s.name.partition(":")[2], s.p, s.evidence) for s, row in found)
 
 
 def accused(fit: Fit, found: Sequence[tuple[int, float]]) -> tuple[RecordError, ...]:

@@ -6,10 +6,10 @@ loop-benchmark` writes again.
 
 from __future__ import annotations
 
-#: Family-wise false alarms of the search for effects, of that for wrong records, and of each doubt
-#: about the noise. Chosen so that all alarms together stay near 5 % of clean data: 7.0, 3.0 and
-#: 4.0 % were measured for bench, wrist and array on 400 clean recordings each.
-ALPHA, RECORD_ALPHA, NOISE_ALPHA = 0.035, 0.01, 0.005
+#: Family-wise false alarms of the search for effects, and of each doubt about the noise. Chosen so
+#: that all alarms together stay near 5 % of clean data: 7.0, 3.0 and 4.0 % were measured for bench,
+#: wrist and array on 400 clean recordings each.
+ALPHA, NOISE_ALPHA = 0.035, 0.005
 #: Family-wise p up to which an effect without aliases is called certain: of clean recordings 0.8,
 #: 0.2 and 0.5 % held such a name. So much is told too where it is not taken, since the data that
 #: were left out refuse it: of 400 clean sheets none had such a one, of 135 with λ 6 to 10 two.
@@ -23,9 +23,8 @@ APART = 2.0
 #: Nats by which a curve must beat the best effect to be weighed beside it: odds of 20.
 MARGIN = 3.0
 #: Nats that an effect must gain in the left-out density (odds of 2.7), and share of the left-out
-#: error that may be left, here and for a curve, which has nothing but the data to speak for it.
+#: error that may be left.
 HELD_OUT_NATS, HELD_OUT_RMS = 1.0, 1.0
-CURVE_NATS, CURVE_RMS = 5.0, 0.97
 #: Times that the corrected readings, fitted, may be as far off as before: a model that weighs
 #: settings gives up a little of them, a correction of the wrong sign doubles them.
 WORSE = 1.2
@@ -34,9 +33,6 @@ CURVE_TERMS = (3, 6, 12)
 #: Nats from which on an effect that data refuse which took no part is structure without a name, not
 #: one of the accidents of which ALPHA allows a few: odds of e^10 are no accident.
 STRONG = 10.0
-#: Nats of held-out density that steps may lose where rows share settings: the other rows of a
-#: setting tell there what a fixture does, so that true gains are under-reported.
-LOSS = -1.0
 #: Nats that an earlier step must still be worth beside later ones.
 KEEP = 1.0
 #: Nats of restricted likelihood from which on noise that neighbours share is part of the model: too
@@ -55,19 +51,11 @@ SHARED_NUMBERS, AXIS_NUMBERS = 330, 120
 #: The same where dials were set: a bench of 450 rows. Of 152 rows under such noise four of four
 #: sheets were a heap of steps and swings without it, and took seven times as long.
 SHARED_ON_DIALS = 1500
-#: Standard errors, and share of its own gain, by which a curve must lead a name on data that were
-#: left out to be taken in its place.
-CURVE_LEAD, CURVE_SHARE = 1.0, 0.2
-#: Suspect records that are set aside on trial when nothing stands out by itself.
-SUSPECTS = 3
 #: Of an array, whose halves of the motion are half of the data: nats of one half and of both below
 #: which they contradict an effect; steps that together may take a curve's place; corrections
 #: without a name, at most.
 ONE_HALF, BOTH_HALVES = -3.0, -1.0
 PATH, CURVES = 3, 3
-#: mg below which no rest of an array is a wrong one: chips' offsets move by 1-3 mg from rest to
-#: rest (four logs of a 32-IMU board), and a hand that touches the board moves it by tens.
-GROSS = 10.0
 
 #: Numbers that the data must have for each parameter.
 NUMBERS = 1.5

@@ -19,7 +19,7 @@ from imucalib.errors import UsageError
 from imucalib.loop.found import LoopSettings
 from imucalib.units import MG, STANDARD_GRAVITY
 
-RULES = LabSettings(rules=LoopSettings(draws=199, alpha=0.04, record_alpha=0.01))
+RULES = LabSettings(rules=LoopSettings(draws=199, alpha=0.04))
 
 
 def bench(plan: BenchPlan, seed: int) -> LabResult:

@@ -86,9 +86,12 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
     del recording  # from here on a log is side by side: held twice, one of many IMUs is large
     board, segments = laid.board, laid.segments
     rests = fit_rests(
-        segments, board, laid.order, request.gravity,
-        asked=replace(request.asked, search=request.loop), seed=request.seed,
-    )  # fmt: skip
+        segments,
+        board,
+        laid.order,
+        request.gravity,
+        asked=replace(request.asked, search=request.loop),
+    )
     say(f"{segments.n} rests: triads fit gravity to {1e3 * rests.residual:.2f} mm/s² rms")
     moving = moving_part(laid.log, rests, board.imus)
     say("moving samples: " + ", ".join(f"{n} {name}" for name, n in moving.counts.items()))

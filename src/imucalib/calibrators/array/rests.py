@@ -36,14 +36,10 @@ from imucalib.effects import catalogue, families
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.asked import Searched, searched
-from imucalib.loop.found import FitLoop, LoopSettings
+from imucalib.loop.found import FitLoop
 from imucalib.loop.posterior.closed import close_loop
-from imucalib.loop.thresholds import GROSS
 from imucalib.rests.segments import Segments
 
-#: Curves do not speak against a name, and an error below 10 mg makes no rest a wrong one: what a
-#: chip's offset does from rest to rest is noise.
-REST_RULES = LoopSettings(draws=499, margin=np.inf, gross=GROSS, most_effects=3)
 _AT_A_TIME = 128  # samples of which columns are held at once
 _VAGUE = 0.02  # standard deviation of a gain entry above which the attitudes are too alike
 _LOOSE = 0.2  # largest believable deviation of a triad's gain from a plain one
@@ -166,7 +162,7 @@ class RestFit:
 
 def fit_rests(
     segments: Segments, board: Board, order: list[int], gravity: float, *,
-    asked: Asked = NOTHING_ASKED, seed: int = 0,
+    asked: Asked = NOTHING_ASKED,
 ) -> RestFit:  # fmt: skip
     """Fit all triads and search for what is missing.
 
@@ -175,7 +171,7 @@ def fit_rests(
     """
     unweighted = observations_of(segments, board, order, gravity)
     data, model = weighted(unweighted, own_noise(segments, order)), base_model()
-    loop = _searched(model, data, asked, seed) if asked.search else None
+    loop = _searched(model, data, asked) if asked.search else None
     fit = fit_model(model, data) if loop is None else loop.final
     if (fit if loop is None else loop.plain).null_directions:
         raise _too_alike()
@@ -210,7 +206,7 @@ def _gyro_drift(
     return drift, np.sqrt(sd**2 + np.einsum("kij,kj->ki", turn**2, coarse**2))
 
 
-def _searched(model: Model, data: Observations, asked: Asked, seed: int) -> FitLoop:
+def _searched(model: Model, data: Observations, asked: Asked) -> FitLoop:
     """The closed loop over what a rest can show; names of single IMUs are the motion's affair."""
     known = {*catalogue(), *families()}
     only = tuple(n for n in asked.only if n in known)

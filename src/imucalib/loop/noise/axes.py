@@ -15,7 +15,6 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations, SharedNoise
-from imucalib.core.sessions import session_of
 from imucalib.loop.found import Unexplained
 from imucalib.loop.noise.component import estimated, refitted
 from imucalib.loop.thresholds import AXIS_NATS, AXIS_NUMBERS
@@ -102,16 +101,6 @@ def _beside_the_quietest(
         for a, name in enumerate(names)
         if a != quiet and ratio[quiet] > 0.0
     ]
-
-
-def doubtful_sessions(fit: Fit, alpha: float) -> tuple[Unexplained, ...]:
-    """Sessions that scatter beyond doubt more than `_BEYOND` times the quietest."""
-    session, size = session_of(fit.observations), fit.at.residual.size
-    if session is None or size != 3 * fit.observations.n or size > _LONGEST:
-        return ()
-    names = tuple(f"session {k + 1}" for k in range(int(session.max()) + 1))
-    compared = _beside_the_quietest(fit, powers_of(fit, np.repeat(session, 3)), names)
-    return _louder(compared, alpha, "the quietest", "repeat it, or leave it out")
 
 
 def _louder(
