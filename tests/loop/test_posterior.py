@@ -21,10 +21,11 @@ from imucalib.loop.asked import Searched, searched
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.posterior.component import log_odds, log_set_prior, log_size_prior
 from imucalib.loop.posterior.explored import Explored, explored
-from imucalib.loop.posterior.gram import swept, without
+from imucalib.loop.posterior.gram import Grams, beside, swept, without
 from imucalib.loop.posterior.odds import SIZES
+from imucalib.loop.posterior.problem import Problem
 from imucalib.loop.posterior.solution import solved
-from imucalib.loop.posterior.space import log_evidence, search
+from imucalib.loop.posterior.space import search
 from imucalib.loop.posterior.words import told
 from imucalib.units import MG
 from worlds.bench import base_model
@@ -55,6 +56,10 @@ def asked() -> Searched:
 @cache
 def found(seed: int = 1, bend: float = 3.0) -> Explored:
     return explored(fit(base_model(NINE), at_rest(seed, bend=bend)), asked())
+
+
+def log_evidence(problem: Problem, grams: Grams, blocks: list[tuple[np.ndarray, float]]) -> float:
+    return beside(grams, (problem.flat, *blocks)).evidence(grams.numbers - problem.base)
 
 
 def test_the_evidence_of_a_set_does_not_depend_on_its_order() -> None:

@@ -31,8 +31,9 @@ def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
 
     rivals : likeliest first, `fit` among them; gravity : m/s²
     """
-    own = [r for r in rivals if set(r.fit.model.names) == set(fit.model.names)]
-    others = [r for r in rivals if r not in own]
+    alike = [set(r.fit.model.names) == set(fit.model.names) for r in rivals]
+    own = [r for r, same in zip(rivals, alike, strict=True) if same]
+    others = [r for r, same in zip(rivals, alike, strict=True) if not same]
     if not others or not own:
         return fit
     force = gravity * even_directions(_ATTITUDES)[:, None]
@@ -68,8 +69,7 @@ def with_rivals(fit: Fit, rivals: Sequence[Rival], gravity: float) -> Fit:
 
 def _readings(fit: Fit, force: Array) -> Array:
     """(n, 3) what the sensor of a fit reads under forces (n, 1, 3)."""
-    slope, inverse = force_slope(fit, force)
-    del slope
+    _, inverse = force_slope(fit, force)
     nothing = corrected_by(fit, np.zeros((1, 3)))[0]
     reading = np.linalg.solve(inverse, (force[:, 0] - nothing)[..., None])[..., 0]
     for _ in range(8):  # Newton: readings whose correction is the force

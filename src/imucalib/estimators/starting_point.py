@@ -7,6 +7,8 @@ sensor.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imucalib.arrays import Array, Index
@@ -55,42 +57,54 @@ def full_matrix_start(model: Model, observations: Observations) -> Array:
 
 
 def alike_rows(observations: Observations) -> Index:
-    """The larger part of the rows (K = 1, known directions) that fit one linear map best, by
-    concentration steps (Rousseeuw and Van Driessen 1999) from all rows, from those in front and
-    from those at the end."""
+    """The larger part of the rows (K = 1, known directions) that fit one linear map best, from all
+    rows, from those in front and from those at the end."""
     n = observations.n
     many = max(5, int(_SHARE * n))
+    design, reading = _design(observations), observations.reading[:, 0]
     starts = (np.arange(n), np.arange(many), np.arange(n - many, n))
-    return min((_concentrated(observations, s, many) for s in starts), key=lambda f: f[0])[1]
+    found = (concentrated(design, reading, start, many) for start in starts)
+    return min(found, key=lambda f: f.misfit).rows
 
 
-def _concentrated(observations: Observations, kept: Index, many: int) -> tuple[float, Index]:
-    """The misfit (m/s²) of the rows that fit best, and these, from those that are kept."""
-    reference = observations.reference
-    truth = reference.truth(np.zeros(reference.eta_size))[:, 0]
-    left = np.inf
+@dataclass(frozen=True)
+class Concentrated:
+    """misfit : sum of the sizes that the rows leave, infinite where they carry no map; rows : that
+    fit best; map : (p, 3) what they make of the design, or None"""
+
+    misfit: float
+    rows: Index
+    map: Array | None
+
+
+def concentrated(design: Array, reading: Array, rows: Index, many: int) -> Concentrated:
+    """So `many` rows that fit one linear map best, by concentration steps from some (Rousseeuw and
+    Van Driessen 1999). design : (n, p); reading : (n, 3)"""
     for _ in range(_STEPS):
-        sensitivity, offset, rank = linear_map(observations.take(kept))
-        if rank < 4:
-            return np.inf, kept
-        away = observations.reading[:, 0] - truth @ sensitivity.T - offset
-        size = np.linalg.norm(away, axis=1)
+        made, _, rank, _ = np.linalg.lstsq(design[rows], reading[rows], rcond=1e-6)
+        if rank < design.shape[1]:
+            return Concentrated(np.inf, rows, None)
+        size = np.linalg.norm(reading - design @ made, axis=1)
         best = np.sort(np.argsort(size)[:many])
-        left = float(size[best].sum())
-        if np.array_equal(best, kept):
+        if np.array_equal(best, rows):
             break
-        kept = best
-    return left, kept
+        rows = best
+    return Concentrated(float(size[best].sum()), rows, np.asarray(made))
 
 
 def linear_map(observations: Observations) -> tuple[Array, Array, int]:
     """S (3, 3), c (3,) m/s² and the rank of the design, for K = 1."""
-    reference = observations.reference
-    truth = reference.truth(np.zeros(reference.eta_size))[:, 0]
-    design = np.column_stack([truth, np.ones(len(truth))])
+    design = _design(observations)
     found, _, rank, _ = np.linalg.lstsq(design, observations.reading[:, 0], rcond=1e-6)
     solution = np.asarray(found, np.float64)
     return solution[:3].T, solution[3], int(rank)
+
+
+def _design(observations: Observations) -> Array:
+    """(n, 4) the truth that was meant, m/s², and one."""
+    reference = observations.reference
+    truth = reference.truth(np.zeros(reference.eta_size))[:, 0]
+    return np.column_stack([truth, np.ones(len(truth))])
 
 
 def _lower_times_rotation(matrix: Array) -> tuple[Array, Array]:

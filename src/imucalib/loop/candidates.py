@@ -30,24 +30,29 @@ _EXACT_NOISE, _STRETCHES = 400, 48
 
 
 def effect_columns(fit: Fit, effect: Effect, prediction: Prediction | None = None) -> Array:
-    """(N, m) columns of a catalogue effect at θ = 0, scaled by its typical sizes.
+    """(N, m) columns of a catalogue effect at θ = 0, scaled by its typical sizes."""
+    typical = np.array([p.typical for p in effect.parameters(fit.observations.context)])
+    return np.asarray(effect_slopes(fit, effect, prediction) * typical)
+
+
+def effect_slopes(fit: Fit, effect: Effect, prediction: Prediction | None = None) -> Array:
+    """(N, m) what a catalogue effect does at θ = 0, per unit of each parameter.
 
     The effect's own derivative at the fitted truth, chained through what acts after it.
     prediction : of the fit, when it is there: an effect that does nothing at its start needs no new
         one
     """
     context = fit.observations.context
-    parameters = effect.parameters(context)
-    start, size = (np.array([getattr(p, of) for p in parameters]) for of in ("start", "typical"))
+    start = np.array([p.start for p in effect.parameters(context)])
     if effect.stage == "mounting" or start.any():
-        return fit.at.columns(_beside(fit, effect) * size)
+        return fit.at.columns(_beside(fit, effect))
     prediction = prediction or fitted_prediction(fit)
     if effect.stage == "sensor":
         slope = effect.act(start, Truth(prediction.force), context).d_theta
     else:
         slope = effect.act(start, Truth(prediction.set_up), context).d_theta
         slope = prediction.d_set_up @ slope
-    return fit.at.columns(slope * size)
+    return fit.at.columns(slope)
 
 
 def _beside(fit: Fit, effect: Effect) -> Array:

@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.truth import Truth
 from imucalib.loop.faults.sheet import Sheet
 from imucalib.loop.posterior.explored import Explored
-from imucalib.loop.posterior.gram import Grams, swept
+from imucalib.loop.posterior.gram import Grams, log_sum
 from imucalib.loop.posterior.odds import SLIPS, WRONG
-from imucalib.loop.posterior.space import Pick
 from imucalib.units import MG
 
 #: Noises on which many hypotheses are looked at first.
@@ -45,9 +43,7 @@ class Base:
 
     def best(self, rss: Array) -> Array:
         """(...) log likelihood over all noises."""
-        each = self.each(rss)
-        top = each.max(axis=0)
-        return np.asarray(top + np.log(np.exp(each - top).sum(axis=0)))
+        return log_sum(self.each(rss))
 
     def gain(self, rss: Array, count: float) -> Array:
         """(...) nats beyond the sheet as it stands, less what one slip of `count` in its class pays
@@ -62,9 +58,12 @@ class Base:
     def at(self, noises: Index) -> Base:
         """The same at some of the noises only."""
         return replace(
-            self, P=self.P[noises], g=self.g[noises], rss=self.rss[noises],
+            self,
+            P=self.P[noises],
+            g=self.g[noises],
+            rss=self.rss[noises],
             grams=self.grams.of(noises),
-        )  # fmt: skip
+        )
 
 
 def prior_of(count: float) -> float:
@@ -72,14 +71,10 @@ def prior_of(count: float) -> float:
     return float(np.log(WRONG / SLIPS / count))
 
 
-def base_of(found: Explored, sheet: Sheet, picks: tuple[Pick, ...]) -> Base:
-    """The base of a sheet of known angles, beside some picks."""
-    problem = found.problem
-    one = swept(found.posterior.grams, np.arange(problem.base), np.inf)
-    for pick in picks:
-        one = swept(one, problem.choices[pick.choice].at, pick.size)
+def base_of(found: Explored, sheet: Sheet, one: Grams) -> Base:
+    """The base of a sheet of known angles; one : its Grams beside the base model and a set."""
     unit = found.base.at.unit / MG
-    single = problem.single + np.arange(unit.size)
+    single = found.problem.single + np.arange(unit.size)
     rows = one.rows(single)
     return Base(
         sheet=sheet,
@@ -96,5 +91,4 @@ def _response(found: Explored) -> Array:
     """(3, 3) slope of a reading by the force on the tool, about no force."""
     fit = found.base
     one = fit.observations.context.take(np.zeros(1, np.intp))
-    nothing = Truth(np.zeros((1, 1, 3)))
-    return np.asarray(fit.model.predict(fit.theta, nothing.force, one).d_truth[0, 0])
+    return np.asarray(fit.model.predict(fit.theta, np.zeros((1, 1, 3)), one).d_truth[0, 0])

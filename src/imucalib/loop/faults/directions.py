@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.estimators.starting_point import concentrated
 from imucalib.loop.faults.found import ENOUGH, Fault
 
-#: Share of the rows that make the map, and steps in which they are found.
-_SHARE, _STEPS = 0.75, 20
+#: Share of the rows that make the map.
+_SHARE = 0.75
 #: Misfit (mg) that any fixture may have: bias, tilt and noise.
 _FIXTURE = 20.0
 _FACES = {tuple(s * np.eye(3)[a]): f"{'-+'[s > 0]}{'xyz'[a]}" for a in range(3) for s in (1, -1)}
@@ -49,17 +50,8 @@ def wrong_directions(reading: Array, direction: Array, row: Index) -> tuple[Faul
 def _map(reading: Array, direction: Array) -> Array | None:
     """(4, 3) mg, the linear map of the rows that fit it best; None where it stays open."""
     design = np.column_stack([direction, np.ones(len(direction))])
-    kept = np.arange(len(design))
-    for _ in range(_STEPS):
-        made, _, rank, _ = np.linalg.lstsq(design[kept], reading[kept], rcond=1e-6)
-        if rank < 4:
-            return None
-        off = np.linalg.norm(reading - design @ made, axis=1)
-        best = np.sort(np.argsort(off)[: max(5, int(_SHARE * len(off)))])
-        if np.array_equal(best, kept):
-            break
-        kept = best
-    return np.asarray(made)
+    every = np.arange(len(design))
+    return concentrated(design, reading, every, max(5, int(_SHARE * len(design)))).map
 
 
 def _read(direction: Array, made: Array) -> Array:

@@ -28,10 +28,13 @@ _ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 6
 _SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
 #: Laws of a response: odd and even powers, ends, kinks (of the input in g).
 _OF_RESPONSE = (
-    "odd_power:1.5", "odd_power:2", "power:4:0:1", "power:5:0:1", "even_power:1.5",
-    "saturation:0.1", "saturation:0.3", "saturation:0.5", "saturation:0.7",
-    "soft_saturation:0.3", "kink:0.3", "kink:-0.3",
-)  # fmt: skip
+    *(f"odd_power:{p}" for p in (1.5, 2)),
+    *(f"power:{p}:0:1" for p in (4, 5)),
+    "even_power:1.5",
+    *(f"saturation:{end}" for end in (0.1, 0.3, 0.5, 0.7)),
+    "soft_saturation:0.3",
+    *(f"kink:{at}" for at in (0.3, -0.3)),
+)
 
 
 def components_of(model: Model, data: Observations, asked: Searched) -> tuple[Component, ...]:
@@ -57,6 +60,12 @@ def _usable(data: Observations, effect: Effect) -> bool:
     return seen and wanted and not effect.missing(data.context)
 
 
+def _whole(effect: Effect, context: Context) -> tuple[Effect, Index, Array]:
+    """An effect with all of its parameters, at their typical sizes."""
+    typical = np.array([p.typical for p in effect.parameters(context)])
+    return effect, np.arange(typical.size), typical
+
+
 def _names(model: Model, data: Observations, effects: Mapping[str, Effect]) -> Iterator[Component]:
     for effect in effects.values():
         if effect.name in model.names or not _usable(data, effect):
@@ -67,12 +76,12 @@ def _names(model: Model, data: Observations, effects: Mapping[str, Effect]) -> I
 
 def _ways(effect: Effect, context: Context, *, single: bool) -> Iterator[Member]:
     """All parameters of an effect together, and one alone."""
-    typical = np.array([p.typical for p in effect.parameters(context)])
-    count = typical.size
+    _, every, typical = whole = _whole(effect, context)
+    count = every.size
     if not count:
         return
-    whole = np.log(TOGETHER) if single and count > 1 else 0.0
-    yield Member(((effect, np.arange(count), typical),), float(whole))
+    together = np.log(TOGETHER) if single and count > 1 else 0.0
+    yield Member((whole,), float(together))
     if single and count > 1:
         each = float(np.log((1.0 - TOGETHER) / count))
         for k in range(count):
@@ -92,8 +101,7 @@ def scan_of(data: Observations, family: Family, near: Sequence[str] = ()) -> Com
             effect = family.member(one)
             if effect.name not in seen and _usable(data, effect):
                 seen.add(effect.name)
-                typical = np.array([p.typical for p in effect.parameters(data.context)])
-                own.append((effect, np.arange(typical.size), typical))
+                own.append(_whole(effect, data.context))
         share = -float(np.log(max(len(own), 1) * len(some)))
         members += [Member((o,), share) for o in own]
     if not members:
@@ -139,16 +147,14 @@ def _curved(data: Observations, text: str, decay: float) -> tuple[Effect, Index,
     """A curve whose terms are the smaller the quicker they turn."""
     effect = curve(text)
     what, against = text.split(":")[:2]
-    parameters = effect.parameters(data.context)
+    _, every, typical = _whole(effect, data.context)
     axes = 3 if what in ("bias", "scale") else 1
-    count = len(parameters) // axes
+    count = every.size // axes
     first = 2 if what == "response" else 1
     order = np.arange(first, count + first)
     if against == "tool_face" and what != "response":
         order = np.tile(np.arange(1, count // 2 + 1), 2)
-    each = np.tile((first / order) ** decay, axes)
-    typical = np.array([p.typical for p in parameters])
-    return effect, np.arange(len(parameters)), each * typical
+    return effect, every, np.tile((first / order) ** decay, axes) * typical
 
 
 def _laws(data: Observations) -> Iterator[Component]:
@@ -186,11 +192,6 @@ def _of_dial(data: Observations, what: str) -> Iterator[str]:
 
 
 def _law(data: Observations, driver: str, texts: Sequence[str]) -> Component:
-    members = []
-    for text in texts:
-        effect = shape(text)
-        typical = np.array([p.typical for p in effect.parameters(data.context)])
-        members.append((effect, np.arange(typical.size), typical))
-    weight = -float(np.log(len(members)))
-    every = tuple(Member((m,), weight) for m in members)
+    weight = -float(np.log(len(texts)))
+    every = tuple(Member((_whole(shape(text), data.context),), weight) for text in texts)
     return Component(f"another law of {driver}".replace("_", "-"), "law", every, driver)

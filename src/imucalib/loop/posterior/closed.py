@@ -21,7 +21,7 @@ from imucalib.loop.posterior.explored import Explored
 from imucalib.loop.posterior.held_out import LeftOut, left_out
 from imucalib.loop.posterior.odds import OPEN
 from imucalib.loop.posterior.rivals import rivals_of
-from imucalib.loop.posterior.slips import Written, mended
+from imucalib.loop.posterior.slips import Mended, Written, mended
 from imucalib.loop.posterior.solution import fit_of, solved
 from imucalib.loop.posterior.tried import scores_of
 from imucalib.loop.posterior.words import Place, Told, told
@@ -78,19 +78,24 @@ def close_loop(
         slips=state.slips,
         weighed=rivals_of(found.problem, found.posterior),
     )
-    if state.slips:
-        loop = replace(loop, as_recorded=_as_recorded(loop.as_recorded, observations))
-    return Closed(loop, found, left)
+    return Closed(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
 
 
-def _as_recorded(fit: Fit, observations: Observations) -> Fit:
-    """A model of the mended table, fitted to the table as it stands."""
-    return fit_model(fit.model, observations, start=fit.theta, shrink=fit.shrink)
+def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
+    """The final model with every record taken as it stands: fitted anew where records are set
+    aside, where the base model stands at the angles that were meant, and where slips were mended,
+    to the table as it was."""
+    final, names = loop.final, record_names(loop.final)
+    if final is loop.plain:
+        return final
+    one = reduced(final, names) if names or not loop.steps else final
+    if not state.slips:
+        return one
+    return fit_model(one.model, loop.plain.observations, start=one.theta, shrink=one.shrink)
 
 
 def _empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
     """The loop before anything is corrected."""
-    recorded = reduced(found.base, record_names(found.base)) if found.base is not plain else plain
     missing = {
         name: reason
         for name, effect in asked.effects.items()
@@ -98,9 +103,15 @@ def _empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
     }
     scores = scores_of(found.problem, found.posterior)
     return FitLoop(
-        base=found.base, final=found.base, plain=plain, as_recorded=recorded, scores=scores,
-        first_scores=scores, missing=missing, complete=said.complete,
-    )  # fmt: skip
+        base=found.base,
+        final=found.base,
+        plain=plain,
+        as_recorded=plain,
+        scores=scores,
+        first_scores=scores,
+        missing=missing,
+        complete=said.complete,
+    )
 
 
 def _corrected(loop: FitLoop, found: Explored, said: Told) -> tuple[FitLoop, Fit, LeftOut | None]:
@@ -127,9 +138,7 @@ def _corrected(loop: FitLoop, found: Explored, said: Told) -> tuple[FitLoop, Fit
         _step(found, said, place, name, left)
         for place, name in zip(said.places, names, strict=True)
     )
-    recorded = reduced(final, record_names(final)) if record_names(final) else final
-    done = replace(loop, final=final, as_recorded=recorded, steps=steps, difference=gain)
-    return done, final, left
+    return replace(loop, final=final, steps=steps, difference=gain), final, left
 
 
 def _effect(found: Explored, component: int, said: Told) -> str:
@@ -170,13 +179,17 @@ def _refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None
     names = tuple(_effect(found, place.component, said) for place in said.places)
     left = tuple(
         Unexplained(
-            name=name, driver=found.problem.components[place.component].driver, kind="probe",
-            p=said.complete, evidence=0.0, share=0.0,
+            name=name,
+            driver=found.problem.components[place.component].driver,
+            kind="probe",
+            p=said.complete,
+            evidence=0.0,
+            share=0.0,
             alike=tuple(_effect(found, c, said) for c, _ in place.rivals),
         )
         for place, name in zip(said.places, names, strict=True)
         if said.complete < np.exp(-OPEN)
-    )  # fmt: skip
+    )
     return replace(
         loop,
         difference=gain,

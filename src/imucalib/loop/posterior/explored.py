@@ -39,7 +39,8 @@ def explored(fit: Fit, asked: Searched) -> Explored:
     base = _anchored(fit)
     data = base.observations
     components = components_of(base.model, data, asked)
-    first = _once(base, components)
+    terms = terms_of(base)
+    first = _once(base, components, terms)
     near = _near(first)
     if near:
         own = {f"{f.name}@": f for f in asked.families}
@@ -47,7 +48,7 @@ def explored(fit: Fit, asked: Searched) -> Explored:
             scan_of(data, own[c.name], near[c.name]) or c if c.name in near else c
             for c in components
         )
-        first = _once(base, finer)
+        first = _once(base, finer, terms)
     return replace(first, posterior=_heard(first))
 
 
@@ -72,9 +73,8 @@ def _anchored(fit: Fit) -> Fit:
     )
 
 
-def _once(base: Fit, components: tuple[Component, ...]) -> Explored:
+def _once(base: Fit, components: tuple[Component, ...], terms: Terms) -> Explored:
     problem = problem_of(base, components)
-    terms = terms_of(base)
     return Explored(base, problem, terms, search(problem, grams_of(problem, terms)))
 
 

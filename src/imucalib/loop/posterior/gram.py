@@ -10,6 +10,7 @@ diagonal of A and a few of its rows are ever formed.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -91,6 +92,10 @@ class Grams:
     def power(self) -> Array:
         """(E,) what is left of yᵀ V⁻¹ y."""
         return np.asarray(np.maximum(self.along[:, -1], 1e-9))
+
+    def evidence(self, dof: float) -> float:
+        """Log evidence over all noises of what has been taken out."""
+        return float(log_sum(self.log_weight + self.log_noise(self.power, dof)))
 
     def of(self, noises: Index) -> Grams:
         """At some of the noises."""
@@ -206,3 +211,18 @@ def swept(grams: Grams, columns: Index, size: float) -> Grams:
         taken=np.concatenate([grams.taken, np.linalg.solve(lower, rows)], axis=1),
         log_weight=grams.log_weight - np.log(diagonal).sum(axis=1) - log_size,
     )
+
+
+def beside(grams: Grams, blocks: Iterable[tuple[Index, float]]) -> Grams:
+    """With blocks of columns of given sizes integrated out, one after the other."""
+    for columns, size in blocks:
+        grams = swept(grams, columns, size)
+    return grams
+
+
+def log_sum(logs: Array) -> Array:
+    """Log of the sum of exponentials over the first axis; -inf where there is nothing."""
+    top = logs.max(axis=0)
+    safe = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(safe + np.log(np.exp(logs - safe).sum(axis=0)))

@@ -6,7 +6,7 @@ every number estimated without the fold's rows, by down-dates of the same produc
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +14,11 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.loop.design import Fold
 from imucalib.loop.held_out import Held, errors, joined
-from imucalib.loop.posterior.gram import Grams, without
+from imucalib.loop.posterior.gram import Grams, beside, log_sum, swept, without
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.solution import solved
-from imucalib.loop.posterior.space import Hypothesis, Posterior, log_evidence, log_sum, search
+from imucalib.loop.posterior.space import Hypothesis, Posterior, blocks_of, search
 from imucalib.loop.posterior.words import told
 
 #: Probability of the sets whose components are searched anew, and single ones beside them.
@@ -44,20 +44,18 @@ class LeftOut:
 
 def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> LeftOut:
     """Every fold of a design, in the order of the observations."""
-    choices = tuple(_rivals(problem, posterior))
-    grams = posterior.grams
-    whole = told(problem, posterior).hypothesis.components
-    deepest = min(FOLD_DEEPEST, len(whole) + 1)
+    choices = _rivals(problem, posterior)
+    whole = swept(posterior.grams, *problem.flat)
+    own = told(problem, posterior).hypothesis.components
+    deepest = min(FOLD_DEEPEST, len(own) + 1)
     before, after, nats, agreed = list[Held](), list[Held](), list[float](), 0
     for fold in folds:
-        kept = _without(grams, problem, fold)
+        kept = _without(posterior.grams, problem, fold)
         found = search(problem, kept, choices, beams=FOLD_BEAMS, deepest=deepest)
         said = told(problem, found).hypothesis
-        agreed += said.components == whole
-        nats.append(
-            _foretold(problem, grams, kept, choices, found)
-            - _beside(problem, grams, kept, choices, found.base)
-        )
+        agreed += said.components == own
+        rest = swept(kept, *problem.flat)
+        nats.append(_gained(choices, (whole, posterior.dof), (rest, found.dof), found))
         held = problem.fit.observations.take(fold.rows)
         for hypothesis, out in ((found.base, before), (said, after)):
             one = solved(problem, kept, hypothesis, choices)
@@ -66,23 +64,25 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
     return LeftOut(joined(before, folds), joined(after, folds), np.array(nats), agreed)
 
 
-def _foretold(
-    problem: Problem, grams: Grams, kept: Grams, choices: Sequence[Choice], found: Posterior
+def _gained(
+    choices: Sequence[Choice],
+    whole: tuple[Grams, float],
+    rest: tuple[Grams, float],
+    found: Posterior,
 ) -> float:
-    """Log density of a fold's rows given all others, over all sets that these leave, up to what the
-    base model shares."""
+    """Nats by which a fold's rows given all others are foretold better over all sets that these
+    leave than by the base model; whole, rest : all data and those without the fold, beside the base
+    model, each with its degrees of freedom."""
+
+    def under(hypothesis: Hypothesis) -> float:
+        blocks = blocks_of(choices, hypothesis.picks)
+        one, other = (beside(grams, blocks).evidence(dof) for grams, dof in (whole, rest))
+        return one - other
+
     pairs = zip(found.hypotheses, found.probability, strict=True)
     likely = [(h, p) for h, p in pairs if p > _LIKELY] or [(found.best, 1.0)]
-    logs = [np.log(p) + _beside(problem, grams, kept, choices, h) for h, p in likely]
-    return log_sum(np.array(logs)) - float(np.log(sum(p for _, p in likely)))
-
-
-def _beside(
-    problem: Problem, grams: Grams, kept: Grams, choices: Sequence[Choice], hypothesis: Hypothesis
-) -> float:
-    """The same under one set."""
-    picks = [(choices[p.choice].at, p.size) for p in hypothesis.picks]
-    return log_evidence(problem, grams, picks) - log_evidence(problem, kept, picks)
+    logs = np.array([np.log(p) + under(h) for h, p in likely])
+    return float(log_sum(logs) - np.log(sum(p for _, p in likely))) - under(found.base)
 
 
 def _without(grams: Grams, problem: Problem, fold: Fold) -> Grams:
@@ -90,10 +90,10 @@ def _without(grams: Grams, problem: Problem, fold: Fold) -> Grams:
     return without(grams, problem.of_rows(gone))
 
 
-def _rivals(problem: Problem, posterior: Posterior) -> Iterator[Choice]:
+def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:
     """Members of every component that any data have a say for."""
     pairs = zip(posterior.hypotheses, posterior.probability, strict=True)
     used = {c for h, p in pairs if p > _SEEN for c in h.components}
     single = [h for h in posterior.hypotheses if len(h.components) == 1][:_SINGLES]
     used |= {h.components[0] for h in single}
-    return (c for c in problem.choices if c.component in used)
+    return tuple(c for c in problem.choices if c.component in used)

@@ -15,10 +15,9 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
-from imucalib.core.fit import Fit
-from imucalib.core.model import Prediction
-from imucalib.core.truth import Truth
+from imucalib.core.fit import Fit, shrinking
 from imucalib.effects.record_error import is_record_error
+from imucalib.loop.candidates import effect_slopes, fitted_prediction
 from imucalib.loop.posterior.component import Component, Member, log_odds
 
 
@@ -51,6 +50,11 @@ class Problem:
     single: int
     owner: Index
 
+    @property
+    def flat(self) -> tuple[Index, float]:
+        """The base model's columns, and that nothing holds them."""
+        return np.arange(self.base), np.inf
+
     def of_rows(self, rows: Index) -> Index:
         """Columns of the numbers of some observations, each by itself: a number that is free is as
         good as one that is not there."""
@@ -70,18 +74,21 @@ class Problem:
 def problem_of(fit: Fit, components: tuple[Component, ...]) -> Problem:
     """The problem at a fitted base model. Members whose columns are zero or not finite, and
     components without a member, are left out."""
-    prediction = _prediction(fit)
+    prediction = fitted_prediction(fit)
     seen: dict[str, Array] = {}
+
+    def slopes(effect: Effect) -> Array:
+        if effect.name not in seen:
+            seen[effect.name] = effect_slopes(fit, effect, prediction)
+        return seen[effect.name]
+
     blocks, choices, kept = [fit.at.jacobian], list[Choice](), list[Component]()
     at = fit.at.jacobian.shape[1]
     for component in components:
         found = []
         for member in component.members:
             columns = np.concatenate(
-                [
-                    _of_effect(seen, fit, prediction, effect)[:, own] * size
-                    for effect, own, size in member.effects
-                ],
+                [slopes(effect)[:, own] * size for effect, own, size in member.effects],
                 axis=1,
             )
             if not np.isfinite(columns).all() or not columns.any():
@@ -93,11 +100,11 @@ def problem_of(fit: Fit, components: tuple[Component, ...]) -> Problem:
             whole = np.log(sum(np.exp(m.log_weight) for m, _ in found))
             choices += [Choice(len(kept), m, c, m.log_weight - whole) for m, c in found]
             kept.append(component)
-    own, away = _known_before(fit)
+    known = _known_before(fit)
     blocks += [np.eye(fit.at.residual.size), fit.at.residual[:, None]]
     columns = np.concatenate(blocks, axis=1)
-    rows = np.zeros((len(away), columns.shape[1]))
-    rows[:, : own.shape[1]], rows[:, -1] = own, away
+    rows = np.zeros((len(known), columns.shape[1]))
+    rows[:, -1], rows[:, : fit.theta.size] = known[:, 0], known[:, 1:]
     return Problem(
         fit=fit,
         components=tuple(kept),
@@ -106,45 +113,15 @@ def problem_of(fit: Fit, components: tuple[Component, ...]) -> Problem:
         columns=np.vstack([columns, rows]),
         base=fit.at.jacobian.shape[1],
         single=at,
-        owner=np.concatenate([fit.at.owner, np.full(len(away), -1)]),
+        owner=np.concatenate([fit.at.owner, np.full(len(known), -1)]),
     )
 
 
-def _prediction(fit: Fit) -> Prediction:
-    data = fit.observations
-    return fit.model.predict(fit.theta, data.reference.truth(fit.eta), data.context)
-
-
-def _of_effect(seen: dict[str, Array], fit: Fit, prediction: Prediction, effect: Effect) -> Array:
-    """(N, p) what each parameter of an effect does, per unit, where the effect is absent."""
-    if effect.name not in seen:
-        seen[effect.name] = columns_of(fit, prediction, effect)
-    return seen[effect.name]
-
-
-def columns_of(fit: Fit, prediction: Prediction, effect: Effect) -> Array:
-    """(N, p) the same, from the fit's own prediction: the effect's derivative at the fitted truth,
-    through what acts after it."""
-    context = fit.observations.context
-    start = np.array([p.start for p in effect.parameters(context)])
-    if effect.stage == "sensor":
-        slope = effect.act(start, Truth(prediction.force), context).d_theta
-    else:
-        slope = effect.act(start, Truth(prediction.set_up), context).d_theta
-        slope = prediction.d_set_up @ slope
-    return fit.at.columns(slope)
-
-
-def _known_before(fit: Fit) -> tuple[Array, Array]:
-    """Rows (k, p) and values (k,) of what is known of the base before its readings, in units of the
+def _known_before(fit: Fit) -> Array:
+    """(k, 1 + p) values and rows of what is known of the base before its readings, in units of the
     noise that the fit has estimated: of a bench's sensor, and of a record that is set aside."""
-    sd = known_sd(fit)
-    told = np.flatnonzero(np.isfinite(sd))
-    weight = fit.noise.factor / sd[told]
-    rows = np.zeros((told.size, fit.theta.size))
-    rows[np.arange(told.size), told] = weight
     start = np.array([p.start for p in fit.parameters])
-    return rows, weight * (start - fit.theta)[told]
+    return shrinking(known_sd(fit) / fit.noise.factor, start - fit.theta)
 
 
 def known_sd(fit: Fit) -> Array:

@@ -42,7 +42,6 @@ def rivals_of(problem: Problem, posterior: Posterior) -> tuple[Rival, ...]:
             slope=np.zeros((0, one.theta.size, one.theta.size)),
             noise_covariance=np.zeros((0, 0)),
         )
-        own = {c for c in hypothesis.components}
-        names = tuple(problem.components[c].name for c in sorted(own))
+        names = tuple(problem.components[c].name for c in hypothesis.components)
         found.append(Rival(names, p / total, fit))
     return tuple(found)

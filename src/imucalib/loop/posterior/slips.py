@@ -28,10 +28,10 @@ from imucalib.loop.faults.found import Fault
 from imucalib.loop.faults.readings import blocks, exchanges
 from imucalib.loop.faults.sheet import Sheet
 from imucalib.loop.posterior.explored import Explored, explored
-from imucalib.loop.posterior.gram import swept
+from imucalib.loop.posterior.gram import Grams, beside, log_sum
 from imucalib.loop.posterior.odds import ACCUSED, OPEN, RECORD_MG
 from imucalib.loop.posterior.problem import known_sd
-from imucalib.loop.posterior.space import Pick, block_logs, log_sum
+from imucalib.loop.posterior.space import block_logs, blocks_of
 from imucalib.loop.records import foreseen, set_aside
 from imucalib.units import DEG, MG
 
@@ -141,31 +141,33 @@ def _trials(state: Mended, written: Written | None) -> Iterator[_Trial]:
     if n > _LONGEST:
         return
     leading = (found.posterior.base, *found.posterior.hypotheses[:2])
-    sets = list(dict.fromkeys(h.picks for h in leading))
+    sets = dict.fromkeys(h.picks for h in leading)
+    flat, choices = found.problem.flat, found.problem.choices
+    taken_out = [beside(found.posterior.grams, (flat, *blocks_of(choices, s))) for s in sets]
     touched = {row for fault in state.slips for row in fault.rows}
     taken = {row for row, _ in state.aside}
-    freed = np.max([_freed(found, picks) for picks in sets], axis=0) + prior_of(n)
+    freed = np.max([_freed(found, one) for one in taken_out], axis=0) + prior_of(n)
     for row in map(int, np.argsort(-freed)[:_TRIED]):
         if row not in taken:
             yield _Trial(float(freed[row]), prior_of(n), row=row)
     if written is None:
         return
     best: dict[str, _Trial] = {}
-    for picks in sets:
-        base = base_of(found, written.sheet, picks)
+    for one in taken_out:
+        base = base_of(found, written.sheet, one)
         own = written.cell[written.sheet.place]
         every = (
-            *exchanges(base), *cells(base, own), *blocks(base), *angles(base, written.unit),
+            *exchanges(base),
+            *cells(base, own),
+            *blocks(base),
+            *angles(base, written.unit),
             *other_axes(base),
-        )  # fmt: skip
-        for one in every:
-            if touched & set(one.fault.rows):
-                continue
-            old = best.get(one.fault.line)
-            if old is None or one.fault.score > old.score:
-                best[one.fault.line] = _Trial(
-                    one.fault.score, one.prior, fault=one.fault, sheet=one.repaired
-                )
+        )
+        for slip in every:
+            fault, old = slip.fault, best.get(slip.fault.line)
+            better = old is None or fault.score > old.score
+            if better and not touched & set(fault.rows):
+                best[fault.line] = _Trial(fault.score, slip.prior, fault=fault, sheet=slip.repaired)
     yield from best.values()
 
 
@@ -220,15 +222,11 @@ def _turned(context: Context, sheet: Sheet) -> Context:
     return replace(context, covariates=found)
 
 
-def _freed(found: Explored, picks: tuple[Pick, ...]) -> Array:
+def _freed(found: Explored, one: Grams) -> Array:
     """(n,) nats that freeing each record gains beside a set, before anything is solved again."""
     problem, dof = found.problem, found.posterior.dof
-    one = swept(found.posterior.grams, np.arange(problem.base), np.inf)
-    for pick in picks:
-        one = swept(one, problem.choices[pick.choice].at, pick.size)
-    whole = log_sum(one.log_weight + one.log_noise(one.power, dof))
     n, fit = found.base.observations.n, found.base
     index = np.array([problem.of_rows(np.array([row])) for row in range(n)])
     size = RECORD_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor
     logs = block_logs(one, index, np.array([size]), dof)[0][..., 0]
-    return np.array([log_sum(column) for column in logs.T]) - whole
+    return log_sum(logs) - one.evidence(dof)

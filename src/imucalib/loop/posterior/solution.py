@@ -19,7 +19,7 @@ from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.posterior.gram import Grams
 from imucalib.loop.posterior.problem import Choice, Problem
-from imucalib.loop.posterior.space import Hypothesis, Pick
+from imucalib.loop.posterior.space import Hypothesis, Pick, blocks_of
 
 #: Of its typical size, what is left to a parameter that a member does not free.
 _HELD = 1e-6
@@ -42,14 +42,13 @@ def solved(
     """The model of a set and its parameters, at the mean over the noises of these Grams."""
     every = problem.choices if choices is None else choices
     picks = [(every[p.choice], p.size) for p in hypothesis.picks]
-    columns = np.concatenate([np.arange(problem.base), *(c.at for c, _ in picks)]).astype(np.intp)
-    mean, covariance = _moments(problem, grams, columns, [(c.at.size, size) for c, size in picks])
+    mean, covariance = _moments(problem, grams, blocks_of(every, hypothesis.picks))
     fit, context = problem.fit, problem.fit.observations.context
     effects = {e.name: e for c, _ in picks for e, _, _ in c.member.effects}
     model = Model((*fit.model.effects, *effects.values()))
     # θ is linear in the numbers of the columns: two members may share a parameter.
     slices, theta = model.slices(context), model.start(context)
-    turn, spread = np.zeros((theta.size, columns.size)), np.zeros(theta.size)
+    turn, spread = np.zeros((theta.size, mean.size)), np.zeros(theta.size)
     for name, part in fit.model.slices(context).items():
         theta[slices[name]] = fit.theta[part]
         turn[slices[name], part] = np.eye(part.stop - part.start)
@@ -69,26 +68,25 @@ def solved(
 
 
 def _moments(
-    problem: Problem, grams: Grams, columns: Index, blocks: Sequence[tuple[int, float]]
+    problem: Problem, grams: Grams, blocks: Sequence[tuple[Index, float]]
 ) -> tuple[Array, Array]:
-    """Mean (k,) and covariance (k, k) of the numbers of some columns over the noises."""
-    weight, each, spread = conditional(problem, grams, columns, blocks)
+    """Mean (k,) and covariance (k, k) of the numbers of base and blocks over the noises."""
+    weight, each, spread = _conditional(problem, grams, blocks)
     mean = weight @ each
     away = each - mean
     between = (away * weight[:, None]).T @ away
     return mean, np.asarray(np.einsum("e,ekl->kl", weight, spread) + between)
 
 
-def conditional(
-    problem: Problem, grams: Grams, columns: Index, blocks: Sequence[tuple[int, float]]
+def _conditional(
+    problem: Problem, grams: Grams, blocks: Sequence[tuple[Index, float]]
 ) -> tuple[Array, Array, Array]:
-    """(E,) weight of each noise beside a set, (E, k) the numbers of its columns there and their
-    covariance (E, k, k); blocks : width and size of what stands behind the base model's."""
-    prior = np.zeros(columns.size)
-    at = problem.base
-    for width, size in blocks:
-        prior[at : at + width] = size**-2.0
-        at += width
+    """(E,) weight of each noise beside blocks of columns of given sizes, (E, k) the numbers of base
+    and blocks there, and their covariance (E, k, k)."""
+    columns = np.concatenate([np.arange(problem.base), *(c for c, _ in blocks)]).astype(np.intp)
+    prior = np.concatenate(
+        [np.zeros(problem.base), *(np.full(c.size, size**-2.0) for c, size in blocks)]
+    )
     rows = grams.rows(columns)
     inner = rows[:, :, columns] + np.diag(prior)
     along = rows[:, :, -1]
@@ -103,15 +101,16 @@ def conditional(
 
 def noises_of(problem: Problem, grams: Grams, picks: Sequence[Pick]) -> Array:
     """(E,) weight of each noise beside a set."""
-    own = [(problem.choices[p.choice].at, p.size) for p in picks]
-    columns = np.concatenate([np.arange(problem.base), *(c for c, _ in own)]).astype(np.intp)
-    return conditional(problem, grams, columns, [(c.size, s) for c, s in own])[0]
+    return _conditional(problem, grams, blocks_of(problem.choices, picks))[0]
 
 
 def fit_of(problem: Problem, found: Solved, data: Observations) -> Fit:
     """The model fitted to observations, with its sizes as priors, from where it is."""
     adds = found.model.names != problem.fit.model.names
     return fit_model(
-        found.model, data, start=found.theta, begin=problem.fit.noise,
+        found.model,
+        data,
+        start=found.theta,
+        begin=problem.fit.noise,
         shrink=found.shrink if adds else None,
-    )  # fmt: skip
+    )

@@ -18,12 +18,12 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.loop.posterior.component import log_set_prior, log_size_prior
-from imucalib.loop.posterior.gram import Grams, swept
+from imucalib.loop.posterior.gram import Grams, log_sum, swept
 from imucalib.loop.posterior.odds import BEAMS, DEEPEST, OPEN, SIZES
 from imucalib.loop.posterior.problem import Choice, Problem
 
-#: Sets of one depth that are kept, and likeliest members and sizes of a set that carry its mixture.
-_KEPT, _CARRIED = 60, 4
+#: Sets of one depth that are kept.
+_KEPT = 60
 
 
 @dataclass(frozen=True)
@@ -34,19 +34,23 @@ class Pick:
     size: float
 
 
+def blocks_of(choices: Sequence[Choice], picks: Sequence[Pick]) -> list[tuple[Index, float]]:
+    """The columns and the size of each pick."""
+    return [(choices[p.choice].at, p.size) for p in picks]
+
+
 @dataclass(frozen=True)
 class Hypothesis:
     """A set of components.
 
     components : which, sorted; picks : its likeliest members and sizes
-    evidence, prior : logs; mixture : likeliest picks and their weights
+    evidence, prior : logs; added : nats of its evidence that other members and sizes add
     """
 
     components: tuple[int, ...]
     picks: tuple[Pick, ...]
     evidence: float
     prior: float
-    mixture: tuple[tuple[tuple[Pick, ...], float], ...] = (((), 1.0),)
     added: float = 0.0
 
     @property
@@ -113,9 +117,8 @@ def search(
     default, with their columns in these Grams; beams : sets that are opened at each depth."""
     every = problem.choices if choices is None else choices
     dof = grams.numbers - problem.base
-    base = swept(grams, np.arange(problem.base), np.inf)
-    alone = base.log_weight + base.log_noise(base.power, dof)
-    nothing = Hypothesis((), (), log_sum(alone), 0.0)
+    base = swept(grams, *problem.flat)
+    nothing = Hypothesis((), (), base.evidence(dof), 0.0)
     found: dict[tuple[int, ...], Hypothesis] = {(): nothing}
     level = [_State(nothing, base)]
     blocks = _blocks(grams, [c.at for c in every])
@@ -136,17 +139,8 @@ def search(
         level = [_state(h, s, every) for h, s in top[:width] if h.log_posterior > bar]
     ranked = sorted(found.values(), key=lambda h: -h.log_posterior)
     logs = np.array([h.log_posterior for h in ranked])
-    whole = log_sum(logs)
+    whole = float(log_sum(logs))
     return Posterior(tuple(ranked), np.exp(logs - whole), grams, dof, whole)
-
-
-def log_evidence(problem: Problem, grams: Grams, blocks: Sequence[tuple[Index, float]]) -> float:
-    """Over all noises, of the base model with blocks of columns of given sizes."""
-    one = swept(grams, np.arange(problem.base), np.inf)
-    for columns, size in blocks:
-        one = swept(one, columns, size)
-    dof = grams.numbers - problem.base
-    return log_sum(one.log_weight + one.log_noise(one.power, dof))
 
 
 def _state(hypothesis: Hypothesis, source: _State, choices: tuple[Choice, ...]) -> _State:
@@ -166,26 +160,17 @@ def _opened(
     for component in np.setdiff1d(of, own.components):
         rows = np.flatnonzero(of == component)
         part = score[rows]
-        total = log_sum(part)
+        total = float(log_sum(part.ravel()))
         if not np.isfinite(total):
             continue
-        share = np.exp(part - total)
-        likely = np.argsort(-share, axis=None)[:_CARRIED]
-        at = [np.unravel_index(k, share.shape) for k in likely]
-        picks = [(Pick(int(rows[a]), float(SIZES[b])), float(share[a, b])) for a, b in at]
-        mixture = sorted(
-            (((*before, pick), w * s) for before, w in own.mixture for pick, s in picks),
-            key=lambda m: -m[1],
-        )[:_CARRIED]
-        a, b = at[0]
+        a, b = np.unravel_index(np.argmax(part), part.shape)
         key = tuple(sorted((*own.components, int(component))))
         found.append(
             Hypothesis(
                 components=key,
-                picks=(*own.picks, picks[0][0]),
+                picks=(*own.picks, Pick(int(rows[a]), float(SIZES[b]))),
                 evidence=total + own.added,
                 prior=log_set_prior(problem.odds, key),
-                mixture=tuple(mixture),
                 added=own.added + total - float(raw[rows[a], b]),
             )
         )
@@ -198,8 +183,8 @@ def _scores(state: _State, opened: _Blocks, dof: float) -> tuple[Array, Array]:
     out = np.full((2, opened.count, SIZES.size), -np.inf)
     for which, index, whole in opened.by_width:
         logs, factor = block_logs(state.grams, index, SIZES, dof, whole)
-        out[0, which] = _log_sums(logs + log_size_prior(SIZES * factor))
-        out[1, which] = _log_sums(logs)
+        out[0, which] = log_sum(logs + log_size_prior(SIZES * factor))
+        out[1, which] = log_sum(logs)
     return out[0], out[1]
 
 
@@ -220,15 +205,3 @@ def block_logs(
     logs = grams.log_weight[:, None, None] + grams.log_noise(rest, dof)
     logs = logs - 0.5 * np.log1p(values[..., None] * square).sum(axis=2)
     return logs, np.sqrt(rest / dof)
-
-
-def _log_sums(logs: Array) -> Array:
-    """Over the first axis."""
-    top = logs.max(axis=0)
-    return np.asarray(top + np.log(np.exp(logs - top).sum(axis=0)))
-
-
-def log_sum(logs: Array) -> float:
-    """Log of the sum of exponentials."""
-    top = float(logs.max())
-    return top + float(np.log(np.exp(logs - top).sum())) if np.isfinite(top) else top
