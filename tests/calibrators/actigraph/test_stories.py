@@ -18,10 +18,7 @@ from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Response
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
-from imucalib.effects import catalogue
 from imucalib.estimators.least_squares import fit
-from imucalib.loop import evidence
-from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.found import LoopSettings
 from imucalib.units import MG, STANDARD_GRAVITY
 
@@ -139,22 +136,6 @@ def test_a_wandering_bias_is_in_what_is_stated() -> None:
         z.append((result.base.theta - truth) / result.base.sd)
     assert np.std(narrow) > 1.5
     assert np.std(z) < 1.2
-
-
-def test_evidence_by_gram_matrix_is_the_evidence() -> None:
-    week = simulated_week(WeekPlan(days=0.5), 2)
-    found = solved(week, 2, ActigraphRequest(loop=False)).final
-    assert found.at.residual.size < evidence._MANY
-    candidates, _ = effect_candidates(found, catalogue().values())
-    direct = evidence._score_few(found, candidates, np.random.default_rng(0), 400, 1.0)
-    gram = evidence._score_many(found, candidates, np.random.default_rng(1), 400, 1.0)
-    one, two = ({s.name: s for s in scores} for scores in (direct, gram))
-    assert set(one) == set(two)
-    for name, score in one.items():
-        assert two[name].evidence == pytest.approx(score.evidence, abs=1e-6)
-        assert two[name].left == pytest.approx(score.left, rel=1e-6)
-        assert two[name].strength == pytest.approx(score.strength, rel=1e-6)
-        assert abs(two[name].p - score.p) < 0.12
 
 
 def test_a_thinned_search_finds_the_same() -> None:
