@@ -41,6 +41,8 @@ BEGINS: dict[str, tuple[str, ...]] = {
 NO_NUMBER = {*LAWS, "--output", "--full", "--verbose", "--export", "--save-draws", "--recording"}
 #: A chain goes on where the file has it; the file's own check sum refuses another question.
 NO_NUMBER |= {"--checkpoint"}
+#: What a run ends with.
+NO_NUMBER |= {"--fail-on"}
 #: The headings of a table: in the mapping, as they were taken.
 NO_NUMBER |= {"--columns"}
 

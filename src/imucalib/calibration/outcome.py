@@ -15,6 +15,9 @@ from imucalib.core.fit import Fit
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
 
 Status = Literal["ok", "marginal", "weak", "failed"]
+#: What a run that is otherwise consistent may be made to fail on: a name that held-out data do not
+#: prove, structure without a name, anything that the headline warns of.
+Gate = Literal["suspected", "unexplained", "caution"]
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,16 @@ class Left:
         return f"{self.name}: {self.value:.2g} {self.unit}, {more} the {self.accepted:g} accepted"
 
 
+def open_question(size: float, error: ErrorSummary) -> Left:
+    """What is not explained against what the calibration is good to.
+
+    size : in the error's unit, rms, by how much it changes a corrected reading; accepted is the
+        error on held-out data, of the fit where nothing was held out
+    """
+    good_to = error.final if math.isnan(error.held_out.final) else error.held_out.final
+    return Left("what stays open in a reading", size, good_to, error.unit)
+
+
 @dataclass(frozen=True)
 class FitQuality:
     """How a least-squares fit went; see `Fit`."""
@@ -109,7 +122,8 @@ class Outcome:
     errors : the principal metric first; findings : None where nothing was searched for
     undecided : what only the user can decide; weak : the data leave parameters open, which stay
     near their nominal values
-    left : sizes of what is not explained, which then decide; empty where its mere presence does
+    left : sizes of what is not explained, and what of each is accepted
+    fail_on : what more than that ends with the code of the unexplained
     """
 
     calibrator: str
@@ -124,6 +138,7 @@ class Outcome:
     notes: tuple[str, ...] = ()
     weak: bool = False
     left: tuple[Left, ...] = ()
+    fail_on: Gate | None = None
 
     @property
     def error(self) -> ErrorSummary:
@@ -132,9 +147,8 @@ class Outcome:
 
     @property
     def unexplained(self) -> bool:
-        if self.left:
-            return bool(self.undecided) or any(one.beyond for one in self.left)
-        return bool(self.undecided) or bool(self.findings and self.findings.open)
+        """Whether an open question changes the numbers by more than is accepted."""
+        return bool(self.undecided) or any(one.beyond for one in self.left)
 
     @property
     def broken(self) -> tuple[str, ...]:
@@ -147,17 +161,28 @@ class Outcome:
             return "failed"
         if self.weak:
             return "weak"
-        return "marginal" if self.unexplained or self.reasons else "ok"
+        doubted = self.unexplained or self.reasons or (self.findings and self.findings.open)
+        return "marginal" if doubted else "ok"
 
     @property
     def exit_code(self) -> int:
-        """0 calibrated and consistent, 1 a limit is broken, 4 the data leave parameters open, 5 the
-        residual is not explained."""
+        """0 calibrated and consistent, 1 a limit is broken, 4 the data leave parameters open, 5 an
+        open question changes the numbers, or what `fail_on` names is there."""
         if self.broken:
             return LimitBroken.exit_code
         if self.weak:
             return Undetermined.exit_code
-        return UNEXPLAINED_EXIT_CODE if self.unexplained else 0
+        return UNEXPLAINED_EXIT_CODE if self.unexplained or self._gated else 0
+
+    @property
+    def _gated(self) -> bool:
+        found = self.findings or Findings("not run")
+        return {
+            None: False,
+            "suspected": found.verdict == "suspected",
+            "unexplained": found.open,
+            "caution": self.status != "ok",
+        }[self.fail_on]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ import functools
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,7 @@ from imucalib.cli.working import Say, verbose_option, working
 from imucalib.errors import LimitBroken
 
 if TYPE_CHECKING:
+    from imucalib.calibration.outcome import Gate
     from imucalib.core.effect import Effect
     from imucalib.loop.found import LoopSettings
     from imucalib.report.document import Document
@@ -69,6 +70,9 @@ _OPTIONS = (
                  help="Simulated data sets behind each p-value; default 1000, of an array 499."),
     limit_option("--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 "
                  "beyond."),
+    click.option("--fail-on", type=click.Choice(["suspected", "unexplained", "caution"]),
+                 help="End with exit 5 also where a name is not proved yet, structure has no name, "
+                 "or anything at all is cautioned."),
     full_option,
     click.option("--export", multiple=True, type=EXPORT_FORM,
                  help="Write them for another program, too; see `imucal export`."),
@@ -201,6 +205,9 @@ def finish(
 
     Several reports go to folders of their own, named after their inputs.
     """
+    reports = [_gated(report, options["fail_on"]) for report in reports]
+    if together:
+        together = replace(together, report=_gated(together.report, options["fail_on"]))
     every = [*reports, together.report] if together else reports
     codes = [report.run.outcome.exit_code for report in every]
     if options["output"] is not None:
@@ -222,6 +229,17 @@ def finish(
         if together:
             show(together.report.document, full=options["full"])
     return max(codes)
+
+
+def _gated(report: Report, fail_on: Gate | None) -> Report:
+    """The report of a run that fails on more than it has to."""
+    if fail_on is None:
+        return report
+    outcome = report.run.outcome
+    settings = {**outcome.provenance.settings, "fail_on": fail_on}
+    made = replace(outcome.provenance, settings=settings)
+    gated = replace(outcome, provenance=made, fail_on=fail_on)
+    return replace(report, run=replace(report.run, outcome=gated))
 
 
 def _write(report: Report, folder: Path, options: Mapping[str, Any]) -> int:

@@ -29,7 +29,7 @@ RARE = {
     ),
     "Limits": (
         "max_inclination_error", "max_toolface_error", "max_norm_error", "max_worst_error",
-        "max_gyro_error", "max_position_sd",
+        "max_gyro_error", "max_position_sd", "fail_on",
     ),
 }  # fmt: skip
 _HEADING = {name: heading for heading, names in RARE.items() for name in names}

@@ -18,16 +18,13 @@ class SharedNoise:
     """A random error of each reading that observations share, of unknown size.
 
     name : of its variance component; factor : (n, q), factor factorᵀ is its correlation
-    memory : observations after which it forgets; infinite where it is that of whole sessions, NaN
-        where each observation has its own
+    memory : observations after which it forgets; infinite where it is that of whole sessions
     basis : (n, 3, m) what its m numbers do to a reading; None for a bias of each axis
-    without : of the other components the sd over the noise factor where this one is left out
     """
 
     name: str
     factor: Array
     memory: float
-    without: tuple[float, ...] = ()
     basis: Array | None = None
 
     @property
@@ -35,15 +32,9 @@ class SharedNoise:
         """Whether it forgets in the order of recording."""
         return math.isfinite(self.memory)
 
-    @property
-    def alone(self) -> bool:
-        """Whether it is of each observation by itself, as more noise of one axis is."""
-        return math.isnan(self.memory)
-
     def take(self, rows: Index) -> SharedNoise:
         basis = None if self.basis is None else self.basis[rows]
-        factor = np.eye(len(rows)) if self.alone else self.factor[rows]
-        return replace(self, factor=factor, basis=basis)
+        return replace(self, factor=self.factor[rows], basis=basis)
 
 
 @dataclass(frozen=True)

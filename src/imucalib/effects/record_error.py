@@ -13,6 +13,8 @@ from imucalib.core.truth import Truth
 from imucalib.units import MG
 
 _PREFIX = "record_error_"
+#: Size of a gross error, mg: a number misread, or another attitude, up to gravity and more.
+GROSS_MG = 300.0
 
 
 def is_record_error(name: str) -> bool:
@@ -40,6 +42,6 @@ def record_error(record: int, label: str, axes: str = "xyz") -> Response:
         "geodetic data snooping (Baarda 1968)",
         "Look at the laboratory's notes, or take the position again.",
         ("record",),
-        each=tuple(Parameter(f"record_{record}_{a}", "mg", 50.0, 1e7) for a in axes),
+        each=tuple(Parameter(f"record_{record}_{a}", "mg", GROSS_MG, 1e7) for a in axes),
         basis=basis,
     )

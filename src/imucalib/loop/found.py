@@ -146,6 +146,7 @@ class Loop(Generic[S]):
     difference : of the errors on data that took no part in the whole search, before and after
     doubted : whether names by themselves have not proved a gain, where curves stand beside them
     wander : of the noise; complete : probability that nothing is missing
+    open_size : m/s², rms, by how much what is suspected or without a name changes a reading
     """
 
     base: S
@@ -162,6 +163,7 @@ class Loop(Generic[S]):
     doubted: bool = False
     wander: Wander | None = None
     complete: float = math.nan
+    open_size: float = 0.0
 
     @property
     def named(self) -> tuple[Step, ...]:

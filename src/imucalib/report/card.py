@@ -77,7 +77,9 @@ def _found(found: Findings) -> tuple[Text, ...]:
     few = len(found.steps) <= _TOLD
     lines = [
         Text(
-            f"{r.where}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off ({r.likely}).", "bad"
+            f"{r.where}: {r.channel} is {plus_minus(r.size, r.sd, r.unit)} off "
+            f"({r.likely}, {per_cent(1.0 - r.p)}).",
+            "bad",
         )
         for r in found.records
     ]

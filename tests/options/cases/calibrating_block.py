@@ -185,6 +185,14 @@ CURVED: dict[str, tuple[str, tuple[str, ...]]] = {
 }  # fmt: skip
 
 
+#: Calls that end with a caution and exit 0.
+CAUTIONED: dict[str, tuple[str, ...]] = {
+    "lab": CURVED["lab"][1],
+    "actigraph": ("actigraph", "<bent.h5>", "--only", "bias_drift", "--no-curves"),
+    "array": (*CURVED["array"][1], "--accept-mm", "1"),
+}
+
+
 def _limited(name: str, option: str, value: Callable[[Any], float]) -> tuple[Case, ...]:
     """Limits are held against held-out errors; NaN is no limit and no value below one."""
     of, typed = Of(name), searching(name)
@@ -246,6 +254,7 @@ def _of(name: str) -> tuple[Case, ...]:
         of(curves, _curve_corrected(name), *bent, "--draws", "39", "--json"),
         of("--draws 39", _finer_p, *search),
         of("--seed 5", _other_draws, *search),
+        of("--fail-on caution", ends(5), *CAUTIONED[name], "--json"),
         of("--full", _longer, *words),
         of("--verbose", _says_the_cost),
     )

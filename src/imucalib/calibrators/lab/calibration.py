@@ -112,8 +112,6 @@ def noise_block(fit: Fit) -> dict[str, Any]:
     """Noise of the readings (mg) and scatter of the settings (deg), with their sd."""
     noise = reading_noise(fit)
     block: dict[str, Any] = {"reading_mg": noise.own / MG, "reading_sd_mg": noise.own_sd / MG}
-    if noise.axes:
-        block["reading_each_mg"] = [value / MG for value in noise.axes]
     for k, (name, sd) in enumerate(setting_noise(fit).items(), start=1):
         key = name.replace(" ", "_").replace("-", "_")
         block[f"{key}_deg"] = sd / DEG

@@ -149,16 +149,14 @@ def setting_noise(fit: Fit) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class ReadingNoise:
-    """Of a reading, m/s²: own, shared : by itself (rms of the axes), and with its neighbours, 0
-    where there is none; own_sd, shared_sd : of these; memory : observations after which neighbours
-    forget; axes : of each axis by itself, where they differ"""
+    """Of a reading, m/s²: own, shared : by itself, and with its neighbours, 0 where there is none;
+    own_sd, shared_sd : of these; memory : observations after which neighbours forget"""
 
     own: float
     own_sd: float
     shared: float = 0.0
     shared_sd: float = 0.0
     memory: float = 0.0
-    axes: tuple[float, ...] = ()
 
     @property
     def whole(self) -> float:
@@ -169,24 +167,10 @@ def reading_noise(fit: Fit) -> ReadingNoise:
     """What neighbours share can take it whole: then it has vanished, and its size is where the
     estimate ended."""
     own, sizes = fit.noise.factor * float(np.median(fit.at.sigma)), fit.noise_sd
-    axes = _of_axes(fit, own)
-    own = float(np.sqrt(np.mean(np.square(axes)))) if axes else own
     walk = fit.observations.walk
     if walk is None:
-        return ReadingNoise(own, own * float(sizes[0]), axes=axes)
+        return ReadingNoise(own, own * float(sizes[0]))
     shared = fit.noise.sd[-1]
     own = 0.0 if own < _VANISHED * shared else own
     size = shared * float(sizes[-1])
-    return ReadingNoise(own, own * float(sizes[0]), shared, size, walk.memory, axes)
-
-
-def _of_axes(fit: Fit, own: float) -> tuple[float, ...]:
-    """m/s², the noise of each axis; nothing where all have the same."""
-    every = zip(fit.observations.shared, fit.noise.sd[fit.at.free :], strict=True)
-    more = [(n.basis, sd) for n, sd in every if n.alone and n.basis is not None]
-    if not more:
-        return ()
-    square = np.full(3, own**2)
-    for basis, sd in more:
-        square += sd**2 * np.median(np.square(basis[:, :, 0]), axis=0)
-    return tuple(float(v) for v in np.sqrt(square))
+    return ReadingNoise(own, own * float(sizes[0]), shared, size, walk.memory)

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Index
 from imucalib.calibration.findings import Findings, findings_of
-from imucalib.calibration.outcome import Outcome, Run, quality_of
+from imucalib.calibration.outcome import Left, Outcome, Run, open_question, quality_of
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.lab.advice import (
     advice,
@@ -41,6 +41,8 @@ from imucalib.core.observations import Observations
 from imucalib.errors import NotConverged, Undetermined, UnreadableInput
 from imucalib.loop.found import FitLoop
 from imucalib.loop.record_errors import RecordError
+from imucalib.significant_digits import per_cent
+from imucalib.units import MG
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +122,7 @@ def _wrong_rows(
 def _undecided(result: LabResult, faults: Faults, raw: RawUnit) -> tuple[str, ...]:
     return faults.undecided(_records(result)) + tuple(
         f"{r.where}: {r.channel} is {r.size:.3g} ± {r.sd:.2g} {r.unit} off what the others predict "
-        f"({r.likely}); decide with {fix_option(r, raw)}"
+        f"({r.likely}, {per_cent(1.0 - r.p)}); decide with {fix_option(r, raw)}"
         for r in _records(result)
     )
 
@@ -145,7 +147,13 @@ def _judged(
         undecided=undecided,
         limits=limits_of(result, request.limits),
         notes=notes,
+        left=_left(result),
     )  # fmt: skip
+
+
+def _left(result: LabResult) -> tuple[Left, ...]:
+    size = result.loop.open_size if result.loop else 0.0
+    return (open_question(size / MG, result.error),) if size else ()
 
 
 def _findings(loop: FitLoop | None, chosen: LabSettings) -> Findings | None:
@@ -198,7 +206,7 @@ def _first(whole: Observations, rows: Index, request: LabRequest, faults: Faults
     if not faults.slips:
         try:
             return _calibrated(whole, rows, request, faults)
-        except (NotConverged, Undetermined):
+        except (NotConverged, Undetermined, UnreadableInput):
             faults.of_axes(request)  # which may say why
             raise
     settings = replace(request.settings, loop=False)

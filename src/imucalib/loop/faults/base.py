@@ -72,9 +72,10 @@ def prior_of(count: float) -> float:
 
 
 def base_of(found: Explored, sheet: Sheet, one: Grams) -> Base:
-    """The base of a sheet of known angles; one : its Grams beside the base model and a set."""
+    """The base of a sheet of known angles; one : Grams beside the base model and a set, the
+    readings' own numbers before y."""
     unit = found.base.at.unit / MG
-    single = found.problem.single + np.arange(unit.size)
+    single = np.arange(-1 - unit.size, -1) + one.along.shape[1]
     rows = one.rows(single)
     return Base(
         sheet=sheet,

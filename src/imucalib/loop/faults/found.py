@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 from imucalib.loop.faults.sheet import Sheet
+from imucalib.significant_digits import per_cent
 
 Kind = Literal[
     "exchange", "move", "shift", "cell", "angle", "setting", "axes", "convention", "record"
@@ -21,7 +23,8 @@ class Fault:
     """One slip of hand.
 
     what : the sentence; rows : numbers of the sheet's rows that it touches, none for the whole
-    score : nats beyond the sheet as it stands; line : options of `imucal lab` that repair it
+    score : nats beyond the sheet as it stands, at first glance
+    line : options of `imucal lab` that repair it; probability : that it is so, where it was solved
     rivals : lines that explain the sheet as well, within 5 nats
     cells : of a wrong cell, each column and the value that it should hold, in the sheet's unit
     """
@@ -33,6 +36,7 @@ class Fault:
     line: str
     rivals: tuple[str, ...] = ()
     cells: tuple[tuple[str, float], ...] = ()
+    probability: float = math.nan
 
     @property
     def where(self) -> str:
@@ -43,8 +47,9 @@ class Fault:
     @property
     def sentence(self) -> str:
         """What, and what to paste."""
+        sure = "" if math.isnan(self.probability) else f" ({per_cent(self.probability)})"
         rivals = f" (or: {'; '.join(self.rivals)})" if self.rivals else ""
-        return f"{self.what}; decide with {self.line}{rivals}"
+        return f"{self.what}{sure}; decide with {self.line}{rivals}"
 
 
 @dataclass(frozen=True)

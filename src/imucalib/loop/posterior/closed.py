@@ -19,10 +19,11 @@ from imucalib.loop.difference import Difference, difference, with_density
 from imucalib.loop.found import Checked, FitLoop, Step, Unexplained
 from imucalib.loop.posterior.explored import Explored
 from imucalib.loop.posterior.held_out import LeftOut, left_out
+from imucalib.loop.posterior.noise import shared_bias
 from imucalib.loop.posterior.odds import OPEN
 from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.slips import Mended, Written, mended
-from imucalib.loop.posterior.solution import fit_of, solved
+from imucalib.loop.posterior.solution import change, fit_of, noises_of, solved
 from imucalib.loop.posterior.tried import scores_of
 from imucalib.loop.posterior.words import Place, Told, told
 from imucalib.loop.record_errors import record_names
@@ -65,13 +66,14 @@ def close_loop(
     state = mended(plain, asked, written)
     found = state.found
     said = told(found.problem, found.posterior)
-    loop = _empty(plain, found, asked, said)
-    final, left = found.base, None
+    data = _walking(found, said)
+    loop = _empty(plain, found, asked, said, data)
+    final, left = loop.base, None
     nameless = any(found.problem.components[p.component].kind == "free" for p in said.places)
     if nameless and not curves:
         loop = _refused(loop, found, said, None)
     elif said.places:
-        loop, final, left = _corrected(loop, found, said)
+        loop, final, left = _corrected(loop, found, said, data)
     loop = replace(
         loop,
         records=accused(final, state.aside),
@@ -94,8 +96,26 @@ def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
     return fit_model(one.model, loop.plain.observations, start=one.theta, shrink=one.shrink)
 
 
-def _empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
+def _walking(found: Explored, said: Told) -> Observations:
+    """The observations, with the bias that walks as a noise of theirs where it more likely does
+    than not beside what is told: readings that share an error are worth fewer."""
+    data, posterior = found.base.observations, found.posterior
+    weight = noises_of(found.problem, posterior.grams, said.hypothesis.picks)
+    walks = dict[float, float]()
+    for point, share in zip(posterior.grams.points, weight, strict=True):
+        if point.walk is not None:
+            walks[point.walk[1]] = walks.get(point.walk[1], 0.0) + float(share)
+    if sum(walks.values()) <= 0.5:
+        return data
+    walk = shared_bias(data, max(walks, key=lambda memory: walks[memory]))
+    return replace(data, shared=(*data.shared, walk))
+
+
+def _empty(plain: Fit, found: Explored, asked: Searched, said: Told, data: Observations) -> FitLoop:
     """The loop before anything is corrected."""
+    base = found.base
+    if data is not base.observations:
+        base = fit_model(base.model, data, start=base.theta)
     missing = {
         name: reason
         for name, effect in asked.effects.items()
@@ -103,8 +123,8 @@ def _empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
     }
     scores = scores_of(found.problem, found.posterior)
     return FitLoop(
-        base=found.base,
-        final=found.base,
+        base=base,
+        final=base,
         plain=plain,
         as_recorded=plain,
         scores=scores,
@@ -114,14 +134,15 @@ def _empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
     )
 
 
-def _corrected(loop: FitLoop, found: Explored, said: Told) -> tuple[FitLoop, Fit, LeftOut | None]:
+def _corrected(
+    loop: FitLoop, found: Explored, said: Told, data: Observations
+) -> tuple[FitLoop, Fit, LeftOut | None]:
     """The loop with what is told in the model, unless data that took no part refuse it."""
     one = solved(found.problem, found.posterior.grams, said.hypothesis)
-    final = fit_of(found.problem, one, found.base.observations)
+    final = fit_of(found.problem, one, data)
     names = tuple(_effect(found, place.component, said) for place in said.places)
     if not final.converged:
         return _refused(loop, found, said, None), loop.final, None
-    data = found.base.observations
     folds = folds_of(data)
     try:
         left = left_out(found.problem, found.posterior, folds)
@@ -138,7 +159,9 @@ def _corrected(loop: FitLoop, found: Explored, said: Told) -> tuple[FitLoop, Fit
         _step(found, said, place, name, left)
         for place, name in zip(said.places, names, strict=True)
     )
-    return replace(loop, final=final, steps=steps, difference=gain), final, left
+    loop = replace(loop, final=final, steps=steps, difference=gain)
+    size = change(found.problem, found.posterior.grams, said.hypothesis) if loop.suspected else 0.0
+    return replace(loop, open_size=size), final, left
 
 
 def _effect(found: Explored, component: int, said: Told) -> str:
@@ -196,4 +219,5 @@ def _refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None
         rejected=tuple((name, why) for name in names),
         refuted=names if gain is not None else (),
         unexplained=left,
+        open_size=change(found.problem, found.posterior.grams, said.hypothesis) if left else 0.0,
     )

@@ -13,7 +13,7 @@ from imucalib.estimators.starting_point import alike_rows, full_matrix_start
 from imucalib.loop.asked import Searched
 from imucalib.loop.posterior.catalogue import components_of, scan_of
 from imucalib.loop.posterior.component import Component
-from imucalib.loop.posterior.gram import grams_of
+from imucalib.loop.posterior.gram import Grams, grams_of
 from imucalib.loop.posterior.noise import Terms, terms_of
 from imucalib.loop.posterior.odds import FAR, HEARD
 from imucalib.loop.posterior.problem import Problem, problem_of
@@ -26,12 +26,14 @@ _LIKELY = 0.05
 
 @dataclass(frozen=True)
 class Explored:
-    """A base fit with the posterior over what it lacks."""
+    """A base fit with the posterior over what it lacks, at the noises that its leading sets give a
+    say; every : Grams at all noises that the data do not exclude, be a record what it may"""
 
     base: Fit
     problem: Problem
     terms: Terms
     posterior: Posterior
+    every: Grams
 
 
 def explored(fit: Fit, asked: Searched) -> Explored:
@@ -75,7 +77,8 @@ def _anchored(fit: Fit) -> Fit:
 
 def _once(base: Fit, components: tuple[Component, ...], terms: Terms) -> Explored:
     problem = problem_of(base, components)
-    return Explored(base, problem, terms, search(problem, grams_of(problem, terms)))
+    grams = grams_of(problem, terms)
+    return Explored(base, problem, terms, search(problem, grams), grams)
 
 
 def _near(found: Explored) -> dict[str, list[str]]:

@@ -17,8 +17,9 @@ from functools import cached_property
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.effects.record_error import GROSS_MG
 from imucalib.loop.posterior.noise import Point, Terms
-from imucalib.loop.posterior.odds import GROSS, HEARD, REACH, RECORD_MG
+from imucalib.loop.posterior.odds import GROSS, HEARD, REACH
 from imucalib.loop.posterior.problem import Problem
 from imucalib.units import MG
 
@@ -49,6 +50,43 @@ class Products:
         known = self.known[:, index]
         return np.asarray(own + np.einsum("kmw,kmv->mwv", known, known))
 
+    def among(self, at: Index) -> Array:
+        """(E, s, s) of some columns."""
+        found = self.columns[:, at].T @ self.weighted[:, :, at]
+        return np.asarray(found + self.known[:, at].T @ self.known[:, at])
+
+    def of(self, noises: Index) -> Products:
+        """At some of the noises."""
+        return replace(self, weighted=self.weighted[noises])
+
+
+@dataclass(frozen=True)
+class Multiplied:
+    """The same of few columns, multiplied out. matrix : (E, q, q)"""
+
+    matrix: Array
+
+    def rows(self, at: Index) -> Array:
+        """(E, s, q) some rows."""
+        return np.asarray(self.matrix[:, at])
+
+    @property
+    def along(self) -> Array:
+        """(E, q) products with y."""
+        return np.asarray(self.matrix[:, -1])
+
+    def blocks(self, index: Index) -> Array:
+        """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
+        return np.asarray(self.matrix[:, index[:, :, None], index[:, None, :]])
+
+    def among(self, at: Index) -> Array:
+        """(E, s, s) of some columns."""
+        return np.asarray(self.matrix[:, at[:, None], at])
+
+    def of(self, noises: Index) -> Multiplied:
+        """At some of the noises."""
+        return Multiplied(self.matrix[noises])
+
 
 @dataclass(frozen=True)
 class Grams:
@@ -58,7 +96,7 @@ class Grams:
     spread : sd of the log of the noise factor about 1, infinite where nothing is known of it
     """
 
-    products: Products
+    products: Products | Multiplied
     taken: Array
     log_weight: Array
     numbers: float
@@ -100,13 +138,20 @@ class Grams:
     def of(self, noises: Index) -> Grams:
         """At some of the noises."""
         return Grams(
-            products=replace(self.products, weighted=self.products.weighted[noises]),
+            products=self.products.of(noises),
             taken=self.taken[noises],
             log_weight=self.log_weight[noises],
             numbers=self.numbers,
             points=tuple(self.points[k] for k in noises),
             spread=self.spread,
         )
+
+
+def restricted(grams: Grams, columns: Index) -> Grams:
+    """The same of some of the columns, in ascending order, y among them as the last."""
+    taken = grams.taken[:, :, columns]
+    own = grams.products.among(columns) - taken.swapaxes(1, 2) @ taken
+    return replace(grams, products=Multiplied(own), taken=taken[:, :0])
 
 
 def grams_of(problem: Problem, terms: Terms) -> Grams:
@@ -146,7 +191,7 @@ def _gross(problem: Problem, terms: Terms) -> Array:
     root = root - basis @ (basis.T @ root)
     precision = root.T @ root
     pulled = root.T @ white(fit.at.residual)
-    unit = RECORD_MG * MG / fit.at.unit
+    unit = GROSS_MG * MG / fit.at.unit
     whole = np.zeros((n, n))
     rows = [np.flatnonzero(terms.order == row) for row in range(fit.observations.n)]
     size = []

@@ -18,9 +18,14 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations, SharedNoise
 from imucalib.core.references import KnownVector
 from imucalib.loop.faults.sheet import in_order
 from imucalib.loop.posterior.odds import AS_SET, SETTINGS, WALK_MEMORIES, WALK_SIZES, WALKS
+
+#: Name of the variance component that neighbours in the order of recording share.
+NEIGHBOURS = "shared noise"
+_JITTER = 1e-9
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,17 @@ class Terms:
             apart = np.abs(self.order[:, None] - self.order)
             whole += size**2 * np.exp(-apart / memory) * self.bias
         return whole
+
+
+def shared_bias(data: Observations, memory: float) -> SharedNoise:
+    """The walk as a variance component of a fit, whose size the fit estimates.
+
+    memory : observations, in their order, after which it forgets
+    """
+    order = np.argsort(np.argsort(data.context["order"], kind="stable")).astype(float)
+    apart = np.abs(order[:, None] - order)
+    correlation = np.exp(-apart / memory) + _JITTER * np.eye(data.n)
+    return SharedNoise(NEIGHBOURS, np.linalg.cholesky(correlation), memory)
 
 
 def terms_of(fit: Fit) -> Terms:

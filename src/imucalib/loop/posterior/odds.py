@@ -14,8 +14,8 @@ MISSING = 10.0
 #: physics speaks for one value before another; simulated.
 KNOWN, LOOSE = 0.4, 0.05
 #: Prior odds that a sheet has a slip, shared by the classes of slips, of which a record that
-#: belongs nowhere is one; and odds from which on one is told; simulated.
-WRONG, SLIPS, ACCUSED = 0.1, 6.0, 19.0
+#: belongs nowhere is one; and odds from which on one is told: likelier than not; simulated.
+WRONG, SLIPS, ACCUSED = 0.1, 6.0, 1.0
 #: Share of a name's odds that all of its parameters act together; the rest is one alone. Most
 #: effects of chips act on every axis.
 TOGETHER = 0.6
@@ -33,8 +33,8 @@ TOLD = 3.0
 OPEN, HEARD = 9.0, 12.0
 #: Times what hands usually set an angle to beyond which a scatter is none: 3 deg.
 FAR = 10.0
-#: Records that may be wrong, and mg of a gross error, while noises are dropped.
-GROSS, RECORD_MG = 3, 50.0
+#: Records that may be wrong, each by a gross error, while noises are dropped.
+GROSS = 3
 #: Size of what a model may lack at most, over the noise, while noises are dropped.
 REACH = 4.0
 #: Sets that are opened at each depth, and the most components of one.

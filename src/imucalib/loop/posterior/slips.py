@@ -8,7 +8,7 @@ free.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from imucalib.core.context import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
+from imucalib.effects.record_error import GROSS_MG
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.asked import Searched
 from imucalib.loop.faults.angles import angles
@@ -28,17 +29,17 @@ from imucalib.loop.faults.found import Fault
 from imucalib.loop.faults.readings import blocks, exchanges
 from imucalib.loop.faults.sheet import Sheet
 from imucalib.loop.posterior.explored import Explored, explored
-from imucalib.loop.posterior.gram import Grams, beside, log_sum
-from imucalib.loop.posterior.odds import ACCUSED, OPEN, RECORD_MG
+from imucalib.loop.posterior.gram import Grams, beside, log_sum, restricted, swept
+from imucalib.loop.posterior.odds import ACCUSED, OPEN
 from imucalib.loop.posterior.problem import known_sd
-from imucalib.loop.posterior.space import block_logs, blocks_of
+from imucalib.loop.posterior.space import Pick, block_logs, blocks_of
 from imucalib.loop.records import foreseen, set_aside
 from imucalib.units import DEG, MG
 
 #: Slips of one sheet, sheets that are refitted and that are searched again for each, and rows up to
 #: which all are compared with all: a sheet with more slips is better written anew, longer ones are
 #: recordings.
-_MOST, _REFITTED, _TRIED, _LONGEST = 5, 8, 2, 250
+_MOST, _REFITTED, _TRIED, _LONGEST = 5, 16, 2, 250
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Written:
 @dataclass(frozen=True)
 class Mended:
     """found : the exploration with every slip mended and every other wrong record aside
-    slips : what was mended; aside : (row, log odds) of the records that are set aside
+    slips : what was mended; aside : (row, probability) of the records that are set aside
     """
 
     found: Explored
@@ -100,35 +101,47 @@ def log_density(found: Explored) -> float:
 def _best(
     state: Mended, asked: Searched, written: Written | None
 ) -> tuple[Mended, Sheet | None] | None:
-    """The likeliest of the sheets that are solved again, if it is so beyond doubt."""
-    trials = sorted(_trials(state, written), key=lambda t: -t.score)
-    bar = max(trials[0].score - OPEN, -OPEN / 3.0) if trials else 0.0
+    """The likeliest of the sheets that are solved again, where the sheet as it stands is less
+    likely than all of them together."""
+    trials = [t for t in _trials(state, written) if t.score > -OPEN / 3.0]
     now, odds = log_density(state.found), []
-    for trial, base in _likeliest([t for t in trials if t.score > bar], state, written):
+    for trial, base in _likeliest(trials, state, written):
         found = explored(base, asked)
         odds.append((log_density(found) - now + trial.prior, trial, found))
     odds.sort(key=lambda o: -o[0])
-    if not odds or odds[0][0] < np.log(ACCUSED):
+    whole = float(log_sum(np.array([o for o, _, _ in odds]))) if odds else -np.inf
+    if whole < np.log(ACCUSED):
         return None
     nats, trial, found = odds[0]
+    share = float(np.exp(nats - np.logaddexp(0.0, whole)))
     if trial.fault is None:
-        return replace(state, found=found, aside=(*state.aside, (trial.row, nats))), _sheet(written)
+        aside = (*state.aside, (trial.row, share))
+        return replace(state, found=found, aside=aside), _sheet(written)
     near = (t.fault.line for o, t, _ in odds[1:] if t.fault and o > nats - OPEN / 3.0)
-    fault = replace(trial.fault, score=float(nats), rivals=tuple(dict.fromkeys(near)))
+    fault = replace(trial.fault, probability=share, rivals=tuple(dict.fromkeys(near)))
     return replace(state, found=found, slips=(*state.slips, fault)), trial.sheet
 
 
 def _likeliest(
     trials: Sequence[_Trial], state: Mended, written: Written | None
 ) -> list[tuple[_Trial, Fit]]:
-    """The trials whose sheets the base model fits best, refitted."""
-    seen = []
-    for trial in trials[:_REFITTED]:
+    """The trials whose sheets the base model fits best, refitted: the first of every class, since
+    a glance is off by more in one class than in another, then the others that are near."""
+    first, others, seen = list[_Trial](), list[_Trial](), set[str]()
+    for trial in sorted(trials, key=lambda t: -t.score):
+        kind = trial.fault.kind if trial.fault else "record"
+        if kind not in seen:
+            first.append(trial)
+        elif trial.score > first[0].score - OPEN:
+            others.append(trial)
+        seen.add(kind)
+    fits = []
+    for trial in (*first, *others)[:_REFITTED]:
         base = _solved_again(state.found.base, trial, written)
         if base is not None:
-            seen.append((base.log_likelihood + trial.prior, trial, base))
-    seen.sort(key=lambda s: -s[0])
-    return [(trial, base) for _, trial, base in seen[:_TRIED]]
+            fits.append((base.log_likelihood + trial.prior, trial, base))
+    fits.sort(key=lambda f: -f[0])
+    return [(trial, base) for _, trial, base in fits[:_TRIED]]
 
 
 def _sheet(written: Written | None) -> Sheet | None:
@@ -140,21 +153,22 @@ def _trials(state: Mended, written: Written | None) -> Iterator[_Trial]:
     n = found.base.observations.n
     if n > _LONGEST:
         return
-    leading = (found.posterior.base, *found.posterior.hypotheses[:2])
-    sets = dict.fromkeys(h.picks for h in leading)
-    flat, choices = found.problem.flat, found.problem.choices
-    taken_out = [beside(found.posterior.grams, (flat, *blocks_of(choices, s))) for s in sets]
+    sets = _sets(found)
+    sheets = _beside_each(found, sets)
+    freed = np.array([_freed(found, one) for one in sheets])
+    order = np.argsort(-freed.max(axis=1) - [*sets.values()])
+    leading = dict.fromkeys((0, *map(int, order[:2])))
     touched = {row for fault in state.slips for row in fault.rows}
     taken = {row for row, _ in state.aside}
-    freed = np.max([_freed(found, one) for one in taken_out], axis=0) + prior_of(n)
-    for row in map(int, np.argsort(-freed)[:_TRIED]):
+    alone = freed.max(axis=0) + prior_of(n)
+    for row in map(int, np.argsort(-alone)[:_TRIED]):
         if row not in taken:
-            yield _Trial(float(freed[row]), prior_of(n), row=row)
+            yield _Trial(float(alone[row]), prior_of(n), row=row)
     if written is None:
         return
     best: dict[str, _Trial] = {}
-    for one in taken_out:
-        base = base_of(found, written.sheet, one)
+    for k in leading:
+        base = base_of(found, written.sheet, sheets[k])
         own = written.cell[written.sheet.place]
         every = (
             *exchanges(base),
@@ -169,6 +183,16 @@ def _trials(state: Mended, written: Written | None) -> Iterator[_Trial]:
             if better and not touched & set(fault.rows):
                 best[fault.line] = _Trial(fault.score, slip.prior, fault=fault, sheet=slip.repaired)
     yield from best.values()
+
+
+def _sets(found: Explored) -> dict[tuple[Pick, ...], float]:
+    """Sets beside which a record may be wrong, the base model first, and how many nats each is
+    behind the likeliest: what a record hides leads only once it is set right."""
+    posterior = found.posterior
+    behind = np.log(np.maximum(posterior.probability / posterior.probability[0], 1e-300))
+    known = {h.picks: float(b) for h, b in zip(posterior.hypotheses, behind, strict=True)}
+    base = posterior.base.picks
+    return {base: known[base]} | {p: b for p, b in known.items() if b > -OPEN}
 
 
 def _solved_again(base: Fit, trial: _Trial, written: Written | None) -> Fit | None:
@@ -222,11 +246,23 @@ def _turned(context: Context, sheet: Sheet) -> Context:
     return replace(context, covariates=found)
 
 
+def _beside_each(found: Explored, sets: Iterable[tuple[Pick, ...]]) -> list[Grams]:
+    """Of each set the Grams beside the base model and it: of the columns of all sets, then the
+    readings' own numbers and y."""
+    problem = found.problem
+    every = [blocks_of(problem.choices, picks) for picks in sets]
+    own = np.arange(problem.single, problem.columns.shape[1])
+    columns = np.unique(np.concatenate([own, *(c for one in every for c, _ in one)]))
+    flat = restricted(swept(found.every, *problem.flat), columns)
+    return [beside(flat, ((np.searchsorted(columns, c), s) for c, s in one)) for one in every]
+
+
 def _freed(found: Explored, one: Grams) -> Array:
-    """(n,) nats that freeing each record gains beside a set, before anything is solved again."""
-    problem, dof = found.problem, found.posterior.dof
-    n, fit = found.base.observations.n, found.base
-    index = np.array([problem.of_rows(np.array([row])) for row in range(n)])
-    size = RECORD_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor
+    """(n,) nats that freeing each record gains beside a set, before anything is solved again; one :
+    the Grams beside it, the readings' own numbers before y"""
+    problem, dof, fit = found.problem, found.posterior.dof, found.base
+    rows = [problem.of_rows(np.array([row])) for row in range(fit.observations.n)]
+    size = GROSS_MG * MG / float(np.median(fit.at.unit)) / fit.noise.factor
+    index = np.array(rows) - problem.columns.shape[1] + one.along.shape[1]
     logs = block_logs(one, index, np.array([size]), dof)[0][..., 0]
     return log_sum(logs) - one.evidence(dof)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.balance import Noise
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -78,6 +79,19 @@ def _moments(
     return mean, np.asarray(np.einsum("e,ekl->kl", weight, spread) + between)
 
 
+def change(problem: Problem, grams: Grams, hypothesis: Hypothesis) -> float:
+    """m/s², rms over the observations: by how much the model of a set and the base model differ in
+    what they make of a reading, at the mean over the noises."""
+    blocks = blocks_of(problem.choices, hypothesis.picks)
+    whole = np.zeros(problem.columns.shape[1])
+    used = np.concatenate([np.arange(problem.base), *(c for c, _ in blocks)]).astype(np.intp)
+    whole[used] = _moments(problem, grams, blocks)[0]
+    whole[: problem.base] -= _moments(problem, grams, ())[0]
+    numbers = len(problem.fit.at.owner)
+    moved = problem.fit.at.unit * (problem.columns[:numbers] @ whole)
+    return float(np.sqrt(moved @ moved / problem.fit.observations.n))
+
+
 def _conditional(
     problem: Problem, grams: Grams, blocks: Sequence[tuple[Index, float]]
 ) -> tuple[Array, Array, Array]:
@@ -105,12 +119,17 @@ def noises_of(problem: Problem, grams: Grams, picks: Sequence[Pick]) -> Array:
 
 
 def fit_of(problem: Problem, found: Solved, data: Observations) -> Fit:
-    """The model fitted to observations, with its sizes as priors, from where it is."""
+    """The model fitted to observations, with its sizes as priors, from where it is. A noise that
+    they share beyond those of the problem begins as large as that of a reading."""
     adds = found.model.names != problem.fit.model.names
+    begin, fit = problem.fit.noise, problem.fit
+    more = tuple(noise.name for noise in data.shared[len(fit.observations.shared) :])
+    size = begin.factor * float(np.median(fit.at.sigma))
+    begin = Noise(begin.factor, (*begin.component, *more), (*begin.sd, *(size for _ in more)))
     return fit_model(
         found.model,
         data,
         start=found.theta,
-        begin=problem.fit.noise,
+        begin=begin,
         shrink=found.shrink if adds else None,
     )

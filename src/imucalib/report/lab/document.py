@@ -144,9 +144,6 @@ def _bench_section(run: LabRun) -> Section:
     reading = reading_noise(fit)
     own = plus_minus(reading.own / MG, reading.own_sd / MG, "mg")
     rows = [("noise of a reading", own if reading.own > 0.0 else "none that it does not share")]
-    if reading.axes:
-        each = ", ".join(f"{a} {v / MG:.2g}" for a, v in zip("xyz", reading.axes, strict=True))
-        rows.append(("of each axis", f"{each} mg: they differ, and weigh so"))
     for k, (name, sd) in enumerate(noise.items(), start=1):
         spread_sd = sd / DEG * float(fit.noise_sd[k])
         rows.append((name, f"{plus_minus(sd / DEG, spread_sd, 'deg')} scatter"))
