@@ -129,9 +129,13 @@ def _outside(trials: Trials) -> list[Row]:
         rows.append((f"outside, {words}: named", len(some), share(some, lambda t: t.named), named))
         over = _ratio(some, "before")
         rows.append(
-            (f"outside, {words}: after / before, median and largest", len(some),
-             quantiles(over, 0.5, 1.0), f"{ratio}, 1.05")
-        )  # fmt: skip
+            (
+                f"outside, {words}: after / before, median and largest",
+                len(some),
+                quantiles(over, 0.5, 1.0),
+                f"{ratio}, 1.05",
+            )
+        )
         for name, right in drivers.items():
             own = [t for t in some if t.job.outside and t.job.outside[0] == name]
             mark = (">= 90 %", "0 %") if words == "strong" else ("-", "-")
@@ -152,10 +156,14 @@ def _confounded(trials: Trials) -> list[Row]:
         return []
     strong = [t for t in some if t.sets]
     return [
-        ("confounded: truth in the set, where a set is given", len(strong),
-         share(strong, lambda t: t.within), ">= 98 %"),
+        (
+            "confounded: truth in the set, where a set is given",
+            len(strong),
+            share(strong, lambda t: t.within),
+            ">= 98 %",
+        ),
         ("confounded: another name alone", len(some), share(some, lambda t: t.wrong), "0 %"),
-    ]  # fmt: skip
+    ]
 
 
 def _absorbed(trials: Trials) -> list[Row]:

@@ -44,9 +44,13 @@ def at_rest(seed: int, n: int = 40, bend: float = 0.0, noise: float = 0.3) -> Ob
     reading = reading + noise * rng.normal(size=(n, 3))
     context = Context(n, {"order": np.linspace(0.0, 1.0, n), "record": np.arange(n, dtype=float)})
     return Observations(
-        reading[:, None] * MG, np.full((n, 1, 3), MG), KnownNorm(n, G), context, np.arange(n),
+        reading[:, None] * MG,
+        np.full((n, 1, 3), MG),
+        KnownNorm(n, G),
+        context,
+        np.arange(n),
         tuple(f"row {k + 1}" for k in range(n)),
-    )  # fmt: skip
+    )
 
 
 def asked() -> Searched:
@@ -151,9 +155,8 @@ def test_the_mean_of_what_is_likely_against_a_clean_recording_is_one() -> None:
         np.linalg.inv(grams.products.weighted[0][:, problem.single : problem.single + n])
     )
     (j,) = (
-        j for j, c in enumerate(problem.choices)
-        if c.member.name == "quadratic" and c.at.size == 3
-    )  # fmt: skip
+        j for j, c in enumerate(problem.choices) if c.member.name == "quadratic" and c.at.size == 3
+    )
     ratios = []
     for _ in range(400):
         columns = problem.columns.copy()

@@ -14,14 +14,13 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue
 from imucalib.loop.asked import Searched
 from imucalib.loop.found import FitLoop
-from imucalib.loop.noise.grid import TAU
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.separation import plan, repeated
 from imucalib.loop.separation.ambiguities import ambiguities
 from imucalib.loop.separation.angle import Pair, apart, pairs_of
 from imucalib.loop.separation.choice import Pool, separating, total_of
 from imucalib.loop.separation.plan import FEWEST, separation
-from imucalib.loop.separation.products import Ambiguity, Products
+from imucalib.loop.separation.products import TAU, Ambiguity, Products
 from imucalib.loop.separation.prospect import Added, Drawn, alone, ends, taken_out, weights
 from imucalib.loop.separation.soon import in_order, soon
 from imucalib.units import MG

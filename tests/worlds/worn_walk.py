@@ -25,8 +25,13 @@ MG = 1e-3 * G
 HOUR = 3600.0
 SPAN = 6 * 24 * HOUR
 RUNS, HABITS, SCATTER, WINDOW = 400, 26, 0.7, 0.7
-NOISES = {"white": 0.0, "walk 10 min": 600.0, "walk 2 h": 2 * HOUR, "walk 12 h": 12 * HOUR,
-          "t3": 0.0}  # fmt: skip
+NOISES = {
+    "white": 0.0,
+    "walk 10 min": 600.0,
+    "walk 2 h": 2 * HOUR,
+    "walk 12 h": 12 * HOUR,
+    "t3": 0.0,
+}
 #: mg on each axis at x (n, 3) in g, temperature excess T, time u from -1/2 to 1/2, per size c (3,)
 EFFECTS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
     "temperature_bias": lambda x, t, u, c: c * t[:, None],

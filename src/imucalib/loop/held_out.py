@@ -14,13 +14,11 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.balance import whitener
-from imucalib.core.eigen import eigen
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.truth import Truth
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.design import Fold
-from imucalib.loop.foretold import foretold_stretches
 
 #: What a group must leave of the data's information on every direction, for θ without it to follow
 #: from all data's.
@@ -162,18 +160,6 @@ def joined(parts: Sequence[Held], folds: Sequence[Fold]) -> Held:
     return Held(each("corrected"), each("expected"), each("error"))
 
 
-def left_out_sizes(fit: Fit) -> Array:
-    """(n,) m/s², size of each observation's misfit under θ fitted without its group: `held_out` to
-    first order."""
-    at, triads = fit.at, fit.at.sigma.shape[1] // 3
-    error = at.residual.reshape(fit.observations.n, -1).copy()
-    jacobian = at.jacobian.reshape(*error.shape, -1)
-    for rows, theta in each_left_out(fit, fit.observations.group):
-        error[rows] -= jacobian[rows] @ (theta - fit.theta)
-    each = error * at.unit.reshape(error.shape)
-    return np.asarray(np.linalg.norm(each, axis=1) / triads**0.5)
-
-
 def fitted(fit: Fit) -> Held:
     """The same errors on the data that was fitted: for residual tables, never for claims."""
     return errors(fit, without_records(fit, fit.theta), fit.observations)
@@ -186,70 +172,3 @@ def without_records(fit: Fit, theta: Array) -> Array:
         if is_record_error(name):
             theta[part] = 0.0
     return theta
-
-
-#: Settings from which on each can be predicted by the others.
-_SETTINGS = 4
-
-
-def log_predictive(fit: Fit) -> float:
-    """Sum of `log_predictives` (nats)."""
-    return float(log_predictives(fit).sum())
-
-
-def settings_left_out(before: Fit, after: Fit) -> float:
-    """Nats that one fit predicts whole settings better than another, of the axis of the bench that
-    says so most; -inf where rows share none.
-
-    Of a row whose setting other rows show, its error is known: what a dial does is not missed.
-    """
-    directions = before.observations.reference.directions(before.eta)
-    gains = [-np.inf]
-    for setting in directions.index.T[: len(directions.component)]:
-        count = len(np.unique(setting))
-        if _SETTINGS <= count <= before.observations.n // 2 and not before.observations.walk:
-            gain = log_predictives(after, setting) - log_predictives(before, setting)
-            gains.append(float(gain.sum()))
-    return max(gains)
-
-
-def log_predictives(fit: Fit, group: Index | None = None) -> Array:
-    """(groups,) log density of each group given all others (nats); of stretches of neighbours where
-    these share noise. group : (n,) of the observations, where not their own.
-
-    Closed form: with P = V⁻¹ - V⁻¹J(JᵀV⁻¹J)⁻¹JᵀV⁻¹, group g has the predictive residual
-    P_gg⁻¹ (P r)_g and the precision P_gg (Sundararajan and Keerthi 2001).
-    """
-    if fit.observations.walk:
-        return foretold_stretches(fit)
-    at, noise = fit.at, fit.noise
-    white, q = fit.white_basis()
-    keys = (fit.observations.group if group is None else group)[at.owner]
-    residual = white(at.residual) / noise.factor
-    rest = residual - q @ (q.T @ residual)
-    every = list[float]()
-    if not white.plain:
-        inverse = white(np.eye(at.residual.size))
-        rest, q = inverse.T @ rest, inverse.T @ q
-    for key in np.unique(keys):
-        rows = np.flatnonzero(keys == key)
-        if white.plain:
-            values, along, plain = _independent_block(q[rows], rest[rows])
-        else:
-            values, vectors = eigen(inverse[:, rows].T @ inverse[:, rows] - q[rows] @ q[rows].T)
-            along, plain = vectors.T @ rest[rows], (0, 0.0)
-        # A direction that only this group determines predicts nothing: it carries no weight.
-        use = values > 1e-9
-        values, along = values[use], along[use]
-        nats = float(np.sum(np.log(values) / 2.0 - 0.5 * along**2 / values)) - 0.5 * plain[1]
-        every.append(nats - float((use.sum() + plain[0]) * np.log(noise.factor)))
-    return np.array(every)
-
-
-def _independent_block(q: Array, rest: Array) -> tuple[Array, Array, tuple[int, float]]:
-    """Eigenvalues of 1 - q qᵀ that are not one, the rest along them, and what is left beside:
-    how many directions with eigenvalue one and the sum of squares along them."""
-    u, s, _ = np.linalg.svd(q, full_matrices=False)
-    along = u.T @ rest
-    beside = float(rest @ rest) - float(along @ along)
-    return 1.0 - s**2, along, (rest.size - s.size, max(beside, 0.0))

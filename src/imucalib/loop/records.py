@@ -12,15 +12,14 @@ from imucalib.core.balance import Noise
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
-from imucalib.effects.record_error import record_error, record_of
+from imucalib.effects.record_error import record_error
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import ALL_TRIADS
-from imucalib.loop.held_out import left_out_sizes, theta_without, without_records
+from imucalib.loop.held_out import theta_without, without_records
 from imucalib.loop.record_errors import (
     RecordError,
     diagnose,
     predict_record,
-    record_names,
     record_number,
 )
 from imucalib.units import MG
@@ -87,14 +86,6 @@ def _channel(fit: Fit, row: int) -> str:
     said = predict_record(fit, row)
     away = np.abs(fit.observations.reading[row, 0] - said.mean)
     return "xyz"[int(np.argmax(away / np.sqrt(np.diag(said.covariance))))]
-
-
-def held_out_rms(fit: Fit) -> float:
-    """Held-out error (m/s², rms) over the records that are not set aside, to first order."""
-    aside = [record_of(name) for name in record_names(fit)]
-    every = fit.observations.context.covariates.get("record", np.arange(fit.observations.n))
-    sizes = left_out_sizes(fit)[~np.isin(every, aside)]
-    return float(np.sqrt(np.mean(sizes**2)))
 
 
 def extended(

@@ -22,40 +22,19 @@ ABSORBED = 1e-5
 APART = 2.0
 #: Nats by which a curve must beat the best effect to be weighed beside it: odds of 20.
 MARGIN = 3.0
-#: Nats that an effect must gain in the left-out density (odds of 2.7), and share of the left-out
-#: error that may be left.
-HELD_OUT_NATS, HELD_OUT_RMS = 1.0, 1.0
-#: Times that the corrected readings, fitted, may be as far off as before: a model that weighs
-#: settings gives up a little of them, a correction of the wrong sign doubles them.
-WORSE = 1.2
-#: Terms of a curve that are tried.
-CURVE_TERMS = (3, 6, 12)
 #: Nats from which on an effect that data refuse which took no part is structure without a name, not
 #: one of the accidents of which ALPHA allows a few: odds of e^10 are no accident.
 STRONG = 10.0
 #: Nats that an earlier step must still be worth beside later ones.
 KEEP = 1.0
-#: Nats of restricted likelihood from which on noise that neighbours share is part of the model: too
-#: easily rather than too late, since its size is estimated and what is not there costs nothing.
-SHARED_NATS = 1.5
 #: The same for an axis that is noisier than the others: odds of e^10 are no accident. Of 20 sheets
 #: whose z had 2 or 2.5 times the noise 5 and 13 had a false word without it, 4 and 2 with it (at 3
 #: nats one of those with twice); on the one measured bench, whose y has 9.4 nats, positions that
 #: were left out are predicted worse with it (norm 1.33 instead of 1.21 mg), so that a little is not
 #: enough.
 AXIS_NATS = 10.0
-#: Numbers up to which noise that neighbours share is looked for, 110 rows of a bench: it costs
-#: their cube, and took half the time of an array whose rests have 500. The same for an axis, 40
-#: rows: in sheets of 60 whose every row has settings of its own it took 100 s, of 48 still 20.
-SHARED_NUMBERS, AXIS_NUMBERS = 330, 120
-#: The same where dials were set: a bench of 450 rows. Of 152 rows under such noise four of four
-#: sheets were a heap of steps and swings without it, and took seven times as long.
-SHARED_ON_DIALS = 1500
 #: Of an array, whose halves of the motion are half of the data: nats of one half and of both below
 #: which they contradict an effect; steps that together may take a curve's place; corrections
 #: without a name, at most.
 ONE_HALF, BOTH_HALVES = -3.0, -1.0
 PATH, CURVES = 3, 3
-
-#: Numbers that the data must have for each parameter.
-NUMBERS = 1.5

@@ -26,7 +26,6 @@ from imucalib.effects.shape import in_words
 from imucalib.errors import UsageError
 from imucalib.estimators.corrected import OBJECTIVES
 from imucalib.loop.found import Unexplained
-from imucalib.loop.noise.doubts import beyond_declared
 from imucalib.loop.record_errors import RecordError
 from imucalib.units import DEG, MG
 
@@ -192,3 +191,16 @@ def limits_of(result: LabResult, asked: Mapping[str, float]) -> tuple[Limit, ...
         }[name]
         found.append(Limit(f"{name}, {split.name}", value, limit, unit))
     return tuple(found)
+
+
+def beyond_declared(fit: Fit) -> float:
+    """Chance of a noise factor this far above 1 if the declared noise were true.
+
+    Chi-square (upper tail), with as many degrees of freedom as the estimate of the factor is worth:
+    settings that scatter take some away.
+    """
+    from scipy.special import chdtrc
+
+    spread = float(fit.noise_covariance[0, 0])
+    dof = 0.5 / spread if spread > 0.0 else float(fit.dof)
+    return float(chdtrc(dof, dof * fit.noise.factor**2))

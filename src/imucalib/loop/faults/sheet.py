@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.core.references import unit_vector
-from imucalib.units import DEG
 
 #: Dial angles (deg) to inclination and tool-face in rad, each angle on its own.
 Inside = Callable[[Array, Array], tuple[Array, Array]]
@@ -72,15 +71,6 @@ class Sheet:
     def beside(self) -> Index:
         """(n - 1,) 1 where no row of the table is left out between two neighbours, else 0."""
         return np.asarray(np.diff(self.place) == 1, np.intp)
-
-
-def slopes(gravity: float, inclination: Array, tool_face: Array) -> tuple[Array, Array]:
-    """Derivatives (..., 3) of the truth, mg a degree of inclination and of tool-face; rad in."""
-    c, s = np.cos(tool_face), np.sin(tool_face)
-    along_i = unit_vector(inclination + np.pi / 2.0, tool_face)
-    flat = np.cos(inclination)
-    along_t = np.stack([flat * c, -flat * s, np.zeros_like(flat)], axis=-1)
-    return gravity * DEG * along_i, gravity * DEG * along_t
 
 
 def in_order(inclination: Array, tool_face: Array, draws: int = 199) -> bool:

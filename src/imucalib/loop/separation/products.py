@@ -14,7 +14,9 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
-from imucalib.loop.noise.grid import TAU
+
+#: Sizes of a candidate, in its typical size, over which the evidence is maximised.
+TAU = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 
 #: Precision of a base parameter at typical size that no data determine: a hundred typical sizes.
 _OPEN = 1e-4

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.estimators.contest import best_evidence, directions
-from imucalib.loop.noise.grid import TAU
-from imucalib.loop.separation.products import Ambiguity
+from imucalib.loop.separation.products import TAU, Ambiguity
 from imucalib.loop.thresholds import APART, MARGIN
 
 

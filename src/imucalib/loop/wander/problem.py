@@ -15,7 +15,6 @@ from imucalib.effects import known
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.design import Fold
 from imucalib.loop.evidence import Candidate
-from imucalib.loop.search import thinned
 from imucalib.loop.wander.bank import Bank, Split, bank_of, splits_of
 from imucalib.loop.wander.choice import Taken
 from imucalib.loop.wander.forms import driver_of, form_columns
@@ -192,3 +191,27 @@ def _rows(fit: Fit, small: Fit) -> Index:
 
 def _where(rows: Index, wanted: Index) -> Index:
     return np.flatnonzero(np.isin(rows, wanted)).astype(np.intp)
+
+
+def thinned(fit: Fit, most: int) -> Fit:
+    """The same fit seen through at most so many observations, spread evenly in their order.
+
+    Scores need no more, and their memory is that of the observations times the candidates. Only
+    where every observation has its own free direction; fits always use all of them.
+    """
+    n = fit.observations.n
+    if n <= most or fit.at.settings:
+        return fit
+    rows = np.linspace(0, n - 1, most).astype(np.intp)
+    at = fit.at
+    numbers = np.flatnonzero(np.isin(at.owner, rows))
+    part = replace(
+        at,
+        residual=at.residual[numbers],
+        jacobian=at.jacobian[numbers],
+        keep=at.keep[rows],
+        owner=np.searchsorted(rows, at.owner[numbers]),
+        sigma=at.sigma[rows],
+    )
+    eta = fit.eta.reshape(n, -1)[rows].ravel()
+    return replace(fit, at=part, observations=fit.observations.take(rows), eta=eta)

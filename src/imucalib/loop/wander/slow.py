@@ -24,7 +24,6 @@ from imucalib.arrays import Array
 from imucalib.effects import catalogue
 from imucalib.loop.candidates import effect_candidates
 from imucalib.loop.found import Step
-from imucalib.loop.noise.shared import WANDERING
 from imucalib.loop.thresholds import MARGIN, STRONG
 from imucalib.loop.wander.bank import Bank, bank_of
 from imucalib.loop.wander.beside.parts import Rivals, held_against
@@ -37,7 +36,8 @@ from imucalib.units import MG, STANDARD_GRAVITY
 
 #: Memories of a slow walk in recordings, and its variances over a run's, as fine as the search's.
 _TAU, _RHO = (0.5, 2.0), (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
-_OF_SCALE = "wandering_scale"
+#: What stands beside an effect that a slow walk of the bias, or of the scale, imitates.
+WANDERING, _OF_SCALE = "wandering_bias", "wandering_scale"
 _CLOCK, _DAY, _HARMONICS = "time_of_day", 86400.0, 2
 
 

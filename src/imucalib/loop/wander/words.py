@@ -12,7 +12,6 @@ from imucalib.effects import catalogue
 from imucalib.effects.shape import in_words, is_form
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Checked, Step, Unexplained, Wander
-from imucalib.loop.rivals.aliases import UNLISTED
 from imucalib.loop.thresholds import STRONG
 from imucalib.loop.wander.bank import Bank
 from imucalib.loop.wander.choice import Refused, Search, Taken, same
@@ -32,6 +31,8 @@ PAST = ("thermal_lag", "thermal_hysteresis", "temperature_rate")
 #: seldom: it leads the present by as much as a form of the temperature has to.
 _CLOCK = "time_of_day"
 _NOW = "temperature_bias"
+#: What stands beside a name of a size that no data sheet tells: another effect, of nobody's list.
+UNLISTED = "unlisted_effect"
 #: Kinds of response, each with the free functions that hold what it leaves.
 _OF_RESPONSE = {"shape": ("curve", "posture"), "curve": ("posture", "shape"), "posture": ("curve",)}
 

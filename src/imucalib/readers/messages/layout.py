@@ -187,6 +187,11 @@ def compile_layout(definition: Definition, data: bytes) -> Layout:
         raise LayoutError(f"the message has {len(data)} bytes, its definition {walk.at}")
     head = b"" if definition.ros1 else data[:2]
     return Layout(
-        fields=walk.fields, guards=tuple(walk.guards), head=head, end=walk.at, slack=slack,
-        order=walk.order, texts=walk.texts,
-    )  # fmt: skip
+        fields=walk.fields,
+        guards=tuple(walk.guards),
+        head=head,
+        end=walk.at,
+        slack=slack,
+        order=walk.order,
+        texts=walk.texts,
+    )

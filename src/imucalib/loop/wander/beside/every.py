@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from imucalib.core.fit import Fit
 from imucalib.loop.found import Step
-from imucalib.loop.rivals.aliases import UNLISTED, beyond_usual
 from imucalib.loop.wander.beside.changes import beside_changes
 from imucalib.loop.wander.beside.courses import beside_courses
 from imucalib.loop.wander.beside.plays import beside_plays
 from imucalib.loop.wander.choice import Search
 from imucalib.loop.wander.problem import Problem
 from imucalib.loop.wander.slow import beside_slow_walks, beside_the_day
-from imucalib.loop.wander.words import beside_others
+from imucalib.loop.wander.words import UNLISTED, beside_others
+
+_SURE = 2.0  # standard errors
 
 
 def beside_all(
@@ -51,3 +54,11 @@ def _who_may_be(step: Step, steps: Sequence[Step]) -> list[str]:
         for other in steps
         if other is not step and own in {name.partition("@")[0] for name in other.aliases}
     ]
+
+
+def beyond_usual(fit: Fit, name: str) -> bool:
+    """Whether an effect of a fit is surely larger than data sheets let one expect."""
+    part = fit.model.slices(fit.observations.context).get(name, slice(0))
+    sure = np.abs(fit.theta[part]) - _SURE * fit.sd[part]
+    usual = np.array([p.usual for p in fit.parameters[part]])
+    return bool(np.any(sure > usual))

@@ -1,1 +1,0 @@
-"""What else would do: beside a name, in its place, and what that leaves open."""
