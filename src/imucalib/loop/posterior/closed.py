@@ -65,20 +65,24 @@ def close_loop(
     state = mended(plain, asked, written)
     found = state.found
     said = told(found.problem, found.posterior)
-    loop = _empty(plain, found, asked, said)
-    final, left = found.base, None
-    nameless = any(found.problem.components[p.component].kind == "free" for p in said.places)
-    if nameless and not curves:
-        loop = _refused(loop, found, said, None)
+    loop, left = empty(plain, found, asked, said), None
+    if not correctable(found, said, curves=curves):
+        loop = refused(loop, found, said, None)
     elif said.places:
-        loop, final, left = _corrected(loop, found, said)
+        loop, left = _corrected(loop, found, said)
     loop = replace(
         loop,
-        records=accused(final, state.aside),
+        records=accused(loop.final, state.aside),
         slips=state.slips,
         weighed=rivals_of(found.problem, found.posterior),
     )
     return Closed(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
+
+
+def correctable(found: Explored, said: Told, *, curves: bool) -> bool:
+    """Whether what is told may be corrected: structure without a name only with `curves`."""
+    places = (found.problem.components[p.component] for p in said.places)
+    return curves or not any(c.kind == "free" for c in places)
 
 
 def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
@@ -94,7 +98,7 @@ def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
     return fit_model(one.model, loop.plain.observations, start=one.theta, shrink=one.shrink)
 
 
-def _empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
+def empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
     """The loop before anything is corrected."""
     missing = {
         name: reason
@@ -114,31 +118,36 @@ def _empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
     )
 
 
-def _corrected(loop: FitLoop, found: Explored, said: Told) -> tuple[FitLoop, Fit, LeftOut | None]:
+def _corrected(loop: FitLoop, found: Explored, said: Told) -> tuple[FitLoop, LeftOut | None]:
     """The loop with what is told in the model, unless data that took no part refuse it."""
     one = solved(found.problem, found.posterior.grams, said.hypothesis)
-    final = fit_of(found.problem, one, found.base.observations)
-    names = tuple(_effect(found, place.component, said) for place in said.places)
-    if not final.converged:
-        return _refused(loop, found, said, None), loop.final, None
     data = found.base.observations
+    final = fit_of(found.problem, one, data)
+    if not final.converged:
+        return refused(loop, found, said, None), None
     folds = folds_of(data)
     try:
         left = left_out(found.problem, found.posterior, folds)
     except NotConverged:  # a response that has no inverse
-        return _refused(loop, found, said, None), loop.final, None
+        return refused(loop, found, said, None), None
     aside = [record_of(name) for name in record_names(found.base)]
     good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
     sizes = left.before.size[good], left.after.size[good]
     gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
-    gain = with_density(gain, left.nats)
+    return judged(loop, found, said, final, left, with_density(gain, left.nats)), left
+
+
+def judged(
+    loop: FitLoop, found: Explored, said: Told, final: Fit, left: LeftOut, gain: Difference
+) -> FitLoop:
+    """The one veto: what is told is corrected by `final` unless data that took no part refuse."""
     if not gain.holds:
-        return _refused(loop, found, said, gain), loop.final, None
+        return refused(loop, found, said, gain)
     steps = tuple(
-        _step(found, said, place, name, left)
-        for place, name in zip(said.places, names, strict=True)
+        _step(found, said, place, _effect(found, place.component, said), left)
+        for place in said.places
     )
-    return replace(loop, final=final, steps=steps, difference=gain), final, left
+    return replace(loop, final=final, steps=steps, difference=gain)
 
 
 def _effect(found: Explored, component: int, said: Told) -> str:
@@ -170,7 +179,7 @@ def _step(found: Explored, said: Told, place: Place, name: str, left: LeftOut) -
     )
 
 
-def _refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None) -> FitLoop:
+def refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None) -> FitLoop:
     """Nothing is corrected; what is missing beyond doubt stays without a name."""
     why = "it has no inverse, no fit settles with it, or curves are not wanted"
     if gain is not None:

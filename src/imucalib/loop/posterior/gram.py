@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -23,10 +24,33 @@ from imucalib.loop.posterior.problem import Problem
 from imucalib.units import MG
 
 
+class Products(Protocol):
+    """Zᵀ V⁻¹ Z at E noises, however V is taken off."""
+
+    def rows(self, at: Index) -> Array:
+        """(E, s, q) some rows."""
+
+    @property
+    def along(self) -> Array:
+        """(E, q) products with y."""
+
+    def blocks(self, index: Index) -> Array:
+        """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
+
+    def of(self, noises: Index) -> Products:
+        """At some of the noises."""
+
+    def narrowed(self, columns: Index) -> Products:
+        """Of some columns, in their order."""
+
+    def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
+        """`grams`, of which nothing is taken out, of the data without some observations."""
+
+
 @dataclass(frozen=True)
-class Products:
-    """Zᵀ V⁻¹ Z at E noises. columns : (N, q) Z; weighted : (E, N, q) V⁻¹ Z; known : (k, q) rows of
-    what is known before the readings"""
+class Weighted:
+    """columns : (N, q) Z; weighted : (E, N, q) V⁻¹ Z; known : (k, q) rows of what is known before
+    the readings"""
 
     columns: Array
     weighted: Array
@@ -49,6 +73,21 @@ class Products:
         known = self.known[:, index]
         return np.asarray(own + np.einsum("kmw,kmv->mwv", known, known))
 
+    def of(self, noises: Index) -> Weighted:
+        """At some of the noises."""
+        return replace(self, weighted=self.weighted[noises])
+
+    def narrowed(self, columns: Index) -> Weighted:
+        """Of some columns, in their order."""
+        return Weighted(
+            self.columns[:, columns], self.weighted[:, :, columns], self.known[:, columns]
+        )
+
+    def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
+        """Without some observations: each number's own column is free."""
+        columns = problem.of_rows(rows)
+        return replace(swept(grams, columns, np.inf), numbers=grams.numbers - columns.size)
+
 
 @dataclass(frozen=True)
 class Grams:
@@ -62,7 +101,7 @@ class Grams:
     taken: Array
     log_weight: Array
     numbers: float
-    points: tuple[Point, ...]
+    points: tuple[object, ...]
     spread: float
 
     def log_noise(self, power: Array, dof: float) -> Array:
@@ -100,7 +139,7 @@ class Grams:
     def of(self, noises: Index) -> Grams:
         """At some of the noises."""
         return Grams(
-            products=replace(self.products, weighted=self.products.weighted[noises]),
+            products=self.products.of(noises),
             taken=self.taken[noises],
             log_weight=self.log_weight[noises],
             numbers=self.numbers,
@@ -127,7 +166,7 @@ def grams_of(problem: Problem, terms: Terms) -> Grams:
         lower = _cholesky(terms.covariance(point))
         weighted[k] = _both(lower, problem.columns[:n])
         weight[k] = point.log_prior - float(np.log(np.diag(lower)).sum())
-    products = Products(problem.columns[:n], weighted, problem.columns[n:])
+    products = Weighted(problem.columns[:n], weighted, problem.columns[n:])
     nothing = np.zeros((len(kept), 0, problem.columns.shape[1]))
     return Grams(products, nothing, weight, problem.numbers, kept, _spread(problem))
 
@@ -190,9 +229,9 @@ def _both(lower: Array, columns: Array) -> Array:
     return np.asarray(cho_solve((lower, True), columns, check_finite=False))
 
 
-def without(grams: Grams, columns: Index) -> Grams:
-    """Of the data without some of its numbers: their own `columns` (`Problem.of_rows`) are free."""
-    return replace(swept(grams, columns, np.inf), numbers=grams.numbers - columns.size)
+def without(grams: Grams, problem: Problem, rows: Index) -> Grams:
+    """Of the data without some observations."""
+    return grams.products.without(grams, problem, rows)
 
 
 def swept(grams: Grams, columns: Index, size: float) -> Grams:

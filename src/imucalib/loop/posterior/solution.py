@@ -43,14 +43,14 @@ def solved(
     every = problem.choices if choices is None else choices
     picks = [(every[p.choice], p.size) for p in hypothesis.picks]
     mean, covariance = _moments(problem, grams, blocks_of(every, hypothesis.picks))
-    fit, context = problem.fit, problem.fit.observations.context
+    context = problem.fit.observations.context
     effects = {e.name: e for c, _ in picks for e, _, _ in c.member.effects}
-    model = Model((*fit.model.effects, *effects.values()))
+    model = Model((*problem.model.effects, *effects.values()))
     # θ is linear in the numbers of the columns: two members may share a parameter.
     slices, theta = model.slices(context), model.start(context)
     turn, spread = np.zeros((theta.size, mean.size)), np.zeros(theta.size)
-    for name, part in fit.model.slices(context).items():
-        theta[slices[name]] = fit.theta[part]
+    for name, part in problem.model.slices(context).items():
+        theta[slices[name]] = problem.start[part]
         turn[slices[name], part] = np.eye(part.stop - part.start)
     at = problem.base
     for choice, size in picks:
@@ -106,7 +106,7 @@ def noises_of(problem: Problem, grams: Grams, picks: Sequence[Pick]) -> Array:
 
 def fit_of(problem: Problem, found: Solved, data: Observations) -> Fit:
     """The model fitted to observations, with its sizes as priors, from where it is."""
-    adds = found.model.names != problem.fit.model.names
+    adds = found.model.names != problem.model.names
     return fit_model(
         found.model,
         data,

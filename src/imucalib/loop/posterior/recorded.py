@@ -1,0 +1,232 @@
+"""Noise of a recording: scatter of a run, heavy tails by weights, and walks that go on through all.
+
+    n ~ N(0, s² V),   V = diag(f² (1 + known / s²)) + Σ_j r_j² K ∘ h_j h_jᵀ
+
+h_j is what a bias of one axis, or a scale of all, does to each run's number; sizes r and memory are
+points over which every evidence is summed. The weights f of runs that are unlike the others (Huber
+1964) come from what is left beside the smoothed walk, so that what jumps or drifts does not make a
+run look strange. Rows that are left out stand nowhere in V: the walk goes on through the gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.fit import Fit
+from imucalib.loop.found import Wander
+from imucalib.loop.posterior.gram import Grams
+from imucalib.loop.posterior.odds import (
+    COURSES,
+    HEARD,
+    REACH,
+    UNLIKE,
+    WALK_MEMORY,
+    WALK_SIZE,
+    WANDERS,
+)
+from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.walk import Whitener, whitener
+from imucalib.units import MG
+
+#: One over the median absolute deviation of a normal number.
+_MAD = 1.4826
+#: Rounds in which scatter, walk and weights settle.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Walk:
+    """size : (q,) of the walk of each share, over the scatter; memory : s; log_prior : of it"""
+
+    size: Array
+    memory: float
+    log_prior: float
+
+
+@dataclass(frozen=True)
+class Course:
+    """Runs in order of time, and what their noise may be.
+
+    scatter : m/s², the unit; time : (n,) s; variance : (n,) d; shares : (n, q) h of unit walks
+    walks : that are weighed, none first; light : how many runs count less
+    """
+
+    scatter: float
+    time: Array
+    variance: Array
+    shares: Array
+    walks: tuple[Walk, ...]
+    light: int = 0
+
+    def whitener(self, walks: tuple[Walk, ...], rows: Index | slice = slice(None)) -> Whitener:
+        """Of some walks, on some of the runs."""
+        shares = np.array([self.shares[rows] * w.size for w in walks])
+        variance = np.broadcast_to(self.variance[rows], (len(walks), len(self.time[rows])))
+        return whitener(self.time[rows], variance, shares, np.array([w.memory for w in walks]))
+
+    def left(self, walk: Walk, residual: Array) -> Array:
+        """(n,) what is left of a residual (n,) beside the smoothed walk: D V⁻¹ r."""
+        white = self.whitener((walk,))
+        return np.asarray(self.variance * white.back(white(residual[:, None]))[0, :, 0])
+
+
+def course_of(fit: Fit, known: Array) -> tuple[Course, Wander]:
+    """The noise beside a fitted model, and the likeliest walk in words.
+
+    known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
+    """
+    at, data = fit.at, fit.observations
+    unit = at.sigma[:, 0]
+    misfit, columns = at.residual * unit, at.jacobian * unit[:, None]
+    columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    course = Course(
+        scatter=max(_MAD * float(np.median(np.abs(misfit))), 1e-3 * MG),
+        time=data.context["time"],
+        variance=np.ones(data.n),
+        shares=_shares(fit),
+        walks=_walks(data.context["time"]),
+    )
+    far, best = np.ones(data.n), 0
+    for _ in range(_ROUNDS):
+        variance = far**2 * (1.0 + known / course.scatter**2)
+        course = replace(course, variance=variance, light=int((far > 1.0).sum()))
+        every = np.column_stack([columns, misfit]) / course.scatter
+        logs, power = _evidence(course, every)
+        best = int(np.argmax(logs))
+        left = course.left(course.walks[best], _beside(course, best, every))
+        factor = float(np.sqrt(power[best] / (data.n - columns.shape[1])))
+        wander = np.sqrt(np.mean((_beside(course, best, every) - left) ** 2))
+        walk = course.walks[best]
+        told = Wander(
+            size=float(wander) * course.scatter / MG,
+            hours=walk.memory / 3600.0,
+            scatter=factor * course.scatter / MG,
+            evidence=float(logs[best] - logs[0]),
+            sd=factor * course.scatter / MG * float(walk.size[0]),
+        )
+        course = replace(course, scatter=factor * course.scatter)
+        alone = left / np.sqrt(variance) * far
+        size = _MAD * float(np.median(np.abs(alone)))
+        far = np.sqrt(np.maximum(1.0, np.abs(alone) / max(size, 1e-12) / UNLIKE))
+    return course, told
+
+
+def _shares(fit: Fit) -> Array:
+    """(n, 4) what a bias of each axis does to each number, and a scale that all share, over the
+    same of a number itself."""
+    data, at = fit.observations, fit.at
+    block = np.broadcast_to(np.eye(3), (data.n, 1, 3, 3))
+    bias = at.columns(block) * at.sigma[:, :1]
+    outward = np.sign(np.einsum("ni,ni->n", bias, data.reading[:, 0]))
+    return np.column_stack([bias, outward])
+
+
+def _walks(time: Array) -> tuple[Walk, ...]:
+    """None, walks of the bias, and of bias and scale."""
+    span = float(np.ptp(time))
+    some = [
+        (np.array([size] * 3 + [size * scale]), memory * span)
+        for scale in COURSES
+        for size in WALK_SIZE
+        for memory in WALK_MEMORY
+    ]
+    none = Walk(np.zeros(4), span, float(np.log(1.0 - WANDERS)))
+    return (none, *(Walk(s, m, float(np.log(WANDERS / len(some)))) for s, m in some))
+
+
+def _evidence(course: Course, every: Array, size: Array | None = None) -> tuple[Array, Array]:
+    """(E,) log evidence of columns under every walk, and (E,) yᵀPy; every : (n, p + 1) columns and
+    the misfit; size : (p,) of the priors over the noise factor, none by default"""
+    p = every.shape[1] - 1
+    gram, weight = _summed(course, every, np.arange(len(every)))
+    flat = np.ones(p, bool) if size is None else ~np.isfinite(size)
+    if size is not None:
+        some = np.flatnonzero(~flat)
+        gram[:, some, some] += size[some] ** -2.0
+    scale = np.sqrt(np.einsum("epp->ep", gram)) + 1e-300
+    inner = gram / scale[:, :, None] / scale[:, None]
+    root = np.linalg.cholesky(inner + 1e-12 * np.eye(p + 1))
+    logs = np.log(np.einsum("epp->ep", root)) + np.log(scale)
+    dof = len(every) - int(flat.sum())
+    power = np.exp(2.0 * logs[:, -1])
+    return weight - logs[:, :-1].sum(axis=1) - dof * logs[:, -1], power
+
+
+def _beside(course: Course, walk: int, every: Array) -> Array:
+    """(n,) the misfit less its columns by generalised least squares."""
+    white = course.whitener((course.walks[walk],))(every)[0]
+    found = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=1e-10)[0]
+    return np.asarray(every[:, -1] - every[:, :-1] @ found)
+
+
+@dataclass(frozen=True)
+class Summed:
+    """gram : (E, q, q) Zᵀ V⁻¹ Z of a recording's columns (n, q) under some of its walks"""
+
+    gram: Array
+    columns: Array
+    course: Course
+
+    def rows(self, at: Index) -> Array:
+        """(E, s, q) some rows."""
+        return self.gram[:, at]
+
+    @property
+    def along(self) -> Array:
+        """(E, q) products with y."""
+        return self.gram[:, -1]
+
+    def blocks(self, index: Index) -> Array:
+        """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
+        return self.gram[:, index[:, :, None], index[:, None, :]]
+
+    def of(self, noises: Index) -> Summed:
+        """At some of the noises."""
+        walks = tuple(self.course.walks[k] for k in noises)
+        return replace(self, gram=self.gram[noises], course=replace(self.course, walks=walks))
+
+    def narrowed(self, columns: Index) -> Summed:
+        """Of some columns, in their order."""
+        return replace(
+            self, gram=self.gram[:, columns[:, None], columns], columns=self.columns[:, columns]
+        )
+
+    def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
+        """Without some runs, through which the walk goes on."""
+        kept = np.setdiff1d(np.arange(len(self.columns)), rows)
+        gram, log_weight = _summed(self.course, self.columns, kept)
+        products = replace(self, gram=gram)
+        count = grams.numbers - rows.size
+        return replace(grams, products=products, log_weight=log_weight, numbers=count)
+
+
+def recorded_grams(problem: Problem, course: Course) -> Grams:
+    """At all walks that the data do not exclude, be the base complete or lack every free function
+    at once: what a model lacks looks like a walk."""
+    free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
+    base = problem.columns[:, [*range(problem.base), -1]]
+    rich = problem.columns[:, np.unique(np.concatenate(free))] if free else base[:, :0]
+    both = np.column_stack([base[:, :-1], rich, base[:, -1]])
+    size = np.r_[np.full(problem.base, np.inf), np.full(rich.shape[1], REACH)]
+    found = np.zeros(len(course.walks), bool)
+    for logs, _ in (_evidence(course, base), _evidence(course, both, size)):
+        found |= logs > logs.max() - HEARD
+    some = replace(course, walks=tuple(course.walks[k] for k in np.flatnonzero(found)))
+    gram, log_weight = _summed(some, problem.columns, np.arange(len(problem.columns)))
+    products = Summed(gram, problem.columns, some)
+    nothing = np.zeros((len(gram), 0, gram.shape[1]))
+    return Grams(products, nothing, log_weight, problem.numbers, some.walks, np.inf)
+
+
+def _summed(course: Course, columns: Array, rows: Index) -> tuple[Array, Array]:
+    """(E, q, q) products of some rows, and (E,) log prior less half of log |V|."""
+    white = course.whitener(course.walks, rows)
+    gram = np.empty((len(course.walks), columns.shape[1], columns.shape[1]))
+    for k in range(len(gram)):
+        seen = white.of(slice(k, k + 1))(columns[rows])[0]
+        gram[k] = seen.T @ seen
+    prior = np.array([w.log_prior for w in course.walks])
+    return gram, prior - 0.5 * white.log_det

@@ -1,0 +1,152 @@
+"""The closed loop of a recording: the same posterior where the bias walks through all of it.
+
+What is missing moves the point of linearisation, the scatter and the weights of runs that looked
+strange beside it: all are made anew beside what is told, until that stands still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.balance import Noise
+from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations
+from imucalib.effects.history.step import moment_of
+from imucalib.errors import NotConverged
+from imucalib.estimators.least_squares import evaluate
+from imucalib.loop.asked import Searched
+from imucalib.loop.design import Fold, folds_of, parts_of
+from imucalib.loop.difference import Difference, difference, with_density
+from imucalib.loop.found import FitLoop
+from imucalib.loop.held_out import Held
+from imucalib.loop.posterior.catalogue import components_of
+from imucalib.loop.posterior.closed import correctable, empty, judged, refused
+from imucalib.loop.posterior.explored import Explored, heard, near_values, refined
+from imucalib.loop.posterior.held_out import LeftOut, foretold, left_out
+from imucalib.loop.posterior.problem import problem_of
+from imucalib.loop.posterior.recorded import Course, course_of, recorded_grams
+from imucalib.loop.posterior.rivals import rivals_of
+from imucalib.loop.posterior.solution import Solved, solved
+from imucalib.loop.posterior.space import Hypothesis, search
+from imucalib.loop.posterior.words import Told, told
+
+#: Rounds after which what is told stands still or never will.
+_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A finished loop. course : the noise beside its final model; before, after : every run
+    foretold without its block of time, by the base model and by what the search finds there"""
+
+    loop: FitLoop
+    course: Course
+    before: Held
+    after: Held
+
+
+def close_recording(
+    plain: Fit, asked: Searched, known: Array, *, curves: bool = True
+) -> Closed:
+    """Search beside a fitted base model, and judge on blocks of time what that was worth.
+
+    known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
+    """
+    found, course, said = _explored(plain, asked, known)
+    data = _in_units(found.base.observations, course)
+    nothing = solved(found.problem, found.posterior.grams, found.posterior.base)
+    base = _at(nothing, data)
+    loop = replace(empty(plain, found, asked, said), base=base, final=base, as_recorded=base)
+    folds, final = folds_of(data), base
+    after = before = foretold(found.problem, found.posterior, folds)
+    if not correctable(found, said, curves=curves):
+        loop = refused(loop, found, said, None)
+    elif said.places:
+        try:
+            final = _at(solved(found.problem, found.posterior.grams, said.hypothesis), data)
+            left = left_out(found.problem, found.posterior, folds)
+        except NotConverged:  # a response that has no inverse
+            loop = refused(loop, found, said, None)
+        else:
+            gain = _gain(left, folds, final, data.context["time"])
+            loop = judged(loop, found, said, final, left, gain)
+            after = left.after if loop.steps else before
+    course, wander = course_of(loop.final, known)
+    loop = replace(
+        loop,
+        as_recorded=loop.final,
+        weighed=rivals_of(found.problem, found.posterior),
+        wander=wander,
+    )
+    return Closed(loop, course, before, after)
+
+
+def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Course, Told]:
+    """The posterior where it stands still: at what it tells, and at the noise beside that."""
+    data, fit = plain.observations, plain
+    first = components_of(plain.model, data, asked)
+    near: dict[str, list[str]] = {}
+    before: tuple[str, ...] = ()
+    for turn in range(_ROUNDS):
+        course, _ = course_of(fit, known)
+        at = evaluate(fit.model, _scaled(data, course), fit.theta, fit.covariance)
+        components = refined(first, near, data, asked)
+        problem = problem_of(at, components, plain.model, single=False)
+        grams = recorded_grams(problem, course)
+        found = Explored(replace(plain, observations=at.observations), problem,
+                         search(problem, grams))
+        said = told(problem, found.posterior)
+        names = _names(found, said.hypothesis)
+        closer = near_values(found)
+        if turn + 1 == _ROUNDS or (names == before and closer.keys() <= near.keys()):
+            break
+        near, before = {**near, **closer}, names
+        try:
+            one = solved(problem, grams, said.hypothesis)
+            fit = evaluate(one.model, data, one.theta, one.covariance)
+        except NotConverged:  # it is told where it stands, and corrects nothing
+            break
+    return replace(found, posterior=heard(found)), course, said
+
+
+def _names(found: Explored, hypothesis: Hypothesis) -> tuple[str, ...]:
+    choices = found.problem.choices
+    return tuple(sorted(choices[p.choice].member.name for p in hypothesis.picks))
+
+
+def _scaled(data: Observations, course: Course) -> Observations:
+    """With the scatter of a run as the noise of each."""
+    return replace(data, sigma=np.full_like(data.sigma, course.scatter))
+
+
+def _in_units(data: Observations, course: Course) -> Observations:
+    """With each run's own noise beside the walk."""
+    own = course.scatter * np.sqrt(course.variance)
+    return replace(data, sigma=np.broadcast_to(own[:, None, None], data.sigma.shape).copy())
+
+
+def _at(one: Solved, data: Observations) -> Fit:
+    fit = evaluate(one.model, data, one.theta, one.covariance)
+    return replace(fit, noise=Noise(1.0))
+
+
+def _gain(left: LeftOut, folds: Sequence[Fold], final: Fit, time: Array) -> Difference:
+    """What blocks of time gain but for those that hold a moment at which something changes: without
+    one nobody knows when within it that was."""
+    part = parts_of(tuple(folds))
+    hidden = [k for k, fold in enumerate(folds) if _holds_a_moment(final, fold, time)]
+    good = ~np.isin(part, [folds[k].rows[0] for k in hidden])
+    sizes = left.before.size[good], left.after.size[good]
+    count = len(folds) - len(hidden)
+    gain = difference(*sizes, part[good], count, "mean")
+    return with_density(gain, np.delete(left.nats, hidden))
+
+
+def _holds_a_moment(final: Fit, fold: Fold, time: Array) -> bool:
+    gone = time[np.setdiff1d(np.arange(time.size), fold.rest)]
+    moments = np.array([moment_of(name) for name in final.model.names])
+    return bool(np.any((moments >= gone.min()) & (moments <= gone.max())))
