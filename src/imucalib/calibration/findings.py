@@ -174,8 +174,9 @@ def findings_of(
 def _facts(loop: FitLoop) -> tuple[tuple[str, str], ...]:
     """The walk that the noise holds."""
     found = []
-    if loop.wander is not None and loop.wander.counts:
-        found.append(("noise", f"{loop.wander.words}; all standard deviations include it"))
+    if loop.wander is not None and (loop.wander.counts or loop.wander.followed):
+        what = "which the calibration follows" if loop.wander.followed else "which nothing follows"
+        found.append(("noise", f"{loop.wander.words}, {what}"))
     return tuple(found)
 
 

@@ -23,14 +23,8 @@ _IN_TIME = ("order", "time", "time_of_day")
 #: What to do about what moves with time, by its kind, or where no temperature was recorded, the
 #: most telling first.
 _TOLD = {
-    "stretch": "Something is different for a while: find out what happened to the sensor then, "
-    "leave that time out of the file, and calibrate the rest.",
     "cold": "The error moves with time and no temperature was recorded: export the temperature "
     "channel too, or calibrate in parts with --every 1d.",
-    "jump": "Something changes at one moment: calibrate what lies before it and after it in parts, "
-    "with --every, and look for a knock, a restart or another sensor there.",
-    "swing": "What swings has a cause with that period: note what goes on and off beside the "
-    "sensor, and when.",
     "probe": "The error moves with time, in too few stretches to prove a cause: --every 6h shows "
     "which parts differ, a longer recording whether it comes back.",
 }

@@ -115,8 +115,11 @@ def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
         choices=tuple(replace(c, at=np.searchsorted(used, c.at)) for c in choices),
         single=int(np.searchsorted(used, problem.single)),
     )
-    return found, replace(posterior.grams, products=posterior.grams.products.narrowed(used),
-                          taken=posterior.grams.taken[:, :, used])
+    return found, replace(
+        posterior.grams,
+        products=posterior.grams.products.narrowed(used),
+        taken=posterior.grams.taken[:, :, used],
+    )
 
 
 def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:

@@ -10,12 +10,17 @@ run look strange. Rows that are left out stand nowhere in V: the walk goes on th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.balance import Noise
 from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
 from imucalib.loop.posterior.gram import Grams
 from imucalib.loop.posterior.odds import (
@@ -51,7 +56,8 @@ class Course:
     """Runs in order of time, and what their noise may be.
 
     scatter : m/s², the unit; time : (n,) s; variance : (n,) d; shares : (n, q) h of unit walks
-    walks : that are weighed, none first; light : how many runs count less
+    walks : that are weighed, none first; likeliest : of them beside a fit; light : how many runs
+    count less
     """
 
     scatter: float
@@ -59,6 +65,7 @@ class Course:
     variance: Array
     shares: Array
     walks: tuple[Walk, ...]
+    likeliest: Walk
     light: int = 0
 
     def whitener(self, walks: tuple[Walk, ...], rows: Index | slice = slice(None)) -> Whitener:
@@ -67,10 +74,23 @@ class Course:
         variance = np.broadcast_to(self.variance[rows], (len(walks), len(self.time[rows])))
         return whitener(self.time[rows], variance, shares, np.array([w.memory for w in walks]))
 
+    def white(self, unit: Array) -> Callable[[Array], Array]:
+        """What whitens columns (n, m) in units (n,) m/s², under the likeliest walk."""
+        whitens = self.whitener((self.likeliest,))
+        return lambda columns: whitens(
+            (columns.T * (unit / self.scatter)).T.reshape(len(unit), -1)
+        )[0].reshape(columns.shape)
+
     def left(self, walk: Walk, residual: Array) -> Array:
         """(n,) what is left of a residual (n,) beside the smoothed walk: D V⁻¹ r."""
         white = self.whitener((walk,))
         return np.asarray(self.variance * white.back(white(residual[:, None]))[0, :, 0])
+
+
+def fit_at(model: Model, data: Observations, theta: Array, covariance: Array) -> Fit:
+    """A model at parameters that were found, each run turned as it is corrected there."""
+    eta = data.reference.start(model.correct(theta, data.reading, data.context))
+    return replace(evaluate(model, data, theta, covariance, eta=eta), noise=Noise(1.0))
 
 
 def course_of(fit: Fit, known: Array) -> tuple[Course, Wander]:
@@ -82,12 +102,14 @@ def course_of(fit: Fit, known: Array) -> tuple[Course, Wander]:
     unit = at.sigma[:, 0]
     misfit, columns = at.residual * unit, at.jacobian * unit[:, None]
     columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    walks = _walks(data.context["time"])
     course = Course(
         scatter=max(_MAD * float(np.median(np.abs(misfit))), 1e-3 * MG),
         time=data.context["time"],
         variance=np.ones(data.n),
         shares=_shares(fit),
-        walks=_walks(data.context["time"]),
+        walks=walks,
+        likeliest=walks[0],
     )
     far, best = np.ones(data.n), 0
     for _ in range(_ROUNDS):
@@ -96,6 +118,7 @@ def course_of(fit: Fit, known: Array) -> tuple[Course, Wander]:
         every = np.column_stack([columns, misfit]) / course.scatter
         logs, power = _evidence(course, every)
         best = int(np.argmax(logs))
+        course = replace(course, likeliest=course.walks[best])
         left = course.left(course.walks[best], _beside(course, best, every))
         factor = float(np.sqrt(power[best] / (data.n - columns.shape[1])))
         wander = np.sqrt(np.mean((_beside(course, best, every) - left) ** 2))

@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
-from imucalib.core.balance import Noise
+from imucalib.arrays import Array
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.effects.history.step import moment_of
 from imucalib.errors import NotConverged
-from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.asked import Searched
 from imucalib.loop.design import Fold, folds_of, parts_of
 from imucalib.loop.difference import Difference, difference, with_density
@@ -28,11 +26,13 @@ from imucalib.loop.posterior.closed import correctable, empty, judged, refused
 from imucalib.loop.posterior.explored import Explored, heard, near_values, refined
 from imucalib.loop.posterior.held_out import LeftOut, foretold, left_out
 from imucalib.loop.posterior.problem import problem_of
-from imucalib.loop.posterior.recorded import Course, course_of, recorded_grams
+from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams
 from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.solution import Solved, solved
 from imucalib.loop.posterior.space import Hypothesis, search
 from imucalib.loop.posterior.words import Told, told
+from imucalib.loop.separation.ambiguities import ambiguities
+from imucalib.loop.separation.sums import sums_of
 
 #: Rounds after which what is told stands still or never will.
 _ROUNDS = 4
@@ -49,9 +49,7 @@ class Closed:
     after: Held
 
 
-def close_recording(
-    plain: Fit, asked: Searched, known: Array, *, curves: bool = True
-) -> Closed:
+def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool = True) -> Closed:
     """Search beside a fitted base model, and judge on blocks of time what that was worth.
 
     known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
@@ -76,11 +74,14 @@ def close_recording(
             loop = judged(loop, found, said, final, left, gain)
             after = left.after if loop.steps else before
     course, wander = course_of(loop.final, known)
+    size = (wander.scatter, wander.size)
     loop = replace(
         loop,
         as_recorded=loop.final,
         weighed=rivals_of(found.problem, found.posterior),
         wander=wander,
+        ambiguous=ambiguities(loop, course.white(loop.final.at.unit)),
+        sums=sums_of(found.problem, found.posterior, base, *size),
     )
     return Closed(loop, course, before, after)
 
@@ -93,12 +94,13 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
     before: tuple[str, ...] = ()
     for turn in range(_ROUNDS):
         course, _ = course_of(fit, known)
-        at = evaluate(fit.model, _scaled(data, course), fit.theta, fit.covariance)
+        at = fit_at(fit.model, _scaled(data, course), fit.theta, fit.covariance)
         components = refined(first, near, data, asked)
         problem = problem_of(at, components, plain.model, single=False)
         grams = recorded_grams(problem, course)
-        found = Explored(replace(plain, observations=at.observations), problem,
-                         search(problem, grams))
+        found = Explored(
+            replace(plain, observations=at.observations), problem, search(problem, grams)
+        )
         said = told(problem, found.posterior)
         names = _names(found, said.hypothesis)
         closer = near_values(found)
@@ -107,7 +109,7 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
         near, before = {**near, **closer}, names
         try:
             one = solved(problem, grams, said.hypothesis)
-            fit = evaluate(one.model, data, one.theta, one.covariance)
+            fit = fit_at(one.model, data, one.theta, one.covariance)
         except NotConverged:  # it is told where it stands, and corrects nothing
             break
     return replace(found, posterior=heard(found)), course, said
@@ -130,8 +132,7 @@ def _in_units(data: Observations, course: Course) -> Observations:
 
 
 def _at(one: Solved, data: Observations) -> Fit:
-    fit = evaluate(one.model, data, one.theta, one.covariance)
-    return replace(fit, noise=Noise(1.0))
+    return fit_at(one.model, data, one.theta, one.covariance)
 
 
 def _gain(left: LeftOut, folds: Sequence[Fold], final: Fit, time: Array) -> Difference:

@@ -59,12 +59,14 @@ def solved(
             turn[rows, at + np.arange(own.size)] = scale
             spread[rows] = np.hypot(spread[rows], size * scale)
             at += own.size
-    shrink = np.full(theta.size, np.inf)
+    shrink, still = np.full(theta.size, np.inf), np.zeros(theta.size)
     for effect in effects.values():
         part = slices[effect.name]
         held = _HELD * np.array([p.typical for p in effect.parameters(context)])
         shrink[part] = np.maximum(spread[part], held)
-    return Solved(model, theta + turn @ mean, turn @ covariance @ turn.T, shrink)
+        still[part] = np.where(spread[part] > 0.0, 0.0, held)
+    spread_of = turn @ covariance @ turn.T + np.diag(still**2)
+    return Solved(model, theta + turn @ mean, spread_of, shrink)
 
 
 def _moments(
