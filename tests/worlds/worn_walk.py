@@ -152,7 +152,7 @@ class Case:
         return EFFECTS[self.effect](x, excess, u, self.size)
 
     def solved(self, request: ActigraphRequest) -> ActigraphResult:
-        return calibrate(self.runs, self.scan, request, np.random.default_rng(0))
+        return calibrate(self.runs, self.scan, request)
 
     def error(self, fit: Fit) -> float:
         """mg, mean | |a| - g | over the sphere at conditions of the recording, no noise."""

@@ -26,6 +26,7 @@ from imucalib.loop.posterior.odds import SCANNED, TOGETHER
 _ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 6
 #: Drivers of the bias and the scale, and of dials beside these.
 _SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
+_DAILY = ("time_of_day",)
 #: Laws of a response: odd and even powers, ends, kinks (of the input in g).
 _OF_RESPONSE = (
     *(f"odd_power:{p}" for p in (1.5, 2)),
@@ -37,16 +38,19 @@ _OF_RESPONSE = (
 )
 
 
-def components_of(model: Model, data: Observations, asked: Searched) -> tuple[Component, ...]:
+def components_of(
+    model: Model, data: Observations, asked: Searched, *, walks: bool = False
+) -> tuple[Component, ...]:
     """Everything that may be missing from a model of some observations.
 
     asked : effects and scans that are wanted; where the user limited them, no free function or law
         is left out, so that no name is certain for want of a rival
+    walks : whether the noise holds any course of the bias over time
     """
     return (
         *_names(model, data, asked.effects),
         *(c for family in asked.families if (c := scan_of(data, family)) is not None),
-        *_free(data),
+        *_free(data, walks=walks),
         *_laws(data),
     )
 
@@ -110,7 +114,7 @@ def scan_of(data: Observations, family: Family, near: Sequence[str] = ()) -> Com
     return Component(f"{family.name}@", kind, tuple(members))
 
 
-def _free(data: Observations) -> Iterator[Component]:
+def _free(data: Observations, *, walks: bool) -> Iterator[Component]:
     """Smooth functions of every driver: of each axis' own input and of all three, of what is slow,
     and of the dials."""
     low, high = _RESPONSE_TERMS
@@ -123,9 +127,10 @@ def _free(data: Observations) -> Iterator[Component]:
         yield Component(f"response of {a}", "free", ways, "response")
     every = tuple(Member(tuple(one.values()), half) for one in (rough, smooth))
     yield Component("response of all axes", "free", every, "response")
-    for name in _varying(data, _SLOW):
+    for name in _varying(data, (*_SLOW, *_DAILY)):
         for what in ("bias", "scale"):
-            yield _function(data, what, name)
+            if not (walks and (what, name) == ("bias", "order")):
+                yield _function(data, what, name)
     if data.reference.directed:
         for what in _varying(data, _DIALS):
             for name in _varying(data, (*_DIALS, "order")):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -38,8 +39,8 @@ from imucalib.units import MG
 
 #: One over the median absolute deviation of a normal number.
 _MAD = 1.4826
-#: Rounds in which scatter, walk and weights settle.
-_ROUNDS = 3
+#: Rounds in which scatter, walk and weights settle, at first and beside a model that is near.
+_ROUNDS, _SETTLED = 4, 2
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,11 @@ class Course:
     likeliest: Walk
     light: int = 0
 
-    def whitener(self, walks: tuple[Walk, ...], rows: Index | slice = slice(None)) -> Whitener:
-        """Of some walks, on some of the runs."""
-        shares = np.array([self.shares[rows] * w.size for w in walks])
-        variance = np.broadcast_to(self.variance[rows], (len(walks), len(self.time[rows])))
-        return whitener(self.time[rows], variance, shares, np.array([w.memory for w in walks]))
+    def whitener(self, walks: tuple[Walk, ...]) -> Whitener:
+        """Of some walks."""
+        shares = np.array([self.shares * w.size for w in walks])
+        variance = np.broadcast_to(self.variance, (len(walks), self.time.size))
+        return whitener(self.time, variance, shares, np.array([w.memory for w in walks]))
 
     def white(self, unit: Array) -> Callable[[Array], Array]:
         """What whitens columns (n, m) in units (n,) m/s², under the likeliest walk."""
@@ -93,17 +94,18 @@ def fit_at(model: Model, data: Observations, theta: Array, covariance: Array) ->
     return replace(evaluate(model, data, theta, covariance, eta=eta), noise=Noise(1.0))
 
 
-def course_of(fit: Fit, known: Array) -> tuple[Course, Wander]:
+def course_of(fit: Fit, known: Array, near: Course | None = None) -> tuple[Course, Wander]:
     """The noise beside a fitted model, and the likeliest walk in words.
 
     known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
+    near : the noise beside a model that is near, from which it settles in fewer rounds
     """
     at, data = fit.at, fit.observations
     unit = at.sigma[:, 0]
     misfit, columns = at.residual * unit, at.jacobian * unit[:, None]
     columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
     walks = _walks(data.context["time"])
-    course = Course(
+    course = near or Course(
         scatter=max(_MAD * float(np.median(np.abs(misfit))), 1e-3 * MG),
         time=data.context["time"],
         variance=np.ones(data.n),
@@ -111,30 +113,36 @@ def course_of(fit: Fit, known: Array) -> tuple[Course, Wander]:
         walks=walks,
         likeliest=walks[0],
     )
-    far, best = np.ones(data.n), 0
-    for _ in range(_ROUNDS):
-        variance = far**2 * (1.0 + known / course.scatter**2)
-        course = replace(course, variance=variance, light=int((far > 1.0).sum()))
+    for _ in range(_SETTLED if near else _ROUNDS):
         every = np.column_stack([columns, misfit]) / course.scatter
-        logs, power = _evidence(course, every)
-        best = int(np.argmax(logs))
-        course = replace(course, likeliest=course.walks[best])
-        left = course.left(course.walks[best], _beside(course, best, every))
-        factor = float(np.sqrt(power[best] / (data.n - columns.shape[1])))
-        wander = np.sqrt(np.mean((_beside(course, best, every) - left) ** 2))
-        walk = course.walks[best]
-        told = Wander(
-            size=float(wander) * course.scatter / MG,
-            hours=walk.memory / 3600.0,
-            scatter=factor * course.scatter / MG,
-            evidence=float(logs[best] - logs[0]),
-            sd=factor * course.scatter / MG * float(walk.size[0]),
-        )
-        course = replace(course, scatter=factor * course.scatter)
-        alone = left / np.sqrt(variance) * far
-        size = _MAD * float(np.median(np.abs(alone)))
-        far = np.sqrt(np.maximum(1.0, np.abs(alone) / max(size, 1e-12) / UNLIKE))
+        course, told = _settled(course, every, known)
     return course, told
+
+
+def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander]:
+    """Weights, scatter and walk once more; every : (n, p + 1) columns and the misfit over the
+    scatter."""
+    n, p = len(every), every.shape[1] - 1
+    logs, power = _evidence(course, every)
+    best, scatter = int(np.argmax(logs)), course.scatter
+    walk = course.walks[best]
+    beside = _beside(course, best, every)
+    left = course.left(walk, beside)
+    factor = float(np.sqrt(power[best] / (n - p)))
+    told = Wander(
+        size=float(np.sqrt(np.mean((beside - left) ** 2))) * scatter / MG,
+        hours=walk.memory / 3600.0,
+        scatter=factor * scatter / MG,
+        evidence=float(logs[best] - logs[0]),
+        sd=factor * scatter / MG * float(walk.size[0]),
+    )
+    alone = left / np.sqrt(1.0 + known / scatter**2)
+    size = _MAD * float(np.median(np.abs(alone)))
+    far = np.maximum(1.0, np.abs(alone) / max(size, 1e-12) / UNLIKE)
+    scatter = factor * scatter
+    variance = far * (1.0 + known / scatter**2)
+    light = int((far > 1.0).sum())
+    return replace(course, scatter=scatter, variance=variance, likeliest=walk, light=light), told
 
 
 def _shares(fit: Fit) -> Array:
@@ -164,7 +172,7 @@ def _evidence(course: Course, every: Array, size: Array | None = None) -> tuple[
     """(E,) log evidence of columns under every walk, and (E,) yᵀPy; every : (n, p + 1) columns and
     the misfit; size : (p,) of the priors over the noise factor, none by default"""
     p = every.shape[1] - 1
-    gram, weight = _summed(course, every, np.arange(len(every)))
+    gram, weight = _summed(course, every)
     flat = np.ones(p, bool) if size is None else ~np.isfinite(size)
     if size is not None:
         some = np.flatnonzero(~flat)
@@ -217,12 +225,30 @@ class Summed:
             self, gram=self.gram[:, columns[:, None], columns], columns=self.columns[:, columns]
         )
 
+    @cached_property
+    def _whitener(self) -> Whitener:
+        return self.course.whitener(self.course.walks)
+
+    @cached_property
+    def _weighted(self) -> Array:
+        """(E, n, q) V⁻¹ Z."""
+        each = (self._whitener.of(slice(k, k + 1)) for k in range(len(self.gram)))
+        return np.concatenate([white.back(white(self.columns)) for white in each])
+
     def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
-        """Without some runs, through which the walk goes on."""
-        kept = np.setdiff1d(np.arange(len(self.columns)), rows)
-        gram, log_weight = _summed(self.course, self.columns, kept)
-        products = replace(self, gram=gram)
+        """Without some runs, through which the walk goes on: A - U_Fᵀ ((V⁻¹)_FF)⁻¹ U_F, U = V⁻¹ Z
+        (Cook and Weisberg 1982)."""
+        unit = np.zeros((len(self.columns), rows.size))
+        unit[rows, np.arange(rows.size)] = 1.0
+        gram, log_weight = self.gram.copy(), grams.log_weight.copy()
+        for k in range(len(gram)):
+            white = self._whitener.of(slice(k, k + 1))
+            lower = np.linalg.cholesky(white.back(white(unit))[0, rows])
+            taken = np.linalg.solve(lower, self._weighted[k, rows])
+            gram[k] -= taken.T @ taken
+            log_weight[k] -= np.log(np.diag(lower)).sum()
         count = grams.numbers - rows.size
+        products = replace(self, gram=gram)
         return replace(grams, products=products, log_weight=log_weight, numbers=count)
 
 
@@ -238,18 +264,18 @@ def recorded_grams(problem: Problem, course: Course) -> Grams:
     for logs, _ in (_evidence(course, base), _evidence(course, both, size)):
         found |= logs > logs.max() - HEARD
     some = replace(course, walks=tuple(course.walks[k] for k in np.flatnonzero(found)))
-    gram, log_weight = _summed(some, problem.columns, np.arange(len(problem.columns)))
+    gram, log_weight = _summed(some, problem.columns)
     products = Summed(gram, problem.columns, some)
     nothing = np.zeros((len(gram), 0, gram.shape[1]))
     return Grams(products, nothing, log_weight, problem.numbers, some.walks, np.inf)
 
 
-def _summed(course: Course, columns: Array, rows: Index) -> tuple[Array, Array]:
-    """(E, q, q) products of some rows, and (E,) log prior less half of log |V|."""
-    white = course.whitener(course.walks, rows)
+def _summed(course: Course, columns: Array) -> tuple[Array, Array]:
+    """(E, q, q) products of columns (n, q), and (E,) log prior less half of log |V|."""
+    white = course.whitener(course.walks)
     gram = np.empty((len(course.walks), columns.shape[1], columns.shape[1]))
     for k in range(len(gram)):
-        seen = white.of(slice(k, k + 1))(columns[rows])[0]
+        seen = white.of(slice(k, k + 1))(columns)[0]
         gram[k] = seen.T @ seen
     prior = np.array([w.log_prior for w in course.walks])
     return gram, prior - 0.5 * white.log_det

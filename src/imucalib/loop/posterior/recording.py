@@ -25,7 +25,8 @@ from imucalib.loop.posterior.catalogue import components_of
 from imucalib.loop.posterior.closed import correctable, empty, judged, refused
 from imucalib.loop.posterior.explored import Explored, heard, near_values, refined
 from imucalib.loop.posterior.held_out import LeftOut, foretold, left_out
-from imucalib.loop.posterior.problem import problem_of
+from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
+from imucalib.loop.posterior.problem import Problem, problem_of
 from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams
 from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.solution import Solved, solved
@@ -34,7 +35,8 @@ from imucalib.loop.posterior.words import Told, told
 from imucalib.loop.separation.ambiguities import ambiguities
 from imucalib.loop.separation.sums import sums_of
 
-#: Rounds after which what is told stands still or never will.
+#: Rounds after which what is told stands still or never will; in these few sets are opened, as in
+#: a fold.
 _ROUNDS = 4
 
 
@@ -73,7 +75,7 @@ def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool =
             gain = _gain(left, folds, final, data.context["time"])
             loop = judged(loop, found, said, final, left, gain)
             after = left.after if loop.steps else before
-    course, wander = course_of(loop.final, known)
+    course, wander = course_of(loop.final, known, course)
     size = (wander.scatter, wander.size)
     loop = replace(
         loop,
@@ -89,35 +91,34 @@ def close_recording(plain: Fit, asked: Searched, known: Array, *, curves: bool =
 def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Course, Told]:
     """The posterior where it stands still: at what it tells, and at the noise beside that."""
     data, fit = plain.observations, plain
-    first = components_of(plain.model, data, asked)
+    first = components_of(plain.model, data, asked, walks=True)
     near: dict[str, list[str]] = {}
     before: tuple[str, ...] = ()
-    for turn in range(_ROUNDS):
-        course, _ = course_of(fit, known)
+    course, _ = course_of(fit, known)
+    for _ in range(_ROUNDS):
         at = fit_at(fit.model, _scaled(data, course), fit.theta, fit.covariance)
-        components = refined(first, near, data, asked)
-        problem = problem_of(at, components, plain.model, single=False)
+        problem = problem_of(at, refined(first, near, data, asked), plain.model, single=False)
         grams = recorded_grams(problem, course)
-        found = Explored(
-            replace(plain, observations=at.observations), problem, search(problem, grams)
-        )
-        said = told(problem, found.posterior)
-        names = _names(found, said.hypothesis)
-        closer = near_values(found)
-        if turn + 1 == _ROUNDS or (names == before and closer.keys() <= near.keys()):
+        brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
+        found = Explored(replace(plain, observations=at.observations), problem, brief)
+        hypothesis, closer = told(problem, brief).hypothesis, near_values(found)
+        names = _names(problem, hypothesis)
+        if names == before and closer.keys() <= near.keys():
             break
         near, before = {**near, **closer}, names
         try:
-            one = solved(problem, grams, said.hypothesis)
+            one = solved(problem, grams, hypothesis)
             fit = fit_at(one.model, data, one.theta, one.covariance)
         except NotConverged:  # it is told where it stands, and corrects nothing
             break
-    return replace(found, posterior=heard(found)), course, said
+        course, _ = course_of(fit, known, course)
+    whole = replace(found, posterior=search(problem, grams))
+    posterior = heard(whole)
+    return replace(whole, posterior=posterior), course, told(problem, posterior)
 
 
-def _names(found: Explored, hypothesis: Hypothesis) -> tuple[str, ...]:
-    choices = found.problem.choices
-    return tuple(sorted(choices[p.choice].member.name for p in hypothesis.picks))
+def _names(problem: Problem, hypothesis: Hypothesis) -> tuple[str, ...]:
+    return tuple(sorted(problem.choices[p.choice].member.name for p in hypothesis.picks))
 
 
 def _scaled(data: Observations, course: Course) -> Observations:
