@@ -180,14 +180,20 @@ def _facts(loop: FitLoop) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
+def _bent(curve: str) -> str:
+    """What a curve bends, and against what: a scan's own name where it bends no driver."""
+    family, _, value = curve.partition("@")
+    what, *against = value.split(":")
+    return f"{what} against {against[0]}".replace("_", "-") if against else f"a {family}'s offset"
+
+
 def _step(step: Step, loop: FitLoop) -> FoundStep:
     before, after = step.checked[0].before, step.checked[0].after
     held = "leave-one-out error, rms" if math.isnan(step.probability) else "held-out error, rms"
     check = Check(held, "mg", before / MG, after / MG)
     curve = ""
     if step.curve:
-        what, against = step.effect.partition("@")[2].split(":")[:2]
-        curve = f"{what} against {against}".replace("_", "-")
+        curve = _bent(step.effect)
     own = tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect)
     form = known(step.effect) if step.formed else None
     return FoundStep(

@@ -10,7 +10,7 @@ run look strange. Rows that are left out stand nowhere in V: the walk goes on th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,17 +23,19 @@ from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
-from imucalib.loop.posterior.gram import Grams
+from imucalib.loop.posterior.component import Member
+from imucalib.loop.posterior.gram import Grams, beside, swept
 from imucalib.loop.posterior.odds import (
     COURSES,
     HEARD,
-    REACH,
+    SIZES,
     UNLIKE,
     WALK_MEMORY,
     WALK_SIZE,
     WANDERS,
 )
 from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.space import NARROW, block_logs
 from imucalib.loop.posterior.walk import Whitener, whitener
 from imucalib.units import MG
 
@@ -126,19 +128,18 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
     logs, power = _evidence(course, every)
     best, scatter = int(np.argmax(logs)), course.scatter
     walk = course.walks[best]
-    beside = _beside(course, best, every)
-    left = course.left(walk, beside)
+    alone = _beside(course, best, every)
+    left = course.left(walk, alone)
     factor = float(np.sqrt(power[best] / (n - p)))
     told = Wander(
-        size=float(np.sqrt(np.mean((beside - left) ** 2))) * scatter / MG,
+        size=float(np.sqrt(np.mean((alone - left) ** 2))) * scatter / MG,
         hours=walk.memory / 3600.0,
         scatter=factor * scatter / MG,
         evidence=float(logs[best] - logs[0]),
         sd=factor * scatter / MG * float(walk.size[0]),
     )
-    alone = left / np.sqrt(1.0 + known / scatter**2)
-    size = _MAD * float(np.median(np.abs(alone)))
-    far = np.maximum(1.0, np.abs(alone) / max(size, 1e-12) / UNLIKE)
+    size = np.abs(left) / np.sqrt(1.0 + known / scatter**2)
+    far = np.maximum(1.0, size / max(_MAD * float(np.median(size)), 1e-12) / UNLIKE)
     scatter = factor * scatter
     variance = far * (1.0 + known / scatter**2)
     light = int((far > 1.0).sum())
@@ -168,20 +169,15 @@ def _walks(time: Array) -> tuple[Walk, ...]:
     return (none, *(Walk(s, m, float(np.log(WANDERS / len(some)))) for s, m in some))
 
 
-def _evidence(course: Course, every: Array, size: Array | None = None) -> tuple[Array, Array]:
-    """(E,) log evidence of columns under every walk, and (E,) yᵀPy; every : (n, p + 1) columns and
-    the misfit; size : (p,) of the priors over the noise factor, none by default"""
-    p = every.shape[1] - 1
+def _evidence(course: Course, every: Array) -> tuple[Array, Array]:
+    """(E,) log evidence of free columns under every walk, and (E,) yᵀPy; every : (n, p + 1) columns
+    and the misfit"""
     gram, weight = _summed(course, every)
-    flat = np.ones(p, bool) if size is None else ~np.isfinite(size)
-    if size is not None:
-        some = np.flatnonzero(~flat)
-        gram[:, some, some] += size[some] ** -2.0
     scale = np.sqrt(np.einsum("epp->ep", gram)) + 1e-300
     inner = gram / scale[:, :, None] / scale[:, None]
-    root = np.linalg.cholesky(inner + 1e-12 * np.eye(p + 1))
+    root = np.linalg.cholesky(inner + 1e-12 * np.eye(every.shape[1]))
     logs = np.log(np.einsum("epp->ep", root)) + np.log(scale)
-    dof = len(every) - int(flat.sum())
+    dof = len(every) - every.shape[1] + 1
     power = np.exp(2.0 * logs[:, -1])
     return weight - logs[:, :-1].sum(axis=1) - dof * logs[:, -1], power
 
@@ -252,22 +248,36 @@ class Summed:
         return replace(grams, products=products, log_weight=log_weight, numbers=count)
 
 
-def recorded_grams(problem: Problem, course: Course) -> Grams:
-    """At all walks that the data do not exclude, be the base complete or lack every free function
-    at once: what a model lacks looks like a walk."""
-    free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
-    base = problem.columns[:, [*range(problem.base), -1]]
-    rich = problem.columns[:, np.unique(np.concatenate(free))] if free else base[:, :0]
-    both = np.column_stack([base[:, :-1], rich, base[:, -1]])
-    size = np.r_[np.full(problem.base, np.inf), np.full(rich.shape[1], REACH)]
-    found = np.zeros(len(course.walks), bool)
-    for logs, _ in (_evidence(course, base), _evidence(course, both, size)):
-        found |= logs > logs.max() - HEARD
-    some = replace(course, walks=tuple(course.walks[k] for k in np.flatnonzero(found)))
-    gram, log_weight = _summed(some, problem.columns)
-    products = Summed(gram, problem.columns, some)
+def recorded_grams(
+    problem: Problem, course: Course, told: Sequence[tuple[Member, float]] = ()
+) -> Grams:
+    """At all walks that the data do not exclude, be the base complete, lack what is told (members
+    and their sizes), or any one thing beside: what a model lacks looks like a walk."""
+    gram, log_weight = _summed(course, problem.columns)
+    products = Summed(gram, problem.columns, course)
     nothing = np.zeros((len(gram), 0, gram.shape[1]))
-    return Grams(products, nothing, log_weight, problem.numbers, some.walks, np.inf)
+    grams = Grams(products, nothing, log_weight, problem.numbers, course.walks, np.inf)
+    place = {c.member.free: c.at for c in problem.choices}
+    blocks = [(place[m.free], size) for m, size in told if m.free in place]
+    base = swept(grams, *problem.flat)
+    found = np.zeros(len(gram), bool)
+    for one in (base, beside(base, blocks)) if blocks else (base,):
+        logs = _profiles(problem, one)
+        likely = logs.max(axis=0) > logs.max() - HEARD
+        found |= (logs[:, likely] > logs[:, likely].max(axis=0) - HEARD).any(axis=1)
+    return grams.of(np.flatnonzero(found))
+
+
+def _profiles(problem: Problem, grams: Grams) -> Array:
+    """(E, 1 + m) log evidence under every walk of what is there, and of each member beside it at
+    its likeliest size."""
+    dof = grams.numbers - problem.base
+    width = np.array([c.at.size for c in problem.choices], dtype=int)
+    found = [(grams.log_weight + grams.log_noise(grams.power, dof))[:, None]]
+    for w in np.unique(width[width <= NARROW]):
+        index = np.array([c.at for c in problem.choices if c.at.size == w])
+        found.append(block_logs(grams, index, SIZES, dof)[0].max(axis=2))
+    return np.concatenate(found, axis=1)
 
 
 def _summed(course: Course, columns: Array) -> tuple[Array, Array]:

@@ -23,14 +23,15 @@ from imucalib.loop.found import FitLoop
 from imucalib.loop.held_out import Held
 from imucalib.loop.posterior.catalogue import components_of
 from imucalib.loop.posterior.closed import correctable, empty, judged, refused
+from imucalib.loop.posterior.component import Member
 from imucalib.loop.posterior.explored import Explored, heard, near_values, refined
 from imucalib.loop.posterior.held_out import LeftOut, foretold, left_out
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
-from imucalib.loop.posterior.problem import Problem, problem_of
+from imucalib.loop.posterior.problem import problem_of
 from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams
 from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.solution import Solved, solved
-from imucalib.loop.posterior.space import Hypothesis, search
+from imucalib.loop.posterior.space import search
 from imucalib.loop.posterior.words import Told, told
 from imucalib.loop.separation.ambiguities import ambiguities
 from imucalib.loop.separation.sums import sums_of
@@ -93,19 +94,20 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
     data, fit = plain.observations, plain
     first = components_of(plain.model, data, asked, walks=True)
     near: dict[str, list[str]] = {}
-    before: tuple[str, ...] = ()
+    before: tuple[tuple[Member, float], ...] = ()
     course, _ = course_of(fit, known)
     for _ in range(_ROUNDS):
         at = fit_at(fit.model, _scaled(data, course), fit.theta, fit.covariance)
         problem = problem_of(at, refined(first, near, data, asked), plain.model, single=False)
-        grams = recorded_grams(problem, course)
+        grams = recorded_grams(problem, course, before)
         brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
         found = Explored(replace(plain, observations=at.observations), problem, brief)
         hypothesis, closer = told(problem, brief).hypothesis, near_values(found)
-        names = _names(problem, hypothesis)
-        if names == before and closer.keys() <= near.keys():
+        now = tuple((problem.choices[p.choice].member, p.size) for p in hypothesis.picks)
+        still = {m.free for m, _ in now} == {m.free for m, _ in before}
+        if still and closer.keys() <= near.keys():
             break
-        near, before = {**near, **closer}, names
+        near, before = {**near, **closer}, now
         try:
             one = solved(problem, grams, hypothesis)
             fit = fit_at(one.model, data, one.theta, one.covariance)
@@ -115,10 +117,6 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
     whole = replace(found, posterior=search(problem, grams))
     posterior = heard(whole)
     return replace(whole, posterior=posterior), course, told(problem, posterior)
-
-
-def _names(problem: Problem, hypothesis: Hypothesis) -> tuple[str, ...]:
-    return tuple(sorted(problem.choices[p.choice].member.name for p in hypothesis.picks))
 
 
 def _scaled(data: Observations, course: Course) -> Observations:

@@ -24,8 +24,10 @@ from imucalib.loop.posterior.problem import Choice, Problem
 
 #: Sets of one depth that are kept.
 _KEPT = 60
-#: Columns from which on a block is wide, and what rounding may take from its diagonal.
-_WIDE, _ROUNDING = 20, 1e-12
+#: Columns up to which a block is narrow.
+NARROW = 20
+#: What rounding may take from the diagonal of a wide block.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,9 @@ def block_logs(
     """(E, m, T) log evidence of each block of columns index (m, w) at each size (T,) over the noise
     factor, and that factor; whole : the blocks' own products, where they are there."""
     inner, along = grams.blocks(index, whole), grams.along[:, index]
-    logs, taken = (_by_factors if index.shape[1] > _WIDE else _by_values)(grams, inner, along, size)
+    logs, taken = (_by_factors if index.shape[1] > NARROW else _by_values)(
+        grams, inner, along, size
+    )
     rest = np.maximum(grams.power[:, None, None] - taken, 1e-9)
     logs = logs + grams.log_weight[:, None, None] + grams.log_noise(rest, dof)
     return logs, np.sqrt(rest / dof)
