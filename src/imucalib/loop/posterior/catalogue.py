@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.context import Context
+from imucalib.core.context import DAILY, Context
 from imucalib.core.effect import Effect, Family
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
@@ -26,7 +26,8 @@ from imucalib.loop.posterior.odds import SCANNED, TOGETHER
 _ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 6
 #: Drivers of the bias and the scale, and of dials beside these.
 _SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
-_DAILY = ("time_of_day",)
+#: Periods of a swing that is no day's, in hours.
+_PERIODS = (13.0, 16.0, 19.0, 21.5, 27.0, 31.0, 38.0, 46.0)
 #: Laws of a response: odd and even powers, ends, kinks (of the input in g).
 _OF_RESPONSE = (
     *(f"odd_power:{p}" for p in (1.5, 2)),
@@ -127,7 +128,7 @@ def _free(data: Observations, *, walks: bool) -> Iterator[Component]:
         yield Component(f"response of {a}", "free", ways, "response")
     every = tuple(Member(tuple(one.values()), half) for one in (rough, smooth))
     yield Component("response of all axes", "free", every, "response")
-    for name in _varying(data, (*_SLOW, *_DAILY)):
+    for name in _varying(data, (*_SLOW, DAILY)):
         for what in ("bias", "scale"):
             if not (walks and (what, name) == ("bias", "order")):
                 yield _function(data, what, name)
@@ -167,6 +168,8 @@ def _laws(data: Observations) -> Iterator[Component]:
     yield _law(data, "response", [f"response:xyz:{text}" for text in _OF_RESPONSE])
     for name in _varying(data, _SLOW):
         yield _law(data, name, [f"bias:{name}:{text}" for text in _courses(data.context[name])])
+    for name in _varying(data, (DAILY,)):
+        yield _law(data, name, [f"bias:time:sine:{3600.0 * hours:.6g}" for hours in _PERIODS])
     if data.reference.directed:
         for what in _varying(data, _DIALS):
             yield _law(data, what, [f"{what}:{what}:{text}" for text in _of_dial(data, what)])

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.context import CLOCKS
 from imucalib.core.fit import Fit
 from imucalib.loop.posterior.gram import swept
 from imucalib.loop.posterior.problem import Problem
 from imucalib.loop.posterior.solution import noises_of
 from imucalib.loop.posterior.space import Posterior
 
-#: What time alone moves is this recording's, and not its kind's.
-_TIMED = ("order", "record", "time", "time_of_day")
 #: Share of a block that the base model must leave for it to say anything.
 _SHOWN = 1e-2
 
@@ -111,7 +110,8 @@ def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, wan
 
 
 def _kept(problem: Problem, component: int) -> bool:
-    """Whether a component is one name, and not of this recording's time alone."""
+    """Whether a component is one name, and not of this recording's time alone, which its kind does
+    not share."""
     one = problem.components[component]
     needs = one.members[0].effects[0][0].needs
-    return one.kind == "name" and not one.name.endswith("@") and not set(needs) & set(_TIMED)
+    return one.kind == "name" and not one.name.endswith("@") and not set(needs) & set(CLOCKS)
