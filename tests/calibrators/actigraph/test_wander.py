@@ -5,7 +5,6 @@ The recordings come from plain numpy, the equations written anew (`tests/worlds/
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -15,8 +14,6 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.loop.found import LoopSettings
-from imucalib.loop.wander import engine
 
 WANTED = ActigraphRequest()
 
@@ -290,17 +287,6 @@ def test_a_limited_search_tells_what_it_leaves(worn: ModuleType) -> None:
     loop = worn.Case("white", "dead_band", 40.0, 7).solved(LIMITED).loop
     assert (loop.verdict, loop.steps) == ("unexplained", ())
     assert any("own input" in left.name for left in loop.unexplained)
-
-
-def test_a_limited_search_leaves_noise_alone(
-    worn: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """At a level of 20 %, of which the probes, one half of the candidates, have a half."""
-    monkeypatch.setattr(engine, "_ALPHA", 0.2)
-    wanted = replace(LIMITED, rules=LoopSettings(draws=200, alpha=0.2))
-    cases = [worn.Case(n, "", 0.0, 900 + k) for n in ("white", "walk 2 h") for k in range(10)]
-    left = [u for case in cases for u in case.solved(wanted).loop.unexplained]
-    assert sum("own input" in u.name for u in left) <= at_most(20, 0.1).most
 
 
 def test_squares_across_an_axis_lead_all_that_holds_them(

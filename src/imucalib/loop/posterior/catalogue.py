@@ -24,6 +24,8 @@ from imucalib.loop.posterior.odds import SCANNED, TOGETHER
 
 #: Terms of free functions: of a response one for so many rows, within bounds; of others.
 _ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 6
+#: Of a scan one value is tried for so many observations, where they are many.
+_APART = 32
 #: Drivers of the bias and the scale, and of dials beside these.
 _SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
 #: Periods of a swing that is no day's, in hours.
@@ -97,7 +99,8 @@ def scan_of(data: Observations, family: Family, near: Sequence[str] = ()) -> Com
     """A scan as a component: values over all of its range, each with the same weight, which those
     around a value that is `near` share with it."""
     values = family.values(data.context)
-    some = values[:: max(1, -(-len(values) // SCANNED))]
+    count = max(SCANNED, data.n // _APART)
+    some = values[:: max(1, -(-len(values) // count))]
     members, seen = list[Member](), set[str]()
     for text in dict.fromkeys((*some, *near)):
         finer = family.nearby(data.context, text) if text in near else ()

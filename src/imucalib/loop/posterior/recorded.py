@@ -28,6 +28,7 @@ from imucalib.loop.posterior.gram import Grams, beside, swept
 from imucalib.loop.posterior.odds import (
     COURSES,
     HEARD,
+    OPEN,
     SIZES,
     UNLIKE,
     WALK_MEMORY,
@@ -248,36 +249,61 @@ class Summed:
         return replace(grams, products=products, log_weight=log_weight, numbers=count)
 
 
-def recorded_grams(
-    problem: Problem, course: Course, told: Sequence[tuple[Member, float]] = ()
-) -> Grams:
-    """At all walks that the data do not exclude, be the base complete, lack what is told (members
-    and their sizes), or any one thing beside: what a model lacks looks like a walk."""
+def recorded_grams(problem: Problem, course: Course) -> Grams:
+    """At all walks of a course."""
     gram, log_weight = _summed(course, problem.columns)
     products = Summed(gram, problem.columns, course)
     nothing = np.zeros((len(gram), 0, gram.shape[1]))
-    grams = Grams(products, nothing, log_weight, problem.numbers, course.walks, np.inf)
+    return Grams(products, nothing, log_weight, problem.numbers, course.walks, np.inf)
+
+
+@dataclass(frozen=True)
+class Looked:
+    """kept : walks that the data do not exclude, be the base complete, lack what is told, or any one
+    thing beside: what a model lacks looks like a walk
+    values : of scans that lead the base far under some walk, by component: what jumps under one walk
+    is no more than that walk under another, which says little of when
+    """
+
+    kept: Index
+    values: dict[str, list[str]]
+
+
+def looked(problem: Problem, grams: Grams, told: Sequence[tuple[Member, float]] = ()) -> Looked:
+    """One look at every member under every walk; told : members and their sizes"""
     place = {c.member.free: c.at for c in problem.choices}
     blocks = [(place[m.free], size) for m, size in told if m.free in place]
     base = swept(grams, *problem.flat)
-    found = np.zeros(len(gram), bool)
+    found, values = np.zeros(len(grams.points), bool), dict[str, list[str]]()
     for one in (base, beside(base, blocks)) if blocks else (base,):
-        logs = _profiles(problem, one)
+        every, logs = _profiles(problem, one)
         likely = logs.max(axis=0) > logs.max() - HEARD
         found |= (logs[:, likely] > logs[:, likely].max(axis=0) - HEARD).any(axis=1)
-    return grams.of(np.flatnonzero(found))
+        lead = (logs[:, 1:] - logs[:, :1]).max(axis=0)
+        best: dict[str, tuple[float, str]] = {}
+        for k, nats in zip(every, lead, strict=True):
+            name = problem.components[problem.choices[k].component].name
+            value = problem.choices[k].member.name.removeprefix(name)
+            if name.endswith("@") and nats > best.get(name, (OPEN, ""))[0]:
+                best[name] = nats, value
+        for name, (_, value) in best.items():
+            values.setdefault(name, []).append(value)
+    return Looked(np.flatnonzero(found), values)
 
 
-def _profiles(problem: Problem, grams: Grams) -> Array:
-    """(E, 1 + m) log evidence under every walk of what is there, and of each member beside it at
-    its likeliest size."""
+def _profiles(problem: Problem, grams: Grams) -> tuple[Index, Array]:
+    """Narrow choices (m,), and (E, 1 + m) log evidence under every walk of what is there and of
+    each of them beside it at its likeliest size."""
     dof = grams.numbers - problem.base
     width = np.array([c.at.size for c in problem.choices], dtype=int)
     found = [(grams.log_weight + grams.log_noise(grams.power, dof))[:, None]]
-    for w in np.unique(width[width <= NARROW]):
-        index = np.array([c.at for c in problem.choices if c.at.size == w])
+    every = [np.flatnonzero(width == w) for w in np.unique(width[width <= NARROW])]
+    for some in every:
+        index = np.array([problem.choices[k].at for k in some])
         found.append(block_logs(grams, index, SIZES, dof)[0].max(axis=2))
-    return np.concatenate(found, axis=1)
+    return np.concatenate([*every, np.zeros(0, np.intp)]).astype(np.intp), np.concatenate(
+        found, axis=1
+    )
 
 
 def _summed(course: Course, columns: Array) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ strange beside it: all are made anew beside what is told, until that stands stil
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +28,7 @@ from imucalib.loop.posterior.explored import Explored, heard, near_values, refin
 from imucalib.loop.posterior.held_out import LeftOut, foretold, left_out
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import problem_of
-from imucalib.loop.posterior.recorded import Course, course_of, fit_at, recorded_grams
+from imucalib.loop.posterior.recorded import Course, course_of, fit_at, looked, recorded_grams
 from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.solution import Solved, solved
 from imucalib.loop.posterior.space import search
@@ -99,15 +99,18 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
     for _ in range(_ROUNDS):
         at = fit_at(fit.model, _scaled(data, course), fit.theta, fit.covariance)
         problem = problem_of(at, refined(first, near, data, asked), plain.model, single=False)
-        grams = recorded_grams(problem, course, before)
+        every = recorded_grams(problem, course)
+        look = looked(problem, every, before)
+        grams = every.of(look.kept)
         brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
         found = Explored(replace(plain, observations=at.observations), problem, brief)
-        hypothesis, closer = told(problem, brief).hypothesis, near_values(found)
+        hypothesis = told(problem, brief).hypothesis
+        closer = _together(look.values, near_values(found))
         now = tuple((problem.choices[p.choice].member, p.size) for p in hypothesis.picks)
         still = {m.free for m, _ in now} == {m.free for m, _ in before}
-        if still and closer.keys() <= near.keys():
+        if still and closer == near:
             break
-        near, before = {**near, **closer}, now
+        near, before = closer, now
         try:
             one = solved(problem, grams, hypothesis)
             fit = fit_at(one.model, data, one.theta, one.covariance)
@@ -117,6 +120,14 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
     whole = replace(found, posterior=search(problem, grams))
     posterior = heard(whole)
     return replace(whole, posterior=posterior), course, told(problem, posterior)
+
+
+def _together(
+    one: Mapping[str, Sequence[str]], other: Mapping[str, Sequence[str]]
+) -> dict[str, list[str]]:
+    """Values of scans that either has."""
+    names = (*one, *(n for n in other if n not in one))
+    return {n: sorted({*one.get(n, ()), *other.get(n, ())}) for n in names}
 
 
 def _scaled(data: Observations, course: Course) -> Observations:
