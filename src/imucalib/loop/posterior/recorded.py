@@ -24,7 +24,7 @@ from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
 from imucalib.loop.posterior.component import Member
-from imucalib.loop.posterior.gram import Grams, beside, swept
+from imucalib.loop.posterior.gram import Grams, beside, log_sum, swept
 from imucalib.loop.posterior.odds import (
     COURSES,
     HEARD,
@@ -127,7 +127,9 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
     scatter."""
     n, p = len(every), every.shape[1] - 1
     logs, power = _evidence(course, every)
-    best, scatter = int(np.argmax(logs)), course.scatter
+    # Walks stand together against none.
+    best = 1 + int(np.argmax(logs[1:])) if float(log_sum(logs[1:])) > logs[0] else 0
+    scatter = course.scatter
     walk = course.walks[best]
     alone = _beside(course, best, every)
     left = course.left(walk, alone)
@@ -136,7 +138,7 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
         size=float(np.sqrt(np.mean((alone - left) ** 2))) * scatter / MG,
         hours=walk.memory / 3600.0,
         scatter=factor * scatter / MG,
-        evidence=float(logs[best] - logs[0]),
+        evidence=float(log_sum(logs[1:]) - logs[0]) if best else 0.0,
         sd=factor * scatter / MG * float(walk.size[0]),
     )
     size = np.abs(left) / np.sqrt(1.0 + known / scatter**2)
