@@ -38,9 +38,7 @@ from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
 
 G, DAY, DAYS, RUNS, SCATTER = 9.80665, 86400.0, 3.0, 300, 0.4
-REQUEST = replace(
-    ActigraphRequest(), without=("cross_axis",), rules=LoopSettings(curves=False)
-)
+REQUEST = replace(ActigraphRequest(), without=("cross_axis",), rules=LoopSettings(curves=False))
 SIZES = {"temperature_bias": 0.12, "time_of_day": 0.8, "asymmetry": 1.5, "quadratic": 2.0}
 
 

@@ -116,8 +116,8 @@ class Wander:
 
     @property
     def counts(self) -> bool:
-        """Whether it carries more than the scatter of a run, beyond doubt."""
-        return self.evidence > _WALK_NATS and self.size > self.scatter
+        """Whether it is there beyond doubt."""
+        return self.evidence > _WALK_NATS
 
     @property
     def words(self) -> str:

@@ -16,6 +16,7 @@ from imucalib.core.context import DAILY, Context
 from imucalib.core.effect import Effect, Family
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
+from imucalib.effects import known
 from imucalib.effects.curve import curve
 from imucalib.effects.shape import shape
 from imucalib.loop.asked import Searched
@@ -48,21 +49,26 @@ def components_of(
 
     asked : effects and scans that are wanted; where the user limited them, no free function or law
         is left out, so that no name is certain for want of a rival
-    walks : whether the noise holds any course of the bias over time
+    walks : whether the noise holds any course of the bias over time, as in a recording, whose rows
+        are enough to try a part of a name by itself
     """
     return (
-        *_names(model, data, asked.effects),
+        *_names(model, data, asked.effects, parts=walks),
         *(c for family in asked.families if (c := scan_of(data, family)) is not None),
         *_free(data, walks=walks),
         *_laws(data),
     )
 
 
-def _usable(data: Observations, effect: Effect) -> bool:
+def _usable(data: Observations, effect: Effect, *, parts: bool = False) -> bool:
     """Whether the data can carry an effect: of gravity's size only what the sensor does by itself
-    shows, and no part of what another effect holds whole."""
+    shows, and without `parts` no part of what another effect holds whole."""
     directed = data.reference.directed
-    seen = directed or (effect.stage == "sensor" and not effect.part_of)
+    whole = known(effect.part_of) if effect.part_of else None
+    if parts and whole is not None:  # one of as many numbers does no better than the whole
+        count = len(effect.parameters(data.context)), len(whole.parameters(data.context))
+        whole = whole if count[0] >= count[1] else None
+    seen = directed or (effect.stage == "sensor" and whole is None)
     wanted = effect.channel == "acceleration" and effect.stage != "mounting"
     return seen and wanted and not effect.missing(data.context)
 
@@ -73,9 +79,11 @@ def _whole(effect: Effect, context: Context) -> tuple[Effect, Index, Array]:
     return effect, np.arange(typical.size), typical
 
 
-def _names(model: Model, data: Observations, effects: Mapping[str, Effect]) -> Iterator[Component]:
+def _names(
+    model: Model, data: Observations, effects: Mapping[str, Effect], *, parts: bool
+) -> Iterator[Component]:
     for effect in effects.values():
-        if effect.name in model.names or not _usable(data, effect):
+        if effect.name in model.names or not _usable(data, effect, parts=parts):
             continue
         if members := tuple(_ways(effect, data.context, single=effect.stage == "sensor")):
             yield Component(effect.name, "name", members)

@@ -261,10 +261,10 @@ def recorded_grams(problem: Problem, course: Course) -> Grams:
 
 @dataclass(frozen=True)
 class Looked:
-    """kept : walks that the data do not exclude, be the base complete, lack what is told, or any one
-    thing beside: what a model lacks looks like a walk
-    values : of scans that lead the base far under some walk, by component: what jumps under one walk
-    is no more than that walk under another, which says little of when
+    """kept : walks that the data do not exclude, be the base complete, lack what is told, or any
+    one thing beside: what a model lacks looks like a walk
+    values : of scans that lead the base far under some walk, by component: what jumps under one is
+    no more than a walk under another, which says little of when
     """
 
     kept: Index
