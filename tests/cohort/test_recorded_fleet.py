@@ -329,6 +329,6 @@ def test_one_recordings_products_give_the_fit_with_the_effect(tmp_path: Path) ->
     made = combined(one, sizes_of(own, {}, ["temperature_bias"]))
     values = {v.name: v for v in made.values}
     for p, theta, sd in zip(fitted.parameters, fitted.theta, fitted.sd, strict=True):
-        # The search's noise holds what the effect does, so that its sd is wider.
-        assert abs(values[p.name].value - theta) < 0.5 * values[p.name].sd, p.name
+        # The search's noise holds what the effect does, a walk among it, so that its sd is wider.
+        assert abs(values[p.name].value - theta) < values[p.name].sd, p.name
         assert values[p.name].sd > 0.8 * sd

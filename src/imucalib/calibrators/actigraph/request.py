@@ -67,6 +67,7 @@ class ActigraphRequest:
             "loop": self.loop,
             "blocks": self.blocks,
             "curves": self.rules.curves,
+            "draws": self.rules.draws,
             "limits": dict(self.limits),
             "fleet_sha256": self.kind.sha256 if self.kind else None,
         }
