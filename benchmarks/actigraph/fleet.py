@@ -36,13 +36,12 @@ from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
 from imucalib.core.context import Context
 from imucalib.core.sphere import even_directions
 from imucalib.effects import named
-from imucalib.loop.found import LoopSettings
 from imucalib.report.data import report_dict
 from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
 
 DAY, SCATTER, WANDER, HOUR = 86400.0, 0.5, 0.5, 3600.0
-REQUEST = replace(ActigraphRequest(), rules=LoopSettings(draws=99))
+REQUEST = ActigraphRequest()
 
 
 @dataclass(frozen=True)

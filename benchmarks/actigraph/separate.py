@@ -38,9 +38,7 @@ from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
 
 G, DAY, DAYS, RUNS, SCATTER = 9.80665, 86400.0, 3.0, 300, 0.4
-REQUEST = replace(
-    ActigraphRequest(), without=("cross_axis",), rules=LoopSettings(draws=199, curves=False)
-)
+REQUEST = replace(ActigraphRequest(), without=("cross_axis",), rules=LoopSettings(curves=False))
 SIZES = {"temperature_bias": 0.12, "time_of_day": 0.8, "asymmetry": 1.5, "quadratic": 2.0}
 
 
@@ -88,7 +86,7 @@ def search(runs: PostureRuns, thermometer: np.ndarray, stop: float) -> Actigraph
     """thermometer : (2, n) times and temperatures, straight between them"""
     grid = np.arange(5.0, stop, 60.0)
     scan = scan_of(grid, np.interp(grid, *thermometer), rate=100.0, seconds=stop)
-    return calibrate(runs, scan, REQUEST, np.random.default_rng(0))
+    return calibrate(runs, scan, REQUEST)
 
 
 def held(one: Device, runs: PostureRuns, rests: Rests, truth: str) -> str:

@@ -103,7 +103,7 @@ def test_rows_left_out_are_as_good_as_never_taken() -> None:
     one = found()
     problem, grams = one.problem, one.posterior.grams.of(np.array([0]))
     rows = np.array([3, 7, 21])
-    kept = swept(without(grams, problem.of_rows(rows)), np.arange(problem.base), np.inf)
+    kept = swept(without(grams, problem, rows), np.arange(problem.base), np.inf)
     n = len(problem.fit.at.owner)
     inverse = grams.products.weighted[0][:, problem.single : problem.single + n]
     rest = np.setdiff1d(np.arange(n), np.flatnonzero(np.isin(problem.owner, rows)))

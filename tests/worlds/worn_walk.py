@@ -135,8 +135,8 @@ class Case:
         off = (
             SCATTER * scatter + WINDOW * rng.standard_normal((RUNS, 3)) / np.sqrt(windows)[:, None]
         )
-        if tau:
-            off += walk(time, tau, rng)
+        self.walk = walk(time, tau, rng) if tau else np.zeros((RUNS, 3))
+        off += self.walk
         self.time, self.warm = time, warm
         sensed = self.sensed(direction, warm, u)
         self.runs, self.scan = recording(time, sensed + MG * off, warm, windows)
@@ -152,15 +152,16 @@ class Case:
         return EFFECTS[self.effect](x, excess, u, self.size)
 
     def solved(self, request: ActigraphRequest) -> ActigraphResult:
-        return calibrate(self.runs, self.scan, request, np.random.default_rng(0))
+        return calibrate(self.runs, self.scan, request)
 
     def error(self, fit: Fit) -> float:
-        """mg, mean | |a| - g | over the sphere at conditions of the recording, no noise."""
+        """mg, mean | |a| - g | over the sphere at conditions of the recording, walk included."""
         rng = np.random.default_rng(1)
         x = rng.standard_normal((600, 3))
         x /= np.linalg.norm(x, axis=1, keepdims=True)
         rows = rng.integers(0, RUNS, 600)
         reading = self.sensed(x, self.warm[rows], self.time[rows] / SPAN - 0.5)
+        reading = reading + MG * self.walk[rows]
         whole = Context(RUNS, covariates_of(self.runs, self.scan))
         got = fit.model.correct(fit.theta, reading[:, None], whole.take(rows))[:, 0]
         return float(np.mean(np.abs(np.linalg.norm(got, axis=1) - G))) / MG

@@ -174,9 +174,17 @@ def findings_of(
 def _facts(loop: FitLoop) -> tuple[tuple[str, str], ...]:
     """The walk that the noise holds."""
     found = []
-    if loop.wander is not None and loop.wander.counts:
-        found.append(("noise", f"{loop.wander.words}; all standard deviations include it"))
+    if loop.wander is not None and (loop.wander.counts or loop.wander.followed):
+        what = "which the calibration follows" if loop.wander.followed else "which nothing follows"
+        found.append(("noise", f"{loop.wander.words}, {what}"))
     return tuple(found)
+
+
+def _bent(curve: str) -> str:
+    """What a curve bends, and against what: a scan's own name where it bends no driver."""
+    family, _, value = curve.partition("@")
+    what, *against = value.split(":")
+    return f"{what} against {against[0]}".replace("_", "-") if against else f"a {family}'s offset"
 
 
 def _step(step: Step, loop: FitLoop) -> FoundStep:
@@ -185,8 +193,7 @@ def _step(step: Step, loop: FitLoop) -> FoundStep:
     check = Check(held, "mg", before / MG, after / MG)
     curve = ""
     if step.curve:
-        what, against = step.effect.partition("@")[2].split(":")[:2]
-        curve = f"{what} against {against}".replace("_", "-")
+        curve = _bent(step.effect)
     own = tuple(p for p in stored_parameters(loop.final) if p.effect == step.effect)
     form = known(step.effect) if step.formed else None
     return FoundStep(

@@ -67,7 +67,6 @@ def command(recording: Path, **options: Any) -> int:
 def request_of(options: dict[str, Any]) -> ActigraphRequest:
     """The request that the options state; raises click's usage errors."""
     from imucalib.calibrators.actigraph.request import FREE, ActigraphRequest
-    from imucalib.loop.found import LoopSettings
 
     shared = shared_of(options)
     return ActigraphRequest(
@@ -82,8 +81,7 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         only=shared.only,
         without=(*shared.without, *(() if shared.rules.curves else FREE)),
         loop=shared.loop,
-        # The null of a wandering bias is simulated once a round: 200 place the bar well enough.
-        rules=LoopSettings(draws=shared.draws or 200),
+        rules=shared.rules,
         extra_effects=shared.extra_effects,
         limits=shared.limits,
         seed=shared.seed,

@@ -12,6 +12,9 @@ from imucalib.arrays import Array
 
 #: Parts of the truth that are there only where the sensors move.
 MOTION = ("rate", "spin", "jerk")
+#: Covariates that are the time of a recording, the last of which comes again each day.
+DAILY = "time_of_day"
+CLOCKS = ("order", "record", "time", DAILY)
 
 
 @dataclass(frozen=True)

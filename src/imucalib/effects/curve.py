@@ -1,14 +1,12 @@
 """A smooth curve where structure was found that no effect explains: a correction without a name.
 
-Never a name for a cause. It is added with as many terms as hold out, over the range that was
-recorded; beyond that range it keeps its value at the edge. Only a worn sensor searches for one, of
-its temperature: what is symmetric about the middle of a day's temperatures has no straight part.
+Never a name for a cause. It stands over the range that was recorded; beyond that range it keeps its
+value at the edge.
 """
 
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
 from imucalib.core.effect import Effect, Family
 from imucalib.effects.bent import KINDS, Form, Words, bent
 
@@ -63,17 +61,6 @@ def _of_covariate(name: str, low: float, high: float, terms: int) -> Form:
     if name == "time":  # what drifts without end is the smaller the quicker
         return Form(values, values, labels, tuple(1.0 / k for k in range(1, terms + 1)))
     return Form(values, values, labels)
-
-
-_OF_TEMPERATURE = 4  # terms
-
-
-def of_temperature(context: Context) -> tuple[str, ...]:
-    """The curve of the bias over the temperatures of a recording, where there are any."""
-    if "temperature" not in context or np.ptp(context["temperature"]) <= 0.0:
-        return ()
-    low, high = context["temperature"].min(), context["temperature"].max()
-    return (f"bias:temperature:{low:.6g}:{high:.6g}:{_OF_TEMPERATURE}",)
 
 
 FAMILIES = (

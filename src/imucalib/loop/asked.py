@@ -35,7 +35,7 @@ def searched(
     for name in (*only, *without):
         if name not in every and name not in families():
             named(name)
-    wanted = [n for n in only or (*every, *families()) if n not in without]
+    wanted = [n for n in dict.fromkeys(only or (*every, *families())) if n not in without]
     effects = {
         n: every[n] for n in wanted if n in every and _at_rest(every[n]) and usable(every[n])
     }

@@ -11,7 +11,6 @@ from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Prediction
 from imucalib.core.truth import Truth
-from imucalib.effects import known
 from imucalib.loop.evidence import Candidate
 
 #: Name of an error that all triads of one rigid body share.
@@ -57,21 +56,16 @@ def _beside(fit: Fit, effect: Effect) -> Array:
 
 
 def effect_candidates(
-    fit: Fit, effects: Iterable[Effect], *, parts: bool = False
+    fit: Fit, effects: Iterable[Effect]
 ) -> tuple[tuple[Candidate, ...], dict[str, str]]:
-    """Candidates of all effects that the context can carry, and why the others cannot be tested.
-
-    parts : whether what gravity's size shows as a part of another effect is tried by itself, where
-        that has more numbers: in two dozen rows it only raises the bar
-    """
+    """Candidates of all effects that the context can carry, and why the others cannot be tested."""
     found, missing = [], {}
     prediction = fitted_prediction(fit)
     for effect in effects:
         if effect.name in fit.model.names:
             continue
         reason = effect.missing(fit.observations.context)
-        undirected = bool(effect.part_of) and not fit.observations.reference.directed
-        if undirected and (not parts or _no_smaller(effect, fit)):
+        if effect.part_of and not fit.observations.reference.directed:
             reason = f"by the size of gravity alone it is a part of {effect.part_of}"
         if reason or not effect.parameters(fit.observations.context):
             missing[effect.name] = reason or "it has no parameter on these data"
@@ -79,13 +73,6 @@ def effect_candidates(
         columns = effect_columns(fit, effect, prediction)
         found.append(Candidate(effect.name, "effect", columns))
     return tuple(found), missing
-
-
-def _no_smaller(effect: Effect, fit: Fit) -> bool:
-    """Whether what holds an effect has no more numbers than it, so that nothing speaks for the
-    part: a part with fewer leads the whole by those that it does without."""
-    whole, context = known(effect.part_of), fit.observations.context
-    return whole is not None and len(effect.parameters(context)) >= len(whole.parameters(context))
 
 
 def fitted_prediction(fit: Fit) -> Prediction:

@@ -24,20 +24,14 @@ _WALK_NATS = 5.0  # from which on a walk is more than independent noise
 @dataclass(frozen=True)
 class LoopSettings:
     """alpha : family-wise false-alarm rate of the physics search; margin : nats by which a probe
-    must beat the best catalogue effect; draws : simulated data sets per search; bar : evidence in
-    nats that decides instead of simulated data, where a search of the whole data has set it; curves
-    : whether structure without a name is corrected by a smooth curve, where that holds out; quicker
-    : s, of what moves with time only what swings in less is, where it is said"""
+    must beat the best catalogue effect; draws : simulated data sets per search; curves : whether
+    structure without a name is corrected by a smooth curve, where that holds out"""
 
     alpha: float = ALPHA
-    bar: float | None = None
     curves: bool = True
-    quicker: float | None = None
     margin: float = MARGIN
     draws: int = 1000
     most_effects: int = 4
-    #: candidates are scored on at most so many observations
-    most_scored: int = 3000
 
 
 @dataclass(frozen=True)
@@ -110,7 +104,7 @@ class Wander:
 
     size : mg, rms of what it does to |a|; hours : after which it forgets
     scatter : mg, of a run without it; evidence : nats that it gains over independent noise
-    sd : mg, of the bias of one axis about its mean
+    sd : mg, of the bias of one axis about its mean; followed : whether the calibration undoes it
     """
 
     size: float
@@ -118,11 +112,12 @@ class Wander:
     scatter: float
     evidence: float
     sd: float = 0.0
+    followed: bool = False
 
     @property
     def counts(self) -> bool:
-        """Whether it carries more than the scatter of a run, beyond doubt."""
-        return self.evidence > _WALK_NATS and self.size > self.scatter
+        """Whether it is there beyond doubt."""
+        return self.evidence > _WALK_NATS
 
     @property
     def words(self) -> str:
@@ -144,7 +139,6 @@ class Loop(Generic[S]):
         in the whole search refuse them
     unexplained : structure that no effect carries, also where a curve corrects it
     difference : of the errors on data that took no part in the whole search, before and after
-    doubted : whether names by themselves have not proved a gain, where curves stand beside them
     wander : of the noise; complete : probability that nothing is missing
     open_size : m/s², rms, by how much what is suspected or without a name changes a reading
     """
@@ -160,7 +154,6 @@ class Loop(Generic[S]):
     first_scores: tuple[Score, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
     difference: Difference | None = None
-    doubted: bool = False
     wander: Wander | None = None
     complete: float = math.nan
     open_size: float = 0.0
@@ -179,7 +172,7 @@ class Loop(Generic[S]):
     def suspected(self) -> bool:
         """Whether a cause is named that held-out data have not proved."""
         unproved = self.difference is not None and not self.difference.proved
-        return bool(self.named) and (self.doubted or unproved)
+        return bool(self.named) and unproved
 
     @property
     def beyond_doubt(self) -> bool:
@@ -209,7 +202,6 @@ class FitLoop(Loop[Fit]):
     """The search over observations: records are free in base and final once they are set aside.
 
     plain, as_recorded : the base and the final model with every record taken as it stands
-    bar : nats that the best candidate of the first search had to reach
     ambiguous : what names left open, where the search keeps its own products
     sums : what the data say of every effect beside the base model, where the search keeps that
     slips : of hand, in the table, each with the line that mends it
@@ -218,7 +210,6 @@ class FitLoop(Loop[Fit]):
 
     plain: Fit
     as_recorded: Fit
-    bar: float = math.inf
     ambiguous: tuple[Ambiguity, ...] = ()
     sums: Sums | None = None
     slips: tuple[Fault, ...] = ()

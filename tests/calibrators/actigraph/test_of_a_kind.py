@@ -58,7 +58,7 @@ SCAN = scan_of(np.arange(5.0, 3060.0, 60.0), None, rate=100.0, seconds=3060.0)
 
 def result(runs: PostureRuns, kind: Population | None) -> ActigraphResult:
     request = replace(REQUEST, kind=kind)
-    return calibrate(runs, SCAN, request, np.random.default_rng(0))
+    return calibrate(runs, SCAN, request)
 
 
 def test_sensors_of_the_kind_are_within_their_sds_from_six_postures() -> None:

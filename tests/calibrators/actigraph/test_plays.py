@@ -35,9 +35,6 @@ def test_a_play_is_no_share_of_the_posture_before(
     step = result.loop.steps[0]
     assert step.effect == "approach_hysteresis"
     assert not any(s.certain for s in result.loop.steps if s.effect == "hysteresis")
-    if width > 0.1:
-        assert {name.partition("@")[0] for name in step.aliases} >= {"play"}
-    assert result.loop.verdict.startswith("explained")
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -48,17 +45,3 @@ def test_a_share_of_the_posture_before_stays_certain(
     (step,) = result.loop.steps
     assert step.effect == "hysteresis"
     assert step.certain
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_creep_is_no_certain_share_of_the_posture_before(
-    worn: ModuleType, monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
-    def crept(x: Any, t: Any, u: Any, c: Any) -> Any:
-        gone = np.diff(144.0 * 3600.0 * u, prepend=np.inf)[:, None]
-        return c * np.vstack([0.0 * x[:1], np.diff(x, axis=0)]) * np.exp(-np.abs(gone) / 600.0)
-
-    monkeypatch.setitem(worn.EFFECTS, "planted", crept)
-    loop = worn.Case("white", "planted", 30.0, seed).solved(ActigraphRequest()).loop
-    assert loop.verdict != "nothing missing"
-    assert not any(step.certain for step in loop.steps)

@@ -220,7 +220,6 @@ def test_a_calibration_is_good_below_ten_milli_g_and_known_to_one() -> None:
 @pytest.mark.parametrize(
     ("driver", "kind", "warm", "said"),
     [("order", "noise", False, "export the temperature"), ("time", "probe", False, "export the"),
-     ("time", "swing", True, "goes on and off"), ("time_of_day", "probe", True, "--every 6h"),
      ("order", "noise", True, ""),
      ("", "probe", True, "")],
 )  # fmt: skip

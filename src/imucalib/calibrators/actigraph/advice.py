@@ -12,25 +12,18 @@ from imucalib.calibrators.actigraph.calibrate import ActigraphResult
 from imucalib.calibrators.actigraph.coverage import Coverage
 from imucalib.calibrators.actigraph.errors import mean_error
 from imucalib.calibrators.actigraph.weak import open_words
+from imucalib.core.context import CLOCKS
 from imucalib.effects.shape import in_words
 from imucalib.loop.found import FitLoop
 from imucalib.units import MG
 
 #: The field calls a calibration good below this error (mg); a tenth of it is well known.
 _GOOD, _WELL_KNOWN = 10.0, 1.0
-#: Drivers that are the time of the recording.
-_IN_TIME = ("order", "time", "time_of_day")
 #: What to do about what moves with time, by its kind, or where no temperature was recorded, the
 #: most telling first.
 _TOLD = {
-    "stretch": "Something is different for a while: find out what happened to the sensor then, "
-    "leave that time out of the file, and calibrate the rest.",
     "cold": "The error moves with time and no temperature was recorded: export the temperature "
     "channel too, or calibrate in parts with --every 1d.",
-    "jump": "Something changes at one moment: calibrate what lies before it and after it in parts, "
-    "with --every, and look for a knock, a restart or another sensor there.",
-    "swing": "What swings has a cause with that period: note what goes on and off beside the "
-    "sensor, and when.",
     "probe": "The error moves with time, in too few stretches to prove a cause: --every 6h shows "
     "which parts differ, a longer recording whether it comes back.",
 }
@@ -100,7 +93,7 @@ def advice(result: ActigraphResult, coverage: Coverage) -> tuple[str, ...]:
 
 def _open_ends(loop: FitLoop, *, warm: bool) -> list[str]:
     """What to do about what the search left open; warm : whether a temperature was recorded."""
-    kinds = {u.kind for u in loop.unexplained if u.driver in _IN_TIME}
+    kinds = {u.kind for u in loop.unexplained if u.driver in CLOCKS}
     if kinds and not warm:
         kinds.add("cold")
     kind = next((kind for kind in _TOLD if kind in kinds), "")

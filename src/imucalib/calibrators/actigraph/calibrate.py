@@ -10,25 +10,23 @@ from imucalib.calibration.outcome import ErrorSummary
 from imucalib.calibrators.actigraph.errors import error_summary
 from imucalib.calibrators.actigraph.observations import observations_of, quantisation
 from imucalib.calibrators.actigraph.of_a_kind import OfAKind, fit_of_a_kind
-from imucalib.calibrators.actigraph.request import ActigraphRequest
+from imucalib.calibrators.actigraph.request import HELD, ActigraphRequest
 from imucalib.calibrators.actigraph.weak import NINE, base_fit, is_weak
+from imucalib.calibrators.rivals import with_rivals
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.effects import families, named
-from imucalib.effects.curve import of_temperature
+from imucalib.effects import named
 from imucalib.errors import NotConverged, UsageError
 from imucalib.loop.asked import Searched, searched
 from imucalib.loop.found import FitLoop
 from imucalib.loop.held_out import Held, fitted, held_out
-from imucalib.loop.wander.engine import Asked, Closed, close
+from imucalib.loop.posterior.followed import followed
+from imucalib.loop.posterior.recording import Closed, close_recording
 from imucalib.rests.runs import PostureRuns, Scan
-from imucalib.units import MG
 
 #: Posture runs a parameter below which what is left over is no noise to search in.
 _SEARCHED = 2
-#: Free functions of the response that are tried on what is left where a search may not take them.
-_PROBED = ("converter", "posture")
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,6 @@ class ActigraphResult:
     base_held, final_held : predictions of each run by fits, and by searches, without its block of
         time
     light : runs that count less, because nothing else is like them
-    declined : why the loop's model was not taken, or empty
     of_a_kind : what a fleet said, or None where none was asked
     """
 
@@ -51,7 +48,6 @@ class ActigraphResult:
     final_held: Held
     error: ErrorSummary
     light: int
-    declined: str = ""
     of_a_kind: OfAKind | None = None
 
     @property
@@ -79,9 +75,7 @@ class ActigraphResult:
         return fitted(self.final)
 
 
-def calibrate(
-    runs: PostureRuns, scanned: Scan, request: ActigraphRequest, rng: np.random.Generator
-) -> ActigraphResult:
+def calibrate(runs: PostureRuns, scanned: Scan, request: ActigraphRequest) -> ActigraphResult:
     """Fit, search for what is missing, and measure the error on time that was not fitted.
 
     Where the postures leave parameters open, these stay near their nominal values (see
@@ -111,34 +105,37 @@ def calibrate(
             light=light,
             of_a_kind=said,
         )
-    return replace(_of_loop(runs, search(base, runs, request, rng)), of_a_kind=said)
+    return replace(_of_loop(runs, search(base, runs, request), request), of_a_kind=said)
 
 
 def _few(base: Fit) -> bool:
     return base.observations.n < _SEARCHED * len(base.theta)
 
 
-def _of_loop(runs: PostureRuns, closed: Closed) -> ActigraphResult:
-    """A correction is applied where it gains on time that took no part in its choice."""
-    loop, declined = closed.loop, ""
-    base, final = loop.base, loop.final
-    base_held, final_held = closed.base_held, closed.final_held
-    if loop.steps and loop.difference is not None and loop.difference.gain <= 0.0:
-        names = ", ".join(s.effect for s in loop.steps)
-        declined = f"{names} not taken: the held-out error is larger with it than without"
-        final, final_held = base, base_held
-    error = error_summary(base, final, base_held, final_held)
+def _of_loop(runs: PostureRuns, closed: Closed, request: ActigraphRequest) -> ActigraphResult:
+    """What the loop found, with the doubt between models in its intervals, and the course of its
+    bias where that is proved: parts of a recording follow what moves with time themselves."""
+    loop = closed.loop
+    final = with_rivals(loop.final, loop.weighed, request.gravity)
+    course = followed(final, closed.course) if _bends(request) else None
+    if course is not None and loop.wander is not None:
+        loop = replace(loop, wander=replace(loop.wander, followed=True))
+    loop = replace(loop, final=course or final)
     return ActigraphResult(
         runs=runs,
         loop=loop,
-        base=base,
-        final=final,
-        base_held=base_held,
-        final_held=final_held,
-        error=error,
-        light=closed.light,
-        declined=declined,
+        base=loop.base,
+        final=loop.final,
+        base_held=closed.before,
+        final_held=closed.after,
+        error=error_summary(loop.base, loop.final, closed.before, closed.after),
+        light=closed.course.light,
     )
+
+
+def _bends(request: ActigraphRequest) -> bool:
+    """Whether the course of a bias may be followed."""
+    return request.rules.curves and "curve" not in request.without and request.every is None
 
 
 def base_model(request: ActigraphRequest, data: Observations) -> Model:
@@ -153,29 +150,20 @@ def base_model(request: ActigraphRequest, data: Observations) -> Model:
     return Model((*(named(n) for n in NINE), *declared))
 
 
-def search(
-    base: Fit, runs: PostureRuns, request: ActigraphRequest, rng: np.random.Generator
-) -> Closed:
+def search(base: Fit, runs: PostureRuns, request: ActigraphRequest) -> Closed:
     """The closed loop over the catalogue and its scans, under a noise that wanders."""
-    tried = wanted(request)
-    known = (quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows) / MG**2
-    asked = {family.name for family in tried.families}
-    probes = tuple(families()[n] for n in _PROBED if n not in asked)
-    # Parts follow what moves with time, and tell whether it does: no curve may do so before. What
-    # swings within a part no part follows.
-    bends = request.rules.curves and "curve" in asked
-    rules = replace(request.rules, curves=bends, quicker=request.every)
-    return close(base, Asked(tried.effects, tried.families, known, rules, probes), rng)
+    known = quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows
+    return close_recording(base, wanted(request), known, curves=request.rules.curves)
 
 
 def wanted(request: ActigraphRequest) -> Searched:
-    """Sensor effects, scans, and a curve of the temperature: a fixture is nothing that a wrist
-    has."""
+    """Sensor effects and scans: a fixture is nothing that a wrist has. Of free functions, which the
+    posterior has by itself, only that of the posture is a scan."""
     found = searched(
         request.only, request.without, request.extra_effects, lambda e: e.stage == "sensor"
     )
-    curve = (replace(f, values=of_temperature) if f.name == "curve" else f for f in found.families)
-    return replace(found, families=tuple(curve))
+    kept = (f for f in found.families if f.name not in HELD)
+    return replace(found, families=tuple(kept))
 
 
 def unseen(runs: PostureRuns) -> tuple[str, ...]:

@@ -77,10 +77,11 @@ def actigraph_details(
         details["series"] = series_block(parts)
     if result.loop is not None and result.loop.wander is not None:
         wander = result.loop.wander
-        found = result.loop.ambiguous if not result.declined else ()
         if result.loop.sums is not None:
             details[sums.KEY] = sums.sums_block(result.loop.sums)
-        details[KEY] = recorded_block(result.final, found, MG * wander.scatter, {}, wander.sd)
+        details[KEY] = recorded_block(
+            result.final, result.loop.ambiguous, MG * wander.scatter, {}, wander.sd
+        )
     return details
 
 

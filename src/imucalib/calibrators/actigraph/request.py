@@ -13,6 +13,8 @@ from imucalib.units import STANDARD_GRAVITY
 
 #: Scans whose members may have any form: of an axis' response, of the temperature, of the posture.
 FREE = ("converter", "curve", "posture")
+#: Those of them that every posterior has beside its names.
+HELD = ("converter", "curve")
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class ActigraphRequest:
     only: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     loop: bool = True
-    rules: LoopSettings = field(default_factory=lambda: LoopSettings(draws=200))
+    rules: LoopSettings = field(default_factory=LoopSettings)
     extra_effects: Mapping[str, Effect] = field(default_factory=dict)
     blocks: int = 12
     every: float | None = None
@@ -64,7 +66,7 @@ class ActigraphRequest:
             "own_effects": own_effects(self.extra_effects),
             "loop": self.loop,
             "blocks": self.blocks,
-            "alpha": self.rules.alpha,
+            "curves": self.rules.curves,
             "draws": self.rules.draws,
             "limits": dict(self.limits),
             "fleet_sha256": self.kind.sha256 if self.kind else None,

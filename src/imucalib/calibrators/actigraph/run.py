@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from imucalib.calibration.findings import Findings, findings_of
 from imucalib.calibration.outcome import Left, Outcome, Run, open_question, quality_of
 from imucalib.calibration.plain import plain
@@ -92,7 +90,7 @@ def run_of(
     refuse_exchange(exchange, scanned.path, parts=request.every is not None)
     if exchange is not None:
         say(f"  {exchange.words}")
-    result = calibrate(runs, scanned, request, np.random.default_rng(request.seed))
+    result = calibrate(runs, scanned, request)
     result = replace(result, loop=result.loop and with_untestable(result.loop, runs))
     coverage = coverage_of(result, scanned, gravity=request.gravity, window=request.window)
     outcome = _judged(result, coverage, scanned, request, exchange)
@@ -116,7 +114,7 @@ def _judged(
     result: ActigraphResult, coverage: Coverage, scanned: Scan, request: ActigraphRequest,
     exchange: Exchange | None,
 ) -> Outcome:  # fmt: skip
-    declined, said = (result.declined,) if result.declined else (), result.of_a_kind
+    said = result.of_a_kind
     return Outcome(
         calibrator="actigraph",
         errors=(result.error,),
@@ -129,7 +127,7 @@ def _judged(
         ),
         advice=advice(result, coverage),
         limits=limits_of(result, request.limits),
-        notes=(*scanned.notes, *result.runs.notes, *declined),
+        notes=(*scanned.notes, *result.runs.notes),
         undecided=() if said is None else not_of_its_kind(
             said.strange, "calibrated without --fleet: is it another kind, or was it turned?"
         ),

@@ -12,10 +12,11 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.context import Context
+from imucalib.core.context import DAILY, Context
 from imucalib.core.effect import Effect, Family
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
+from imucalib.effects import known
 from imucalib.effects.curve import curve
 from imucalib.effects.shape import shape
 from imucalib.loop.asked import Searched
@@ -24,8 +25,12 @@ from imucalib.loop.posterior.odds import SCANNED, TOGETHER
 
 #: Terms of free functions: of a response one for so many rows, within bounds; of others.
 _ROWS_A_TERM, _RESPONSE_TERMS, _TERMS = 3, (8, 32), 6
+#: Of a scan one value is tried for so many observations, where they are many.
+_APART = 32
 #: Drivers of the bias and the scale, and of dials beside these.
 _SLOW, _DIALS = ("order", "temperature"), ("inclination", "tool_face")
+#: Periods of a swing that is no day's, in hours.
+_PERIODS = (13.0, 16.0, 19.0, 21.5, 27.0, 31.0, 38.0, 46.0)
 #: Laws of a response: odd and even powers, ends, kinks (of the input in g).
 _OF_RESPONSE = (
     *(f"odd_power:{p}" for p in (1.5, 2)),
@@ -37,25 +42,33 @@ _OF_RESPONSE = (
 )
 
 
-def components_of(model: Model, data: Observations, asked: Searched) -> tuple[Component, ...]:
+def components_of(
+    model: Model, data: Observations, asked: Searched, *, walks: bool = False
+) -> tuple[Component, ...]:
     """Everything that may be missing from a model of some observations.
 
     asked : effects and scans that are wanted; where the user limited them, no free function or law
         is left out, so that no name is certain for want of a rival
+    walks : whether the noise holds any course of the bias over time, as in a recording, whose rows
+        are enough to try a part of a name by itself
     """
     return (
-        *_names(model, data, asked.effects),
+        *_names(model, data, asked.effects, parts=walks),
         *(c for family in asked.families if (c := scan_of(data, family)) is not None),
-        *_free(data),
+        *_free(data, walks=walks),
         *_laws(data),
     )
 
 
-def _usable(data: Observations, effect: Effect) -> bool:
+def _usable(data: Observations, effect: Effect, *, parts: bool = False) -> bool:
     """Whether the data can carry an effect: of gravity's size only what the sensor does by itself
-    shows, and no part of what another effect holds whole."""
+    shows, and without `parts` no part of what another effect holds whole."""
     directed = data.reference.directed
-    seen = directed or (effect.stage == "sensor" and not effect.part_of)
+    whole = known(effect.part_of) if effect.part_of else None
+    if parts and whole is not None:  # one of as many numbers does no better than the whole
+        count = len(effect.parameters(data.context)), len(whole.parameters(data.context))
+        whole = whole if count[0] >= count[1] else None
+    seen = directed or (effect.stage == "sensor" and whole is None)
     wanted = effect.channel == "acceleration" and effect.stage != "mounting"
     return seen and wanted and not effect.missing(data.context)
 
@@ -66,9 +79,11 @@ def _whole(effect: Effect, context: Context) -> tuple[Effect, Index, Array]:
     return effect, np.arange(typical.size), typical
 
 
-def _names(model: Model, data: Observations, effects: Mapping[str, Effect]) -> Iterator[Component]:
+def _names(
+    model: Model, data: Observations, effects: Mapping[str, Effect], *, parts: bool
+) -> Iterator[Component]:
     for effect in effects.values():
-        if effect.name in model.names or not _usable(data, effect):
+        if effect.name in model.names or not _usable(data, effect, parts=parts):
             continue
         if members := tuple(_ways(effect, data.context, single=effect.stage == "sensor")):
             yield Component(effect.name, "name", members)
@@ -92,7 +107,8 @@ def scan_of(data: Observations, family: Family, near: Sequence[str] = ()) -> Com
     """A scan as a component: values over all of its range, each with the same weight, which those
     around a value that is `near` share with it."""
     values = family.values(data.context)
-    some = values[:: max(1, -(-len(values) // SCANNED))]
+    count = max(SCANNED, data.n // _APART)
+    some = values[:: max(1, -(-len(values) // count))]
     members, seen = list[Member](), set[str]()
     for text in dict.fromkeys((*some, *near)):
         finer = family.nearby(data.context, text) if text in near else ()
@@ -110,7 +126,7 @@ def scan_of(data: Observations, family: Family, near: Sequence[str] = ()) -> Com
     return Component(f"{family.name}@", kind, tuple(members))
 
 
-def _free(data: Observations) -> Iterator[Component]:
+def _free(data: Observations, *, walks: bool) -> Iterator[Component]:
     """Smooth functions of every driver: of each axis' own input and of all three, of what is slow,
     and of the dials."""
     low, high = _RESPONSE_TERMS
@@ -123,9 +139,10 @@ def _free(data: Observations) -> Iterator[Component]:
         yield Component(f"response of {a}", "free", ways, "response")
     every = tuple(Member(tuple(one.values()), half) for one in (rough, smooth))
     yield Component("response of all axes", "free", every, "response")
-    for name in _varying(data, _SLOW):
+    for name in _varying(data, (*_SLOW, DAILY)):
         for what in ("bias", "scale"):
-            yield _function(data, what, name)
+            if not (walks and (what, name) == ("bias", "order")):
+                yield _function(data, what, name)
     if data.reference.directed:
         for what in _varying(data, _DIALS):
             for name in _varying(data, (*_DIALS, "order")):
@@ -162,6 +179,8 @@ def _laws(data: Observations) -> Iterator[Component]:
     yield _law(data, "response", [f"response:xyz:{text}" for text in _OF_RESPONSE])
     for name in _varying(data, _SLOW):
         yield _law(data, name, [f"bias:{name}:{text}" for text in _courses(data.context[name])])
+    for name in _varying(data, (DAILY,)):
+        yield _law(data, name, [f"bias:time:sine:{3600.0 * hours:.6g}" for hours in _PERIODS])
     if data.reference.directed:
         for what in _varying(data, _DIALS):
             yield _law(data, what, [f"{what}:{what}:{text}" for text in _of_dial(data, what)])

@@ -19,7 +19,7 @@ from imucalib.loop.difference import Difference, difference, with_density
 from imucalib.loop.found import Checked, FitLoop, Step, Unexplained
 from imucalib.loop.posterior.explored import Explored
 from imucalib.loop.posterior.held_out import LeftOut, left_out
-from imucalib.loop.posterior.noise import shared_bias
+from imucalib.loop.posterior.noise import Point, shared_bias
 from imucalib.loop.posterior.odds import OPEN
 from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.slips import Mended, Written, mended
@@ -67,20 +67,27 @@ def close_loop(
     found = state.found
     said = told(found.problem, found.posterior)
     data = _walking(found, said)
-    loop = _empty(plain, found, asked, said, data)
-    final, left = loop.base, None
-    nameless = any(found.problem.components[p.component].kind == "free" for p in said.places)
-    if nameless and not curves:
-        loop = _refused(loop, found, said, None)
+    base = found.base
+    if data is not base.observations:
+        base = fit_model(base.model, data, start=base.theta)
+    loop, left = replace(empty(plain, found, asked, said), base=base, final=base), None
+    if not correctable(found, said, curves=curves):
+        loop = refused(loop, found, said, None)
     elif said.places:
-        loop, final, left = _corrected(loop, found, said, data)
+        loop, left = _corrected(loop, found, said, data)
     loop = replace(
         loop,
-        records=accused(final, state.aside),
+        records=accused(loop.final, state.aside),
         slips=state.slips,
         weighed=rivals_of(found.problem, found.posterior),
     )
     return Closed(replace(loop, as_recorded=_as_recorded(loop, state)), found, left)
+
+
+def correctable(found: Explored, said: Told, *, curves: bool) -> bool:
+    """Whether what is told may be corrected: structure without a name only with `curves`."""
+    places = (found.problem.components[p.component] for p in said.places)
+    return curves or not any(c.kind == "free" for c in places)
 
 
 def _as_recorded(loop: FitLoop, state: Mended) -> Fit:
@@ -103,7 +110,7 @@ def _walking(found: Explored, said: Told) -> Observations:
     weight = noises_of(found.problem, posterior.grams, said.hypothesis.picks)
     walks = dict[float, float]()
     for point, share in zip(posterior.grams.points, weight, strict=True):
-        if point.walk is not None:
+        if isinstance(point, Point) and point.walk is not None:
             walks[point.walk[1]] = walks.get(point.walk[1], 0.0) + float(share)
     if sum(walks.values()) <= 0.5:
         return data
@@ -111,11 +118,8 @@ def _walking(found: Explored, said: Told) -> Observations:
     return replace(data, shared=(*data.shared, walk))
 
 
-def _empty(plain: Fit, found: Explored, asked: Searched, said: Told, data: Observations) -> FitLoop:
+def empty(plain: Fit, found: Explored, asked: Searched, said: Told) -> FitLoop:
     """The loop before anything is corrected."""
-    base = found.base
-    if data is not base.observations:
-        base = fit_model(base.model, data, start=base.theta)
     missing = {
         name: reason
         for name, effect in asked.effects.items()
@@ -123,8 +127,8 @@ def _empty(plain: Fit, found: Explored, asked: Searched, said: Told, data: Obser
     }
     scores = scores_of(found.problem, found.posterior)
     return FitLoop(
-        base=base,
-        final=base,
+        base=found.base,
+        final=found.base,
         plain=plain,
         as_recorded=plain,
         scores=scores,
@@ -136,32 +140,37 @@ def _empty(plain: Fit, found: Explored, asked: Searched, said: Told, data: Obser
 
 def _corrected(
     loop: FitLoop, found: Explored, said: Told, data: Observations
-) -> tuple[FitLoop, Fit, LeftOut | None]:
+) -> tuple[FitLoop, LeftOut | None]:
     """The loop with what is told in the model, unless data that took no part refuse it."""
     one = solved(found.problem, found.posterior.grams, said.hypothesis)
     final = fit_of(found.problem, one, data)
-    names = tuple(_effect(found, place.component, said) for place in said.places)
     if not final.converged:
-        return _refused(loop, found, said, None), loop.final, None
+        return refused(loop, found, said, None), None
     folds = folds_of(data)
     try:
         left = left_out(found.problem, found.posterior, folds)
     except NotConverged:  # a response that has no inverse
-        return _refused(loop, found, said, None), loop.final, None
+        return refused(loop, found, said, None), None
     aside = [record_of(name) for name in record_names(found.base)]
     good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
     sizes = left.before.size[good], left.after.size[good]
     gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
-    gain = with_density(gain, left.nats)
+    return judged(loop, found, said, final, left, with_density(gain, left.nats)), left
+
+
+def judged(
+    loop: FitLoop, found: Explored, said: Told, final: Fit, left: LeftOut, gain: Difference
+) -> FitLoop:
+    """The one veto: what is told is corrected by `final` unless data that took no part refuse."""
     if not gain.holds:
-        return _refused(loop, found, said, gain), loop.final, None
+        return refused(loop, found, said, gain)
     steps = tuple(
-        _step(found, said, place, name, left)
-        for place, name in zip(said.places, names, strict=True)
+        _step(found, said, place, _effect(found, place.component, said), left)
+        for place in said.places
     )
     loop = replace(loop, final=final, steps=steps, difference=gain)
     size = change(found.problem, found.posterior.grams, said.hypothesis) if loop.suspected else 0.0
-    return replace(loop, open_size=size), final, left
+    return replace(loop, open_size=size)
 
 
 def _effect(found: Explored, component: int, said: Told) -> str:
@@ -193,7 +202,7 @@ def _step(found: Explored, said: Told, place: Place, name: str, left: LeftOut) -
     )
 
 
-def _refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None) -> FitLoop:
+def refused(loop: FitLoop, found: Explored, said: Told, gain: Difference | None) -> FitLoop:
     """Nothing is corrected; what is missing beyond doubt stays without a name."""
     why = "it has no inverse, no fit settles with it, or curves are not wanted"
     if gain is not None:

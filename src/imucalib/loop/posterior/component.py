@@ -41,6 +41,11 @@ class Member:
         """What it is called: of several effects the first's."""
         return self.effects[0][0].name
 
+    @property
+    def free(self) -> tuple[tuple[str, bytes], ...]:
+        """Which parameters of which effects it frees."""
+        return tuple((effect.name, own.tobytes()) for effect, own, _ in self.effects)
+
 
 @dataclass(frozen=True)
 class Component:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucalib.core.balance import Noise, balance
 from imucalib.core.fit import Fit
+from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import alike_rows, full_matrix_start
 from imucalib.loop.asked import Searched
@@ -31,7 +33,6 @@ class Explored:
 
     base: Fit
     problem: Problem
-    terms: Terms
     posterior: Posterior
     every: Grams
 
@@ -43,15 +44,23 @@ def explored(fit: Fit, asked: Searched) -> Explored:
     components = components_of(base.model, data, asked)
     terms = terms_of(base)
     first = _once(base, components, terms)
-    near = _near(first)
+    near = near_values(first)
     if near:
-        own = {f"{f.name}@": f for f in asked.families}
-        finer = tuple(
-            scan_of(data, own[c.name], near[c.name]) or c if c.name in near else c
-            for c in components
-        )
-        first = _once(base, finer, terms)
-    return replace(first, posterior=_heard(first))
+        first = _once(base, refined(components, near, data, asked), terms)
+    return replace(first, posterior=heard(first))
+
+
+def refined(
+    components: tuple[Component, ...],
+    near: Mapping[str, Sequence[str]],
+    data: Observations,
+    asked: Searched,
+) -> tuple[Component, ...]:
+    """The components, scans with finer values around some."""
+    own = {f"{f.name}@": f for f in asked.families}
+    return tuple(
+        scan_of(data, own[c.name], near[c.name]) or c if c.name in near else c for c in components
+    )
 
 
 def _anchored(fit: Fit) -> Fit:
@@ -78,10 +87,10 @@ def _anchored(fit: Fit) -> Fit:
 def _once(base: Fit, components: tuple[Component, ...], terms: Terms) -> Explored:
     problem = problem_of(base, components)
     grams = grams_of(problem, terms)
-    return Explored(base, problem, terms, search(problem, grams), grams)
+    return Explored(base, problem, search(problem, grams), grams)
 
 
-def _near(found: Explored) -> dict[str, list[str]]:
+def near_values(found: Explored) -> dict[str, list[str]]:
     """Values of scans that stand in likely sets, by component."""
     near: dict[str, list[str]] = {}
     problem, posterior = found.problem, found.posterior
@@ -95,7 +104,7 @@ def _near(found: Explored) -> dict[str, list[str]]:
     return near
 
 
-def _heard(found: Explored) -> Posterior:
+def heard(found: Explored) -> Posterior:
     """The posterior at the noises that any leading set still gives a say."""
     posterior, problem = found.posterior, found.problem
     weights = [

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -24,10 +25,38 @@ from imucalib.loop.posterior.problem import Problem
 from imucalib.units import MG
 
 
+class Products(Protocol):
+    """Zᵀ V⁻¹ Z at E noises, however V is taken off."""
+
+    def rows(self, at: Index) -> Array:
+        """(E, s, q) some rows."""
+
+    @property
+    def along(self) -> Array:
+        """(E, q) products with y."""
+
+    def blocks(self, index: Index) -> Array:
+        """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
+
+    def of(self, noises: Index) -> Products:
+        """At some of the noises."""
+
+
+@runtime_checkable
+class Separable(Products, Protocol):
+    """Products that know of which observations they are."""
+
+    def narrowed(self, columns: Index) -> Separable:
+        """Of some columns, in their order."""
+
+    def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
+        """`grams`, of which nothing is taken out, of the data without some observations."""
+
+
 @dataclass(frozen=True)
-class Products:
-    """Zᵀ V⁻¹ Z at E noises. columns : (N, q) Z; weighted : (E, N, q) V⁻¹ Z; known : (k, q) rows of
-    what is known before the readings"""
+class Weighted:
+    """columns : (N, q) Z; weighted : (E, N, q) V⁻¹ Z; known : (k, q) rows of what is known before
+    the readings"""
 
     columns: Array
     weighted: Array
@@ -50,19 +79,25 @@ class Products:
         known = self.known[:, index]
         return np.asarray(own + np.einsum("kmw,kmv->mwv", known, known))
 
-    def among(self, at: Index) -> Array:
-        """(E, s, s) of some columns."""
-        found = self.columns[:, at].T @ self.weighted[:, :, at]
-        return np.asarray(found + self.known[:, at].T @ self.known[:, at])
-
-    def of(self, noises: Index) -> Products:
+    def of(self, noises: Index) -> Weighted:
         """At some of the noises."""
         return replace(self, weighted=self.weighted[noises])
+
+    def narrowed(self, columns: Index) -> Weighted:
+        """Of some columns, in their order."""
+        return Weighted(
+            self.columns[:, columns], self.weighted[:, :, columns], self.known[:, columns]
+        )
+
+    def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
+        """Without some observations: each number's own column is free."""
+        columns = problem.of_rows(rows)
+        return replace(swept(grams, columns, np.inf), numbers=grams.numbers - columns.size)
 
 
 @dataclass(frozen=True)
 class Multiplied:
-    """The same of few columns, multiplied out. matrix : (E, q, q)"""
+    """Multiplied out, y last. matrix : (E, q, q)"""
 
     matrix: Array
 
@@ -78,10 +113,6 @@ class Multiplied:
     def blocks(self, index: Index) -> Array:
         """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
         return np.asarray(self.matrix[:, index[:, :, None], index[:, None, :]])
-
-    def among(self, at: Index) -> Array:
-        """(E, s, s) of some columns."""
-        return np.asarray(self.matrix[:, at[:, None], at])
 
     def of(self, noises: Index) -> Multiplied:
         """At some of the noises."""
@@ -100,7 +131,7 @@ class Grams:
     taken: Array
     log_weight: Array
     numbers: float
-    points: tuple[Point, ...]
+    points: tuple[object, ...]
     spread: float
 
     def log_noise(self, power: Array, dof: float) -> Array:
@@ -150,7 +181,8 @@ class Grams:
 def restricted(grams: Grams, columns: Index) -> Grams:
     """The same of some of the columns, in ascending order, y among them as the last."""
     taken = grams.taken[:, :, columns]
-    own = grams.products.among(columns) - taken.swapaxes(1, 2) @ taken
+    own = separable(grams).narrowed(columns).rows(np.arange(columns.size))
+    own = own - taken.swapaxes(1, 2) @ taken
     return replace(grams, products=Multiplied(own), taken=taken[:, :0])
 
 
@@ -172,7 +204,7 @@ def grams_of(problem: Problem, terms: Terms) -> Grams:
         lower = _cholesky(terms.covariance(point))
         weighted[k] = _both(lower, problem.columns[:n])
         weight[k] = point.log_prior - float(np.log(np.diag(lower)).sum())
-    products = Products(problem.columns[:n], weighted, problem.columns[n:])
+    products = Weighted(problem.columns[:n], weighted, problem.columns[n:])
     nothing = np.zeros((len(kept), 0, problem.columns.shape[1]))
     return Grams(products, nothing, weight, problem.numbers, kept, _spread(problem))
 
@@ -235,9 +267,16 @@ def _both(lower: Array, columns: Array) -> Array:
     return np.asarray(cho_solve((lower, True), columns, check_finite=False))
 
 
-def without(grams: Grams, columns: Index) -> Grams:
-    """Of the data without some of its numbers: their own `columns` (`Problem.of_rows`) are free."""
-    return replace(swept(grams, columns, np.inf), numbers=grams.numbers - columns.size)
+def without(grams: Grams, problem: Problem, rows: Index) -> Grams:
+    """Of the data without some observations."""
+    return separable(grams).without(grams, problem, rows)
+
+
+def separable(grams: Grams) -> Separable:
+    """The products of Grams, whose observations are known. Raises TypeError where they are not."""
+    if not isinstance(grams.products, Separable):
+        raise TypeError("these products have been multiplied out")
+    return grams.products
 
 
 def swept(grams: Grams, columns: Index, size: float) -> Grams:

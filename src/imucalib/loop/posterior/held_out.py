@@ -14,7 +14,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.loop.design import Fold
 from imucalib.loop.held_out import Held, errors, joined
-from imucalib.loop.posterior.gram import Grams, beside, log_sum, swept, without
+from imucalib.loop.posterior.gram import Grams, beside, log_sum, separable, swept, without
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.solution import solved
@@ -44,13 +44,15 @@ class LeftOut:
 
 def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> LeftOut:
     """Every fold of a design, in the order of the observations."""
-    choices = _rivals(problem, posterior)
-    whole = swept(posterior.grams, *problem.flat)
+    problem, grams = _narrowed(problem, posterior)
+    choices = problem.choices
+    whole = swept(grams, *problem.flat)
     own = told(problem, posterior).hypothesis.components
+    every = np.arange(problem.fit.observations.n)
     deepest = min(FOLD_DEEPEST, len(own) + 1)
     before, after, nats, agreed = list[Held](), list[Held](), list[float](), 0
     for fold in folds:
-        kept = _without(posterior.grams, problem, fold)
+        kept = without(grams, problem, np.setdiff1d(every, fold.rest))
         found = search(problem, kept, choices, beams=FOLD_BEAMS, deepest=deepest)
         said = told(problem, found).hypothesis
         agreed += said.components == own
@@ -62,6 +64,21 @@ def left_out(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> L
             fit = replace(problem.fit, model=one.model, theta=one.theta)
             out.append(errors(fit, one.theta, held))
     return LeftOut(joined(before, folds), joined(after, folds), np.array(nats), agreed)
+
+
+def foretold(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> Held:
+    """Predictions of every observation without its fold by the base model alone."""
+    used = np.r_[np.arange(problem.base), problem.columns.shape[1] - 1]
+    brief = replace(problem, columns=problem.columns[:, used], single=problem.base, choices=())
+    grams = posterior.grams
+    grams = replace(grams, products=separable(grams).narrowed(used), taken=grams.taken[:, :, used])
+    out, every = list[Held](), np.arange(problem.fit.observations.n)
+    for fold in folds:
+        kept = without(grams, brief, np.setdiff1d(every, fold.rest))
+        one = solved(brief, kept, posterior.base)
+        fit = replace(problem.fit, model=one.model, theta=one.theta)
+        out.append(errors(fit, one.theta, problem.fit.observations.take(fold.rows)))
+    return joined(out, folds)
 
 
 def _gained(
@@ -85,9 +102,24 @@ def _gained(
     return float(log_sum(logs) - np.log(sum(p for _, p in likely))) - under(found.base)
 
 
-def _without(grams: Grams, problem: Problem, fold: Fold) -> Grams:
-    gone = np.setdiff1d(np.arange(problem.fit.observations.n), fold.rest)
-    return without(grams, problem.of_rows(gone))
+def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
+    """The problem and its products with the members of every component that any data have a say
+    for."""
+    choices = _rivals(problem, posterior)
+    numbers = problem.columns.shape[1] - 1
+    own = np.concatenate([np.arange(problem.base), *(c.at for c in choices)]).astype(np.intp)
+    used = np.unique(np.concatenate([own, np.arange(problem.single, numbers + 1)]))
+    found = replace(
+        problem,
+        columns=problem.columns[:, used],
+        choices=tuple(replace(c, at=np.searchsorted(used, c.at)) for c in choices),
+        single=int(np.searchsorted(used, problem.single)),
+    )
+    return found, replace(
+        posterior.grams,
+        products=separable(posterior.grams).narrowed(used),
+        taken=posterior.grams.taken[:, :, used],
+    )
 
 
 def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:

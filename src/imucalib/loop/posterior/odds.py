@@ -51,3 +51,9 @@ AS_SET = 0.98
 WALKS, WALK_SIZES, WALK_MEMORIES = 0.15, (0.5, 2.0), (0.2,)
 #: Values of a scan that are tried at first; nearer ones are tried around those that lead.
 SCANNED = 16
+#: The same of a recording, whose bias wanders as often as not: sizes over a run's scatter, memories
+#: over the span, and how far the scale of all axes may wander beside a bias.
+WANDERS, WALK_SIZE, WALK_MEMORY = 0.2, (0.3, 1.0, 3.0, 10.0), (0.5, 1 / 6, 1 / 24, 1 / 96)
+COURSES = (0.0,)
+#: Scatters beyond which a run counts less (Huber 1964).
+UNLIKE = 2.5

@@ -16,6 +16,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit, shrinking
+from imucalib.core.model import Model
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.candidates import effect_slopes, fitted_prediction
 from imucalib.loop.posterior.component import Component, Member, log_odds
@@ -33,15 +34,18 @@ class Choice:
 
 @dataclass(frozen=True)
 class Problem:
-    """fit : the base model, where all is linearised
+    """fit : where all is linearised: the base model, or one with what it lacks
+    model : the base model; start : (p,) its θ there
     components : that the data can show, odds : (C,) log prior odds of each
     choices : every member of every component
-    columns : (N, q) base, members, one for each reading's number by itself, misfit; the first
-        `base` are the base model's, and `single` is where the readings' own begin
+    columns : (N, q) base, members, where asked one for each reading's number by itself, misfit;
+        the first `base` are the base model's, and `single` is where the readings' own begin
     owner : (N,) observation of each number, -1 where it is known before the readings
     """
 
     fit: Fit
+    model: Model
+    start: Array
     components: tuple[Component, ...]
     odds: Array
     choices: tuple[Choice, ...]
@@ -71,50 +75,93 @@ class Problem:
         return float(n + self.base - used)
 
 
-def problem_of(fit: Fit, components: tuple[Component, ...]) -> Problem:
-    """The problem at a fitted base model. Members whose columns are zero or not finite, and
-    components without a member, are left out."""
-    prediction = fitted_prediction(fit)
-    seen: dict[str, Array] = {}
+def problem_of(
+    fit: Fit, components: tuple[Component, ...], model: Model | None = None, *, single: bool = True
+) -> Problem:
+    """The problem at a fitted model. Members whose columns are zero or not finite, and components
+    without a member, are left out.
 
-    def slopes(effect: Effect) -> Array:
-        if effect.name not in seen:
-            seen[effect.name] = effect_slopes(fit, effect, prediction)
-        return seen[effect.name]
-
-    blocks, choices, kept = [fit.at.jacobian], list[Choice](), list[Component]()
-    at = fit.at.jacobian.shape[1]
+    model : the base, that of the fit by default: what the fit has beside it is taken back into the
+        misfit, so that the linearisation is exact where it stands
+    single : whether single numbers of readings shall be freed or left out
+    """
+    base = model or fit.model
+    context = fit.observations.context
+    at, slices = fit.at, fit.model.slices(context)
+    own = np.concatenate([np.arange(len(fit.theta))[slices[name]] for name in base.names])
+    own = own.astype(np.intp)
+    beside = np.setdiff1d(np.arange(len(fit.theta)), own)
+    away = fit.theta - [p.start for p in fit.parameters]
+    misfit = at.residual + at.jacobian[:, beside] @ away[beside]
+    blocks = _Blocks(fit, base)
+    choices, kept = list[Choice](), list[Component]()
     for component in components:
-        found = []
-        for member in component.members:
-            columns = np.concatenate(
-                [slopes(effect)[:, own] * size for effect, own, size in member.effects],
-                axis=1,
-            )
-            if not np.isfinite(columns).all() or not columns.any():
-                continue
-            blocks.append(columns)
-            found.append((member, np.arange(at, at + columns.shape[1])))
-            at += columns.shape[1]
+        found = [(m, c) for m in component.members if (c := blocks.of(m)) is not None]
         if found:
             whole = np.log(sum(np.exp(m.log_weight) for m, _ in found))
             choices += [Choice(len(kept), m, c, m.log_weight - whole) for m, c in found]
             kept.append(component)
     known = _known_before(fit)
-    blocks += [np.eye(fit.at.residual.size), fit.at.residual[:, None]]
-    columns = np.concatenate(blocks, axis=1)
+    every = [at.jacobian[:, own], *blocks.columns]
+    first = own.size + len(blocks.columns)
+    if single:
+        every.append(np.eye(misfit.size))
+    columns = np.column_stack([*every, misfit])
     rows = np.zeros((len(known), columns.shape[1]))
-    rows[:, -1], rows[:, : fit.theta.size] = known[:, 0], known[:, 1:]
+    rows[:, -1], rows[:, : own.size] = known[:, 0], known[:, 1 + own]
     return Problem(
         fit=fit,
+        model=base,
+        start=fit.theta[own],
         components=tuple(kept),
         odds=log_odds(tuple(kept)),
         choices=tuple(choices),
         columns=np.vstack([columns, rows]),
-        base=fit.at.jacobian.shape[1],
-        single=at,
-        owner=np.concatenate([fit.at.owner, np.full(len(known), -1)]),
+        base=own.size,
+        single=first,
+        owner=np.concatenate([at.owner, np.full(len(known), -1)]),
     )
+
+
+class _Blocks:
+    """Columns of members, each once: parameters alone and together share theirs."""
+
+    def __init__(self, fit: Fit, base: Model) -> None:
+        self.columns = list[Array]()
+        self._fit = fit
+        self._first = sum(
+            part.stop - part.start
+            for name, part in fit.model.slices(fit.observations.context).items()
+            if name in base.names
+        )
+        self._prediction = fitted_prediction(fit)
+        self._slopes = dict[str, Array]()
+        self._place = dict[tuple[str, int, float], int]()
+
+    def of(self, member: Member) -> Index | None:
+        """Where the columns of a member stand; None where it does nothing or nothing finite."""
+        every = [
+            (effect.name, int(k), float(size), self._of(effect)[:, k] * size)
+            for effect, own, sizes in member.effects
+            for k, size in zip(own, sizes, strict=True)
+        ]
+        values = np.array([column for *_, column in every])
+        if not np.isfinite(values).all() or not values.any():
+            return None
+        for name, k, size, column in every:
+            if (name, k, size) not in self._place:
+                self._place[name, k, size] = self._first + len(self.columns)
+                self.columns.append(column)
+        return np.array([self._place[one[:3]] for one in every], dtype=np.intp)
+
+    def _of(self, effect: Effect) -> Array:
+        if effect.name not in self._slopes:
+            slices = self._fit.model.slices(self._fit.observations.context)
+            if effect.name in slices:
+                self._slopes[effect.name] = self._fit.at.jacobian[:, slices[effect.name]]
+            else:
+                self._slopes[effect.name] = effect_slopes(self._fit, effect, self._prediction)
+        return self._slopes[effect.name]
 
 
 def _known_before(fit: Fit) -> Array:

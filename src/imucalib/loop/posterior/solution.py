@@ -44,14 +44,14 @@ def solved(
     every = problem.choices if choices is None else choices
     picks = [(every[p.choice], p.size) for p in hypothesis.picks]
     mean, covariance = _moments(problem, grams, blocks_of(every, hypothesis.picks))
-    fit, context = problem.fit, problem.fit.observations.context
+    context = problem.fit.observations.context
     effects = {e.name: e for c, _ in picks for e, _, _ in c.member.effects}
-    model = Model((*fit.model.effects, *effects.values()))
+    model = Model((*problem.model.effects, *effects.values()))
     # θ is linear in the numbers of the columns: two members may share a parameter.
     slices, theta = model.slices(context), model.start(context)
     turn, spread = np.zeros((theta.size, mean.size)), np.zeros(theta.size)
-    for name, part in fit.model.slices(context).items():
-        theta[slices[name]] = fit.theta[part]
+    for name, part in problem.model.slices(context).items():
+        theta[slices[name]] = problem.start[part]
         turn[slices[name], part] = np.eye(part.stop - part.start)
     at = problem.base
     for choice, size in picks:
@@ -60,12 +60,14 @@ def solved(
             turn[rows, at + np.arange(own.size)] = scale
             spread[rows] = np.hypot(spread[rows], size * scale)
             at += own.size
-    shrink = np.full(theta.size, np.inf)
+    shrink, still = np.full(theta.size, np.inf), np.zeros(theta.size)
     for effect in effects.values():
         part = slices[effect.name]
         held = _HELD * np.array([p.typical for p in effect.parameters(context)])
         shrink[part] = np.maximum(spread[part], held)
-    return Solved(model, theta + turn @ mean, turn @ covariance @ turn.T, shrink)
+        still[part] = np.where(spread[part] > 0.0, 0.0, held)
+    spread_of = turn @ covariance @ turn.T + np.diag(still**2)
+    return Solved(model, theta + turn @ mean, spread_of, shrink)
 
 
 def _moments(
@@ -121,7 +123,7 @@ def noises_of(problem: Problem, grams: Grams, picks: Sequence[Pick]) -> Array:
 def fit_of(problem: Problem, found: Solved, data: Observations) -> Fit:
     """The model fitted to observations, with its sizes as priors, from where it is. A noise that
     they share beyond those of the problem begins as large as that of a reading."""
-    adds = found.model.names != problem.fit.model.names
+    adds = found.model.names != problem.model.names
     begin, fit = problem.fit.noise, problem.fit
     more = tuple(noise.name for noise in data.shared[len(fit.observations.shared) :])
     size = begin.factor * float(np.median(fit.at.sigma))

@@ -23,7 +23,7 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
     logs = base.log_weight + base.log_noise(base.power, posterior.dof)
     noise = np.array([int(np.argmax(logs))])
     one, n = base.of(noise), len(problem.fit.at.owner)
-    basis = np.linalg.qr(problem.fit.at.jacobian)[0]
+    basis = np.linalg.qr(problem.columns[:n, : problem.base])[0]
     factor = float(np.sqrt(one.power[0] / posterior.dof))
     alone = {h.components[0]: h.evidence for h in posterior.hypotheses if len(h.components) == 1}
     inside = np.zeros(len(problem.components))

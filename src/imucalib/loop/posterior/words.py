@@ -62,7 +62,7 @@ def told(problem: Problem, posterior: Posterior) -> Told:
         rivals = _rivals(posterior, said, component)
         likely = inside[component]
         alone = len(rivals) == 1 and likely > CERTAIN and nameless < 0.5
-        sure = alone and problem.components[component].named
+        sure = bool(alone and problem.components[component].named)
         places.append(Place(component, likely, rivals, sure))
     return Told(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
 

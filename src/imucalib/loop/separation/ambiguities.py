@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,12 +24,18 @@ from imucalib.loop.separation.products import Ambiguity, Products
 NEAR = 0.25
 
 
-def ambiguities(loop: FitLoop) -> tuple[Ambiguity, ...]:
-    """Of every named effect that has rivals in the catalogue."""
-    return tuple(found for step in loop.named if (found := _of_step(loop, step)) is not None)
+def ambiguities(
+    loop: FitLoop, white: Callable[[Array], Array] | None = None
+) -> tuple[Ambiguity, ...]:
+    """Of every named effect that has rivals in the catalogue.
+
+    white : of columns in units of the declared noise, where that is more than settings
+    """
+    found = (_of_step(loop, step, white) for step in loop.named)
+    return tuple(one for one in found if one is not None)
 
 
-def _of_step(loop: FitLoop, step: Step) -> Ambiguity | None:
+def _of_step(loop: FitLoop, step: Step, white: Callable[[Array], Array] | None) -> Ambiguity | None:
     causes = filter(names_a_cause, (step.effect, *step.aliases))
     named = [e for name in causes if (e := known(name)) is not None]
     if len(named) < 2 or step.effect not in loop.final.model.names:
@@ -43,7 +49,7 @@ def _of_step(loop: FitLoop, step: Step) -> Ambiguity | None:
         return None
     columns = [effect_columns(without, e) for e in effects]
     held = replace(without, noise=loop.final.noise)
-    base, products = _without_records(held, _products(held, columns))
+    base, products = _without_records(held, _products(held, columns, white))
     ends = np.cumsum([len(base), *(c.shape[1] for c in columns)])
     nats = {s.name: s.evidence for s in loop.first_scores} | {step.effect: step.evidence}
     return Ambiguity(
@@ -72,9 +78,11 @@ def _near(loop: FitLoop, step: Step) -> list[Effect]:
     return [e for name in filter(names_a_cause, near) if (e := known(name)) is not None]
 
 
-def _products(fit: Fit, columns: Sequence[Array]) -> Products:
+def _products(
+    fit: Fit, columns: Sequence[Array], white: Callable[[Array], Array] | None
+) -> Products:
     typical = np.array([p.typical for p in fit.parameters])
-    white = whitener(fit.at.settings, fit.noise.ratio)
+    white = white or whitener(fit.at.settings, fit.noise.ratio)
     every = np.column_stack([fit.at.jacobian * typical, *columns])
     seen = white(every) / fit.noise.factor
     data = white(fit.at.residual) / fit.noise.factor

@@ -12,6 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
+from imucalib.core.context import CLOCKS
+from imucalib.core.fit import Fit
+from imucalib.loop.posterior.gram import swept
+from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.solution import noises_of
+from imucalib.loop.posterior.space import Posterior
+
+#: Share of a block that the base model must leave for it to say anything.
+_SHOWN = 1e-2
 
 
 @dataclass(frozen=True)
@@ -57,3 +66,52 @@ class Sums:
 def columns_of(blocks: Mapping[str, Index], names: Sequence[str]) -> Index:
     """(k,) columns of some effects, in the order of their names."""
     return np.concatenate([np.zeros(0, np.intp), *(blocks[name] for name in names)])
+
+
+def sums_of(problem: Problem, posterior: Posterior, base: Fit, noise: float, wander: float) -> Sums:
+    """What a recording says of every name beside its base model, over the noises by their weights.
+
+    base : the base model's fit; noise, wander : mg
+    """
+    grams, p = posterior.grams, problem.base
+    weight = noises_of(problem, grams, ())
+    one = swept(grams, *problem.flat)
+    own = {
+        problem.components[c.component].name: c.at
+        for c in reversed(problem.choices)
+        if _kept(problem, c.component)
+    }
+    at = columns_of(own, list(own))
+    rows = one.rows(at)
+    scaled = weight / (one.power / posterior.dof)
+    gram = np.einsum("e,eij->ij", scaled, rows[:, :, at])
+    along = scaled @ rows[:, :, -1]
+    inside = grams.rows(np.arange(p))
+    solved = np.linalg.solve(inside[:, :, :p], inside[:, :, at])
+    whole = np.einsum("e,emm->m", scaled, grams.rows(at)[:, :, at])
+    share = np.diag(gram) / np.maximum(whole, 1e-300)
+    blocks, kept, start = dict[str, Index](), list[int](), 0
+    for name, columns in own.items():
+        place = np.arange(start, start + columns.size)
+        start += columns.size
+        if float(share[place].max(initial=0.0)) > _SHOWN**2:
+            blocks[name] = np.arange(len(kept), len(kept) + place.size)
+            kept += place.tolist()
+    return Sums(
+        base=Base(tuple(q.name for q in base.parameters), base.theta, base.covariance),
+        blocks=blocks,
+        gram=0.5 * (gram + gram.T)[np.ix_(kept, kept)],
+        along=along[kept],
+        taken=np.einsum("e,epm->pm", weight, solved)[:, kept],
+        noise=noise,
+        dof=float(posterior.dof),
+        wander=wander,
+    )
+
+
+def _kept(problem: Problem, component: int) -> bool:
+    """Whether a component is one name, and not of this recording's time alone, which its kind does
+    not share."""
+    one = problem.components[component]
+    needs = one.members[0].effects[0][0].needs
+    return one.kind == "name" and not one.name.endswith("@") and not set(needs) & set(CLOCKS)

@@ -66,7 +66,7 @@ def _verdict(run: ActigraphRun) -> Text:
         f"Error at rest on held-out time {error.held_out.raw:.2f} mg raw, "
         f"{error.held_out.base:.2f} with nine parameters, {error.held_out.final:.2f} final."
     )
-    return verdict(run.outcome, head, (run.result.declined,) if run.result.declined else ())
+    return verdict(run.outcome, head)
 
 
 def _parameters(run: ActigraphRun) -> Section:

@@ -1,0 +1,319 @@
+"""Noise of a recording: scatter of a run, heavy tails by weights, and walks that go on through all.
+
+    n ~ N(0, s² V),   V = diag(f² (1 + known / s²)) + Σ_j r_j² K ∘ h_j h_jᵀ
+
+h_j is what a bias of one axis, or a scale of all, does to each run's number; sizes r and memory are
+points over which every evidence is summed. The weights f of runs that are unlike the others (Huber
+1964) come from what is left beside the smoothed walk, so that what jumps or drifts does not make a
+run look strange. Rows that are left out stand nowhere in V: the walk goes on through the gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from imucalib.arrays import Array, Index
+from imucalib.core.balance import Noise
+from imucalib.core.fit import Fit
+from imucalib.core.model import Model
+from imucalib.core.observations import Observations
+from imucalib.estimators.least_squares import evaluate
+from imucalib.loop.found import Wander
+from imucalib.loop.posterior.component import Member
+from imucalib.loop.posterior.gram import Grams, beside, log_sum, swept
+from imucalib.loop.posterior.odds import (
+    COURSES,
+    HEARD,
+    OPEN,
+    SIZES,
+    UNLIKE,
+    WALK_MEMORY,
+    WALK_SIZE,
+    WANDERS,
+)
+from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.space import NARROW, block_logs
+from imucalib.loop.posterior.walk import Whitener, whitener
+from imucalib.units import MG
+
+#: One over the median absolute deviation of a normal number.
+_MAD = 1.4826
+#: Rounds in which scatter, walk and weights settle, at first and beside a model that is near.
+_ROUNDS, _SETTLED = 4, 2
+
+
+@dataclass(frozen=True)
+class Walk:
+    """size : (q,) of the walk of each share, over the scatter; memory : s; log_prior : of it"""
+
+    size: Array
+    memory: float
+    log_prior: float
+
+
+@dataclass(frozen=True)
+class Course:
+    """Runs in order of time, and what their noise may be.
+
+    scatter : m/s², the unit; time : (n,) s; variance : (n,) d; shares : (n, q) h of unit walks
+    walks : that are weighed, none first; likeliest : of them beside a fit; light : how many runs
+    count less
+    """
+
+    scatter: float
+    time: Array
+    variance: Array
+    shares: Array
+    walks: tuple[Walk, ...]
+    likeliest: Walk
+    light: int = 0
+
+    def whitener(self, walks: tuple[Walk, ...]) -> Whitener:
+        """Of some walks."""
+        shares = np.array([self.shares * w.size for w in walks])
+        variance = np.broadcast_to(self.variance, (len(walks), self.time.size))
+        return whitener(self.time, variance, shares, np.array([w.memory for w in walks]))
+
+    def white(self, unit: Array) -> Callable[[Array], Array]:
+        """What whitens columns (n, m) in units (n,) m/s², under the likeliest walk."""
+        whitens = self.whitener((self.likeliest,))
+        return lambda columns: whitens(
+            (columns.T * (unit / self.scatter)).T.reshape(len(unit), -1)
+        )[0].reshape(columns.shape)
+
+    def left(self, walk: Walk, residual: Array) -> Array:
+        """(n,) what is left of a residual (n,) beside the smoothed walk: D V⁻¹ r."""
+        white = self.whitener((walk,))
+        return np.asarray(self.variance * white.back(white(residual[:, None]))[0, :, 0])
+
+
+def fit_at(model: Model, data: Observations, theta: Array, covariance: Array) -> Fit:
+    """A model at parameters that were found, each run turned as it is corrected there."""
+    eta = data.reference.start(model.correct(theta, data.reading, data.context))
+    return replace(evaluate(model, data, theta, covariance, eta=eta), noise=Noise(1.0))
+
+
+def course_of(fit: Fit, known: Array, near: Course | None = None) -> tuple[Course, Wander]:
+    """The noise beside a fitted model, and the likeliest walk in words.
+
+    known : (n,) m²/s⁴, the part of each run's variance that its windows and the resolution explain
+    near : the noise beside a model that is near, from which it settles in fewer rounds
+    """
+    at, data = fit.at, fit.observations
+    unit = at.sigma[:, 0]
+    misfit, columns = at.residual * unit, at.jacobian * unit[:, None]
+    columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    walks = _walks(data.context["time"])
+    course = near or Course(
+        scatter=max(_MAD * float(np.median(np.abs(misfit))), 1e-3 * MG),
+        time=data.context["time"],
+        variance=np.ones(data.n),
+        shares=_shares(fit),
+        walks=walks,
+        likeliest=walks[0],
+    )
+    for _ in range(_SETTLED if near else _ROUNDS):
+        every = np.column_stack([columns, misfit]) / course.scatter
+        course, told = _settled(course, every, known)
+    return course, told
+
+
+def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander]:
+    """Weights, scatter and walk once more; every : (n, p + 1) columns and the misfit over the
+    scatter."""
+    n, p = len(every), every.shape[1] - 1
+    logs, power = _evidence(course, every)
+    # Walks stand together against none.
+    best = 1 + int(np.argmax(logs[1:])) if float(log_sum(logs[1:])) > logs[0] else 0
+    scatter = course.scatter
+    walk = course.walks[best]
+    alone = _beside(course, best, every)
+    left = course.left(walk, alone)
+    factor = float(np.sqrt(power[best] / (n - p)))
+    told = Wander(
+        size=float(np.sqrt(np.mean((alone - left) ** 2))) * scatter / MG,
+        hours=walk.memory / 3600.0,
+        scatter=factor * scatter / MG,
+        evidence=float(log_sum(logs[1:]) - logs[0]) if best else 0.0,
+        sd=factor * scatter / MG * float(walk.size[0]),
+    )
+    size = np.abs(left) / np.sqrt(1.0 + known / scatter**2)
+    far = np.maximum(1.0, size / max(_MAD * float(np.median(size)), 1e-12) / UNLIKE)
+    scatter = factor * scatter
+    variance = far * (1.0 + known / scatter**2)
+    light = int((far > 1.0).sum())
+    return replace(course, scatter=scatter, variance=variance, likeliest=walk, light=light), told
+
+
+def _shares(fit: Fit) -> Array:
+    """(n, 4) what a bias of each axis does to each number, and a scale that all share, over the
+    same of a number itself."""
+    data, at = fit.observations, fit.at
+    block = np.broadcast_to(np.eye(3), (data.n, 1, 3, 3))
+    bias = at.columns(block) * at.sigma[:, :1]
+    outward = np.sign(np.einsum("ni,ni->n", bias, data.reading[:, 0]))
+    return np.column_stack([bias, outward])
+
+
+def _walks(time: Array) -> tuple[Walk, ...]:
+    """None, walks of the bias, and of bias and scale."""
+    span = float(np.ptp(time))
+    some = [
+        (np.array([size] * 3 + [size * scale]), memory * span)
+        for scale in COURSES
+        for size in WALK_SIZE
+        for memory in WALK_MEMORY
+    ]
+    none = Walk(np.zeros(4), span, float(np.log(1.0 - WANDERS)))
+    return (none, *(Walk(s, m, float(np.log(WANDERS / len(some)))) for s, m in some))
+
+
+def _evidence(course: Course, every: Array) -> tuple[Array, Array]:
+    """(E,) log evidence of free columns under every walk, and (E,) yᵀPy; every : (n, p + 1) columns
+    and the misfit"""
+    gram, weight = _summed(course, every)
+    scale = np.sqrt(np.einsum("epp->ep", gram)) + 1e-300
+    inner = gram / scale[:, :, None] / scale[:, None]
+    root = np.linalg.cholesky(inner + 1e-12 * np.eye(every.shape[1]))
+    logs = np.log(np.einsum("epp->ep", root)) + np.log(scale)
+    dof = len(every) - every.shape[1] + 1
+    power = np.exp(2.0 * logs[:, -1])
+    return weight - logs[:, :-1].sum(axis=1) - dof * logs[:, -1], power
+
+
+def _beside(course: Course, walk: int, every: Array) -> Array:
+    """(n,) the misfit less its columns by generalised least squares."""
+    white = course.whitener((course.walks[walk],))(every)[0]
+    found = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=1e-10)[0]
+    return np.asarray(every[:, -1] - every[:, :-1] @ found)
+
+
+@dataclass(frozen=True)
+class Summed:
+    """gram : (E, q, q) Zᵀ V⁻¹ Z of a recording's columns (n, q) under some of its walks"""
+
+    gram: Array
+    columns: Array
+    course: Course
+
+    def rows(self, at: Index) -> Array:
+        """(E, s, q) some rows."""
+        return self.gram[:, at]
+
+    @property
+    def along(self) -> Array:
+        """(E, q) products with y."""
+        return self.gram[:, -1]
+
+    def blocks(self, index: Index) -> Array:
+        """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
+        return self.gram[:, index[:, :, None], index[:, None, :]]
+
+    def of(self, noises: Index) -> Summed:
+        """At some of the noises."""
+        walks = tuple(self.course.walks[k] for k in noises)
+        return replace(self, gram=self.gram[noises], course=replace(self.course, walks=walks))
+
+    def narrowed(self, columns: Index) -> Summed:
+        """Of some columns, in their order."""
+        return replace(
+            self, gram=self.gram[:, columns[:, None], columns], columns=self.columns[:, columns]
+        )
+
+    @cached_property
+    def _whitener(self) -> Whitener:
+        return self.course.whitener(self.course.walks)
+
+    @cached_property
+    def _weighted(self) -> Array:
+        """(E, n, q) V⁻¹ Z."""
+        each = (self._whitener.of(slice(k, k + 1)) for k in range(len(self.gram)))
+        return np.concatenate([white.back(white(self.columns)) for white in each])
+
+    def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
+        """Without some runs, through which the walk goes on: A - U_Fᵀ ((V⁻¹)_FF)⁻¹ U_F, U = V⁻¹ Z
+        (Cook and Weisberg 1982)."""
+        unit = np.zeros((len(self.columns), rows.size))
+        unit[rows, np.arange(rows.size)] = 1.0
+        gram, log_weight = self.gram.copy(), grams.log_weight.copy()
+        for k in range(len(gram)):
+            white = self._whitener.of(slice(k, k + 1))
+            lower = np.linalg.cholesky(white.back(white(unit))[0, rows])
+            taken = np.linalg.solve(lower, self._weighted[k, rows])
+            gram[k] -= taken.T @ taken
+            log_weight[k] -= np.log(np.diag(lower)).sum()
+        count = grams.numbers - rows.size
+        products = replace(self, gram=gram)
+        return replace(grams, products=products, log_weight=log_weight, numbers=count)
+
+
+def recorded_grams(problem: Problem, course: Course) -> Grams:
+    """At all walks of a course."""
+    gram, log_weight = _summed(course, problem.columns)
+    products = Summed(gram, problem.columns, course)
+    nothing = np.zeros((len(gram), 0, gram.shape[1]))
+    return Grams(products, nothing, log_weight, problem.numbers, course.walks, np.inf)
+
+
+@dataclass(frozen=True)
+class Looked:
+    """kept : walks that the data do not exclude, be the base complete, lack what is told, or any
+    one thing beside: what a model lacks looks like a walk
+    values : of scans that lead the base far under some walk, by component: what jumps under one is
+    no more than a walk under another, which says little of when
+    """
+
+    kept: Index
+    values: dict[str, list[str]]
+
+
+def looked(problem: Problem, grams: Grams, told: Sequence[tuple[Member, float]] = ()) -> Looked:
+    """One look at every member under every walk; told : members and their sizes"""
+    place = {c.member.free: c.at for c in problem.choices}
+    blocks = [(place[m.free], size) for m, size in told if m.free in place]
+    base = swept(grams, *problem.flat)
+    found, values = np.zeros(len(grams.points), bool), dict[str, list[str]]()
+    for one in (base, beside(base, blocks)) if blocks else (base,):
+        every, logs = _profiles(problem, one)
+        likely = logs.max(axis=0) > logs.max() - HEARD
+        found |= (logs[:, likely] > logs[:, likely].max(axis=0) - HEARD).any(axis=1)
+        lead = (logs[:, 1:] - logs[:, :1]).max(axis=0)
+        best: dict[str, tuple[float, str]] = {}
+        for k, nats in zip(every, lead, strict=True):
+            name = problem.components[problem.choices[k].component].name
+            value = problem.choices[k].member.name.removeprefix(name)
+            if name.endswith("@") and nats > best.get(name, (OPEN, ""))[0]:
+                best[name] = nats, value
+        for name, (_, value) in best.items():
+            values.setdefault(name, []).append(value)
+    return Looked(np.flatnonzero(found), values)
+
+
+def _profiles(problem: Problem, grams: Grams) -> tuple[Index, Array]:
+    """Narrow choices (m,), and (E, 1 + m) log evidence under every walk of what is there and of
+    each of them beside it at its likeliest size."""
+    dof = grams.numbers - problem.base
+    width = np.array([c.at.size for c in problem.choices], dtype=int)
+    found = [(grams.log_weight + grams.log_noise(grams.power, dof))[:, None]]
+    every = [np.flatnonzero(width == w) for w in np.unique(width[width <= NARROW])]
+    for some in every:
+        index = np.array([problem.choices[k].at for k in some])
+        found.append(block_logs(grams, index, SIZES, dof)[0].max(axis=2))
+    return np.concatenate([*every, np.zeros(0, np.intp)]).astype(np.intp), np.concatenate(
+        found, axis=1
+    )
+
+
+def _summed(course: Course, columns: Array) -> tuple[Array, Array]:
+    """(E, q, q) products of columns (n, q), and (E,) log prior less half of log |V|."""
+    white = course.whitener(course.walks)
+    gram = np.empty((len(course.walks), columns.shape[1], columns.shape[1]))
+    for k in range(len(gram)):
+        seen = white.of(slice(k, k + 1))(columns)[0]
+        gram[k] = seen.T @ seen
+    prior = np.array([w.log_prior for w in course.walks])
+    return gram, prior - 0.5 * white.log_det
