@@ -25,16 +25,8 @@ MARGIN = 3.0
 #: Nats from which on an effect that data refuse which took no part is structure without a name, not
 #: one of the accidents of which ALPHA allows a few: odds of e^10 are no accident.
 STRONG = 10.0
-#: Nats that an earlier step must still be worth beside later ones.
-KEEP = 1.0
-#: The same for an axis that is noisier than the others: odds of e^10 are no accident. Of 20 sheets
-#: whose z had 2 or 2.5 times the noise 5 and 13 had a false word without it, 4 and 2 with it (at 3
-#: nats one of those with twice); on the one measured bench, whose y has 9.4 nats, positions that
-#: were left out are predicted worse with it (norm 1.33 instead of 1.21 mg), so that a little is not
-#: enough.
+#: The same for an axis that is noisier than the others. Of 20 sheets whose z had 2 or 2.5 times
+#: the noise 5 and 13 had a false word without it, 4 and 2 with it (at 3 nats one of those with
+#: twice); on the one measured bench, whose y has 9.4 nats, positions that were left out are
+#: predicted worse with it (norm 1.33 instead of 1.21 mg), so that a little is not enough.
 AXIS_NATS = 10.0
-#: Of an array, whose halves of the motion are half of the data: nats of one half and of both below
-#: which they contradict an effect; steps that together may take a curve's place; corrections
-#: without a name, at most.
-ONE_HALF, BOTH_HALVES = -3.0, -1.0
-PATH, CURVES = 3, 3

@@ -91,8 +91,18 @@ def _sharpened(
     centres = np.arange(at[0], at[-1] + _BLOCK, 0.5 * _BLOCK)
     totals = np.array([gains[:, np.abs(at - c) < 0.5 * _BLOCK].sum(axis=1) for c in centres])
     smooth = totals + 0.5 * (np.roll(totals, 1, axis=0) + np.roll(totals, -1, axis=0))
-    chosen = shifts[np.argmax(smooth, axis=1)]
+    chosen = _at_peak(shifts, smooth)
     return sign * _sawtooth(turns + np.interp(t, centres, chosen))
+
+
+def _at_peak(shifts: Array, gains: Array) -> Array:
+    """(n,) where gains (n, m) of evenly spaced shifts (m,) are largest: the top of the parabola
+    through the largest and its neighbours."""
+    top = np.clip(np.argmax(gains, axis=1), 1, len(shifts) - 2)
+    low, middle, high = (gains[np.arange(len(top)), top + k] for k in (-1, 0, 1))
+    bend = np.maximum(2.0 * middle - low - high, 1e-300)
+    away = np.clip(0.5 * (high - low) / bend, -1.0, 1.0)
+    return np.asarray(shifts[top] + away * (shifts[1] - shifts[0]))
 
 
 def _phase(t: Array, at: Array, series: Array, f: float) -> Array:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -23,10 +24,24 @@ from imucalib.loop.posterior.problem import Problem
 from imucalib.units import MG
 
 
+class Products(Protocol):
+    """Zᵀ V⁻¹ Z at E noises, however it is made: some rows (E, s, q), those of y as `along` (E, q),
+    blocks (E, m, w, w) on the diagonal of columns index (m, w), and the same at some noises."""
+
+    def rows(self, at: Index) -> Array: ...
+    @property
+    def along(self) -> Array: ...
+    def blocks(self, index: Index) -> Array: ...
+    def of(self, noises: Index) -> Products: ...
+
+
 @dataclass(frozen=True)
-class Products:
-    """Zᵀ V⁻¹ Z at E noises. columns : (N, q) Z; weighted : (E, N, q) V⁻¹ Z; known : (k, q) rows of
-    what is known before the readings"""
+class Dense:
+    """Products of columns that are all there.
+
+    columns : (N, q) Z; weighted : (E, N, q) V⁻¹ Z; known : (k, q) rows of what is known before the
+    readings
+    """
 
     columns: Array
     weighted: Array
@@ -48,6 +63,9 @@ class Products:
         own = np.matmul(left.transpose(1, 2, 0)[None], right.transpose(0, 2, 1, 3))
         known = self.known[:, index]
         return np.asarray(own + np.einsum("kmw,kmv->mwv", known, known))
+
+    def of(self, noises: Index) -> Dense:
+        return replace(self, weighted=self.weighted[noises])
 
 
 @dataclass(frozen=True)
@@ -100,7 +118,7 @@ class Grams:
     def of(self, noises: Index) -> Grams:
         """At some of the noises."""
         return Grams(
-            products=replace(self.products, weighted=self.products.weighted[noises]),
+            products=self.products.of(noises),
             taken=self.taken[noises],
             log_weight=self.log_weight[noises],
             numbers=self.numbers,
@@ -127,7 +145,7 @@ def grams_of(problem: Problem, terms: Terms) -> Grams:
         lower = _cholesky(terms.covariance(point))
         weighted[k] = _both(lower, problem.columns[:n])
         weight[k] = point.log_prior - float(np.log(np.diag(lower)).sum())
-    products = Products(problem.columns[:n], weighted, problem.columns[n:])
+    products = Dense(problem.columns[:n], weighted, problem.columns[n:])
     nothing = np.zeros((len(kept), 0, problem.columns.shape[1]))
     return Grams(products, nothing, weight, problem.numbers, kept, _spread(problem))
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, TOLD
-from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.problem import Contest
 from imucalib.loop.posterior.space import Hypothesis, Posterior
 
 
@@ -42,7 +42,7 @@ class Told:
     places: tuple[Place, ...]
 
 
-def told(problem: Problem, posterior: Posterior) -> Told:
+def told(problem: Contest, posterior: Posterior) -> Told:
     """The words of a posterior."""
     pairs = list(zip(posterior.hypotheses, posterior.probability, strict=True))
     complete = float(sum(p for h, p in pairs if not h.components))
