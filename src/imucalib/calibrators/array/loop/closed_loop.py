@@ -11,13 +11,12 @@ from imucalib.calibrators.array.estimate.uneven import POSITIONS, Uneven
 from imucalib.calibrators.array.loop.ages import Ages, found_ages, kept_ages
 from imucalib.calibrators.array.loop.asked import NOTHING_ASKED, Asked
 from imucalib.calibrators.array.loop.cross_fit import Fitted, Gained, cross_fitted
-from imucalib.calibrators.array.loop.memory import shared_by_neighbours
+from imucalib.calibrators.array.loop.memory import remembered, shared_by_neighbours
 from imucalib.calibrators.array.loop.search import Explored, explored, started, with_ways
 from imucalib.calibrators.array.loop.setup import Setup
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.loop.told import absorbed, left_over, scores_of, steps_of
-from imucalib.calibrators.array.loop.twins import Apart, told_apart
 from imucalib.calibrators.array.moving import Moving
 from imucalib.loop.found import FitLoop, Loop, Step, Unexplained
 
@@ -64,24 +63,25 @@ def close_array_loop(
     asked : effects that the user declares, or keeps out of the search
     """
 
-    def searched(chosen: Setup) -> tuple[Explored, Apart]:
+    def searched(chosen: Setup) -> tuple[Explored, ArrayState]:
         found = explored(*started(chosen, terms, moving, asked), moving, asked)
-        return found, told_apart(_named(found, asked, curves=curves), asked.skipped(setup.imus))
+        return found, _named(found, asked, curves=curves)
 
     def halves(chosen: Setup) -> tuple[Fitted, Fitted]:
-        found, apart = searched(chosen)
-        return (found.base, found.ages), (apart.state, found.ages)
+        found, state = searched(chosen)
+        return (found.base, found.ages), (state, found.ages)
 
-    found, apart = searched(setup)
+    found, path = searched(setup)
     gained = cross_fitted(halved or setup, moving, halves)
-    steps = steps_of(found, apart, gained)
+    steps = steps_of(found, path, gained)
     left = left_over(found, curves=curves)
-    path, refused = apart.state, tuple[tuple[str, str], ...]()
+    refused: tuple[tuple[str, str], ...] = ()
     if steps and gained is not None and gained.refutes:
         refused = tuple((step.effect, _REFUSED) for step in steps)
         left = {_as_structure(step): 0.0 for step in steps} | left
         path, steps = found.base, ()
     final, ages = _on_all(path, found.ages, moving, most)
+    left |= dict.fromkeys(remembered(final), 0.0)
     dispersion = shared_by_neighbours(final, gyro=False)
     final, uneven = with_uneven(final, dispersion)
     if uneven is not None:
@@ -110,11 +110,11 @@ def close_array_loop(
 def _named(found: Explored, asked: Asked, *, curves: bool) -> ArrayState:
     """The fit without laws, which have no name, unless they are to be corrected."""
     ways = found.problem.ways_of(found.said.hypothesis)
-    known = {term.name for term in found.state.found}
+    known = {term.name for term in found.apart.state.found}
     named = tuple(w for w in ways if curves or found.problem.named(w.name))
     if known == {w.name for w in named} | (known & set(asked.declare)):
-        return found.state
-    return with_ways(found.state, named, asked)[0] or found.base
+        return found.apart.state
+    return with_ways(found.apart.state, named, asked)[0] or found.base
 
 
 def _as_positions(apart: Uneven) -> Unexplained:

@@ -14,6 +14,7 @@ from imucalib.calibrators.array.loop.products import MotionProblem, products
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.state import ArrayState, settled
 from imucalib.calibrators.array.loop.terms import Term, determined
+from imucalib.calibrators.array.loop.twins import Apart, told_apart
 from imucalib.calibrators.array.moving import Moving
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.estimators.array.samples import Weights, fit_samples
@@ -30,13 +31,14 @@ DIVERGED = "its refit did not converge"
 class Explored:
     """Where a search stands.
 
-    base : the fit before it; state : with what is told in the model; ages : of the gyros' clocks
+    base : the fit before it; apart : with what is told in the model, twins told apart; ages : of
+        the gyros' clocks
     problem, grams, posterior, said : of the last search, and first : of the first
     rejected : (name, reason) of what the model could not take in
     """
 
     base: ArrayState
-    state: ArrayState
+    apart: Apart
     ages: Ages | None
     problem: MotionProblem
     grams: Grams
@@ -52,31 +54,32 @@ def explored(base: ArrayState, ages: Ages | None, moving: Moving, asked: Asked) 
     asked : declared effects stay in the model
     """
     left_out = asked.skipped(base.setup.imus)
-    state, seen, found = base, set[frozenset[str]](), None
+    apart, seen, found = Apart(base, {}), set[frozenset[str]](), None
     for _ in range(_ROUNDS):
-        problem, grams = products(state, left_out, asked.declare)
-        found = _searched(base, state, ages, problem, grams, found)
+        problem, grams = products(apart.state, left_out, asked.declare)
+        found = _searched(base, apart, ages, problem, grams, found)
         ways = problem.ways_of(found.said.hypothesis)
         names = frozenset(w.name for w in ways)
-        if names == _names(state, asked) or names in seen:
+        if names == _names(apart.state, asked) or names in seen:
             break
         seen.add(names)
-        grown, lost = with_ways(state, ways, asked)
+        grown, lost = with_ways(apart.state, ways, asked)
         if grown is None:
             return replace(found, rejected=tuple((name, DIVERGED) for name in lost))
         state, ages = _aged(grown, ages, moving)
+        apart = told_apart(state, left_out)
     assert found is not None
-    return replace(found, state=state, ages=ages)
+    return replace(found, apart=apart, ages=ages)
 
 
 def _searched(
-    base: ArrayState, state: ArrayState, ages: Ages | None, problem: MotionProblem, grams: Grams,
+    base: ArrayState, apart: Apart, ages: Ages | None, problem: MotionProblem, grams: Grams,
     before: Explored | None,
 ) -> Explored:  # fmt: skip
-    posterior = climbed(problem, grams, problem.picks(state))
+    posterior = climbed(problem, grams, problem.picks(apart.state))
     first = (problem, posterior) if before is None else before.first
     said = told(problem, posterior)
-    return Explored(base, state, ages, problem, grams, posterior, said, first)
+    return Explored(base, apart, ages, problem, grams, posterior, said, first)
 
 
 def _names(state: ArrayState, asked: Asked) -> frozenset[str]:

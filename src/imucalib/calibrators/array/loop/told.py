@@ -7,8 +7,8 @@ import numpy as np
 from imucalib.calibrators.array.loop.cross_fit import Gained
 from imucalib.calibrators.array.loop.products import MotionProblem
 from imucalib.calibrators.array.loop.search import Explored
+from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN
-from imucalib.calibrators.array.loop.twins import Apart
 from imucalib.calibrators.array.loop.words import size_in_words
 from imucalib.loop.evidence import Candidate, Score
 from imucalib.loop.found import Step, Unexplained
@@ -20,13 +20,16 @@ from imucalib.loop.thresholds import ABSORBED
 _NOTHING = np.zeros((0, 0))
 
 
-def steps_of(found: Explored, apart: Apart, gained: Gained | None) -> tuple[Step, ...]:
-    """What is told and corrected, likeliest first; a place that twins share is theirs together."""
+def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple[Step, ...]:
+    """What is told and corrected, likeliest first; a place that twins share is theirs together.
+
+    final : the fit with what is corrected
+    """
     steps = []
     for place in found.said.places:
         name = _member(found, place.component)
-        twins = next((s for s in apart.shares.values() if name in dict(s)), ((name, 1.0),))
-        term = next((t for t in apart.state.found if t.name == twins[0][0]), None)
+        twins = next((s for s in found.apart.shares.values() if name in dict(s)), ((name, 1.0),))
+        term = next((t for t in final.found if t.name == twins[0][0]), None)
         if term is None:
             continue
         rivals = [
@@ -45,7 +48,7 @@ def steps_of(found: Explored, apart: Apart, gained: Gained | None) -> tuple[Step
                 evidence=float(np.log(max(odds, 1e-12))),
                 checked=() if gained is None else gained.checked,
                 aliases=tuple(n for n, _ in likely if n != term.name),
-                value=size_in_words(apart.state, term),
+                value=size_in_words(final, term),
                 curve=not named,
                 probability=place.probability,
                 rivals=tuple(sorted(likely, key=lambda r: -r[1])),

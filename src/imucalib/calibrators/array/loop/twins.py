@@ -16,6 +16,9 @@ from imucalib.calibrators.array.loop.terms import Term
 from imucalib.core.effect import Response
 from imucalib.estimators.array.noise import log_density
 
+#: Times that twins are told apart, where some have gone to another name.
+_PASSES = 3
+
 
 @dataclass(frozen=True)
 class Apart:
@@ -27,29 +30,39 @@ class Apart:
 
 
 def told_apart(state: ArrayState, left_out: Collection[str]) -> Apart:
-    """Every found effect that has twins against these, each fitted anew in its place.
+    """Every found effect that has twins against these, each fitted anew in its place; again where
+    one has gone to a twin, for beside a wrong one another seems right.
 
     left_out : names that are not tried. A twin whose fit is lost keeps the share it had before:
     nothing is known against it.
     """
-    shares = dict[str, tuple[tuple[str, float], ...]]()
-    for name in [t.name for t in state.found]:
-        twins = [twin for twin in twins_of(name) if twin not in left_out]
-        if not twins:
-            continue
-        fits = {name: refitted(state)} | {twin: _in_place(state, name, twin) for twin in twins}
-        first = fits[name] or state
-        nats = {n: _nats(s, n) - _nats(first, name) if s else 0.0 for n, s in fits.items()}
-        for twin in twins:
-            if not _possible(state, name, twin):
-                nats[twin] = -np.inf
-        share = np.exp(np.array([nats[n] for n in fits]) - max(nats.values()))
-        order = np.argsort(-share, kind="stable")
-        names = [list(fits)[k] for k in order]
-        state = fits[names[0]] or state
-        known = tuple((n, float(share[k] / share.sum())) for n, k in zip(names, order, strict=True))
-        shares[names[0]] = known
+    for _ in range(_PASSES):
+        shares = dict[str, tuple[tuple[str, float], ...]]()
+        names = [t.name for t in state.found]
+        for name in names:
+            twins = [twin for twin in twins_of(name) if twin not in left_out]
+            if twins:
+                state, known = _against(state, name, twins)
+                shares[known[0][0]] = known
+        if names == [t.name for t in state.found]:
+            break
     return Apart(state, shares)
+
+
+def _against(
+    state: ArrayState, name: str, twins: list[str]
+) -> tuple[ArrayState, tuple[tuple[str, float], ...]]:
+    """The fit with the likeliest of an effect and its twins, and the share of each."""
+    possible = [twin for twin in twins if _possible(state, name, twin)]
+    fits = {name: refitted(state)} | {twin: _in_place(state, name, twin) for twin in possible}
+    first = fits[name] or state
+    level = _nats(first, name)
+    nats = np.array([_nats(s, n) - level if s else 0.0 for n, s in fits.items()])
+    share = np.exp(nats - nats.max())
+    order = np.argsort(-share, kind="stable")
+    names = [list(fits)[k] for k in order]
+    known = zip(names, share[order] / share.sum(), strict=True)
+    return fits[names[0]] or state, tuple((n, float(s)) for n, s in known)
 
 
 def refitted(state: ArrayState) -> ArrayState | None:
@@ -62,8 +75,6 @@ def refitted(state: ArrayState) -> ArrayState | None:
 
 
 def _in_place(state: ArrayState, name: str, twin: str) -> ArrayState | None:
-    if not _possible(state, name, twin):
-        return None
     terms = (_as_twin(t, twin) if t.name == name else t for t in state.terms)
     return refitted(replace(state, terms=tuple(terms)))
 
