@@ -24,8 +24,8 @@ _READINGS = 20_000  # samples times IMUs that are worked on at a time
 _TRAIN = 0.5  # share of the informative samples outside of the search from which they suffice
 
 
-#: Turns by which the phase of a gyro's clock is known: blocks of a few seconds vote for steps of
-#: an eightieth (`estimators/array/sample_age`).
+#: Turns by which the phase of a gyro's clock is known: blocks of a few seconds vote for it among
+#: steps of an eightieth (`estimators/array/sample_age`).
 PHASE = 0.01
 
 

@@ -42,10 +42,6 @@ def _end(at: float) -> Shape:
     return lambda x: np.sign(x) * np.maximum(np.abs(x) - at, 0.0)
 
 
-def _near_zero(x: Array) -> Array:
-    return np.clip(x, -0.1, 0.1)
-
-
 def _settling(u: Array) -> Array:
     return np.exp(-8.0 * u)
 
@@ -58,18 +54,15 @@ def _bent(u: Array) -> Array:
     return 6.0 * u * (u - 1.0) + 1.0
 
 
-def _step(u: Array) -> Array:
-    return np.asarray(np.sign(u - 0.5))
-
-
 #: Of what a sensor reads over its range; and of time over the motion, 0..1.
 _OF_INPUT = {
-    "to the power 1.5": _power(1.5), "beyond a part": _end(0.3), "near zero": _near_zero,
+    "to the power 1.5": _power(1.5),
+    "beyond a part": _end(0.3),
     "cubed, without sign": _even(3.0),
-}  # fmt: skip
-_OF_TIME = {"as it settles": _settling, "bent": _bent, "stepping": _step}
+}
+_OF_TIME = {"as it settles": _settling, "bent": _bent}
 #: The same where even a straight line has no name.
-_OF_PLACE = {"straight": _straight, "bent": _bent, "stepping": _step}
+_OF_PLACE = {"straight": _straight, "bent": _bent}
 #: Terms of a free function, Σ_k c_k √2 cos(π k u) / k of its driver scaled to u = 0..1.
 _TERMS = 4
 

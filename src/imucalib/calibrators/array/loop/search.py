@@ -14,7 +14,7 @@ from imucalib.calibrators.array.loop.products import MotionProblem, products
 from imucalib.calibrators.array.loop.setup import Setup, motion_at
 from imucalib.calibrators.array.loop.state import ArrayState, settled
 from imucalib.calibrators.array.loop.terms import Term, determined
-from imucalib.calibrators.array.loop.twins import Apart, told_apart
+from imucalib.calibrators.array.loop.twins import Apart, refitted, told_apart
 from imucalib.calibrators.array.moving import Moving
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.estimators.array.samples import Weights, fit_samples
@@ -67,7 +67,7 @@ def explored(base: ArrayState, ages: Ages | None, moving: Moving, asked: Asked) 
         if grown is None:
             return replace(found, rejected=tuple((name, DIVERGED) for name in lost))
         state, ages = _aged(grown, ages, moving)
-        apart = told_apart(state, left_out)
+        apart = told_apart(refitted(state) or grown, left_out)
     assert found is not None
     return replace(found, apart=apart, ages=ages)
 
@@ -116,10 +116,7 @@ def _aged(state: ArrayState, ages: Ages | None, moving: Moving) -> tuple[ArraySt
     again = found_ages(state, moving)
     if again is None:
         return state, ages
-    aged = kept_ages(state, again, voting=True)
-    if any(term.aged for term in state.found):
-        aged = settled(aged, shaped=False)
-    return aged, again
+    return kept_ages(state, again, voting=True), again
 
 
 def started(

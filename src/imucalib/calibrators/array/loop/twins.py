@@ -30,8 +30,8 @@ class Apart:
 
 
 def told_apart(state: ArrayState, left_out: Collection[str]) -> Apart:
-    """Every found effect that has twins against these, each fitted anew in its place; again where
-    one has gone to a twin, for beside a wrong one another seems right.
+    """Of a settled fit, every found effect that has twins against these, each fitted anew in its
+    place; again where one has gone to a twin, for beside a wrong one another seems right.
 
     left_out : names that are not tried. A twin whose fit is lost keeps the share it had before:
     nothing is known against it.
@@ -54,9 +54,9 @@ def _against(
 ) -> tuple[ArrayState, tuple[tuple[str, float], ...]]:
     """The fit with the likeliest of an effect and its twins, and the share of each."""
     possible = [twin for twin in twins if _possible(state, name, twin)]
-    fits = {name: refitted(state)} | {twin: _in_place(state, name, twin) for twin in possible}
-    first = fits[name] or state
-    level = _nats(first, name)
+    fits: dict[str, ArrayState | None] = {name: state}
+    fits |= {twin: _in_place(state, name, twin) for twin in possible}
+    level = _nats(state, name)
     nats = np.array([_nats(s, n) - level if s else 0.0 for n, s in fits.items()])
     share = np.exp(nats - nats.max())
     order = np.argsort(-share, kind="stable")
