@@ -64,7 +64,7 @@ def close_array_loop(
     """
 
     def searched(chosen: Setup) -> tuple[Explored, ArrayState]:
-        found = explored(*started(chosen, terms, moving, asked), moving, asked)
+        found = explored(*started(chosen, terms, moving, asked), moving, asked, curves=curves)
         return found, _named(found, asked, curves=curves)
 
     def halves(chosen: Setup) -> tuple[Fitted, Fitted]:

@@ -87,11 +87,14 @@ def _every(motion: BoardMotion, terms: tuple[Term, ...]) -> tuple[dict[str, Form
         else:
             stands = next((e for e in held if e.twin == effect.name), effect)
             every[effect.name] = "name", "", [stands]
-    for driver, law in array_laws():
+    # Their ranges are the motion's: what is in the model stays as it is there.
+    same = {effect.name: effect for effect in held}
+    for driver, law in array_laws(motion):
         if not law.missing(motion.context):
-            every.setdefault(f"another law of {driver}", ("law", driver, []))[2].append(law)
+            forms = every.setdefault(f"another law of {driver}", ("law", driver, []))[2]
+            forms.append(same.get(law.name, law))
     for driver, function in array_functions(motion):
-        every[function.name] = "free", driver, [function]
+        every[function.name] = "free", driver, [same.get(function.name, function)]
     return every, missing
 
 

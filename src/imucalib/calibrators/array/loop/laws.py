@@ -23,8 +23,6 @@ from imucalib.units import DEG, MG
 
 #: How the name of a correction without a cause begins.
 CURVE = "curve of "
-#: rad/s and m/s² at which a shape is one: what chips of this kind measure at most.
-_RATE, _FORCE = 2000.0 * DEG, 160.0
 
 Shape = Callable[[Array], Array]
 Driver = Callable[[Truth], Array]
@@ -42,6 +40,10 @@ def _end(at: float) -> Shape:
     return lambda x: np.sign(x) * np.maximum(np.abs(x) - at, 0.0)
 
 
+def _soft_end(at: float) -> Shape:
+    return lambda x: np.asarray(np.sign(x) * np.maximum(np.abs(x) - at, 0.0) ** 2)
+
+
 def _settling(u: Array) -> Array:
     return np.exp(-8.0 * u)
 
@@ -54,10 +56,11 @@ def _bent(u: Array) -> Array:
     return 6.0 * u * (u - 1.0) + 1.0
 
 
-#: Of what a sensor reads over its range; and of time over the motion, 0..1.
+#: Of what a sensor reads over the most in this motion; and of time over the motion, 0..1.
 _OF_INPUT = {
     "to the power 1.5": _power(1.5),
-    "beyond a part": _end(0.3),
+    "beyond a half": _end(0.5),
+    "softly beyond a half": _soft_end(0.5),
     "cubed, without sign": _even(3.0),
 }
 _OF_TIME = {"as it settles": _settling, "bent": _bent}
@@ -67,14 +70,16 @@ _OF_PLACE = {"straight": _straight, "bent": _bent}
 _TERMS = 4
 
 
-def array_laws() -> Iterator[tuple[str, Response]]:
+def array_laws(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
     """Driver and law."""
     gyro: Channel = "angular_rate"
     force: Channel = "acceleration"
+    fast = float(np.abs(motion.truth.turning.rate).max())
+    strong = float(np.abs(motion.truth.force).max())
     for words, shape in _OF_INPUT.items():
-        yield _of("rate", "gyro error", words, "deg/s", 4.0, gyro, _by_rate(shape))
-        yield _of("force", "force error", words, "mg", 5.0, force, _by_force(shape, MG))
-        yield _of("force", "gyro error", words, "deg/s", 1.0, gyro, _by_force(shape, DEG))
+        yield _of("rate", "gyro error", words, "deg/s", 4.0, gyro, _by_rate(shape, fast))
+        yield _of("force", "force error", words, "mg", 5.0, force, _by_force(shape, strong, MG))
+        yield _of("force", "gyro error", words, "deg/s", 1.0, gyro, _by_force(shape, strong, DEG))
     for words, shape in _OF_TIME.items():
         yield _of("time", "gyro offset", words, "deg/s", 0.1, gyro, _offset(shape, DEG))
         yield _of("time", "gyro scale", words, "%", 0.2, gyro, _scale(shape, "rate"))
@@ -86,15 +91,14 @@ def array_laws() -> Iterator[tuple[str, Response]]:
 
 
 def array_functions(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
-    """Driver and free function: each axis' error against the size of rate and force, and against
-    what the axis itself reads."""
+    """Driver and free function: each axis' error against the size of rate and force. Against what
+    all axes themselves read, positions would follow it."""
     sensors: tuple[tuple[Channel, str, str, float], ...] = (
         ("acceleration", "force error", "m/s2", 0.1),
         ("angular_rate", "gyro error", "deg/s", 0.3),
     )
     for channel, error, unit, typical in sensors:
-        own = "a" if channel == "acceleration" else "ω"
-        for driver, of in (("|ω|", _speed), ("|a|", _strength), (own, _own(channel))):
+        for driver, of in (("|ω|", _speed), ("|a|", _strength)):
             yield driver, _function(channel, error, unit, typical, driver, of, motion)
 
 
@@ -109,8 +113,7 @@ def _function(
     def basis(truth: Truth, context: Context) -> Array:
         unit = np.clip((of(truth) - low) / max(high - low, 1e-300), 0.0, 1.0)
         curves = scale * np.sqrt(2.0) * np.cos(np.pi * k * unit[..., None]) / k
-        driven = "tkc,ij->tkijc" if curves.ndim == 3 else "tkic,ij->tkijc"  # of each axis
-        return np.asarray(np.einsum(driven, curves, np.eye(3)).reshape(*truth.shape, -1))
+        return np.asarray(np.einsum("tkc,ij->tkijc", curves, np.eye(3)).reshape(*truth.shape, -1))
 
     each = tuple(Parameter(f"{axis}_{j}", unit, typical, np.inf) for axis in "xyz" for j in k)
     equation = f"error_i = Σ_k c_ik √2 cos(π k u) / k, u = (v - {low:.6g}) / {high - low:.6g}"
@@ -128,10 +131,6 @@ def _strength(truth: Truth) -> Array:
     return np.asarray(np.linalg.norm(truth.force, axis=2))
 
 
-def _own(channel: Channel) -> Driver:
-    return lambda truth: truth.force if channel == "acceleration" else truth.turning.rate
-
-
 def _of(
     driver: str, error: str, words: str, unit: str, typical: float, channel: Channel,
     basis: Callable[[Truth, Context], Array],
@@ -146,12 +145,12 @@ def _of(
     return f"{driver} in {'gyros' if channel == 'angular_rate' else 'accelerometers'}", found
 
 
-def _by_rate(shape: Shape) -> Callable[[Truth, Context], Array]:
-    return lambda truth, context: own_axis(DEG * shape(truth.turning.rate / _RATE))
+def _by_rate(shape: Shape, most: float) -> Callable[[Truth, Context], Array]:
+    return lambda truth, context: own_axis(DEG * shape(truth.turning.rate / most))
 
 
-def _by_force(shape: Shape, unit: float) -> Callable[[Truth, Context], Array]:
-    return lambda truth, context: own_axis(unit * shape(truth.force / _FORCE))
+def _by_force(shape: Shape, most: float, unit: float) -> Callable[[Truth, Context], Array]:
+    return lambda truth, context: own_axis(unit * shape(truth.force / most))
 
 
 def _offset(shape: Shape, unit: float) -> Callable[[Truth, Context], Array]:

@@ -48,16 +48,18 @@ class Explored:
     rejected: tuple[tuple[str, str], ...] = ()
 
 
-def explored(base: ArrayState, ages: Ages | None, moving: Moving, asked: Asked) -> Explored:
+def explored(
+    base: ArrayState, ages: Ages | None, moving: Moving, asked: Asked, *, curves: bool = False
+) -> Explored:
     """The posterior over what a fitted state lacks, at the set that it tells.
 
-    asked : declared effects stay in the model
+    asked : declared effects stay in the model; curves : whether what has no name is corrected
     """
     left_out = asked.skipped(base.setup.imus)
     apart, seen, found = Apart(base, {}), set[frozenset[str]](), None
     for _ in range(_ROUNDS):
         problem, grams = products(apart.state, left_out, asked.declare)
-        found = _searched(base, apart, ages, problem, grams, found)
+        found = _searched(base, apart, ages, problem, grams, found, names_first=not curves)
         ways = problem.ways_of(found.said.hypothesis)
         names = frozenset(w.name for w in ways)
         if names == _names(apart.state, asked) or names in seen:
@@ -74,11 +76,11 @@ def explored(base: ArrayState, ages: Ages | None, moving: Moving, asked: Asked) 
 
 def _searched(
     base: ArrayState, apart: Apart, ages: Ages | None, problem: MotionProblem, grams: Grams,
-    before: Explored | None,
+    before: Explored | None, *, names_first: bool,
 ) -> Explored:  # fmt: skip
     posterior = climbed(problem, grams, problem.picks(apart.state))
     first = (problem, posterior) if before is None else before.first
-    said = told(problem, posterior)
+    said = told(problem, posterior, names_first=names_first)
     return Explored(base, apart, ages, problem, grams, posterior, said, first)
 
 
