@@ -74,14 +74,14 @@ def close_array_loop(
     found, path = searched(setup)
     gained = cross_fitted(halved or setup, moving, halves)
     steps = steps_of(found, path, gained)
-    left = left_over(found, curves=curves)
+    left = left_over(found, path)
     refused: tuple[tuple[str, str], ...] = ()
     if steps and gained is not None and gained.refutes:
         refused = tuple((step.effect, _REFUSED) for step in steps)
         left = {_as_structure(step): 0.0 for step in steps} | left
         path, steps = found.base, ()
     final, ages = _on_all(path, found.ages, moving, most)
-    left |= dict.fromkeys(remembered(final), 0.0)
+    left |= dict.fromkeys(remembered(final) if asked.search else (), 0.0)
     dispersion = shared_by_neighbours(final, gyro=False)
     final, uneven = with_uneven(final, dispersion)
     if uneven is not None:

@@ -8,6 +8,7 @@ name. A free function is any smooth course of a driver, alike in all packages.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -70,57 +71,104 @@ _OF_PLACE = {"straight": _straight, "bent": _bent}
 _TERMS = 4
 
 
+@dataclass(frozen=True)
+class _Error:
+    """What is off, in words; the unit and the typical size of a number of it; whose reading."""
+
+    words: str
+    unit: str
+    typical: float
+    channel: Channel = "acceleration"
+
+
+_OF_GYRO = _Error("gyro error", "deg/s", 4.0, "angular_rate")
+_OF_FORCE = _Error("force error", "mg", 5.0)
+_BY_FORCE = _Error("gyro error", "deg/s", 1.0, "angular_rate")
+_GYRO_OFFSET = _Error("gyro offset", "deg/s", 0.1, "angular_rate")
+_GYRO_SCALE = _Error("gyro scale", "%", 0.2, "angular_rate")
+_OFFSET, _SCALE = _Error("offset", "mg", 2.0), _Error("scale", "%", 0.1)
+_PLACE = _Error("position", "mm", 0.05)
+_DELAY = _Error("gyro delay", "ms", 0.05, "angular_rate")
+_FREE = _Error("force error", "m/s2", 0.1), _Error("gyro error", "deg/s", 0.3, "angular_rate")
+
+
 def array_laws(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
     """Driver and law."""
-    gyro: Channel = "angular_rate"
-    force: Channel = "acceleration"
     fast = float(np.abs(motion.truth.turning.rate).max())
     strong = float(np.abs(motion.truth.force).max())
     for words, shape in _OF_INPUT.items():
-        yield _of("rate", "gyro error", words, "deg/s", 4.0, gyro, _by_rate(shape, fast))
-        yield _of("force", "force error", words, "mg", 5.0, force, _by_force(shape, strong, MG))
-        yield _of("force", "gyro error", words, "deg/s", 1.0, gyro, _by_force(shape, strong, DEG))
+        yield _law("rate", _OF_GYRO, words, _by_rate(shape, fast))
+        yield _law("force", _OF_FORCE, words, _by_force(shape, strong, MG))
+        yield _law("force", _BY_FORCE, words, _by_force(shape, strong, DEG))
     for words, shape in _OF_TIME.items():
-        yield _of("time", "gyro offset", words, "deg/s", 0.1, gyro, _offset(shape, DEG))
-        yield _of("time", "gyro scale", words, "%", 0.2, gyro, _scale(shape, "rate"))
-        yield _of("time", "offset", words, "mg", 2.0, force, _offset(shape, MG))
-        yield _of("time", "scale", words, "%", 0.1, force, _scale(shape, "force"))
+        yield _law("time", _GYRO_OFFSET, words, _offset(shape, DEG))
+        yield _law("time", _GYRO_SCALE, words, _scale(shape, "rate"))
+        yield _law("time", _OFFSET, words, _offset(shape, MG))
+        yield _law("time", _SCALE, words, _scale(shape, "force"))
+    for k, axis in enumerate("xyz"):
+        yield _law("force", _PLACE, f"by the sign of its {axis}", _to_one_side(k))
     for words, shape in _OF_PLACE.items():
-        yield _of("time", "position", words, "mm", 0.05, force, _place(shape))
-        yield _of("time", "gyro delay", words, "ms", 0.05, gyro, _delay(shape))
+        yield _law("time", _PLACE, words, _place(shape))
+        yield _law("time", _DELAY, words, _delay(shape))
 
 
 def array_functions(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
     """Driver and free function: each axis' error against the size of rate and force. Against what
     all axes themselves read, positions would follow it."""
-    sensors: tuple[tuple[Channel, str, str, float], ...] = (
-        ("acceleration", "force error", "m/s2", 0.1),
-        ("angular_rate", "gyro error", "deg/s", 0.3),
-    )
-    for channel, error, unit, typical in sensors:
+    for error in _FREE:
         for driver, of in (("|ω|", _speed), ("|a|", _strength)):
-            yield driver, _function(channel, error, unit, typical, driver, of, motion)
+            yield driver, _function(error, driver, of, motion)
 
 
-def _function(
-    channel: Channel, error: str, unit: str, typical: float, driver: str, of: Driver,
-    motion: BoardMotion,
-) -> Response:  # fmt: skip
+def _function(error: _Error, driver: str, of: Driver, motion: BoardMotion) -> Response:
     values = of(motion.truth)
     low, high = float(values.min()), float(values.max())
-    k, scale = np.arange(1, _TERMS + 1), DEG if channel == "angular_rate" else 1.0
+    k, scale = np.arange(1, _TERMS + 1), DEG if error.channel == "angular_rate" else 1.0
 
     def basis(truth: Truth, context: Context) -> Array:
         unit = np.clip((of(truth) - low) / max(high - low, 1e-300), 0.0, 1.0)
         curves = scale * np.sqrt(2.0) * np.cos(np.pi * k * unit[..., None]) / k
         return np.asarray(np.einsum("tkc,ij->tkijc", curves, np.eye(3)).reshape(*truth.shape, -1))
 
-    each = tuple(Parameter(f"{axis}_{j}", unit, typical, np.inf) for axis in "xyz" for j in k)
-    equation = f"error_i = Σ_k c_ik √2 cos(π k u) / k, u = (v - {low:.6g}) / {high - low:.6g}"
+    equation = (
+        f"error_i = Σ_k c_ik √2 cos(π k u) / k, u = (v - {low:.6g}) / {high - low:.6g} in 0..1, "
+        f"v = {driver} (SI)"
+    )
     return Response(
-        f"{CURVE}{error} against {driver}", "A curve without a name.", f"{equation}, v {driver}",
-        "", "", ("rate",), each, basis, channel=channel, shared=True,
-    )  # fmt: skip
+        name=f"{CURVE}{error.words} against {driver}",
+        sentence="A curve without a name.",
+        equation=equation,
+        source="",
+        identify="",
+        needs=("rate",),
+        each=tuple(
+            Parameter(f"{axis}_{j}", error.unit, error.typical, np.inf) for axis in "xyz" for j in k
+        ),
+        basis=basis,
+        channel=error.channel,
+        shared=True,
+    )
+
+
+def _law(
+    driver: str, error: _Error, words: str, basis: Callable[[Truth, Context], Array]
+) -> tuple[str, Response]:
+    late = error.unit == "ms"  # of a triad, not of an axis
+    each = three("law", error.unit, error.typical, np.inf)
+    found = Response(
+        name=f"{CURVE}{error.words} against {driver}, {words}",
+        sentence="A law without a name.",
+        equation=f"error_i = c_i h(v), h {words}, v {driver}",
+        source="",
+        identify="",
+        needs=("order",) if driver == "time" else ("rate",),
+        each=each[:1] if late else each,
+        basis=basis,
+        channel=error.channel,
+        lagged=delayed if late else None,
+    )
+    sensors = "gyros" if error.channel == "angular_rate" else "accelerometers"
+    return f"{driver} in {sensors}", found
 
 
 def _speed(truth: Truth) -> Array:
@@ -129,20 +177,6 @@ def _speed(truth: Truth) -> Array:
 
 def _strength(truth: Truth) -> Array:
     return np.asarray(np.linalg.norm(truth.force, axis=2))
-
-
-def _of(
-    driver: str, error: str, words: str, unit: str, typical: float, channel: Channel,
-    basis: Callable[[Truth, Context], Array],
-) -> tuple[str, Response]:  # fmt: skip
-    needs, each = ("order",) if driver == "time" else ("rate",), three("law", unit, typical, np.inf)
-    found = Response(
-        f"{CURVE}{error} against {driver}, {words}", "A law without a name.",
-        f"error_i = c_i h(v), h {words}, v {driver}", "", "", needs,
-        each[:1] if unit == "ms" else each, basis, channel=channel,
-        lagged=delayed if unit == "ms" else None,
-    )  # fmt: skip
-    return f"{driver} in {'gyros' if channel == 'angular_rate' else 'accelerometers'}", found
 
 
 def _by_rate(shape: Shape, most: float) -> Callable[[Truth, Context], Array]:
@@ -172,6 +206,14 @@ def _scale(shape: Shape, what: str) -> Callable[[Truth, Context], Array]:
 def _place(shape: Shape) -> Callable[[Truth, Context], Array]:
     def basis(truth: Truth, context: Context) -> Array:
         return np.asarray(1e-3 * across(truth) * shape(context["order"])[:, None, None, None])
+
+    return basis
+
+
+def _to_one_side(axis: int) -> Callable[[Truth, Context], Array]:
+    def basis(truth: Truth, context: Context) -> Array:
+        side = np.sign(truth.force[..., axis])
+        return np.asarray(1e-3 * across(truth) * side[..., None, None])
 
     return basis
 

@@ -81,7 +81,16 @@ def _searched(
     posterior = climbed(problem, grams, problem.picks(apart.state))
     first = (problem, posterior) if before is None else before.first
     said = told(problem, posterior, names_first=names_first)
-    return Explored(base, apart, ages, problem, grams, posterior, said, first)
+    return Explored(
+        base=base,
+        apart=apart,
+        ages=ages,
+        problem=problem,
+        grams=grams,
+        posterior=posterior,
+        said=said,
+        first=first,
+    )
 
 
 def _names(state: ArrayState, asked: Asked) -> frozenset[str]:

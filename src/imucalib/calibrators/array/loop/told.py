@@ -58,16 +58,20 @@ def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple
     return tuple(steps)
 
 
-def left_over(found: Explored, *, curves: bool) -> dict[Unexplained, float]:
-    """Laws that are told, corrected or not, and effects whose size the data do not determine; with
-    the m rms by which each moves the positions, where it is not corrected."""
-    left = {}
+def left_over(found: Explored, final: ArrayState) -> dict[Unexplained, float]:
+    """What is told and stays without a name, be it corrected or not: laws, and effects of which the
+    data determine no size; with the m rms by which each moves the positions, where it is not
+    corrected.
+
+    final : the fit with what is corrected
+    """
+    left, own = {}, {term.name for term in final.found}
     for place in found.said.places:
         name = _member(found, place.component)
-        if found.problem.named(name):
+        if found.problem.named(name) and name in own:
             continue
         moved = found.problem.moved(found.grams, found.said.hypothesis, place.component)
-        left[_without_a_name(found, place, name)] = 0.0 if curves else moved
+        left[_without_a_name(found, place, name)] = 0.0 if name in own else moved
     return left
 
 
