@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.covariance import with_uneven
 from imucalib.calibrators.array.estimate.every import fitted_on_all, on_all, settled_there
 from imucalib.calibrators.array.estimate.uneven import POSITIONS, Uneven
@@ -74,7 +77,8 @@ def close_array_loop(
     found, path = searched(setup)
     gained = cross_fitted(halved or setup, moving, halves)
     steps = steps_of(found, path, gained)
-    left = left_over(found, path)
+    shifts = left_over(found, path)
+    left = {one: float(np.sqrt(np.mean(moved**2))) for one, moved in shifts.items()}
     refused: tuple[tuple[str, str], ...] = ()
     if steps and gained is not None and gained.refutes:
         refused = tuple((step.effect, _REFUSED) for step in steps)
@@ -84,6 +88,7 @@ def close_array_loop(
     left |= dict.fromkeys(remembered(final) if asked.search else (), 0.0)
     dispersion = shared_by_neighbours(final, gyro=False)
     final, uneven = with_uneven(final, dispersion)
+    final = _as_far_as_known(final, shifts.values())
     if uneven is not None:
         left = {_as_positions(uneven): float(uneven.spread.max())} | left
     return MotionLoop(
@@ -115,6 +120,14 @@ def _named(found: Explored, asked: Asked, *, curves: bool) -> ArrayState:
     if known == {w.name for w in named} | (known & set(asked.declare)):
         return found.apart.state
     return with_ways(found.apart.state, named, asked)[0] or found.base
+
+
+def _as_far_as_known(state: ArrayState, shifts: Iterable[Array]) -> ArrayState:
+    """With positions known no better than by what moves them and is not corrected, (d,) m each."""
+    covariance, d = state.covariance.copy(), state.positions
+    for moved in shifts:
+        covariance[:d, :d] += np.outer(moved, moved)
+    return replace(state, covariance=covariance)
 
 
 def _as_positions(apart: Uneven) -> Unexplained:

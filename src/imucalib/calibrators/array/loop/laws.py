@@ -16,7 +16,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.core.context import Context
 from imucalib.core.course import delayed
-from imucalib.core.effect import Channel, Response, own_axis, three
+from imucalib.core.effect import Channel, Response, cross_matrix, own_axis, three
 from imucalib.core.parameter import Parameter
 from imucalib.core.truth import Truth
 from imucalib.effects.array.sensing_elements import across
@@ -89,6 +89,7 @@ _GYRO_SCALE = _Error("gyro scale", "%", 0.2, "angular_rate")
 _OFFSET, _SCALE = _Error("offset", "mg", 2.0), _Error("scale", "%", 0.1)
 _PLACE = _Error("position", "mm", 0.05)
 _DELAY = _Error("gyro delay", "ms", 0.05, "angular_rate")
+_TILT = _Error("attitude", "deg", 0.1), _Error("gyro attitude", "deg", 0.1, "angular_rate")
 _FREE = _Error("force error", "m/s2", 0.1), _Error("gyro error", "deg/s", 0.3, "angular_rate")
 
 
@@ -107,6 +108,8 @@ def array_laws(motion: BoardMotion) -> Iterator[tuple[str, Response]]:
         yield _law("time", _SCALE, words, _scale(shape, "force"))
     for k, axis in enumerate("xyz"):
         yield _law("force", _PLACE, f"by the sign of its {axis}", _to_one_side(k))
+    for error in _TILT:
+        yield _law("time", error, "straight", _tilting(_straight, error.channel))
     for words, shape in _OF_PLACE.items():
         yield _law("time", _PLACE, words, _place(shape))
         yield _law("time", _DELAY, words, _delay(shape))
@@ -199,6 +202,15 @@ def _scale(shape: Shape, what: str) -> Callable[[Truth, Context], Array]:
     def basis(truth: Truth, context: Context) -> Array:
         seen = truth.turning.rate if what == "rate" else truth.force
         return own_axis(0.01 * shape(context["order"])[:, None, None] * seen)
+
+    return basis
+
+
+def _tilting(shape: Shape, channel: Channel) -> Callable[[Truth, Context], Array]:
+    def basis(truth: Truth, context: Context) -> Array:
+        seen = truth.force if channel == "acceleration" else truth.turning.rate
+        turned = cross_matrix(-seen.reshape(-1, 3)).reshape(*truth.shape, 3)
+        return np.asarray(DEG * turned * shape(context["order"])[:, None, None, None])
 
     return basis
 

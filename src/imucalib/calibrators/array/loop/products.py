@@ -108,8 +108,8 @@ class MotionProblem:
         at = {way.name: k for k, way in enumerate(self.ways)}
         return tuple(Pick(at[t.name], float(t.sd[0])) for t in state.found if t.name in at)
 
-    def moved(self, grams: Grams, hypothesis: Hypothesis, component: int) -> float:
-        """m rms over the positions' coordinates by which a component of a set moves them."""
+    def moved(self, grams: Grams, hypothesis: Hypothesis, component: int) -> Array:
+        """(d,) m by which a component of a set moves the positions."""
         columns = np.concatenate([at for at, _ in blocks_of(self.choices, hypothesis.picks)])
         sizes = [np.full(at.size, s) for at, s in blocks_of(self.choices, hypothesis.picks)]
         rows = grams.rows(columns)[0]
@@ -117,7 +117,7 @@ class MotionProblem:
         value = np.linalg.solve(inner, rows[:, -1])
         own = [p.choice for p in hypothesis.picks if self.choices[p.choice].component == component]
         mine = np.isin(columns, self.choices[own[0]].at)
-        return float(np.sqrt(np.mean((self.moves[:, columns[mine]] @ value[mine]) ** 2)))
+        return np.asarray(self.moves[:, columns[mine]] @ value[mine])
 
 
 def products(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.cross_fit import Gained
 from imucalib.calibrators.array.loop.products import MotionProblem
 from imucalib.calibrators.array.loop.search import Explored
@@ -58,9 +59,9 @@ def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple
     return tuple(steps)
 
 
-def left_over(found: Explored, final: ArrayState) -> dict[Unexplained, float]:
+def left_over(found: Explored, final: ArrayState) -> dict[Unexplained, Array]:
     """What is told and stays without a name, be it corrected or not: laws, and effects of which the
-    data determine no size; with the m rms by which each moves the positions, where it is not
+    data determine no size; with the (d,) m by which each moves the positions, where it is not
     corrected.
 
     final : the fit with what is corrected
@@ -71,7 +72,7 @@ def left_over(found: Explored, final: ArrayState) -> dict[Unexplained, float]:
         if found.problem.named(name) and name in own:
             continue
         moved = found.problem.moved(found.grams, found.said.hypothesis, place.component)
-        left[_without_a_name(found, place, name)] = 0.0 if name in own else moved
+        left[_without_a_name(found, place, name)] = 0.0 * moved if name in own else moved
     return left
 
 
