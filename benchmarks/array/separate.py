@@ -21,7 +21,7 @@ import numpy as np
 
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.log import array_log, of_board
-from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import moving_part
@@ -124,9 +124,7 @@ def search(log: Recording) -> MotionLoop:
     moving = moving_part(laid, fitted)
     setup = array_setup(moving, board, 300, robust=True)
     assert setup is not None
-    return close_array_loop(
-        setup, rest_terms(fitted), moving, np.random.default_rng(0), ARRAY_RULES
-    )
+    return close_array_loop(setup, rest_terms(fitted), moving)
 
 
 def right(loop: MotionLoop, truth: str) -> bool:

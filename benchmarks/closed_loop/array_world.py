@@ -17,10 +17,10 @@ from trial import Job, Trial, noise, said
 from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.log import array_log, of_board
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
-from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import beside_the_fit, declared_term, with_declared
-from imucalib.calibrators.array.loop.earlier import start_state
 from imucalib.calibrators.array.loop.motion import board_motion
+from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import Setup, array_setup
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term, rest_terms, typical_of
@@ -78,8 +78,7 @@ def trial(job: Job) -> Trial:
     log = _Log(job, np.random.default_rng(job.seed))
     setup, terms, moving = _ready(log.recording)
     started = time.process_time()
-    rules = replace(ARRAY_RULES, curves=job.outside is not None)
-    loop = close_array_loop(setup, terms, moving, np.random.default_rng(job.seed), rules)
+    loop = close_array_loop(setup, terms, moving, curves=job.outside is not None)
     seconds = time.process_time() - started
     strength: tuple[float, ...] = ()
     oracle = loop.base

@@ -113,15 +113,13 @@ def moving_of(recording: Recording, board: Board = BOARD) -> tuple[Moving, RestF
     return moving_part(log, rests), rests
 
 
-def closed(
-    recording: Recording, samples: int = 300, seed: int = 0, board: Board = BOARD
-) -> MotionLoop:
+def closed(recording: Recording, samples: int = 300, board: Board = BOARD) -> MotionLoop:
     from imucalib.calibrators.array.loop.terms import rest_terms
 
     moving, rests = moving_of(recording, board)
     setup = array_setup(moving, board, samples, robust=True)
     assert setup is not None
-    return close_array_loop(setup, rest_terms(rests), moving, np.random.default_rng(seed))
+    return close_array_loop(setup, rest_terms(rests), moving)
 
 
 def named(found: MotionLoop) -> set[str]:

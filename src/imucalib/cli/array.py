@@ -150,7 +150,6 @@ def _request(options: dict[str, Any], logs: tuple[Path, ...]) -> ArrayRequest:
         as_drawn=options["as_drawn"],
         accepted=Accepted(options["accept_mm"], options["accept_mg"], options["accept_dps"]),
         distances=tuple(_distance(given, board.imus) for given in options["distances"]),
-        draws=shared.draws or ArrayRequest.draws,
         checkpoint=options["checkpoint"], seed=shared.seed, extra_effects=shared.extra_effects,
         limits=shared.limits, command=shared.command,
     )  # fmt: skip

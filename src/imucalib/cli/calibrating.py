@@ -67,7 +67,7 @@ _OPTIONS = (
                  help="Correct structure without a name by a smooth curve, where that holds out; "
                  "default yes, of an array no."),
     click.option("--draws", type=click.IntRange(min=1),
-                 help="Simulated data sets behind each p-value; default 1000, of an array 499."),
+                 help="Simulated data sets behind each p-value; default 1000."),
     limit_option("--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 "
                  "beyond."),
     click.option("--fail-on", type=click.Choice(["suspected", "unexplained", "caution"]),

@@ -25,10 +25,3 @@ MARGIN = 3.0
 #: Nats from which on an effect that data refuse which took no part is structure without a name, not
 #: one of the accidents of which ALPHA allows a few: odds of e^10 are no accident.
 STRONG = 10.0
-#: Nats that an earlier step must still be worth beside later ones.
-KEEP = 1.0
-#: Of an array, whose halves of the motion are half of the data: nats of one half and of both below
-#: which they contradict an effect; steps that together may take a curve's place; corrections
-#: without a name, at most.
-ONE_HALF, BOTH_HALVES = -3.0, -1.0
-PATH, CURVES = 3, 3

@@ -156,7 +156,8 @@ class _Pass:
                     f"{name} repeats one reading in every stretch of {builder.samples} samples",
                     where=self.path, remedy="record it without a step that fills or holds samples",
                 )  # fmt: skip
-            sensors.append(Sensor(triad, quantity, rate, ordered, self.settings.quietest))
+            own = self.settings
+            sensors.append(Sensor(triad, quantity, rate, ordered, own.quietest, own.turning))
             if lost:
                 seconds = lost * windows.samples / rate
                 what = f"{seconds:.4g} s left out: time had stepped back"

@@ -67,13 +67,14 @@ class StillSettings:
 
 @dataclass(frozen=True)
 class Sensor:
-    """The windows of one channel of a triad; rate in Hz; quietest as in the settings."""
+    """The windows of one channel of a triad; rate in Hz; quietest, turning as in the settings."""
 
     triad: str
     quantity: str
     rate: float
     windows: Windows
     quietest: float = 0.05
+    turning: float = np.inf
 
     @property
     def name(self) -> str:
@@ -104,6 +105,8 @@ class Sensor:
         _, kind = np.unique(w.mean[rows], axis=0, return_inverse=True)
         begins = np.append(True, (np.diff(rows) > 1) | (np.diff(kind.ravel()) != 0))
         if len(begins) == len(constant) and begins.sum() == 1:  # a dead one is no witness of motion
+            return constant
+        if np.any(self.level(~constant) > self.turning):  # else it would never rest
             return constant
         often = np.bincount(kind.ravel()[begins])[kind.ravel()] >= _ZONE
         zone = np.zeros_like(constant)

@@ -9,7 +9,7 @@ import pytest
 
 from imucalib.calibrators.array.board import Board, read_board, undrawn_board
 from imucalib.calibrators.array.calibrate import calibrate_array
-from imucalib.calibrators.array.loop.earlier import start_state
+from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.request import ArrayRequest

@@ -10,7 +10,7 @@ from imucalib.arrays import Array
 from imucalib.calibrators.array.estimate.left import NOISY
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.terms import typical_of
-from imucalib.calibrators.array.loop.worth import size_in_words
+from imucalib.calibrators.array.loop.words import size_in_words
 from imucalib.calibrators.array.rests import RestFit
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.units import DEG

@@ -33,7 +33,8 @@ def held_against_rests(loop: MotionLoop, force: Array, rate: Array, t: Array) ->
     if not wrong:
         return loop
     steps = tuple(
-        replace(s, aliases=(*s.aliases, OTHER)) if s.effect in wrong else s for s in loop.steps
+        replace(s, aliases=(*s.aliases, OTHER), sure=False) if s.effect in wrong else s
+        for s in loop.steps
     )
     left = tuple(
         Unexplained(f"{s.effect} shows in motion and not at rest", "force", "probe", s.p,

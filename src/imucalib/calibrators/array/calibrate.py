@@ -21,19 +21,17 @@ from imucalib.calibrators.array.drawing.streams import (
 from imucalib.calibrators.array.estimate.corrected import restated
 from imucalib.calibrators.array.estimate.covariance import with_uneven
 from imucalib.calibrators.array.estimate.every import fitted_on_all, samples_taken
-from imucalib.calibrators.array.estimate.left import residual_of_each
 from imucalib.calibrators.array.estimate.sampled import sampled_positions
 from imucalib.calibrators.array.estimate.size import frame_sd, gravity_sd, scale_by_turns
 from imucalib.calibrators.array.estimate.total import total_of
 from imucalib.calibrators.array.estimate.uneven import Uneven
-from imucalib.calibrators.array.left_beside import held_against_left
 from imucalib.calibrators.array.linear_part import GYRO_FRAME, linear_part, of_alike_gyros
 from imucalib.calibrators.array.log import ArrayLog, array_log, of_board
 from imucalib.calibrators.array.loop.at_rest import with_rests
-from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.declared import with_declared
-from imucalib.calibrators.array.loop.earlier import start_state
-from imucalib.calibrators.array.loop.noise_tests import shared_by_neighbours
+from imucalib.calibrators.array.loop.memory import shared_by_neighbours
+from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term, rest_terms
@@ -128,14 +126,13 @@ def calibrate_array(recording: Recording, request: ArrayRequest, say: Say) -> Ar
 
 
 def _doubted(loop: MotionLoop, laid: _Laid, rests: RestFit) -> MotionLoop:
-    """With the word of the rests, and of what is left, on what was found in motion."""
+    """With the word of the rests on what was found in motion."""
     segments, t = laid.segments, 0.5 * (laid.segments.start + laid.segments.stop)
     read, rate = (
         np.einsum("kij,nkj->nki", laid.board.rotations, values[:, laid.order])
         for values in (segments.mean, segments.rate)
     )
-    loop = held_against_rests(loop, rests.corrected(read, t), rate, t)
-    return held_against_left(loop, residual_of_each(loop.final), (rests.noise, rests.gyro_noise))
+    return held_against_rests(loop, rests.corrected(read, t), rate, t)
 
 
 def _laid(recording: Recording, request: ArrayRequest, say: Say) -> _Laid:
@@ -217,8 +214,7 @@ def _fitted(moving: Moving, rests: RestFit, board: Board, request: ArrayRequest)
         state = _unsearched(moving.levelled, board, terms, most, robust=robust)
         return None, *with_uneven(state, shared_by_neighbours(state, gyro=False))
     loop = close_array_loop(
-        setup, terms, moving, np.random.default_rng(request.seed),
-        replace(ARRAY_RULES, curves=request.curves, draws=request.draws),
+        setup, terms, moving, curves=request.curves,
         halved=array_setup(moving, board, min(most, HALVED_SAMPLES), robust=robust), most=most,
         asked=replace(request.asked, search=request.loop),
     )  # fmt: skip

@@ -19,8 +19,8 @@ from imucalib.calibrators.array.loop.at_rest import AT_REST
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.cross_fit import Gained
-from imucalib.calibrators.array.loop.curves import CURVE
-from imucalib.calibrators.array.loop.worth import size_in_words
+from imucalib.calibrators.array.loop.laws import CURVE
+from imucalib.calibrators.array.loop.words import size_in_words
 from imucalib.estimators.array.noise import SensorNoise
 from imucalib.loop.found import Step
 from imucalib.units import DEG
@@ -112,6 +112,8 @@ def _step(step: Step, loop: MotionLoop) -> FoundStep:
         held_out=step.gains,
         curve=step.effect.removeprefix(CURVE) if step.curve else "",
         certain=step.certain and not loop.suspected,
+        probability=step.probability,
+        rivals=step.rivals,
     )
 
 

@@ -34,7 +34,7 @@ class ArrayRequest:
     still : what counts as a rest
     as_drawn : whether axes and places are those of the board file, whatever the log says
     agreeing : other logs that are calibrated along and agree with the board file
-    draws : simulated data sets of the search; extra_effects : of the user's own files
+    extra_effects : of the user's own files
     limits : name -> largest allowed value; command : the line that was typed"""
 
     board: Board
@@ -59,7 +59,6 @@ class ArrayRequest:
     agreeing: tuple[str, ...] = ()
     checkpoint: Path | None = None
     seed: int = 0
-    draws: int = 499
     extra_effects: Mapping[str, Effect] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
     command: str = ""
@@ -96,7 +95,6 @@ class ArrayRequest:
                 for d in self.distances
             ],
             "as_drawn": self.as_drawn,
-            "draws": self.draws,
             "shortest_rest_s": self.still.shortest,
             "limits": dict(self.limits),
         }

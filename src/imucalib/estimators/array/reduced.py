@@ -73,26 +73,6 @@ def reduced(found: Gram, prior: Array, pull: Array) -> Reduced:
     )
 
 
-@dataclass(frozen=True)
-class Alone:
-    """Some columns with the base taken out, without any others: matrix (m, m), along (m,)."""
-
-    matrix: Array
-    along: Array
-
-
-def alone(found: Gram, prior: Array) -> Alone:
-    """The columns after the base, with the base taken out, whose parameters are believed to be
-    where they stand.
-
-    prior : (b,) inverse variances of the base's parameters, which are the first
-    """
-    b = len(prior)
-    half = inverse_root(found.matrix[:b, :b] + np.diag(prior))
-    across, right = half.T @ found.matrix[:b, b:], half.T @ found.along[:b]
-    return Alone(found.matrix[b:, b:] - across.T @ across, found.along[b:] - across.T @ right)
-
-
 def inverse_root(inner: Array) -> Array:
     """(b, q) with root rootᵀ the inverse of a matrix, its open directions left out."""
     size = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))

@@ -13,7 +13,10 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 
-_BLOCK = 3.0  # s over which a beat's phase is held to be steady
+#: s over which a beat's phase follows its line. Of four measured motions the gyros' held-out error
+#: is 0.66 deg/s with 3 s, 0.56 with 12 s and 0.55 with 20 s.
+_BLOCK = 12.0
+_PASSES = 2  # of a phase and a delay, each beside the other
 _CYCLES = 4.0  # of a beat over the motion, below which it is a delay that drifts
 _LINE = 30.0  # power of a spectral line over the spectrum's median from which it counts
 
@@ -49,8 +52,7 @@ def _wave(t: Array, off: Array, slope: Array, rows: Index) -> tuple[Array, float
     at = np.round((t[rows] - t[rows[0]]) / step).astype(np.intp)
     series = np.zeros(int(at[-1]) + 1)
     power = np.sum(slope[rows] ** 2, axis=1)
-    # A delay of the gyro's own, even one that drifts, is no beat.
-    late = (t[rows] - t[rows].mean())[:, None] ** np.arange(2)
+    late = _late(t[rows])
     along = np.sum(off[rows] * slope[rows], axis=1)
     delay = np.linalg.solve(late.T @ (late * power[:, None]), late.T @ along)
     series[at] = along - power * (late @ delay)
@@ -67,12 +69,33 @@ def _wave(t: Array, off: Array, slope: Array, rows: Index) -> tuple[Array, float
     best = (np.zeros(len(t)), f, -np.inf)
     for sign in (1.0, -1.0):
         # Both directions share the fundamental; the harmonics tell them apart.
-        wave = _sharpened(t, turns - 0.25 * sign, sign, rows, series[at], power)
-        explained = float(np.sum(wave[rows] * series[at]))
-        gain = explained * abs(explained) / float(np.sum(power * wave[rows] ** 2))
+        wave, gain = _settled(t, turns - 0.25 * sign, sign, rows, along, power)
         if gain > best[2]:
             best = (wave, sign * f, gain)
     return best[0], best[1], line
+
+
+def _settled(
+    t: Array, turns: Array, sign: float, rows: Index, along: Array, power: Array
+) -> tuple[Array, float]:
+    """A sawtooth with its phase where it fits best, and how much it explains. A slow one is partly
+    a delay and its drift: these are taken out beside it, and the phase is sought again."""
+    own = turns
+    for _ in range(_PASSES):
+        wave = sign * _sawtooth(own[rows])
+        columns = np.column_stack([wave, _late(t[rows])])
+        inner = columns.T @ (columns * power[:, None])
+        delay = np.linalg.solve(inner, columns.T @ along)[1:]
+        series = along - power * (_late(t[rows]) @ delay)
+        own = _sharpened(t, turns, sign, rows, series, power)
+    wave = sign * _sawtooth(own)
+    explained = float(np.sum(wave[rows] * series))
+    return wave, explained * abs(explained) / float(np.sum(power * wave[rows] ** 2))
+
+
+def _late(at: Array) -> Array:
+    """(n, 2) a delay of the gyro's own, even one that drifts: no beat."""
+    return np.asarray((at - at.mean())[:, None] ** np.arange(2))
 
 
 def _sawtooth(turns: Array) -> Array:
@@ -82,17 +105,27 @@ def _sawtooth(turns: Array) -> Array:
 def _sharpened(
     t: Array, turns: Array, sign: float, rows: Index, series: Array, power: Array
 ) -> Array:
-    """The sawtooth with its phase moved, block by block, to where its edges fit best."""
+    """The turns of a sawtooth moved, block by block, to where its edges fit best."""
     at = t[rows]
     shifts = np.linspace(-0.15, 0.15, 25)
     waves = sign * _sawtooth(turns[rows] + shifts[:, None])
     span = max(float(np.sum(waves[12] * series) / np.sum(power * waves[12] ** 2)), 0.0)
     gains = span * waves * series - 0.5 * span**2 * power * waves**2
     centres = np.arange(at[0], at[-1] + _BLOCK, 0.5 * _BLOCK)
-    totals = np.array([gains[:, np.abs(at - c) < 0.5 * _BLOCK].sum(axis=1) for c in centres])
-    smooth = totals + 0.5 * (np.roll(totals, 1, axis=0) + np.roll(totals, -1, axis=0))
-    chosen = shifts[np.argmax(smooth, axis=1)]
-    return sign * _sawtooth(turns + np.interp(t, centres, chosen))
+    ends = np.searchsorted(at, np.concatenate([centres - 0.5 * _BLOCK, centres + 0.5 * _BLOCK]))
+    whole = np.concatenate([np.zeros((len(shifts), 1)), np.cumsum(gains, axis=1)], axis=1)[:, ends]
+    chosen = _at_peak(shifts, (whole[:, len(centres) :] - whole[:, : len(centres)]).T)
+    return np.asarray(turns + np.interp(t, centres, chosen))
+
+
+def _at_peak(shifts: Array, gains: Array) -> Array:
+    """(n,) where gains (n, m) of evenly spaced shifts (m,) are largest: the top of the parabola
+    through the largest and its neighbours."""
+    top = np.clip(np.argmax(gains, axis=1), 1, len(shifts) - 2)
+    low, middle, high = (gains[np.arange(len(top)), top + k] for k in (-1, 0, 1))
+    bend = np.maximum(2.0 * middle - low - high, 1e-300)
+    away = np.clip(0.5 * (high - low) / bend, -1.0, 1.0)
+    return np.asarray(shifts[top] + away * (shifts[1] - shifts[0]))
 
 
 def _phase(t: Array, at: Array, series: Array, f: float) -> Array:

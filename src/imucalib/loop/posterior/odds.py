@@ -39,6 +39,11 @@ GROSS = 3
 REACH = 4.0
 #: Sets that are opened at each depth, and the most components of one.
 BEAMS, DEEPEST = (8, 5, 3), 4
+#: Sets that are opened where a search climbs from a set: 1, 2 and 6 ended at the same sets on four
+#: measured motions of an array.
+WIDTH = 2
+#: Sizes of a component where many thousand numbers show a thousandth of what data sheets give.
+FINE_SIZES = 2.0 ** np.arange(-10.0, 5.0)
 #: The same in a fold, which the components of the whole search limit already.
 FOLD_BEAMS, FOLD_DEEPEST = (4, 2), 3
 #: Sd of a setting as its largest effect on a reading over the readings' noise; the half-Cauchy

@@ -10,6 +10,7 @@ as there are triads. What is known of the base before the readings stands as row
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from imucalib.core.model import Model
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.candidates import effect_slopes, fitted_prediction
 from imucalib.loop.posterior.component import Component, Member, log_odds
+from imucalib.loop.posterior.odds import SIZES
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,27 @@ class Choice:
     member: Member
     at: Index
     log_weight: float
+
+
+class Contest(Protocol):
+    """What a search and its words know of a problem beside its products.
+
+    components, odds, choices : as `Problem` has them; base : how many columns are free before any
+    component; flat : these, and the sd of what is known of them; sizes : that a component may have
+    """
+
+    @property
+    def components(self) -> tuple[Component, ...]: ...
+    @property
+    def odds(self) -> Array: ...
+    @property
+    def choices(self) -> tuple[Choice, ...]: ...
+    @property
+    def base(self) -> int: ...
+    @property
+    def flat(self) -> tuple[Index, float]: ...
+    @property
+    def sizes(self) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -58,6 +81,11 @@ class Problem:
     def flat(self) -> tuple[Index, float]:
         """The base model's columns, and that nothing holds them."""
         return np.arange(self.base), np.inf
+
+    @property
+    def sizes(self) -> Array:
+        """Those of a component."""
+        return SIZES
 
     def of_rows(self, rows: Index) -> Index:
         """Columns of the numbers of some observations, each by itself: a number that is free is as

@@ -10,7 +10,7 @@ the evidence of a set does not depend on the order in which it was built.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +18,9 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.eigen import eigen
 from imucalib.loop.posterior.component import log_set_prior, log_size_prior
-from imucalib.loop.posterior.gram import Grams, log_sum, swept
-from imucalib.loop.posterior.odds import BEAMS, DEEPEST, OPEN, SIZES
-from imucalib.loop.posterior.problem import Choice, Problem
+from imucalib.loop.posterior.gram import Grams, beside, log_sum, swept
+from imucalib.loop.posterior.odds import BEAMS, DEEPEST, OPEN, WIDTH
+from imucalib.loop.posterior.problem import Choice, Contest
 
 #: Sets of one depth that are kept.
 _KEPT = 60
@@ -48,14 +48,15 @@ class Hypothesis:
     """A set of components.
 
     components : which, sorted; picks : its likeliest members and sizes
-    evidence, prior : logs; added : nats of its evidence that other members and sizes add
+    evidence, prior : logs; added : of each pick, nats of the evidence that its prior and the other
+        members and sizes of its component add
     """
 
     components: tuple[int, ...]
     picks: tuple[Pick, ...]
     evidence: float
     prior: float
-    added: float = 0.0
+    added: tuple[float, ...] = ()
 
     @property
     def log_posterior(self) -> float:
@@ -110,7 +111,7 @@ def _blocks(grams: Grams, columns: Sequence[Index]) -> _Blocks:
 
 
 def search(
-    problem: Problem,
+    problem: Contest,
     grams: Grams,
     choices: tuple[Choice, ...] | None = None,
     *,
@@ -141,6 +142,65 @@ def search(
         bar = max(best, top[0][0].log_posterior) - OPEN
         width = beams[min(depth, len(beams) - 1)]
         level = [_state(h, s, every) for h, s in top[:width] if h.log_posterior > bar]
+    return _ranked(found, grams, dof)
+
+
+def climbed(problem: Contest, grams: Grams, start: Sequence[Pick] = ()) -> Posterior:
+    """The posterior by opening the likeliest sets: everything beside each, and then everything in
+    the place of each of its components, until none of the likeliest is new. Where sets are large, a
+    beam from nothing goes a long way; start : picks of a set that is likely."""
+    every, dof = problem.choices, grams.numbers - problem.base
+    base = swept(grams, *problem.flat)
+    blocks = _blocks(grams, [c.at for c in every])
+    found: dict[tuple[int, ...], Hypothesis] = {}
+    opened = set[tuple[tuple[Pick, ...], bool]]()
+
+    def at(picks: tuple[Pick, ...], added: tuple[float, ...]) -> _State:
+        own = beside(base, blocks_of(every, picks))
+        key = tuple(sorted(every[p.choice].component for p in picks))
+        evidence = own.evidence(dof) + sum(added)
+        return _State(
+            Hypothesis(key, picks, evidence, log_set_prior(problem.odds, key), added), own
+        )
+
+    def keep(state: _State, *, open_it: bool = True) -> None:
+        for one in (
+            state.hypothesis, *(_opened(problem, state, every, blocks, dof) if open_it else ())
+        ):  # fmt: skip
+            old = found.get(one.components)
+            if old is None or one.evidence > old.evidence:
+                found[one.components] = one
+
+    keep(at((), ()), open_it=bool(start))
+    if start:
+        prior = log_size_prior(problem.sizes)
+        level = [int(np.argmin(np.abs(np.log(problem.sizes / p.size)))) for p in start]
+        weight = [every[p.choice].log_weight for p in start]
+        added = tuple(float(prior[k]) + w for k, w in zip(level, weight, strict=True))
+        keep(at(tuple(start), added), open_it=False)
+    while True:
+        top = sorted(found.values(), key=lambda h: -h.log_posterior)[:WIDTH]
+        steps = ((h, aside) for h in top for aside in (False, True))
+        new = next(((h, a) for h, a in steps if (h.picks, a) not in opened), None)
+        if new is None:
+            return _ranked(found, grams, dof)
+        opened.add((new[0].picks, new[1]))
+        for state in _aside(*new, at):
+            keep(state)
+
+
+def _aside(
+    one: Hypothesis, aside: bool, at: Callable[[tuple[Pick, ...], tuple[float, ...]], _State]
+) -> Iterator[_State]:
+    """A set, or it without each of its components."""
+    if not aside:
+        yield at(one.picks, one.added)
+        return
+    for k in range(len(one.picks)):
+        yield at(one.picks[:k] + one.picks[k + 1 :], one.added[:k] + one.added[k + 1 :])
+
+
+def _ranked(found: dict[tuple[int, ...], Hypothesis], grams: Grams, dof: float) -> Posterior:
     ranked = sorted(found.values(), key=lambda h: -h.log_posterior)
     logs = np.array([h.log_posterior for h in ranked])
     whole = float(log_sum(logs))
@@ -153,11 +213,11 @@ def _state(hypothesis: Hypothesis, source: _State, choices: tuple[Choice, ...]) 
 
 
 def _opened(
-    problem: Problem, state: _State, choices: tuple[Choice, ...], blocks: _Blocks, dof: float
+    problem: Contest, state: _State, choices: tuple[Choice, ...], blocks: _Blocks, dof: float
 ) -> list[Hypothesis]:
     """Every set with one component more."""
     own = state.hypothesis
-    score, raw = _scores(state, blocks, dof)
+    score, raw = _scores(state, blocks, problem.sizes, dof)
     score = score + np.array([c.log_weight for c in choices])[:, None]
     of = np.array([c.component for c in choices])
     found = []
@@ -172,22 +232,22 @@ def _opened(
         found.append(
             Hypothesis(
                 components=key,
-                picks=(*own.picks, Pick(int(rows[a]), float(SIZES[b]))),
-                evidence=total + own.added,
+                picks=(*own.picks, Pick(int(rows[a]), float(problem.sizes[b]))),
+                evidence=total + sum(own.added),
                 prior=log_set_prior(problem.odds, key),
-                added=own.added + total - float(raw[rows[a], b]),
+                added=(*own.added, total - float(raw[rows[a], b])),
             )
         )
     return found
 
 
-def _scores(state: _State, opened: _Blocks, dof: float) -> tuple[Array, Array]:
+def _scores(state: _State, opened: _Blocks, sizes: Array, dof: float) -> tuple[Array, Array]:
     """(M, T) log evidence of each block at each size, over all noises, with the prior of the size
     and without."""
-    out = np.full((2, opened.count, SIZES.size), -np.inf)
+    out = np.full((2, opened.count, sizes.size), -np.inf)
     for which, index, whole in opened.by_width:
-        logs, factor = block_logs(state.grams, index, SIZES, dof, whole)
-        out[0, which] = log_sum(logs + log_size_prior(SIZES * factor))
+        logs, factor = block_logs(state.grams, index, sizes, dof, whole)
+        out[0, which] = log_sum(logs + log_size_prior(sizes * factor))
         out[1, which] = log_sum(logs)
     return out[0], out[1]
 

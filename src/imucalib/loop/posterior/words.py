@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, TOLD
-from imucalib.loop.posterior.problem import Problem
+from imucalib.loop.posterior.problem import Contest
 from imucalib.loop.posterior.space import Hypothesis, Posterior
 
 
@@ -42,8 +42,12 @@ class Told:
     places: tuple[Place, ...]
 
 
-def told(problem: Problem, posterior: Posterior) -> Told:
-    """The words of a posterior."""
+def told(problem: Contest, posterior: Posterior, *, names_first: bool = False) -> Told:
+    """The words of a posterior.
+
+    names_first : whether a set of names is told before one of its size that has no name in it, and
+        does not beat it by more than chance: where what has no name is not corrected
+    """
     pairs = list(zip(posterior.hypotheses, posterior.probability, strict=True))
     complete = float(sum(p for h, p in pairs if not h.components))
     if complete >= COMPLETE:
@@ -51,7 +55,11 @@ def told(problem: Problem, posterior: Posterior) -> Told:
     bar = np.exp(-TOLD) * posterior.probability[0]
     said = min(
         ((h, p) for h, p in pairs if p > bar and h.components),
-        key=lambda pair: (len(pair[0].components), -pair[1]),
+        key=lambda pair: (
+            len(pair[0].components),
+            names_first and sum(not problem.components[c].named for c in pair[0].components),
+            -pair[1],
+        ),
     )[0]
     inside = _inclusion(posterior)
     nameless = sum(

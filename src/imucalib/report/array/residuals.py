@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.loop.held_out import NORMAL_MAD
+from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.run import ArrayRun
 from imucalib.report.document import Plot, Series

@@ -113,6 +113,6 @@ def test_a_board_that_bends_on_the_way_is_not_known_to_its_sd() -> None:
     parts = made_board(BOARD.positions, BOARD.rotations, BOARD.imus, PLAN, rng)
     run = calibrate_array(odd_log(parts, bowing, PLAN, rng).recording, ArrayRequest(BOARD), print)
     assert run.loop is not None
-    assert any(u.name.startswith("position of") for u in run.loop.unexplained)
+    assert any("position against time" in u.name for u in run.loop.unexplained)
     assert run.outcome.exit_code == 5
     assert any(text.startswith("not explained: positions") for text in run.outcome.reasons)

@@ -1,4 +1,4 @@
-"""What the array's search decides by, in small sums: halves, moves, other noise, clocks."""
+"""What the array's search is made of, in small sums: neighbours, clocks, simulated logs."""
 
 from __future__ import annotations
 
@@ -8,164 +8,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import stats
 
-from imucalib.calibrators.array.loop import noise_tests as tests_of
-from imucalib.calibrators.array.loop.ages import Ages, _learning, beats
+from imucalib.calibrators.array.loop.ages import Ages, beats
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
-from imucalib.calibrators.array.loop.search import Search
 from imucalib.calibrators.array.loop.setup import stretches, with_neighbours
 from imucalib.calibrators.array.loop.terms import determined
-from imucalib.calibrators.array.loop.worth import TAU, Beside, _most_likely
 from imucalib.calibrators.array.simulation import (
     LogPlan,
     MotionPlan,
     simulated_log,
     simulated_samples,
 )
-from imucalib.estimators.array.noise import SensorNoise, Squares
-from imucalib.estimators.array.reduced import Alone
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
-from imucalib.loop.evidence import Candidate, Score
 from worlds.twisted_board import BOARD
 
 Array = NDArray[np.float64]
 DEG = np.pi / 180.0
-
-
-def normal(seed: int, p: int = 3) -> tuple[Array, Array, Array]:
-    """Columns X (40, p), data y with them in it, and their products as `Alone` holds them."""
-    rng = np.random.default_rng(seed)
-    x = rng.normal(size=(40, p))
-    return x, x @ rng.normal(size=p) + rng.normal(size=40), np.zeros(0)
-
-
-def by_evidence(x: Array, y: Array) -> Array:
-    """Ridge estimate at the size under which the data are likeliest, by dense matrices."""
-    nats = [stats.multivariate_normal(cov=np.eye(40) + t**2 * x @ x.T).logpdf(y) for t in TAU]
-    tau = TAU[int(np.argmax(nats))]
-    return np.linalg.solve(x.T @ x + np.eye(x.shape[1]) / tau**2, x.T @ y)
-
-
-def test_the_likeliest_size_shrinks_an_estimate() -> None:
-    for seed in range(4):
-        x, y, _ = normal(seed)
-        found = _most_likely(Alone(x.T @ x, x.T @ y))
-        np.testing.assert_allclose(found, by_evidence(x, y), rtol=1e-6)
-
-
-def beside(one: tuple[Array, Array], two: tuple[Array, Array]) -> Beside:
-    first, second = (Alone(x.T @ x, x.T @ y) for x, y in (one, two))
-    x, y = (np.concatenate(v) for v in zip(one, two, strict=True))
-    carry = np.arange(12.0).reshape(4, 3) / 10.0
-    return Beside(Alone(x.T @ x, x.T @ y), (first, second), x.T @ x, carry, 4)
-
-
-def test_each_half_gains_by_what_the_other_has_estimated() -> None:
-    """Half the fall of the sum of squares."""
-    (x1, y1, _), (x2, y2, _) = normal(1), normal(2)
-    gains = beside((x1, y1), (x2, y2)).held_out
-    for gain, x, y, value in ((gains[0], x2, y2, by_evidence(x1, y1)),
-                              (gains[1], x1, y1, by_evidence(x2, y2))):  # fmt: skip
-        assert gain == pytest.approx(0.5 * (y @ y - np.sum((y - x @ value) ** 2)), rel=1e-6)
-
-
-def test_a_candidate_moves_the_positions_by_what_they_carry_of_it() -> None:
-    (x1, y1, _), (x2, y2, _) = normal(1), normal(2)
-    found = beside((x1, y1), (x2, y2))
-    moved = found.carry @ _most_likely(found.whole)
-    assert found.moves == pytest.approx(np.sqrt(np.mean(moved**2)))
-
-
-def test_a_curve_keeps_the_directions_that_the_base_leaves() -> None:
-    """At least a fifth of their square."""
-    total = np.diag([4.0, 4.0, 4.0, 0.0])
-    one = Alone(np.diag([4.0, 0.81, 0.79, 0.0]), np.zeros(4))
-    kept = Beside(one, (one, one), total, np.zeros((3, 4)), 3).apart
-    np.testing.assert_allclose(kept @ kept.T, np.diag([1.0, 1.0, 0.0, 0.0]), atol=1e-9)
-
-
-def test_noise_that_neighbours_share_leaves_fewer_samples() -> None:
-    bare = Candidate("a", "effect", np.zeros((0, 1)))
-    score = Score(bare, 12.0, 0.001, 9, 1.0, 5.0, 0.1)
-    contest = SimpleNamespace(beyond_chance=lambda draws: 11.0)
-    found = SimpleNamespace(null=np.array([1.0, 3.9, 4.0, 4.1, 9.0]), draws=5, contest=contest)
-    late = Search.by_chance(found, score, 3.0)
-    assert (late.evidence, late.p) == (4.0, 4.0 / 6.0)
-
-
-def test_nothing_is_simulated_for_what_chance_cannot_reach() -> None:
-    bare = Candidate("a", "effect", np.zeros((0, 1)))
-    contest = SimpleNamespace(beyond_chance=lambda draws: 11.0)
-    found = SimpleNamespace(draws=99, contest=contest)  # without data that lack nothing
-    assert Search.by_chance(found, Score(bare, 12.0, 1.0, 99, 1.0, 5.0, 0.1)).p == 0.01
-
-
-def state(values: Array, interval: float = 0.01, weight: float = 4.0) -> SimpleNamespace:
-    """Residuals (T, K, 3) of both sensors; every sample but the ends is looked at."""
-    n, k, _ = values.shape
-    t = interval * np.arange(n)
-    ones = np.full((n, k), weight)
-    return SimpleNamespace(
-        setup=SimpleNamespace(inner=np.arange(1, n - 1), t=t, interval=interval),
-        sampled=SimpleNamespace(
-            off=SimpleNamespace(rate=values, acceleration=values),
-            weights=SimpleNamespace(rate=ones, acceleration=ones),
-        ),
-    )
-
-
-def test_memory_is_the_correlation_of_neighbours() -> None:
-    rng = np.random.default_rng(0)
-    values = np.zeros((2000, 4, 3))
-    for t in range(1, 2000):
-        values[t] = 0.6 * values[t - 1] + rng.normal(size=(4, 3))
-    rho, numbers = tests_of.memory(state(values), gyro=True)  # type: ignore[arg-type]
-    inner = values[1:-1]
-    due = np.sum(inner[1:] * inner[:-1]) / (np.sum(inner[1:] ** 2) + np.sum(inner[:-1] ** 2)) * 2.0
-    assert rho == pytest.approx(due)
-    assert numbers == 3 * 3 * 1997
-    assert tests_of.memory(state(values), gyro=False)[1] == 3 * 2 * 1997  # type: ignore[arg-type]
-    factor = tests_of.shared_by_neighbours(state(values), gyro=True)  # type: ignore[arg-type]
-    assert factor == pytest.approx((1.0 + rho) / (1.0 - rho))
-    white = rng.normal(size=(2000, 4, 3))
-    assert tests_of.shared_by_neighbours(state(white), gyro=True) == 1.0  # type: ignore[arg-type]
-    steady = np.ones((2000, 4, 3))
-    assert tests_of.shared_by_neighbours(state(steady), gyro=True) == pytest.approx(39.0)  # type: ignore[arg-type]
-    assert tests_of.memory(state(values[:12]), gyro=True) == (0.0, 0)  # type: ignore[arg-type]
-    apart = state(values)
-    apart.setup.t = 2.0 * apart.setup.t
-    assert tests_of.memory(apart, gyro=True) == (0.0, 0)  # type: ignore[arg-type]
-
-
-def test_noise_of_another_shape_is_told_by_its_likelihood() -> None:
-    """Tails and growth against white noise of the likeliest size, by scipy."""
-    rng = np.random.default_rng(1)
-    speed = rng.uniform(1.0, 10.0, 400)
-    values = 0.1 * rng.standard_normal((400, 3, 3)) / np.sqrt(rng.chisquare(5, (400, 3, 1)) / 5)
-    values = values * np.sqrt(1.0 + (0.3 * speed) ** 2)[:, None, None]
-    square = Squares(np.sum(values**2, axis=2), np.full(3, 3.0))
-    plain = SensorNoise(0.1, 0.0, np.inf, np.ones(3))
-    found = {t.driver: t for t in tests_of._shapes("gyroscope", square, speed, plain)}
-    white = stats.norm.logpdf(values, scale=np.sqrt(np.mean(values**2))).sum()
-    unit = 1.0 / np.median(speed)
-    nats = []
-    for c in (0.3, 1.0, 3.0):
-        grown = np.sqrt(1.0 + (c * unit * speed) ** 2)[:, None, None]
-        size = np.sqrt(np.mean((values / grown) ** 2))
-        nats.append(stats.norm.logpdf(values, scale=size * grown).sum() - white)
-    assert found["|ω|"].evidence == pytest.approx(max(nats))
-    assert found["|ω|"].strength == pytest.approx(np.sqrt(2.0 * max(nats)))
-
-    def tails(nu: float) -> float:
-        one = stats.multivariate_t(shape=np.eye(3), df=nu)
-        return max(float(one.logpdf(values / s).sum()) - values.size * np.log(s)
-                   for s in np.geomspace(0.05, 0.5, 400))  # fmt: skip
-
-    due = max(tails(nu) for nu in (5.0, 15.0, 50.0)) - white
-    assert found[""].evidence == pytest.approx(due, rel=1e-3)
-    shaped = replace(plain, growth=0.3, freedom=5.0)
-    assert tests_of._shapes("gyroscope", square, speed, shaped) == []
 
 
 def test_a_beat_is_the_steady_part_of_a_sawtooth() -> None:
@@ -219,19 +77,6 @@ def test_neighbours_are_informative_and_at_the_usual_interval() -> None:
     starts = some[np.append(True, np.diff(some) > 1)]
     assert len(starts) <= 10
     assert (some[0], some[-1]) == (100, 399)
-
-
-def test_clocks_are_learned_where_the_search_does_not_look() -> None:
-    """Outside of it where that is at least half; else groups of eight learn and vote in turn."""
-    t = 0.01 * np.arange(100.0)
-    part = moving(np.arange(100), t)
-    near, learning, voting = _learning(SimpleNamespace(apart=np.arange(48)), part)  # type: ignore[arg-type]
-    assert near.tolist() == list(range(1, 99))
-    assert learning.tolist() == list(range(48, 99))
-    assert voting.all()
-    _, learning, voting = _learning(SimpleNamespace(apart=np.arange(52)), part)  # type: ignore[arg-type]
-    assert learning.tolist() == [k for k in range(1, 99) if (k // 8) % 2 == 0]
-    assert np.flatnonzero(voting).tolist() == [k for k in range(100) if (k // 8) % 2 == 1]
 
 
 def test_simulated_samples_scatter_as_the_paper_plans_them() -> None:

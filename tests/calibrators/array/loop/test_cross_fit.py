@@ -9,9 +9,9 @@ import pytest
 
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.ages import found_ages, voting
-from imucalib.calibrators.array.loop.closed_loop import ARRAY_RULES, MotionLoop, close_array_loop
+from imucalib.calibrators.array.loop.closed_loop import MotionLoop, close_array_loop
 from imucalib.calibrators.array.loop.cross_fit import Gained, difference_of_medians
-from imucalib.calibrators.array.loop.earlier import start_state
+from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import Setup, array_setup, part_of
 from imucalib.calibrators.array.loop.terms import rest_terms
 from imucalib.calibrators.array.moving import Moving
@@ -35,8 +35,7 @@ def looked_at(recording: Recording) -> tuple[Moving, RestFit, Setup]:
 
 def closed(recording: Recording) -> MotionLoop:
     moving, rests, setup = looked_at(recording)
-    rng = np.random.default_rng(0)
-    return close_array_loop(setup, rest_terms(rests), moving, rng, replace(ARRAY_RULES, draws=199))
+    return close_array_loop(setup, rest_terms(rests), moving)
 
 
 def by_block(recording: Recording, even: float, odd: float) -> Recording:

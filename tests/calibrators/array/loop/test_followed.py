@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibrators.array.board import Board
-from imucalib.calibrators.array.loop.earlier import start_state
+from imucalib.calibrators.array.loop.search import start_state
 from imucalib.calibrators.array.loop.setup import array_setup
 from imucalib.calibrators.array.loop.state import ArrayState, moved_motion, settled
 from imucalib.calibrators.array.loop.terms import rest_terms

@@ -14,7 +14,7 @@ from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.state import ArrayState, settled
 from imucalib.calibrators.array.loop.terms import Term
-from imucalib.calibrators.array.loop.worth import size_in_words, worth
+from imucalib.calibrators.array.loop.words import size_in_words
 from imucalib.calibrators.array.separate import motion_plan
 from imucalib.calibrators.array.separate.menu import SECONDS
 from imucalib.calibrators.array.separate.motion_block import motion_block, motions_of
@@ -115,22 +115,6 @@ def test_a_plan_comes_back_from_its_block() -> None:
     block["ambiguities"][0].pop("never")
     with pytest.raises(UnreadableInput, match="damaged"):
         motions_of(block, "here")
-
-
-def test_a_term_is_worth_its_evidence_beside_all_others() -> None:
-    """Of a coordinate x ± s under a prior of sd S: x²/2s² - log(S/s)."""
-    state = with_delay()
-    (term,) = state.terms
-    other = replace(term, name="other", value=np.array([1.0, 2.0]), sd=np.array([3.0, 3.0]))
-    covariance = np.zeros((12, 12))
-    covariance[9:, 9:] = np.diag([0.5**2, 0.7**2, 0.2**2])
-    both = replace(state, terms=(replace(other), replace(term, value=np.array([1.8]))),
-                   covariance=covariance)  # fmt: skip
-    last = both.terms[1]
-    due = 1.8**2 / 0.2**2 / 2.0 - np.log(last.sd[0] / 0.2)
-    assert worth(both, last) == pytest.approx(due)
-    first = (1.0 / 0.25 + 4.0 / 0.49) / 2.0 - np.log(9.0 / 0.35)
-    assert worth(both, both.terms[0]) == pytest.approx(first)
 
 
 def test_a_terms_size_is_told_by_one_three_or_the_rms() -> None:

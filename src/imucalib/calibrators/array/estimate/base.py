@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.setup import Setup
 from imucalib.calibrators.array.loop.terms import Term
-from imucalib.estimators.array.bordered import Bordered, bordered
 from imucalib.estimators.array.gram import Columns, gram
 from imucalib.estimators.array.reduced import Gram, Reduced, reduced
 from imucalib.estimators.array.samples import Readings, Sampled
@@ -63,22 +61,6 @@ class Base:
         along = np.concatenate([turn.T @ found.along[:raw], found.along[raw:]])
         whole = np.concatenate([np.diag(matrix)[:n], found.whole[raw:]])
         return Gram(matrix, along, found.power, found.numbers, whole)
-
-    def take(self, rows: Index) -> tuple[Sampled, list[Columns]]:
-        """Some of the samples, with the columns there."""
-        blocks = [Columns(b.basis[:, rows], b.gyro, b.shared) for b in self.blocks]
-        return self.sampled.take(rows), blocks
-
-    def beside(self, blocks: Sequence[Columns], rows: Index) -> Bordered:
-        """Products over some of the samples of candidates, whose columns are of these alone,
-        beside its free coordinates."""
-        (sampled, own), turn = self.take(rows), self._turn
-        found = bordered(sampled, own, blocks, np.arange(len(rows)))
-        matrix = turn.T @ found.base.matrix @ turn
-        base = replace(
-            found.base, matrix=matrix, along=turn.T @ found.base.along, whole=np.diag(matrix)
-        )
-        return replace(found, base=base, across=turn.T @ found.across)
 
     @property
     def _turn(self) -> Array:

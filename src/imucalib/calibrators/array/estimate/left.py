@@ -11,7 +11,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.outcome import Left
 from imucalib.calibrators.array.estimate.uneven import POSITIONS, Uneven
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
-from imucalib.calibrators.array.loop.held_out import NORMAL_MAD
+from imucalib.calibrators.array.loop.cross_fit import NORMAL_MAD
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.moving import Moving
 from imucalib.calibrators.array.rests import RestFit

@@ -11,13 +11,22 @@ from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.motion import board_motion
 from imucalib.calibrators.array.loop.setup import Setup, with_neighbours
 from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.moving import Moving
+from imucalib.core.context import Context
+from imucalib.core.effect import Response
+from imucalib.core.truth import Truth
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 
 _GROUP = 8  # samples that learn or vote together where all are in the search
 _READINGS = 20_000  # samples times IMUs that are worked on at a time
 _TRAIN = 0.5  # share of the informative samples outside of the search from which they suffice
+
+
+#: Turns by which the phase of a gyro's clock is known: blocks of a few seconds vote for it among
+#: steps of an eightieth (`estimators/array/sample_age`).
+PHASE = 0.01
 
 
 @dataclass(frozen=True)
@@ -94,23 +103,40 @@ def ages_elsewhere(ages: Ages, setup: Setup, moving: Moving) -> Ages:
     return Ages(ages.clock.wave[setup.rows], told[setup.rows], ages.clock)
 
 
-def ages_again(state: ArrayState, moving: Moving, before: Ages | None) -> Ages | None:
-    """Ages that other gyro effects had hidden; None where none are in the model yet, or where these
-    show no other beats than before."""
-    gyro = [term for term in state.found if term.effect.channel == "angular_rate"]
-    if not gyro or any(term.aged for term in gyro):
-        return None
-    again = found_ages(state, moving)
-    if again is None or before is None:
-        return again
-    same = np.allclose(again.clock.frequency, before.clock.frequency, equal_nan=True)
-    return None if same else again
-
-
 def kept_ages(state: ArrayState, ages: Ages, *, voting: bool) -> ArrayState:
     """The state with the ages; while voting, samples that they were learned from are silent."""
     wave = np.where(ages.voting[:, None], ages.wave, 0.0) if voting else ages.wave
     return replace(state, motion=state.motion.aged(wave))
+
+
+def with_phases(state: ArrayState) -> ArrayState:
+    """With what is not known of the clocks' phases where the model has their ages, and without it
+    where it has not."""
+    rest = tuple(term for term in state.terms if term.found or not term.aged)
+    clock = next((term.effect for term in rest if term.aged), None)
+    if clock is None:
+        return replace(state, terms=rest)
+    if len(rest) < len(state.terms):
+        return state
+    effect = phases_of(clock)
+    n = state.setup.triads * len(effect.each)
+    term = Term(effect.name, effect, None, PHASE * np.eye(n), np.zeros(n), np.ones(n), found=False)
+    return replace(state, terms=(*rest, term))
+
+
+def phases_of(clock: Response) -> Response:
+    """What phases that are not quite known leave of clocks: of each gyro an age that is steady, or
+    follows a straight line or a bent one over the motion."""
+
+    def basis(truth: Truth, context: Context) -> Array:
+        known = {**context.covariates, "sample_age": np.ones(truth.shape[:2])}
+        steady = clock.basis(truth, replace(context, covariates=known))
+        course = 2.0 * context["order"] - 1.0
+        courses = np.stack([np.ones(len(course)), course, 1.5 * course**2 - 0.5], axis=1)
+        return np.asarray(steady * courses[:, None, None, :])
+
+    each = tuple(replace(clock.each[0], name=f"phase_{k}") for k in range(3))
+    return replace(clock, name="phases", each=each, shared=False, basis=basis)
 
 
 def _everywhere(state: ArrayState, moving: Moving, rows: NDArray[np.intp]) -> tuple[Array, Array]:

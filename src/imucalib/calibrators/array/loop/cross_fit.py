@@ -15,16 +15,19 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.estimate.every import transferred
-from imucalib.calibrators.array.loop.ages import ages_elsewhere, kept_ages, voting
-from imucalib.calibrators.array.loop.held_out import Residuals
+from imucalib.calibrators.array.loop.ages import Ages, ages_elsewhere, kept_ages, voting
 from imucalib.calibrators.array.loop.setup import FEWEST, Setup, part_of
 from imucalib.calibrators.array.loop.state import ArrayState, followed
-from imucalib.calibrators.array.loop.subject import MotionSubject
 from imucalib.calibrators.array.moving import Moving
 from imucalib.loop.difference import Difference
+from imucalib.loop.found import Checked
 from imucalib.units import DEG
 
-Searching = Callable[[Setup], tuple[MotionSubject, MotionSubject]]
+#: A fitted state with the clocks that it has.
+Fitted = tuple[ArrayState, Ages | None]
+Searching = Callable[[Setup], tuple[Fitted, Fitted]]
+#: Standard deviation of normal errors over their median absolute deviation.
+NORMAL_MAD = 1.4826
 _HALVES = 2
 _FOLLOWED = 3  # rounds of the motion, with its weights, under a model that does not move
 _COUNTS = (
@@ -32,6 +35,14 @@ _COUNTS = (
 )
 _HARM = 0.01  # the same of a loss that speaks against all that was found
 _NO_ERROR = 1e-12  # m/s² or rad/s
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Median absolute deviations: acceleration (m/s²) and rate (deg/s)."""
+
+    acceleration: float
+    rate: float
 
 
 @dataclass(frozen=True)
@@ -54,6 +65,15 @@ class Gained:
     @property
     def after(self) -> Residuals:
         return Residuals(self.acceleration.after, self.rate.after / DEG)
+
+    @property
+    def checked(self) -> tuple[Checked, ...]:
+        """Errors before and after."""
+        before, after = self.before, self.after
+        return (
+            Checked("accelerometers", "m/s2", before.acceleration, after.acceleration),
+            Checked("gyros", "deg/s", before.rate, after.rate),
+        )
 
     @property
     def principal(self) -> Difference:
@@ -100,12 +120,12 @@ def cross_fitted(setup: Setup, moving: Moving, searched: Searching) -> Gained | 
     return Gained(acceleration, rate, (own[0], own[1]))
 
 
-def _predicted(path: MotionSubject, setup: Setup, moving: Moving) -> ArrayState:
+def _predicted(fitted: Fitted, setup: Setup, moving: Moving) -> ArrayState:
     """The motion at other samples under positions, terms and noise that were found without them."""
-    state = path.state
+    state, ages = fitted
     moved = transferred(replace(state, motion=state.motion.aged(None)), setup)
-    if path.ages is not None and state.motion.age is not None:
-        moved = kept_ages(moved, ages_elsewhere(path.ages, setup, moving), voting=False)
+    if ages is not None and state.motion.age is not None:
+        moved = kept_ages(moved, ages_elsewhere(ages, setup, moving), voting=False)
     return followed(moved, _FOLLOWED)
 
 

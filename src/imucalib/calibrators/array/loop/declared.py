@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from imucalib.arrays import Array
-from imucalib.calibrators.array.loop.ages import found_ages, kept_ages
+from imucalib.calibrators.array.loop.ages import found_ages, kept_ages, with_phases
 from imucalib.calibrators.array.loop.asked import named_effect
-from imucalib.calibrators.array.loop.candidates import typical_columns
+from imucalib.calibrators.array.loop.components import typical_columns
 from imucalib.calibrators.array.loop.state import ArrayState, settled
 from imucalib.calibrators.array.loop.terms import Term, determined
 from imucalib.calibrators.array.moving import Moving
@@ -37,7 +37,7 @@ def with_declared(state: ArrayState, names: Sequence[str], moving: Moving) -> Ar
                 remedy=effect.identify,
             )
         state = replace(state, terms=(*state.terms, term))
-    return settled(state) if names else state
+    return settled(with_phases(state)) if names else state
 
 
 def declared_term(state: ArrayState, name: str) -> Term:

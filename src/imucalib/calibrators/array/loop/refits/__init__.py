@@ -1,1 +1,0 @@
-"""Joint fits with more than one term in question: twins, a lag that all share, several at once."""

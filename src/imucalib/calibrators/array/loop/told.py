@@ -1,0 +1,135 @@
+"""What a search over a motion says: steps, what is left without a name, and every component."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.calibrators.array.loop.cross_fit import Gained
+from imucalib.calibrators.array.loop.products import MotionProblem
+from imucalib.calibrators.array.loop.search import Explored
+from imucalib.calibrators.array.loop.state import ArrayState
+from imucalib.calibrators.array.loop.terms import OPEN
+from imucalib.calibrators.array.loop.words import size_in_words
+from imucalib.loop.evidence import Candidate, Score
+from imucalib.loop.found import Step, Unexplained
+from imucalib.loop.posterior.odds import CERTAIN
+from imucalib.loop.posterior.space import Posterior
+from imucalib.loop.posterior.words import Place
+from imucalib.loop.thresholds import ABSORBED
+
+_NOTHING = np.zeros((0, 0))
+
+
+def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple[Step, ...]:
+    """What is told and corrected, likeliest first; a place that twins share is theirs together.
+
+    final : the fit with what is corrected
+    """
+    steps = []
+    for place in found.said.places:
+        name = _member(found, place.component)
+        twins = next((s for s in found.apart.shares.values() if name in dict(s)), ((name, 1.0),))
+        term = next((t for t in final.found if t.name == twins[0][0]), None)
+        if term is None:
+            continue
+        rivals = [
+            (own, share * part)
+            for c, share in place.rivals
+            for own, part in (twins if c == place.component else ((_member(found, c), 1.0),))
+        ]
+        likely = tuple(r for r in rivals if r[1] > 1.0 - CERTAIN or r[0] == term.name)
+        odds = place.probability / max(1.0 - place.probability, 1e-12)
+        named = found.problem.named(name)
+        steps.append(
+            Step(
+                effect=term.name,
+                p=found.said.complete,
+                draws=0,
+                evidence=float(np.log(max(odds, 1e-12))),
+                checked=() if gained is None else gained.checked,
+                aliases=tuple(n for n, _ in likely if n != term.name),
+                value=size_in_words(final, term),
+                curve=not named,
+                probability=place.probability,
+                rivals=tuple(sorted(likely, key=lambda r: -r[1])),
+                sure=place.certain and twins[0][1] > CERTAIN,
+            )
+        )
+    return tuple(steps)
+
+
+def left_over(found: Explored, final: ArrayState) -> dict[Unexplained, Array]:
+    """What is told and stays without a name, be it corrected or not: laws, and effects of which the
+    data determine no size; with the (d,) m by which each moves the positions, where it is not
+    corrected.
+
+    final : the fit with what is corrected
+    """
+    left, own = {}, {term.name for term in final.found}
+    for place in found.said.places:
+        name = _member(found, place.component)
+        if found.problem.named(name) and name in own:
+            continue
+        moved = found.problem.moved(found.grams, found.said.hypothesis, place.component)
+        left[_without_a_name(found, place, name)] = 0.0 * moved if name in own else moved
+    return left
+
+
+def _without_a_name(found: Explored, place: Place, name: str) -> Unexplained:
+    return Unexplained(
+        name=name,
+        driver=found.problem.components[place.component].driver,
+        kind="probe",
+        p=found.said.complete,
+        evidence=0.0,
+        share=0.0,
+        alike=tuple(_member(found, c) for c, _ in place.rivals),
+    )
+
+
+def _member(found: Explored, component: int) -> str:
+    """The name that stands for a component in what is told, or in its likeliest set."""
+    sets = (found.said.hypothesis, *found.posterior.hypotheses)
+    own = next(h for h in sets if component in h.components)
+    choices, ways = found.problem.choices, found.problem.ways
+    return next(ways[p.choice].name for p in own.picks if choices[p.choice].component == component)
+
+
+def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
+    """Every component, likeliest first, by its first member at typical size: its evidence beside
+    the base model alone, and the probability that it is not there in `p`."""
+    alone = {h.components[0]: h.evidence for h in posterior.hypotheses if len(h.components) == 1}
+    inside = np.zeros(len(problem.components))
+    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+        inside[list(hypothesis.components)] += p
+    none = posterior.base.evidence
+    found = []
+    for c, component in enumerate(problem.components):
+        left, strength, _ = problem.shown(c)
+        score = Score(
+            candidate=Candidate(
+                component.name,
+                "effect" if component.named else "probe",
+                _NOTHING,
+                driver=component.driver,
+            ),
+            evidence=alone.get(c, none) - none,
+            p=float(1.0 - min(inside[c], 1.0)),
+            draws=0,
+            left=left if strength > OPEN else 0.0,
+            strength=strength,
+            share=0.0,
+        )
+        found.append(score)
+    return tuple(sorted(found, key=lambda s: s.p))
+
+
+def absorbed(problem: MotionProblem) -> dict[str, float]:
+    """What no motion shows, and by how many m rms its typical size moves the positions."""
+    found = {}
+    for c, component in enumerate(problem.components):
+        left, strength, moves = problem.shown(c)
+        if component.named and (strength <= OPEN or left < ABSORBED):
+            found[component.name] = moves
+    return found
