@@ -32,13 +32,12 @@ from imucalib.calibrators.actigraph.simulation import postures, scan_of
 from imucalib.calibrators.separate.candidates import Rests, pool_of, rests_of
 from imucalib.calibrators.separate.plan import after_a_power_up
 from imucalib.calibrators.separate.recorded import recorded_block, recorded_of
-from imucalib.loop.found import LoopSettings
 from imucalib.loop.separation.plan import separation
 from imucalib.rests.runs import PostureRuns
 from imucalib.units import MG
 
 G, DAY, DAYS, RUNS, SCATTER = 9.80665, 86400.0, 3.0, 300, 0.4
-REQUEST = replace(ActigraphRequest(), without=("cross_axis",), rules=LoopSettings(curves=False))
+REQUEST = replace(ActigraphRequest(), without=("cross_axis",), curves=False)
 SIZES = {"temperature_bias": 0.12, "time_of_day": 0.8, "asymmetry": 1.5, "quadratic": 2.0}
 
 

@@ -25,7 +25,6 @@ from imucalib.calibrators.lab.calibrate import LabSettings, calibrate
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.simulation import BenchPlan, planted_truth, simulated_table
 from imucalib.core.references import angles_of, unit_vector
-from imucalib.loop.found import LoopSettings
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -53,7 +52,7 @@ def one(job: tuple[int, float]) -> Bench:
     table = simulated_table(plan, rng)
     data = position_observations(table, table.raw() * MG, Conventions(), STANDARD_GRAVITY)
     start = time.process_time()
-    result = calibrate(data, LabSettings(rules=LoopSettings(draws=1000)), rng)
+    result = calibrate(data, LabSettings())
     seconds = time.process_time() - start
     loop, fit = result.loop, result.final
     assert loop is not None

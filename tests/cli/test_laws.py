@@ -43,7 +43,6 @@ SHARED = {
     "output", "as_json", "quiet", "seed", "loop", "curves", "draws", "declare", "only", "without",
     "effects_file", "export", "max_error", "gravity", "latitude", "height", "mapping", "acc",
 }  # fmt: skip
-FAST = ("--draws", "59")
 #: Forms that hold one accelerometer, and that hold IMUs with gyros.
 OF_ONE = ("ggir-csv", "px4", "ardupilot", "omconvert", "iscwsa-csv")
 OF_ARRAYS = ("kalibr", "openvins", "ros2-static", "urdf")
@@ -88,11 +87,11 @@ def done(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     assert name in INPUTS, f"give `{name}` a small input in worlds/calibrations.py"
     folder = tmp_path_factory.mktemp(name)
     given = INPUTS[name](folder)
-    arguments = (name, given.recording, *given.options, *FAST)
+    arguments = (name, given.recording, *given.options)
     out = folder / "out"
     result = run(*arguments, "-o", out, "--json", "--max-error", "1e9", "--export", "c-header")
     assert result.exception is None, result.output
-    return Done(name, given.recording, (*given.options, *FAST), out, result)
+    return Done(name, given.recording, given.options, out, result)
 
 
 def test_the_calibrators_are_found() -> None:
@@ -291,7 +290,6 @@ def test_without_the_loop_nothing_is_searched_and_quiet_is_quiet(done: Done) -> 
         (("--export", "c-header"), 2),
         (("--declare", "aether"), 2),
         (("--effects", "none.py"), 2),
-        (("--draws", "0"), 2),
     ],
 )
 def test_a_wrong_call_is_exit_2_and_json_says_so(

@@ -125,9 +125,7 @@ def run(*arguments: object) -> Result:
 
 def test_everything_else_comes_by_itself(table: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = run(
-        "toy", table, "-o", out, "--json", "--export", "ggir-csv", "--force", "--draws", "99"
-    )
+    result = run("toy", table, "-o", out, "--json", "--export", "ggir-csv", "--force")
     assert result.exception is None, result.exception
     report = json.loads(result.stdout)
     content = YAML(typ="safe", pure=True).load((out / "calibration.yaml").read_text())
@@ -150,9 +148,9 @@ def test_everything_else_comes_by_itself(table: Path, tmp_path: Path) -> None:
 
 
 def test_text_limits_and_failures_come_too(table: Path, tmp_path: Path) -> None:
-    shown = run("toy", table, "--draws", "99")
+    shown = run("toy", table)
     assert "Closed loop" in shown.stdout
     assert "imucal toy" in shown.stdout.replace("\n", " ")
-    assert run("toy", table, "--max-error", "1e-6", "--draws", "99", "-q").return_value == 1
+    assert run("toy", table, "--max-error", "1e-6", "-q").return_value == 1
     failed = run("toy", table, "--export", "c-header", "--json")
     assert json.loads(failed.stdout)["error"]["message"] == "--export needs a folder: -o"

@@ -41,7 +41,7 @@ def test_the_example_is_found_written_and_applied(example: Path, tmp_path: Path)
     effects._LOADED.clear()
 
     out = tmp_path / "out"
-    result = run("lab", table, "--effects", example, "-o", out, "--json", "-q", "--draws", 199)
+    result = run("lab", table, "--effects", example, "-o", out, "--json", "-q")
     report = json.loads(result.stdout)
     (step,) = report["loop"]["steps"]
     assert "xy_into_z" in (step["effect"], *step["aliases"])

@@ -49,7 +49,7 @@ def test_everything_is_made_once(
         module = importlib.import_module(where)
         monkeypatch.setattr(module, what, counted(what, getattr(module, what)))
     given = INPUTS[name](tmp_path)
-    arguments = [name, str(given.recording), *given.options, "--draws", "59"]
+    arguments = [name, str(given.recording), *given.options]
     for output in ("--json", "-v"):
         calls.clear()
         more = [output] if output == "--json" else []

@@ -69,6 +69,7 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
     from imucalib.calibrators.actigraph.request import FREE, ActigraphRequest
 
     shared = shared_of(options)
+    curves = ActigraphRequest.curves if shared.curves is None else shared.curves
     return ActigraphRequest(
         gravity=shared.gravity,
         gravity_source=shared.gravity_source,
@@ -79,9 +80,9 @@ def request_of(options: dict[str, Any]) -> ActigraphRequest:
         kind=_kind(options),
         declare=shared.declare,
         only=shared.only,
-        without=(*shared.without, *(() if shared.rules.curves else FREE)),
+        without=(*shared.without, *(() if curves else FREE)),
         loop=shared.loop,
-        rules=shared.rules,
+        curves=curves,
         extra_effects=shared.extra_effects,
         limits=shared.limits,
         seed=shared.seed,

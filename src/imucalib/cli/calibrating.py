@@ -34,7 +34,6 @@ from imucalib.errors import LimitBroken
 if TYPE_CHECKING:
     from imucalib.calibration.outcome import Gate
     from imucalib.core.effect import Effect
-    from imucalib.loop.found import LoopSettings
     from imucalib.report.document import Document
     from imucalib.report.files import Report
 
@@ -66,8 +65,6 @@ _OPTIONS = (
     click.option("--curves/--no-curves", default=None,
                  help="Correct structure without a name by a smooth curve, where that holds out; "
                  "default yes, of an array no."),
-    click.option("--draws", type=click.IntRange(min=1),
-                 help="Simulated data sets behind each p-value; default 1000."),
     limit_option("--max-error", "held-out error, in the report's unit (mg; array: m/s²); exit 1 "
                  "beyond."),
     click.option("--fail-on", type=click.Choice(["suspected", "unexplained", "caution"]),
@@ -129,7 +126,7 @@ def calibrating_of(options: Mapping[str, Any]) -> AbstractContextManager[Say]:
 
 @dataclass(frozen=True)
 class Shared:
-    """What the shared options ask. curves, draws : None for the calibrator's own default"""
+    """What the shared options ask. curves : None for the calibrator's own default"""
 
     gravity: float
     gravity_source: str
@@ -138,19 +135,10 @@ class Shared:
     without: tuple[str, ...]
     loop: bool
     curves: bool | None
-    draws: int | None
     extra_effects: Mapping[str, Effect]
     limits: Mapping[str, float]
     seed: int
     command: str
-
-    @property
-    def rules(self) -> LoopSettings:
-        """The shared loop's settings."""
-        from imucalib.loop.found import LoopSettings
-
-        curves = LoopSettings.curves if self.curves is None else self.curves
-        return LoopSettings(draws=self.draws or LoopSettings.draws, curves=curves)
 
 
 def shared_of(options: Mapping[str, Any]) -> Shared:
@@ -175,7 +163,6 @@ def shared_of(options: Mapping[str, Any]) -> Shared:
         without=options["without"],
         loop=options["loop"],
         curves=options["curves"],
-        draws=options["draws"],
         extra_effects=load_file(options["effects_file"]) if options["effects_file"] else {},
         limits=limits,
         seed=options["seed"],

@@ -200,7 +200,7 @@ def _settings(options: dict[str, Any], shared: Shared) -> LabSettings:
         without=shared.without,
         loop=shared.loop,
         sigma=None if options["sigma"] is None else options["sigma"] * MG,
-        rules=shared.rules,
+        curves=LabSettings.curves if shared.curves is None else shared.curves,
         extra_effects=shared.extra_effects,
         conventions=replace(preset(options["convention"]), **stated),
         population=_population(options),

@@ -20,7 +20,7 @@ RARE = {
     ),
     "Fit and search": (
         "train", "model", "objective", "sigma", "as_published", "arithmetic", "loop", "curves",
-        "draws", "seed", "height", "effects_file", "fleet", "without",
+        "seed", "height", "effects_file", "fleet", "without",
     ),
     "Posterior of an array": (
         "as_drawn", "sampler", "samples", "motion_prior", "det_exponent", "acc_sigma",

@@ -16,22 +16,9 @@ from imucalib.loop.posterior.rivals import Rival
 from imucalib.loop.record_errors import RecordError
 from imucalib.loop.separation.products import Ambiguity
 from imucalib.loop.separation.sums import Sums
-from imucalib.loop.thresholds import ALPHA, CERTAIN, MARGIN, STRONG
+from imucalib.loop.thresholds import CERTAIN, STRONG
 
 _WALK_NATS = 5.0  # from which on a walk is more than independent noise
-
-
-@dataclass(frozen=True)
-class LoopSettings:
-    """alpha : family-wise false-alarm rate of the physics search; margin : nats by which a probe
-    must beat the best catalogue effect; draws : simulated data sets per search; curves : whether
-    structure without a name is corrected by a smooth curve, where that holds out"""
-
-    alpha: float = ALPHA
-    curves: bool = True
-    margin: float = MARGIN
-    draws: int = 1000
-    most_effects: int = 4
 
 
 @dataclass(frozen=True)

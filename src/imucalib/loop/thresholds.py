@@ -6,10 +6,6 @@ loop-benchmark` writes again.
 
 from __future__ import annotations
 
-#: Family-wise false alarms of the search for effects, and of each doubt about the noise. Chosen so
-#: that all alarms together stay near 5 % of clean data: 7.0, 3.0 and 4.0 % were measured for bench,
-#: wrist and array on 400 clean recordings each.
-ALPHA, NOISE_ALPHA = 0.035, 0.005
 #: Family-wise p up to which an effect without aliases is called certain: of clean recordings 0.8,
 #: 0.2 and 0.5 % held such a name. So much is told too where it is not taken, since the data that
 #: were left out refuse it: of 400 clean sheets none had such a one, of 135 with λ 6 to 10 two.

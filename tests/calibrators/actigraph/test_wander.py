@@ -14,7 +14,6 @@ import pytest
 
 from gates.bounds import at_most
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.loop.found import LoopSettings
 
 WANTED = ActigraphRequest()
 
@@ -257,7 +256,7 @@ def test_a_walk_is_measured_and_stated(worn: ModuleType) -> None:
 @pytest.mark.parametrize(
     "wanted",
     [
-        ActigraphRequest(rules=LoopSettings(curves=False)),
+        ActigraphRequest(curves=False),
         ActigraphRequest(without=("curve",)),
         ActigraphRequest(every=86400.0),
     ],

@@ -18,7 +18,6 @@ from worlds.places import ROOT
 
 SAMPLES = ROOT / "sample_logs"
 SCHEMAS = Path(imucalib.__file__).parent / "schemas"
-FAST = ("--draws", "99")
 REPAIR = ("--fix", "10:y=-45.86119676")
 
 
@@ -67,7 +66,7 @@ SWAPPED = {"inclination": column("tool_face"), "tool_face": column("inclination"
 
 def test_a_wrong_record_is_named_and_left_to_the_user(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = run("lab", SAMPLES / "bench.csv", "-o", out, *FAST)
+    result = run("lab", SAMPLES / "bench.csv", "-o", out)
     assert result.return_value == 5
     report = validated((out / "report.json").read_text(), "report")
     assert report["status"] == "marginal"
@@ -81,7 +80,7 @@ def test_a_wrong_record_is_named_and_left_to_the_user(tmp_path: Path) -> None:
 
 def test_the_repaired_bench_names_the_dial_and_passes(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = run("lab", SAMPLES / "bench.csv", *REPAIR, "-o", out, "--json", *FAST)
+    result = run("lab", SAMPLES / "bench.csv", *REPAIR, "-o", out, "--json")
     assert result.return_value == 0
     report = validated(result.stdout, "report")
     assert report == json.loads((out / "report.json").read_text())
@@ -95,7 +94,7 @@ def test_the_repaired_bench_names_the_dial_and_passes(tmp_path: Path) -> None:
 
 
 def test_auto_exclude_leaves_the_record_out_and_says_so(tmp_path: Path) -> None:
-    result = run("lab", SAMPLES / "bench.csv", "--auto-exclude", "--json", "-q", *FAST)
+    result = run("lab", SAMPLES / "bench.csv", "--auto-exclude", "--json", "-q")
     report = validated(result.stdout, "report")
     assert result.return_value == 0
     assert any("row 10" in text for text in report["left_out"])
@@ -104,7 +103,7 @@ def test_auto_exclude_leaves_the_record_out_and_says_so(tmp_path: Path) -> None:
 
 def test_yaml_validates_and_applies_to_its_own_table(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    run("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-o", out, *FAST)
+    run("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-o", out)
     from ruamel.yaml import YAML
 
     from imucalib.calibration.file import read
@@ -124,14 +123,14 @@ def test_yaml_validates_and_applies_to_its_own_table(tmp_path: Path) -> None:
 
 def test_a_recording_with_positions_in_order(tmp_path: Path) -> None:
     arguments = (SAMPLES / "positions.csv", "--recording", SAMPLES / "rests.mcap")
-    result = run("lab", *arguments, "--json", "-q", *FAST)
+    result = run("lab", *arguments, "--json", "-q")
     assert result.return_value in (0, 5)  # proved or suspected
     report = validated(result.stdout, "report")
     assert "quadratic" in {n for s in report["loop"]["steps"] for n in (s["effect"], *s["aliases"])}
 
 
 def test_the_norm_alone_calibrates_a_recording() -> None:
-    result = run("lab", SAMPLES / "rests.mcap", "--reference", "norm", "--json", "-q", *FAST)
+    result = run("lab", SAMPLES / "rests.mcap", "--reference", "norm", "--json", "-q")
     report = validated(result.stdout, "report")
     assert result.return_value in (0, 5)
     assert {p["effect"] for p in report["parameters"]} >= {"bias", "scale", "non_orthogonality"}
@@ -140,13 +139,13 @@ def test_the_norm_alone_calibrates_a_recording() -> None:
 
 
 def test_a_broken_limit_is_exit_1() -> None:
-    arguments = ("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-q", *FAST)
+    arguments = ("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-q")
     assert run(*arguments, "--max-inclination-error", "0.001").return_value == 1
     assert run(*arguments, "--max-inclination-error", "5").return_value == 0
 
 
 def test_same_seed_same_result() -> None:
-    arguments = ("lab", SAMPLES / "bench.csv", "--json", "-q", "--seed", "7", *FAST)
+    arguments = ("lab", SAMPLES / "bench.csv", "--json", "-q", "--seed", "7")
     one, two = (json.loads(run(*arguments).stdout) for _ in range(2))
     one["provenance"].pop("time")
     two["provenance"].pop("time")
@@ -204,7 +203,7 @@ def test_duplicated_rows_are_named(tmp_path: Path) -> None:
     axes = {f"{a}_mg": column(f"{a}_mg") for a in "xyz"}
     for values in axes.values():
         values[9] = values[20]  # row 10 copied from row 21, and its lost sign with it
-    result = run("lab", table(tmp_path / "copy.csv", **axes), "--json", "-q", *FAST)
+    result = run("lab", table(tmp_path / "copy.csv", **axes), "--json", "-q")
     report = validated(result.stdout, "report")
     record = report["loop"]["record_errors"][0]
     assert record["where"] == "row 10"

@@ -24,7 +24,6 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun, run_lab
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
 from imucalib.loop.faults.directions import wrong_directions
-from imucalib.loop.found import LoopSettings
 
 TRUTH = {
     "mounting_x": 0.4, "mounting_y": -0.7, "mounting_z": 1.1,  # deg
@@ -80,8 +79,8 @@ def _table(direction: Array, raw: Array) -> PositionTable:
     )
 
 
-def calibrated(table: PositionTable, draws: int = 199, **changes: object) -> LabRun:
-    settings = LabSettings(rules=LoopSettings(draws=draws), **changes)  # type: ignore[arg-type]
+def calibrated(table: PositionTable, **changes: object) -> LabRun:
+    settings = LabSettings(**changes)  # type: ignore[arg-type]
     return run_lab(table, LabRequest(reference="direction", settings=settings))
 
 
@@ -162,7 +161,7 @@ def test_exchanged_faces_are_named_and_the_lines_mend_them(tmp_path: Path) -> No
     faces[7], faces[8], faces[13] = faces[8], faces[7], "-z"
     path = _written(tmp_path, 4, tuple(faces))
     lines = ("--swap", "8,9", "--fix", "14:face=+y")
-    told = run("lab", path, "--reference", "direction", "-o", tmp_path / "a", "--draws", 19)
+    told = run("lab", path, "--reference", "direction", "-o", tmp_path / "a")
     words = f"{told.output} {told.exception}"
     assert all(" ".join(pair) in words for pair in (lines[:2], lines[2:]))
     mended = run("lab", path, "--reference", "direction", "-o", tmp_path / "b", "-q", *lines)
@@ -235,7 +234,7 @@ def run(*arguments: object) -> Result:
 
 def test_end_to_end(tmp_path: Path) -> None:
     path, out = _written(tmp_path), tmp_path / "out"
-    result = run("lab", path, "--reference", "direction", "-o", out, "--json", "-q", "--draws", 99)
+    result = run("lab", path, "--reference", "direction", "-o", out, "--json", "-q")
     assert result.return_value == 0
     report = json.loads(result.stdout)
     assert report["loop"]["errors"][0]["metric"] == "vector error, rms"
@@ -257,7 +256,7 @@ def test_end_to_end(tmp_path: Path) -> None:
     ],
 )
 def test_options_that_speak_of_angles(tmp_path: Path, options: tuple[str, ...], words: str) -> None:
-    arguments = ("lab", _written(tmp_path), "--reference", "direction", "--draws", "19", *options)
+    arguments = ("lab", _written(tmp_path), "--reference", "direction", *options)
     with pytest.raises(UsageError, match=words):
         raise run(*arguments).exception or AssertionError
 

@@ -74,9 +74,7 @@ def test_a_typed_angle_is_told_in_rows_that_stand_in_no_order(tmp_path: Path) ->
 def test_a_lost_sign_is_told_once(tmp_path: Path) -> None:
     made = sheets.cell(sheets.bench(4, scatter=0.1), 14, 0, -1.0)
     path = made.write(tmp_path / "sheet.csv")
-    result = CliRunner().invoke(
-        cli.cli, ["lab", str(path), "--json", "-q", "--draws", "99"], standalone_mode=False
-    )
+    result = CliRunner().invoke(cli.cli, ["lab", str(path), "--json", "-q"], standalone_mode=False)
     report = json.loads(result.stdout)
     assert result.return_value == 5
     assert len(report["undecided"]) == 1

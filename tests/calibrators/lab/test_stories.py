@@ -16,17 +16,14 @@ from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_table
 from imucalib.errors import UsageError
-from imucalib.loop.found import LoopSettings
 from imucalib.units import MG, STANDARD_GRAVITY
-
-RULES = LabSettings(rules=LoopSettings(draws=199, alpha=0.04))
 
 
 def bench(plan: BenchPlan, seed: int) -> LabResult:
     rng = np.random.default_rng(seed)
     table = simulated_table(plan, rng)
     data = position_observations(table, table.raw() * MG, Conventions(), STANDARD_GRAVITY)
-    return calibrate(data, RULES, rng)
+    return calibrate(data, LabSettings())
 
 
 def found(result: LabResult) -> set[str]:
@@ -96,7 +93,7 @@ def test_structure_outside_the_catalogue_gets_a_formula_but_no_cause() -> None:
     index = reference.directions(turned).index[:, 1]
     turned[index] = shift
     moved = reference.truth(turned) - reference.truth(0.0 * turned)
-    result = calibrate(data.with_reading(data.reading + moved), RULES, rng)
+    result = calibrate(data.with_reading(data.reading + moved), LabSettings())
     assert result.loop is not None
     assert [s.effect for s in result.loop.steps] == ["shape@tool_face:tool_face:sine:120"]
 

@@ -11,7 +11,7 @@ from options.outcome import Outcome
 
 LAB = Of("lab")
 PLAIN = USUAL["lab"]
-LOOP = ("--only", "cubic", "--draws", "39", "--json")
+LOOP = ("--only", "cubic", "--json")
 NUMBERS = ("parameters", "covariance", "matrices", "loop", "noise")
 
 

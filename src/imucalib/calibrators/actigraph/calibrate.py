@@ -135,7 +135,7 @@ def _of_loop(runs: PostureRuns, closed: Closed, request: ActigraphRequest) -> Ac
 
 def _bends(request: ActigraphRequest) -> bool:
     """Whether the course of a bias may be followed."""
-    return request.rules.curves and "curve" not in request.without and request.every is None
+    return request.curves and "curve" not in request.without and request.every is None
 
 
 def base_model(request: ActigraphRequest, data: Observations) -> Model:
@@ -153,7 +153,7 @@ def base_model(request: ActigraphRequest, data: Observations) -> Model:
 def search(base: Fit, runs: PostureRuns, request: ActigraphRequest) -> Closed:
     """The closed loop over the catalogue and its scans, under a noise that wanders."""
     known = quantisation(runs) ** 2 + runs.window_noise**2 / runs.windows
-    return close_recording(base, wanted(request), known, curves=request.rules.curves)
+    return close_recording(base, wanted(request), known, curves=request.curves)
 
 
 def wanted(request: ActigraphRequest) -> Searched:

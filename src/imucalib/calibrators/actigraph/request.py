@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from imucalib.calibrators.population import Population
 from imucalib.core.effect import Effect
 from imucalib.effects import own_effects
-from imucalib.loop.found import LoopSettings
 from imucalib.units import STANDARD_GRAVITY
 
 #: Scans whose members may have any form: of an axis' response, of the temperature, of the posture.
@@ -41,7 +40,7 @@ class ActigraphRequest:
     only: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     loop: bool = True
-    rules: LoopSettings = field(default_factory=LoopSettings)
+    curves: bool = True
     extra_effects: Mapping[str, Effect] = field(default_factory=dict)
     blocks: int = 12
     every: float | None = None
@@ -66,8 +65,7 @@ class ActigraphRequest:
             "own_effects": own_effects(self.extra_effects),
             "loop": self.loop,
             "blocks": self.blocks,
-            "curves": self.rules.curves,
-            "draws": self.rules.draws,
+            "curves": self.curves,
             "limits": dict(self.limits),
             "fleet_sha256": self.kind.sha256 if self.kind else None,
         }

@@ -35,7 +35,7 @@ from imucalib.estimators.noise_mixture import with_noise_integrated
 from imucalib.estimators.starting_point import full_matrix_start, linear_map
 from imucalib.loop.asked import searched
 from imucalib.loop.design import folds_of
-from imucalib.loop.found import FitLoop, LoopSettings
+from imucalib.loop.found import FitLoop
 from imucalib.loop.held_out import Held, by_folds, fitted
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.posterior.rivals import Rival
@@ -71,7 +71,7 @@ class LabSettings:
     loop: bool = True
     train: Index | None = None
     sigma: float | None = None
-    rules: LoopSettings = field(default_factory=LoopSettings)
+    curves: bool = True
     extra_effects: Mapping[str, Effect] = field(default_factory=dict)
     conventions: Conventions = field(default_factory=Conventions)
     population: Population | None = None
@@ -171,7 +171,7 @@ def _solved(
     if not settings.loop:
         final = fit_model(model, data, start=start)
         return None, final, final, _left_out(final)
-    curves = settings.rules.curves
+    curves = settings.curves
     closed = close_loop(model, data, wanted, start, written, curves=curves)
     loop = closed.loop
     if closed.left is None:

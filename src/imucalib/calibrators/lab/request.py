@@ -52,7 +52,7 @@ class LabRequest:
             "own_effects": own_effects(settings.extra_effects),
             "fleet_sha256": settings.population.sha256 if settings.population else None,
             "loop": settings.loop,
-            "curves": settings.rules.curves,
+            "curves": settings.curves,
             "sigma_mg": None if settings.sigma is None else settings.sigma / MG,
             "lsb_per_g": self.lsb_per_g,
             "gravity_m_per_s2": self.gravity,
@@ -66,8 +66,6 @@ class LabRequest:
             "swap_angles": self.swap_angles,
             "keep_angles": self.keep_angles,
             "shortest_rest_s": self.still.shortest,
-            "alpha": settings.rules.alpha,
-            "draws": settings.rules.draws,
             "limits": dict(self.limits),
         }
 

@@ -156,7 +156,6 @@ def _demand_usable() -> None:
 def _request(options: dict[str, Any]) -> Any:
     from imucalib.calibrators.lab.calibrate import LabSettings
     from imucalib.calibrators.lab.request import LabRequest
-    from imucalib.loop.found import LoopSettings
 
     gravity, source = gravity_of(options)
     return LabRequest(
@@ -170,7 +169,6 @@ def _request(options: dict[str, Any]) -> Any:
         settings=LabSettings(
             only=options["only"],
             without=options["without"],
-            rules=LoopSettings(draws=options["draws"]),
         ),
         seed=options["seed"],
         command=command_line(),
