@@ -231,8 +231,11 @@ class Summed:
     @cached_property
     def _weighted(self) -> Array:
         """(E, n, q) V⁻¹ Z."""
-        each = (self._whitener.of(slice(k, k + 1)) for k in range(len(self.gram)))
-        return np.concatenate([white.back(white(self.columns)) for white in each])
+        out = np.empty((len(self.gram), *self.columns.shape))
+        for k in range(len(out)):
+            white = self._whitener.of(slice(k, k + 1))
+            out[k] = white.back(white(self.columns))[0]
+        return out
 
     def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
         """Without some runs, through which the walk goes on: A - U_Fᵀ ((V⁻¹)_FF)⁻¹ U_F, U = V⁻¹ Z
