@@ -155,7 +155,8 @@ def _corrected(
     good = ~np.isin(data.context.covariates.get("record", np.arange(data.n)), aside)
     sizes = left.before.size[good], left.after.size[good]
     gain = difference(*sizes, parts_of(folds)[good], len(folds), "rms")
-    return judged(loop, found, said, final, left, with_density(gain, left.nats)), left
+    loop = judged(loop, found, said, final, left, with_density(gain, left.nats))
+    return loop, left if loop.steps else None
 
 
 def judged(

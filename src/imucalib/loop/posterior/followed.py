@@ -35,7 +35,7 @@ def followed(fit: Fit, course: Course) -> Fit | None:
     """The fit with the course of its bias, or None where nothing proves that there is one to
     follow; course : the noise beside the fit."""
     misfit = fit.at.residual * fit.at.unit / course.scatter
-    if not course.likeliest.size[:3].any() or not _proved(course, misfit):
+    if not course.likeliest.size.any() or not _proved(course, misfit):
         return None
     walk = _asked(fit, course, misfit)
     time = course.time
@@ -79,7 +79,7 @@ def _asked(fit: Fit, course: Course, misfit: Array) -> _Course:
     white = course.whitener((walk,))(np.column_stack([misfit, fit.at.jacobian * unit, *across]))[0]
     p, g = fit.theta.size, asked.size
     r, x, c = white[:, 0], white[:, 1 : 1 + p], white[:, 1 + p :]
-    prior = np.kron(np.diag(walk.size[:3] ** 2), apart)
+    prior = np.kron(np.diag(walk.size**2), apart)
     spread = prior - c.T @ c
     # A constant and cosines nearest to the course.
     phase = np.pi * (asked - time[0]) / np.ptp(time)

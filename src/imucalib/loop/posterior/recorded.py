@@ -2,10 +2,10 @@
 
     n ~ N(0, s² V),   V = diag(f² (1 + known / s²)) + Σ_j r_j² K ∘ h_j h_jᵀ
 
-h_j is what a bias of one axis, or a scale of all, does to each run's number; sizes r and memory are
-points over which every evidence is summed. The weights f of runs that are unlike the others (Huber
-1964) come from what is left beside the smoothed walk, so that what jumps or drifts does not make a
-run look strange. Rows that are left out stand nowhere in V: the walk goes on through the gap.
+h_j is what a bias of one axis does to each run's number; sizes r and memory are points over which
+every evidence is summed. The weights f of runs that are unlike the others (Huber 1964) come from
+what is left beside the smoothed walk, so that what jumps or drifts does not make a run look
+strange. Rows that are left out stand nowhere in V: the walk goes on through the gap.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from imucalib.loop.found import Wander
 from imucalib.loop.posterior.component import Member
 from imucalib.loop.posterior.gram import Grams, beside, log_sum, swept
 from imucalib.loop.posterior.odds import (
-    COURSES,
     HEARD,
     OPEN,
     SIZES,
@@ -150,25 +149,16 @@ def _settled(course: Course, every: Array, known: Array) -> tuple[Course, Wander
 
 
 def _shares(fit: Fit) -> Array:
-    """(n, 4) what a bias of each axis does to each number, and a scale that all share, over the
-    same of a number itself."""
-    data, at = fit.observations, fit.at
-    block = np.broadcast_to(np.eye(3), (data.n, 1, 3, 3))
-    bias = at.columns(block) * at.sigma[:, :1]
-    outward = np.sign(np.einsum("ni,ni->n", bias, data.reading[:, 0]))
-    return np.column_stack([bias, outward])
+    """(n, 3) what a bias of each axis does to each number, over the same of a number itself."""
+    block = np.broadcast_to(np.eye(3), (fit.observations.n, 1, 3, 3))
+    return np.asarray(fit.at.columns(block) * fit.at.sigma[:, :1])
 
 
 def _walks(time: Array) -> tuple[Walk, ...]:
-    """None, walks of the bias, and of bias and scale."""
+    """None, and walks of the bias of each axis."""
     span = float(np.ptp(time))
-    some = [
-        (np.array([size] * 3 + [size * scale]), memory * span)
-        for scale in COURSES
-        for size in WALK_SIZE
-        for memory in WALK_MEMORY
-    ]
-    none = Walk(np.zeros(4), span, float(np.log(1.0 - WANDERS)))
+    some = [(np.full(3, size), memory * span) for size in WALK_SIZE for memory in WALK_MEMORY]
+    none = Walk(np.zeros(3), span, float(np.log(1.0 - WANDERS)))
     return (none, *(Walk(s, m, float(np.log(WANDERS / len(some)))) for s, m in some))
 
 
@@ -231,8 +221,11 @@ class Summed:
     @cached_property
     def _weighted(self) -> Array:
         """(E, n, q) V⁻¹ Z."""
-        each = (self._whitener.of(slice(k, k + 1)) for k in range(len(self.gram)))
-        return np.concatenate([white.back(white(self.columns)) for white in each])
+        out = np.empty((len(self.gram), *self.columns.shape))
+        for k in range(len(out)):
+            white = self._whitener.of(slice(k, k + 1))
+            out[k] = white.back(white(self.columns))[0]
+        return out
 
     def without(self, grams: Grams, problem: Problem, rows: Index) -> Grams:
         """Without some runs, through which the walk goes on: A - U_Fᵀ ((V⁻¹)_FF)⁻¹ U_F, U = V⁻¹ Z

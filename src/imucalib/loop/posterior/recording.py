@@ -102,13 +102,14 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
         every = recorded_grams(problem, course)
         look = looked(problem, every, before)
         grams = every.of(look.kept)
+        del every  # the products of all walks are most of the memory
         brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
         found = Explored(replace(plain, observations=at.observations), problem, brief, every)
         hypothesis = told(problem, brief).hypothesis
         closer = _together(look.values, near_values(found))
         now = tuple((problem.choices[p.choice].member, p.size) for p in hypothesis.picks)
         still = {m.free for m, _ in now} == {m.free for m, _ in before}
-        if still and closer == near:
+        if still and closer.keys() <= near.keys():
             break
         near, before = closer, now
         try:
