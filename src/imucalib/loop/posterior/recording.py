@@ -104,7 +104,7 @@ def _explored(plain: Fit, asked: Searched, known: Array) -> tuple[Explored, Cour
         grams = every.of(look.kept)
         del every  # the products of all walks are most of the memory
         brief = search(problem, grams, beams=FOLD_BEAMS, deepest=FOLD_DEEPEST)
-        found = Explored(replace(plain, observations=at.observations), problem, brief, every)
+        found = Explored(replace(plain, observations=at.observations), problem, brief, grams)
         hypothesis = told(problem, brief).hypothesis
         closer = _together(look.values, near_values(found))
         now = tuple((problem.choices[p.choice].member, p.size) for p in hypothesis.picks)
