@@ -40,7 +40,7 @@ COMMANDS = {
 }
 #: What every calibrating command must offer.
 SHARED = {
-    "output", "as_json", "quiet", "seed", "loop", "curves", "draws", "declare", "only", "without",
+    "output", "as_json", "quiet", "loop", "curves", "declare", "only", "without",
     "effects_file", "export", "max_error", "gravity", "latitude", "height", "mapping", "acc",
 }  # fmt: skip
 #: Forms that hold one accelerometer, and that hold IMUs with gyros.

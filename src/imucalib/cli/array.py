@@ -16,7 +16,7 @@ from imucalib.cli.calibrating import (
     limit_option,
     shared_of,
 )
-from imucalib.cli.output import note
+from imucalib.cli.output import note, seed_option
 from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option, still_of
 from imucalib.cli.working import freed_memory
@@ -76,6 +76,7 @@ _LARGE, _KEPT = 1 << 22, 1 << 26
 @click.option("--accept-dps", type=float, default=2.0, show_default=True,
               help="The same of the gyros', deg/s.")  # fmt: skip
 @shortest_rest_option
+@seed_option
 @calibrating
 def command(logs: tuple[Path, ...], **options: Any) -> int:
     """Find the positions of an inertial array's accelerometers from a bench log.

@@ -24,7 +24,6 @@ from imucalib.cli.output import (
     note,
     quiet_option,
     say,
-    seed_option,
     width,
 )
 from imucalib.cli.recording_options import force_option, recording_options
@@ -92,7 +91,7 @@ def calibrating(command: Command) -> Command:
 
     checked.calibrates = True  # type: ignore[attr-defined]
     whole: Any = checked
-    for option in (quiet_option, verbose_option, json_option, seed_option, force_option):
+    for option in (quiet_option, verbose_option, json_option, force_option):
         whole = option(whole)
     whole = recording_options(whole)
     for option in reversed(_OPTIONS):
@@ -165,7 +164,7 @@ def shared_of(options: Mapping[str, Any]) -> Shared:
         curves=options["curves"],
         extra_effects=load_file(options["effects_file"]) if options["effects_file"] else {},
         limits=limits,
-        seed=options["seed"],
+        seed=options.get("seed", 0),
         command=command_line(),
     )
 

@@ -144,8 +144,8 @@ def test_a_broken_limit_is_exit_1() -> None:
     assert run(*arguments, "--max-inclination-error", "5").return_value == 0
 
 
-def test_same_seed_same_result() -> None:
-    arguments = ("lab", SAMPLES / "bench.csv", "--json", "-q", "--seed", "7")
+def test_the_same_again_is_the_same_result() -> None:
+    arguments = ("lab", SAMPLES / "bench.csv", "--json", "-q")
     one, two = (json.loads(run(*arguments).stdout) for _ in range(2))
     one["provenance"].pop("time")
     two["provenance"].pop("time")

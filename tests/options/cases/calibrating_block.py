@@ -178,7 +178,7 @@ CURVED: dict[str, tuple[str, tuple[str, ...]]] = {
 #: Calls that end with a caution and exit 0.
 CAUTIONED: dict[str, tuple[str, ...]] = {
     "lab": CURVED["lab"][1],
-    "actigraph": ("actigraph", "<bent.h5>", "--only", "bias_drift", "--no-curves"),
+    "actigraph": ("actigraph", "<bent.h5>", "--only", "bias_drift"),
     "array": (*CURVED["array"][1], "--accept-mm", "1"),
 }
 
@@ -242,7 +242,7 @@ def _of(name: str) -> tuple[Case, ...]:
         of("--effects <own.py>", _knows_own, *plain, "--declare", "xy_into_z"),
         of("--no-loop", _not_searched, *search),
         of(curves, _curve_corrected(name), *bent, "--json"),
-        of("--seed 5", _other_draws, *search),
+        *((of("--seed 5", _other_draws, *search),) if name == "array" else ()),
         of("--fail-on caution", ends(5), *CAUTIONED[name], "--json"),
         of("--full", _longer, *words),
         of("--verbose", _says_the_cost),

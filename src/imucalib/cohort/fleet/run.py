@@ -63,7 +63,9 @@ def run_fleet(
         spreads=spreads,
         outliers=outliers([member.name for member in members], spreads),
         difference=gain if said.search.found else None,
-        asked=Asked("lab", request.command, request.seed, request.stated()),
+        asked=Asked(
+            "lab", request.command, request.seed, {**request.stated(), "draws": rules.draws}
+        ),
         following=population_of(
             [by_name[p.name] for p in fits[0].parameters],
             said.following,

@@ -39,6 +39,10 @@ def rest_steps(loop: FitLoop) -> tuple[Step, ...]:
             effect=AT_REST + step.effect,
             value=_size(loop.final, step.effect),
             checked=tuple(replace(c, name="rests") for c in step.checked),
+            rivals=tuple(
+                (AT_REST + name if name == step.effect else name, share)
+                for name, share in step.rivals
+            ),
         )
         for step in loop.steps
     )
