@@ -161,8 +161,8 @@ class Outcome:
             return "failed"
         if self.weak:
             return "weak"
-        doubted = self.unexplained or self.reasons or (self.findings and self.findings.open)
-        return "marginal" if doubted else "ok"
+        unsized = bool(self.findings and self.findings.open and not self.left)
+        return "marginal" if self.unexplained or self.reasons or unsized else "ok"
 
     @property
     def exit_code(self) -> int:

@@ -42,12 +42,13 @@ def run_of(plan: BoardPlan, seed: int, bend: float = 0.0) -> ArrayRun:
     return calibrate_array(recording, ArrayRequest(BOARD, loop=False), lambda _: None)
 
 
-def test_size_decides_and_presence_is_cautioned() -> None:
+def test_size_decides_and_presence_is_cautioned_where_no_size_is_known() -> None:
     small, large = Left("gyros", 1.0, 2.0, "deg/s"), Left("gyros", 3.0, 2.0, "deg/s")
     assert outcome(small).exit_code == 0
-    assert outcome(small).status == "marginal"
+    assert outcome(small).status == "ok"
     assert outcome(small, large).exit_code == 5
     assert outcome(small, large).status == "marginal"
+    assert outcome().status == "marginal"
 
 
 def test_the_residual_of_a_log_is_held_against_what_is_accepted() -> None:
