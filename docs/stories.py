@@ -36,129 +36,82 @@ def run(*arguments: str) -> Report:
     return {"error": found["error"]["message"]} if "error" in found else found
 
 
-def steps(report: Report) -> str:
-    """What the loop took in, with its evidence."""
-    said = []
-    for s in (report["loop"] or {"steps": []})["steps"]:
-        names = " or ".join(f"`{name}`" for name in (s["effect"], *s["aliases"]))
-        if s["effect"].startswith("curve@"):
-            what, against, *_, terms = s["effect"].removeprefix("curve@").split(":")
-            names = f"a curve without a name, {what} against {against} in {terms} terms"
-        size = s.get("size") or ", ".join(
-            f"{p['name']} {p['value']:.3g} ± {p['sd']:.2g} {p['unit']}".rstrip(" 1")
-            for p in s["parameters"][:3]
-        )
-        said.append(f"{names} ({size}; {s['evidence_nats']:.1f} nats, p {s['p_value']:.2g})")
-    return "; ".join(said) or "nothing"
+def said(report: Report) -> str:
+    """What the loop says: slips, effects with their chance and rivals, what stays."""
+    loop, words = report["loop"], []
+    words += [f"{f['what']} ({share(f['probability'])})" for f in report.get("faults") or ()]
+    words += [f"{r['where']}: {r['likely']}" for r in loop.get("record_errors") or ()]
+    for s in loop["steps"]:
+        others = [r for r in s["in_its_place"] if r["effect"] != s["effect"]][:2]
+        more = [f"`{short(r['effect'])}` {share(r['share'])}" for r in others]
+        words.append("; or ".join((f"`{short(s['effect'])}` {share(own(s))}", *more)))
+    words += [f"left: {u['name']}" for u in loop["unexplained"]]
+    if words:
+        return ". ".join(words)
+    return "not searched" if loop["verdict"] == "not run" else str(loop["verdict"])
 
 
-def left(report: Report) -> str:
-    """What stays unexplained, and what drives it."""
-    open_end = (report["loop"] or {"unexplained": []})["unexplained"]
-    said = [
-        f"{u['name']} (driven by {u['driver']})" if u["driver"] else u["name"] for u in open_end
-    ]
-    return "; ".join(said) or "nothing"
+def own(step: Report) -> float:
+    """The share of a step's own name; of one without rivals that it is there at all."""
+    shares = {r["effect"]: r["share"] for r in step["in_its_place"]}
+    return float(shares.get(step["effect"], step["probability"]) if shares else step["probability"])
 
 
-def story(title: str, lines: list[tuple[str, str]]) -> str:
-    """A heading and a table of what was asked and found."""
-    rows = "\n".join(f"| {name} | {text} |" for name, text in lines)
-    return f"### {title}\n\n| | |\n|---|---|\n{rows}\n"
+def short(name: str) -> str:
+    """Without the numbers of a law or a curve."""
+    return ":".join(name.split(":")[:2])
 
 
-def told(report: Report, before_after: str) -> list[tuple[str, str]]:
-    """The common part of every story."""
-    return [
-        ("verdict", report["loop"]["verdict"] if report["loop"] else "not searched"),
-        ("effect and evidence", steps(report)),
-        ("error before -> after, on data that took no part", before_after),
-        ("left", left(report)),
-        ("exit code", str(report["exit_code"])),
-    ]
+def share(value: float | None) -> str:
+    """In per cent, never 0 or 100."""
+    if value is None:
+        return "unsure"
+    return "> 99 %" if value > 0.99 else f"{100.0 * value:.0f} %"
 
 
-def by_split(report: Report) -> str:
-    """Base and final of the last held-out split, rms."""
-    last = report["held_out"][-1]["split"]
-    base, final = (s for s in report["held_out"] if s["split"] == last)
-    said = []
-    for key, unit in (("inclination_deg", "deg"), ("tool_face_deg", "deg"), ("norm_mg", "mg")):
-        if key in base and base[key] is not None:
-            name = key.rsplit("_", 1)[0].replace("_", "-")
-            said.append(f"{name} {base[key][1]:.3f} -> {final[key][1]:.3f} {unit}")
-    return f"{', '.join(said)} rms ({last})"
+def row(title: str, report: Report, error: int = 0) -> str:
+    """A line of the table: what was recorded, what is said, held-out error, exit code."""
+    if "error" in report:
+        return f"| {title} | refused: {report['error']} | | |"
+    held = report["loop"]["errors"][error]
+    before, after = held["held_out"]["base"], held["held_out"]["final"]
+    moved = "" if before is None else f"{before:.3g} -> {after:.3g} {held['unit']}"
+    return f"| {title} | {said(report)} | {moved} | {report['exit_code']} |"
 
 
 def lab(_: Path) -> Iterator[str]:
     """Table 1 of paper 004, as printed, with nothing declared."""
     table, gravity = str(SAMPLES / "paper_table_1.csv"), ("--gravity", "9.8061")
-    swapped = run("lab", table, "--swap-angles", *gravity)
-    printed, repaired = (
-        run("lab", table, *gravity),
-        run("lab", table, "--fix", "10:y=-58593", *gravity),
-    )
-    record = printed["loop"]["record_errors"][0]
-    first = [
-        ("with its two angle columns as the paper prints them", swapped["error"]),
-        ("residual", f"{record['where']}: {record['channel']} is {record['size']:.1f} ± "
-         f"{record['sd']:.1f} {record['unit']} off what the others predict"),
-        ("likely", record["likely"]),
-        *told(printed, by_split(printed)),
-    ]  # fmt: skip
-    yield story("Paper 004, Table 1, as printed", first)
-    fixture = next(f for f in repaired["fixture"]["inclination"] if f["inclination_deg"] == 50.0)
-    second = [
-        *told(repaired, by_split(repaired)),
-        ("the bench's inclination dial", f"{fixture['true_minus_dial_deg']:.2f} deg at 50 deg, "
-         f"95 % {fixture['low_95_deg']:.2f} to {fixture['high_95_deg']:.2f}"),
-    ]  # fmt: skip
-    yield story("The same with the sign of row 10 repaired", second)
+    yield row("paper 004, Table 1, angle columns as headed", run(
+        "lab", table, "--swap-angles", *gravity))  # fmt: skip
+    yield row("the same, columns exchanged", run("lab", table, *gravity))
+    mended = run("lab", table, "--fix", "10:y=-58593", *gravity)
+    yield row("the sign of row 10 mended", mended)
 
 
 def instruments(data: Path) -> Iterator[str]:
     """Cave instruments and hand-turned inertial sensors, by gravity alone."""
     for path in sorted(SAMPLES.glob("cave_*.csv")):
-        name = path.stem.removeprefix("cave_")
         report = run("lab", str(path), "--reference", "norm")
-        yield story(f"Cave instrument {name}, 24 shots", told(report, by_split(report)))
+        yield row(f"cave instrument {path.stem.removeprefix('cave_')}, 24 shots", report)
     columns = ("--acc", "1,2,3", "--unit", "m/s2", "--rate", "100")
     for name in ("imu0", "imu1"):
         path = str(data / "mpu9150_tumble" / f"{name}.log")
         report = run("lab", path, "--reference", "norm", *columns)
-        if "error" in report:
-            raise SystemExit(report["error"])
-        yield story(f"MPU-9150 turned by hand, {name}", told(report, by_split(report)))
+        yield row(f"MPU-9150 turned by hand, {name}", report)
 
 
 def actigraphs(data: Path) -> Iterator[str]:
     """Every worn recording that there is."""
     for path in sorted((data / "actigraph").iterdir()):
-        report = run("actigraph", str(path))
-        if "error" in report:
-            yield story(f"Worn sensor, `{path.name}`", [("refused", report["error"])])
-            continue
-        e = report["error_mg"]
-        rest = report["coverage"]["posture_runs"]
-        words = (
-            f"raw {e['raw']:.2f}, {e['base_held_out']:.2f} -> {e['final_held_out']:.2f} mg "
-            f"mean error of the norm over {rest} posture runs"
-        )
-        why = [("because", "; ".join(report["reasons"]))] if report["reasons"] else []
-        yield story(f"Worn sensor, `{path.name}`", [*told(report, words), *why])
+        yield row(f"worn, `{path.name}`", run("actigraph", str(path)))
 
 
 def arrays(data: Path) -> Iterator[str]:
-    """A board of 32 inertial sensors, eight of them recorded."""
-    for name in ("exp_1", "exp_5"):
+    """A board of 32 inertial sensors, eight of them recorded; the error of the gyros."""
+    for name in ("exp_1", "exp_2", "exp_4", "exp_5"):
         path = str(data / "mimu4444" / f"{name}.h5")
-        report = run("array", path, "--board", "mimu4444_corners")
-        a, g = (e["held_out"] for e in report["loop"]["errors"])
-        words = (
-            f"gyros {g['base']:.2f} -> {g['final']:.2f} deg/s, accelerometers "
-            f"{a['base']:.3f} -> {a['final']:.3f} m/s² (median absolute deviation)"
-        )
-        yield story(f"MIMU4444 board, {name}", told(report, words))
+        yield row(f"MIMU4444 board, {name}", run("array", path, "--board", "mimu4444_corners"), 1)
 
 
 def main() -> None:
@@ -169,7 +122,9 @@ def main() -> None:
     parts = [text for part in (lab, instruments, actigraphs, arrays) for text in part(data)]
     page = PAGE.read_text(encoding="utf-8")
     head, tail = page.split(START)[0], page.split(END)[1]
-    PAGE.write_text(head + START + "\n\n" + "\n".join(parts) + "\n" + END + tail, encoding="utf-8")
+    heading = "| recording | what is said | held out, before -> after | exit |\n|---|---|---|---|\n"
+    table = heading + "\n".join(parts)
+    PAGE.write_text(f"{head}{START}\n\n{table}\n\n{END}{tail}", encoding="utf-8")
 
 
 if __name__ == "__main__":
