@@ -10,7 +10,7 @@ from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.report.document import Card, Text, Tone, Worth
-from imucalib.report.gain import density_words, refuted_words
+from imucalib.report.gain import density_words, likeliest_words, refuted_words
 from imucalib.significant_digits import per_cent, plus_minus, two_digits
 from imucalib.units import MG
 
@@ -105,7 +105,8 @@ def _found(found: Findings) -> tuple[Text, ...]:
     if found.verdict == "not run":
         lines.append(Text("What the model lacks was not searched for."))
     elif not (lines or found.records):
-        why = f": {refuted_words(found)}" if found.refuted else ", as far as these data show"
+        shown = f", as far as these data show{likeliest_words(found)}"
+        why = f": {refuted_words(found)}" if found.refuted else shown
         lines.append(Text(f"Nothing is missing from the model{why}.", "ok"))
     return tuple(lines)
 
