@@ -17,8 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from imucalib.effects.shape import in_words
 from imucalib.readers import read
 from imucalib.rests.segments import still_segments
+from imucalib.significant_digits import per_cent
 from imucalib.units import MG
 
 HERE = Path(__file__).resolve().parent
@@ -68,9 +70,10 @@ def told(report: dict[str, Any]) -> None:
     loop = report["loop"]
     records = [f"wrong record: {r['where']}, {r['channel']} is {r['size']:.0f} ± {r['sd']:.0f} "
                f"{r['unit']} off ({r['likely']})" for r in loop["record_errors"]]  # fmt: skip
-    named = [" or ".join([s["effect"], *s["aliases"]]) for s in loop["steps"]]
+    slips = [f["what"] for f in report.get("faults", ())]
+    named = [_likely(step) for step in loop["steps"]]
     left = [u["name"] for u in loop["unexplained"]]
-    print(f"found:  {'; '.join(records + named) or 'nothing missing'} ({loop['verdict']})")
+    print(f"found:  {'; '.join(slips + records + named) or 'nothing missing'} ({loop['verdict']})")
     if left:
         print(f"left:   {'; '.join(left[:2])}" + (f" and {len(left) - 2} more" * (len(left) > 2)))
     gain = loop["gain"]
@@ -84,6 +87,13 @@ def told(report: dict[str, Any]) -> None:
         f"{gain['unit']}, held out\n        (gain {gain['before'] - gain['after']:.2g}, 95 % "
         f"{gain['low']:.2g} to {gain['high']:.2g}{dense})"
     )
+
+
+def _likely(step: dict[str, Any]) -> str:
+    """A step and its first rival, with the probability of each."""
+    shares = [(r["effect"], r["share"]) for r in step["in_its_place"]]
+    shares = shares or [(step["effect"], step["probability"])]
+    return " or ".join(f"{in_words(name)} {per_cent(share)}" for name, share in shares[:2])
 
 
 def compared(raw: Path, corrected: Path) -> None:

@@ -148,7 +148,9 @@ def in_words(name: str) -> str:
     if what not in KINDS or not kind:
         return name.replace("_", " ")
     article = "an" if kind[0] in "aeiou" else "a"
-    driver = "" if what == "response" else f" against {against.replace('_', ' ')}"
+    driver = f" against {against.replace('_', ' ')}"
+    if what == "response":
+        driver = f" of {against}" if len(against) == 1 else ""
     return f"{article} {kind} of the {KINDS[what]}{driver}"
 
 
