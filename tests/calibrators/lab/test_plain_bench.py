@@ -82,23 +82,6 @@ def test_what_the_forces_across_an_axis_add_is_named(name: str, tmp_path: Path) 
     assert run.result.loop.verdict == "explained"
 
 
-@pytest.mark.parametrize("form", ["tool_face:tool_face:sine:72:1.1", "response:xyz:sine:0.37:0.5"])
-def test_a_form_that_is_too_fine_for_a_smooth_curve_is_found(form: str, tmp_path: Path) -> None:
-    """Five waves a turn of a dial passed for scatter of its settings; five waves of the response
-    were seen, but no curve of so many terms held out, and no form was tried."""
-    what, driver, kind, period, _ = form.split(":")
-    bench = plain_bench.Bench(plain_bench.Plan(1, ((form, 30.0),), n=60))
-    table = read_position_table(bench.write(tmp_path / "sheet.csv"))
-    run = run_lab(table, LabRequest(unit="mg"))
-    assert run.result.loop is not None
-    steps = [s.effect for s in run.result.loop.steps]
-    assert len(steps) == 1
-    assert steps[0].startswith(f"shape@{what}:{driver}:{kind}:")
-    assert float(steps[0].split(":")[-1]) == pytest.approx(float(period), rel=0.02)
-    held = run.outcome.errors[0].held_out
-    assert held.final < 0.7 * held.base
-
-
 @pytest.mark.parametrize(
     "pair",
     [("temperature_scale", "cubic"), ("base_tilt_across", "hysteresis")],
@@ -220,19 +203,6 @@ def test_noise_that_lasts_is_noise_on_a_long_sheet_too(tmp_path: Path) -> None:
     assert run.result.loop is not None
     assert not run.result.loop.steps
     assert run.result.final.observations.walk is not None
-
-
-def test_a_converter_too_fine_for_a_curve_is_found_under_noise_that_lasts(tmp_path: Path) -> None:
-    """No smooth curve shows four swings of the response: nothing was missing at 1.1 mg of 0.4."""
-    sine = (("response:xyz:sine:0.47:0.9", 15.54),)
-    bench = plain_bench.Bench(plain_bench.Plan(40004015, sine, noise="ar", n=60))
-    run = run_lab(read_position_table(bench.write(tmp_path / "sheet.csv")), LabRequest(unit="mg"))
-    assert run.result.loop is not None
-    (step,) = run.result.loop.steps
-    assert step.effect.startswith("shape@response:xyz:sine:")
-    assert float(step.effect.rpartition(":")[2]) == pytest.approx(0.47, rel=0.05)
-    assert not step.certain  # a formula, and no cause
-    assert run.result.loop.verdict == "explained"
 
 
 @pytest.mark.parametrize("seed", [0, 1])

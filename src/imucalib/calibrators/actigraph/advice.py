@@ -101,7 +101,8 @@ def _open_ends(loop: FitLoop, *, warm: bool) -> list[str]:
     if loop.steps and loop.steps[0].aliases:
         step = loop.steps[0]
         found.append(
-            f"{in_words(step.effect)} cannot be told from {', '.join(map(in_words, step.aliases))}: "
+            f"{in_words(step.effect)} cannot be told from "
+            f"{', '.join(map(in_words, step.aliases))}: "
             "both correct this recording alike; a longer one, with more postures, separates them."
         )
     return found
