@@ -110,14 +110,19 @@ def sensor(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_the_order_of_the_rows_decides_nothing_of_norms(tmp_path: Path) -> None:
-    """Where it stands clear of chance, which is counted among other drifts and steps."""
+    """Where it stands clear of chance; what follows the order is another rival, which moves what is
+    told by a fifth of what is left open at most."""
     source, options = SAMPLES / "cave_fb.csv", ["--reference", "norm"]
     usual = sensor(report(source, tmp_path / "usual", options))
     assert usual["loop"]["steps"]
     for seed in (1, 2):
         table = tmp_path / source.name
         shuffled(source, table, seed)
-        same(usual, sensor(report(table, tmp_path / str(seed), options)))
+        other = sensor(report(table, tmp_path / str(seed), options))
+        steps = [[s["effect"] for s in one["loop"]["steps"]] for one in (usual, other)]
+        assert steps[0] == steps[1]
+        for one, two in zip(usual["parameters"], other["parameters"], strict=True):
+            assert abs(one["value"] - two["value"]) < 0.2 * one["sd"]
 
 
 def test_a_time_column_says_the_order_and_rows_keep_their_numbers(tmp_path: Path) -> None:

@@ -100,8 +100,9 @@ def _open_ends(loop: FitLoop, *, warm: bool) -> list[str]:
     found = [_TOLD[kind]] if kind else []
     if loop.steps and loop.steps[0].aliases:
         step = loop.steps[0]
+        name = in_words(step.effect)
         found.append(
-            f"{in_words(step.effect)} cannot be told from "
+            f"{name[0].upper()}{name[1:]} cannot be told from "
             f"{', '.join(map(in_words, step.aliases))}: "
             "both correct this recording alike; a longer one, with more postures, separates them."
         )
