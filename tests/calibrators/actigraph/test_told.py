@@ -239,7 +239,7 @@ def test_a_rival_form_is_told_in_words() -> None:
     loop = SimpleNamespace(unexplained=(), steps=(step,))
     (found,) = advice._open_ends(loop, warm=True)  # type: ignore[arg-type]
     assert (
-        "cubic cannot be told from cross axis, a soft saturation of the response, "
+        "Cubic cannot be told from cross axis, a soft saturation of the response, "
         "an exponential of the bias against temperature: " in found
     )
 
