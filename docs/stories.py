@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from imucalib.significant_digits import per_cent
+
 ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "sample_logs"
 PAGE = ROOT / "docs" / "closed_loop.md"
@@ -63,10 +65,8 @@ def short(name: str) -> str:
 
 
 def share(value: float | None) -> str:
-    """In per cent, never 0 or 100."""
-    if value is None:
-        return "unsure"
-    return "> 99 %" if value > 0.99 else f"{100.0 * value:.0f} %"
+    """In per cent; a slip that was not solved has none."""
+    return "unsure" if value is None else per_cent(value)
 
 
 def row(title: str, report: Report, error: int = 0) -> str:
@@ -82,8 +82,8 @@ def row(title: str, report: Report, error: int = 0) -> str:
 def lab(_: Path) -> Iterator[str]:
     """Table 1 of paper 004, as printed, with nothing declared."""
     table, gravity = str(SAMPLES / "paper_table_1.csv"), ("--gravity", "9.8061")
-    yield row("paper 004, Table 1, angle columns as headed", run(
-        "lab", table, "--swap-angles", *gravity))  # fmt: skip
+    swapped = run("lab", table, "--swap-angles", *gravity)
+    yield row("paper 004, Table 1, angle columns as headed", swapped)
     yield row("the same, columns exchanged", run("lab", table, *gravity))
     mended = run("lab", table, "--fix", "10:y=-58593", *gravity)
     yield row("the sign of row 10 mended", mended)

@@ -13,6 +13,8 @@ from imucalib.calibration.plain import plain
 from imucalib.calibration.provenance import Provenance
 from imucalib.core.fit import Fit
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, Undetermined
+from imucalib.loop.found import FitLoop
+from imucalib.units import MG
 
 Status = Literal["ok", "marginal", "weak", "failed"]
 #: What a run that is otherwise consistent may be made to fail on: a name that held-out data do not
@@ -97,6 +99,12 @@ def open_question(size: float, error: ErrorSummary) -> Left:
     """
     good_to = error.final if math.isnan(error.held_out.final) else error.held_out.final
     return Left("what stays open in a reading", size, good_to, error.unit)
+
+
+def left_open(loop: FitLoop | None, error: ErrorSummary) -> tuple[Left, ...]:
+    """What a search leaves open of readings whose error is in mg; nothing where all is settled."""
+    size = loop.open_size if loop else 0.0
+    return (open_question(size / MG, error),) if size else ()
 
 
 @dataclass(frozen=True)

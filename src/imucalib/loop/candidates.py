@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,10 +12,17 @@ from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
 from imucalib.core.model import Prediction
 from imucalib.core.truth import Truth
-from imucalib.loop.evidence import Candidate
 
 #: Name of an error that all triads of one rigid body share.
 ALL_TRIADS = "all"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect of the catalogue; columns : (N, m) in the balance's units, at typical sizes."""
+
+    name: str
+    columns: Array
 
 
 def effect_columns(fit: Fit, effect: Effect, prediction: Prediction | None = None) -> Array:
@@ -71,7 +79,7 @@ def effect_candidates(
             missing[effect.name] = reason or "it has no parameter on these data"
             continue
         columns = effect_columns(fit, effect, prediction)
-        found.append(Candidate(effect.name, "effect", columns))
+        found.append(Candidate(effect.name, columns))
     return tuple(found), missing
 
 

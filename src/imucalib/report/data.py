@@ -124,7 +124,7 @@ def _found(found: Findings) -> dict[str, Any]:
         "refuted": list(found.refuted),
         "not_testable": [vars(u) for u in found.not_testable],
         "candidates": [
-            {"name": s.name, "kind": s.candidate.kind, "evidence_nats": s.evidence, "p_value": s.p,
+            {"name": s.name, "kind": s.kind, "evidence_nats": s.evidence, "p_value": s.p,
              "left": s.left, "lambda_at_typical_size": s.strength, "size_m_per_s2": s.size}
             for s in found.scores
         ],
@@ -154,7 +154,7 @@ def _step(step: FoundStep) -> dict[str, Any]:
 
 def _reasons(found: Findings) -> dict[str, str]:
     """Why each effect was not taken."""
-    reasons = {s.name: _why(s, found) for s in found.scores if s.candidate.kind == "effect"}
+    reasons = {s.name: _why(s, found) for s in found.scores if s.kind == "effect"}
     reasons |= dict(found.rejected)
     return reasons | {name: f"not tested: {why}" for name, why in found.missing.items()}
 

@@ -40,7 +40,7 @@ _LIKELY, _NAMED = 0.1, 2
 
 def likeliest_words(found: Findings) -> str:
     """What nothing missing may turn out to be, with the probability of each, or nothing."""
-    likely = [s for s in found.scores if not s.draws and 1.0 - s.p > _LIKELY][:_NAMED]
+    likely = [s for s in found.scores if 1.0 - s.p > _LIKELY][:_NAMED]
     words = ", ".join(f"{in_words(s.name)} {per_cent(1.0 - s.p)}" for s in likely)
     return f"; the likeliest that could be: {words}" if words else ""
 

@@ -162,9 +162,9 @@ def candidate_rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
     return [
         (
             s.name,
-            s.candidate.kind,
+            s.kind,
             "absorbed" if s.absorbed else f"{s.evidence:.2f}",
-            "-" if s.absorbed else probability(s.p, s.draws) if s.draws else per_cent(1.0 - s.p),
+            "-" if s.absorbed else per_cent(1.0 - s.p),
             f"{100.0 * s.left:.1f}",
             f"{s.strength:.1f}",
             f"{s.size / MG:.2g}" if s.size else "-",
@@ -179,10 +179,9 @@ def candidate_section(found: Findings) -> Section:
     # Of a scan only members that say something: it has hundreds.
     scores = [s for s in found.scores if "@" not in s.name or s.evidence > 1.0]
     rows = candidate_rows(scores)
-    chance = "p" if any(s.draws for s in scores) else "there"
     rows += [(name, "effect", "rejected", "-", "-", "-", "-") for name in rejected]
     rows += [(name, "effect", "not tested", "-", "-", "-", "-") for name in found.missing]
-    header = ("candidate", "kind", "evidence (nats)", chance, "left (%)", "λ", "size (mg)")
+    header = ("candidate", "kind", "evidence (nats)", "there", "left (%)", "λ", "size (mg)")
     note = (
         "Last search, after everything above was added. Left: share of the effect that the fitted "
         "parameters do not absorb. λ: strength at typical size; about 4.7 gives an 80 % chance to "

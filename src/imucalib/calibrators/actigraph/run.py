@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from imucalib.calibration.findings import Findings, findings_of
-from imucalib.calibration.outcome import Left, Outcome, Run, open_question, quality_of
+from imucalib.calibration.outcome import Outcome, Run, left_open, quality_of
 from imucalib.calibration.plain import plain
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.actigraph.advice import advice, limits_of, reasons
@@ -132,13 +132,8 @@ def _judged(
             said.strange, "calibrated without --fleet: is it another kind, or was it turned?"
         ),
         weak=result.weak,
-        left=_left(result),
+        left=left_open(result.loop, result.error),
     )  # fmt: skip
-
-
-def _left(result: ActigraphResult) -> tuple[Left, ...]:
-    size = result.loop.open_size if result.loop else 0.0
-    return (open_question(size / MG, result.error),) if size else ()
 
 
 def _findings(loop: FitLoop | None, request: ActigraphRequest) -> Findings | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.arrays import Index
 from imucalib.calibration.findings import Findings, findings_of
-from imucalib.calibration.outcome import Left, Outcome, Run, open_question, quality_of
+from imucalib.calibration.outcome import Outcome, Run, left_open, quality_of
 from imucalib.calibration.provenance import Provenance, provenance_of
 from imucalib.calibrators.lab.advice import (
     advice,
@@ -42,7 +42,6 @@ from imucalib.errors import NotConverged, Undetermined, UnreadableInput
 from imucalib.loop.found import FitLoop
 from imucalib.loop.record_errors import RecordError
 from imucalib.significant_digits import per_cent
-from imucalib.units import MG
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,13 +146,8 @@ def _judged(
         undecided=undecided,
         limits=limits_of(result, request.limits),
         notes=notes,
-        left=_left(result),
+        left=left_open(result.loop, result.error),
     )  # fmt: skip
-
-
-def _left(result: LabResult) -> tuple[Left, ...]:
-    size = result.loop.open_size if result.loop else 0.0
-    return (open_question(size / MG, result.error),) if size else ()
 
 
 def _findings(loop: FitLoop | None, chosen: LabSettings) -> Findings | None:

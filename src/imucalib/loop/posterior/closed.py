@@ -25,7 +25,7 @@ from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.slips import Mended, Written, mended
 from imucalib.loop.posterior.solution import change, fit_of, noises_of, solved
 from imucalib.loop.posterior.tried import scores_of
-from imucalib.loop.posterior.words import Place, Told, told
+from imucalib.loop.posterior.words import Place, Told, name_of, told
 from imucalib.loop.record_errors import record_names
 from imucalib.loop.records import accused, reduced
 from imucalib.units import MG
@@ -175,25 +175,17 @@ def judged(
 
 
 def _effect(found: Explored, component: int, said: Told) -> str:
-    """The name of the effect that stands for a component in what is told, or in its likeliest
-    set."""
-    sets = (said.hypothesis, *found.posterior.hypotheses)
-    own = next(h for h in sets if component in h.components)
-    choices = found.problem.choices
-    return next(
-        choices[p.choice].member.name for p in own.picks if choices[p.choice].component == component
-    )
+    return name_of(found.problem, found.posterior, said, component)
 
 
 def _step(found: Explored, said: Told, place: Place, name: str, left: LeftOut) -> Step:
     rivals = tuple((_effect(found, c, said), share) for c, share in place.rivals)
     component = found.problem.components[place.component]
-    odds = place.probability / max(1.0 - place.probability, 1e-12)
     return Step(
         effect=name,
         p=said.complete,
         draws=0,
-        evidence=float(np.log(max(odds, 1e-12))),
+        evidence=place.log_odds,
         checked=(Checked("error", "m/s2", left.before.rms(), left.after.rms()),),
         aliases=tuple(dict.fromkeys(n for n, _ in rivals if n != name)),
         curve=component.kind == "free",

@@ -127,7 +127,7 @@ class Grams:
     spread : sd of the log of the noise factor about 1, infinite where nothing is known of it
     """
 
-    products: Products | Multiplied
+    products: Products
     taken: Array
     log_weight: Array
     numbers: float
@@ -178,12 +178,16 @@ class Grams:
         )
 
 
+def narrowed(grams: Grams, columns: Index) -> Grams:
+    """Of some of the columns, in ascending order, y among them as the last."""
+    products = separable(grams).narrowed(columns)
+    return replace(grams, products=products, taken=grams.taken[:, :, columns])
+
+
 def restricted(grams: Grams, columns: Index) -> Grams:
-    """The same of some of the columns, in ascending order, y among them as the last."""
-    taken = grams.taken[:, :, columns]
-    own = separable(grams).narrowed(columns).rows(np.arange(columns.size))
-    own = own - taken.swapaxes(1, 2) @ taken
-    return replace(grams, products=Multiplied(own), taken=taken[:, :0])
+    """The same multiplied out: of few columns that much is asked of."""
+    own = narrowed(grams, columns).rows(np.arange(columns.size))
+    return replace(grams, products=Multiplied(own), taken=np.zeros((len(own), 0, columns.size)))
 
 
 def grams_of(problem: Problem, terms: Terms) -> Grams:

@@ -14,7 +14,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.loop.design import Fold
 from imucalib.loop.held_out import Held, errors, joined
-from imucalib.loop.posterior.gram import Grams, beside, log_sum, separable, swept, without
+from imucalib.loop.posterior.gram import Grams, beside, log_sum, narrowed, swept, without
 from imucalib.loop.posterior.odds import FOLD_BEAMS, FOLD_DEEPEST
 from imucalib.loop.posterior.problem import Choice, Problem
 from imucalib.loop.posterior.solution import solved
@@ -70,8 +70,7 @@ def foretold(problem: Problem, posterior: Posterior, folds: Sequence[Fold]) -> H
     """Predictions of every observation without its fold by the base model alone."""
     used = np.r_[np.arange(problem.base), problem.columns.shape[1] - 1]
     brief = replace(problem, columns=problem.columns[:, used], single=problem.base, choices=())
-    grams = posterior.grams
-    grams = replace(grams, products=separable(grams).narrowed(used), taken=grams.taken[:, :, used])
+    grams = narrowed(posterior.grams, used)
     out, every = list[Held](), np.arange(problem.fit.observations.n)
     for fold in folds:
         kept = without(grams, brief, np.setdiff1d(every, fold.rest))
@@ -115,11 +114,7 @@ def _narrowed(problem: Problem, posterior: Posterior) -> tuple[Problem, Grams]:
         choices=tuple(replace(c, at=np.searchsorted(used, c.at)) for c in choices),
         single=int(np.searchsorted(used, problem.single)),
     )
-    return found, replace(
-        posterior.grams,
-        products=separable(posterior.grams).narrowed(used),
-        taken=posterior.grams.taken[:, :, used],
-    )
+    return found, narrowed(posterior.grams, used)
 
 
 def _rivals(problem: Problem, posterior: Posterior) -> tuple[Choice, ...]:

@@ -24,7 +24,7 @@ from imucalib.core.observations import Observations
 from imucalib.estimators.least_squares import evaluate
 from imucalib.loop.found import Wander
 from imucalib.loop.posterior.component import Member
-from imucalib.loop.posterior.gram import Grams, beside, log_sum, swept
+from imucalib.loop.posterior.gram import Grams, Multiplied, beside, log_sum, swept
 from imucalib.loop.posterior.odds import (
     HEARD,
     OPEN,
@@ -183,36 +183,21 @@ def _beside(course: Course, walk: int, every: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Summed:
-    """gram : (E, q, q) Zᵀ V⁻¹ Z of a recording's columns (n, q) under some of its walks"""
+class Summed(Multiplied):
+    """Zᵀ V⁻¹ Z of a recording's columns (n, q) under some of its walks"""
 
-    gram: Array
     columns: Array
     course: Course
-
-    def rows(self, at: Index) -> Array:
-        """(E, s, q) some rows."""
-        return self.gram[:, at]
-
-    @property
-    def along(self) -> Array:
-        """(E, q) products with y."""
-        return self.gram[:, -1]
-
-    def blocks(self, index: Index) -> Array:
-        """(E, m, w, w) blocks on the diagonal of columns index (m, w)."""
-        return self.gram[:, index[:, :, None], index[:, None, :]]
 
     def of(self, noises: Index) -> Summed:
         """At some of the noises."""
         walks = tuple(self.course.walks[k] for k in noises)
-        return replace(self, gram=self.gram[noises], course=replace(self.course, walks=walks))
+        return replace(self, matrix=self.matrix[noises], course=replace(self.course, walks=walks))
 
     def narrowed(self, columns: Index) -> Summed:
         """Of some columns, in their order."""
-        return replace(
-            self, gram=self.gram[:, columns[:, None], columns], columns=self.columns[:, columns]
-        )
+        own = self.matrix[:, columns[:, None], columns]
+        return replace(self, matrix=own, columns=self.columns[:, columns])
 
     @cached_property
     def _whitener(self) -> Whitener:
@@ -221,7 +206,7 @@ class Summed:
     @cached_property
     def _weighted(self) -> Array:
         """(E, n, q) V⁻¹ Z."""
-        out = np.empty((len(self.gram), *self.columns.shape))
+        out = np.empty((len(self.matrix), *self.columns.shape))
         for k in range(len(out)):
             white = self._whitener.of(slice(k, k + 1))
             out[k] = white.back(white(self.columns))[0]
@@ -232,7 +217,7 @@ class Summed:
         (Cook and Weisberg 1982)."""
         unit = np.zeros((len(self.columns), rows.size))
         unit[rows, np.arange(rows.size)] = 1.0
-        gram, log_weight = self.gram.copy(), grams.log_weight.copy()
+        gram, log_weight = self.matrix.copy(), grams.log_weight.copy()
         for k in range(len(gram)):
             white = self._whitener.of(slice(k, k + 1))
             lower = np.linalg.cholesky(white.back(white(unit))[0, rows])
@@ -240,7 +225,7 @@ class Summed:
             gram[k] -= taken.T @ taken
             log_weight[k] -= np.log(np.diag(lower)).sum()
         count = grams.numbers - rows.size
-        products = replace(self, gram=gram)
+        products = replace(self, matrix=gram)
         return replace(grams, products=products, log_weight=log_weight, numbers=count)
 
 

@@ -77,7 +77,7 @@ class _Trial:
 
 
 def mended(base: Fit, asked: Searched, written: Written | None = None) -> Mended:
-    """The posterior of a table with everything that is wrong in it beyond doubt set right.
+    """The posterior of a table with everything that is likelier wrong in it than not set right.
 
     written : the sheet, where its angles are known; without one only records are asked
     """

@@ -164,9 +164,8 @@ def climbed(problem: Contest, grams: Grams, start: Sequence[Pick] = ()) -> Poste
         )
 
     def keep(state: _State, *, open_it: bool = True) -> None:
-        for one in (
-            state.hypothesis, *(_opened(problem, state, every, blocks, dof) if open_it else ())
-        ):  # fmt: skip
+        more = _opened(problem, state, every, blocks, dof) if open_it else ()
+        for one in (state.hypothesis, *more):
             old = found.get(one.components)
             if old is None or one.evidence > old.evidence:
                 found[one.components] = one

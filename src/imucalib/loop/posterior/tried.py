@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.loop.evidence import Candidate, Score
+from imucalib.arrays import Array
+from imucalib.loop.evidence import Score
 from imucalib.loop.posterior.gram import swept
 from imucalib.loop.posterior.problem import Problem
 from imucalib.loop.posterior.space import Posterior
-
-_NOTHING = np.zeros((0, 0))
 
 
 def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
@@ -25,10 +24,7 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
     one, n = base.of(noise), len(problem.fit.at.owner)
     basis = np.linalg.qr(problem.columns[:n, : problem.base])[0]
     factor = float(np.sqrt(one.power[0] / posterior.dof))
-    alone = {h.components[0]: h.evidence for h in posterior.hypotheses if len(h.components) == 1}
-    inside = np.zeros(len(problem.components))
-    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
-        inside[list(hypothesis.components)] += p
+    evidence, inside = of_each(posterior, len(problem.components))
     found, seen = [], set[int]()
     for choice in problem.choices:
         if choice.component in seen:
@@ -42,20 +38,25 @@ def scores_of(problem: Problem, posterior: Posterior) -> tuple[Score, ...]:
         sized = columns * problem.fit.at.unit[:, None]
         found.append(
             Score(
-                candidate=Candidate(
-                    component.name,
-                    "effect" if component.named else "probe",
-                    _NOTHING,
-                    driver=component.driver,
-                ),
-                evidence=alone.get(choice.component, posterior.base.evidence)
-                - posterior.base.evidence,
-                p=float(1.0 - min(inside[choice.component], 1.0)),
-                draws=0,
+                name=component.name,
+                kind="effect" if component.named else "probe",
+                driver=component.driver,
+                evidence=float(evidence[choice.component]),
+                p=float(1.0 - inside[choice.component]),
                 left=float(np.sum(rest**2) / np.sum(columns**2)),
                 strength=float(np.sqrt(power)) / factor,
-                share=0.0,
                 size=float(np.linalg.norm(sized) / problem.fit.observations.n**0.5),
             )
         )
     return tuple(sorted(found, key=lambda s: s.p))
+
+
+def of_each(posterior: Posterior, count: int) -> tuple[Array, Array]:
+    """(C,) nats of each component by itself beside the base model, and (C,) the probability that it
+    is there; count : how many there are"""
+    evidence, inside = np.zeros(count), np.zeros(count)
+    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
+        inside[list(hypothesis.components)] += p
+        if len(hypothesis.components) == 1:
+            evidence[hypothesis.components[0]] = hypothesis.evidence - posterior.base.evidence
+    return evidence, np.minimum(inside, 1.0)

@@ -15,6 +15,7 @@ import numpy as np
 from imucalib.loop.posterior.odds import CERTAIN, COMPLETE, TOLD
 from imucalib.loop.posterior.problem import Contest
 from imucalib.loop.posterior.space import Hypothesis, Posterior
+from imucalib.loop.posterior.tried import of_each
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,12 @@ class Place:
     probability: float
     rivals: tuple[tuple[int, float], ...]
     certain: bool
+
+    @property
+    def log_odds(self) -> float:
+        """Nats in favour of its being there."""
+        odds = self.probability / max(1.0 - self.probability, 1e-12)
+        return float(np.log(max(odds, 1e-12)))
 
 
 @dataclass(frozen=True)
@@ -61,26 +68,26 @@ def told(problem: Contest, posterior: Posterior, *, names_first: bool = False) -
             -pair[1],
         ),
     )[0]
-    inside = _inclusion(posterior)
+    inside = of_each(posterior, len(problem.components))[1]
     nameless = sum(
         p for h, p in pairs if any(not problem.components[c].named for c in h.components)
     )
     places = []
     for component in said.components:
         rivals = _rivals(posterior, said, component)
-        likely = inside[component]
+        likely = float(inside[component])
         alone = len(rivals) == 1 and likely > CERTAIN and nameless < 0.5
         sure = bool(alone and problem.components[component].named)
         places.append(Place(component, likely, rivals, sure))
     return Told(complete, said, tuple(sorted(places, key=lambda p: -p.probability)))
 
 
-def _inclusion(posterior: Posterior) -> dict[int, float]:
-    found: dict[int, float] = {}
-    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
-        for component in hypothesis.components:
-            found[component] = found.get(component, 0.0) + float(p)
-    return found
+def name_of(problem: Contest, posterior: Posterior, said: Told, component: int) -> str:
+    """The effect that stands for a component in what is told, or in its likeliest set."""
+    sets = (said.hypothesis, *posterior.hypotheses)
+    own = next(h for h in sets if component in h.components)
+    picked = (problem.choices[p.choice] for p in own.picks)
+    return next(choice.member.name for choice in picked if choice.component == component)
 
 
 def _rivals(

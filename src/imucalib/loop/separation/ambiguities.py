@@ -70,7 +70,7 @@ def _near(loop: FitLoop, step: Step) -> list[Effect]:
     near = [
         s.name
         for s in loop.first_scores
-        if s.candidate.kind == "effect"
+        if s.kind == "effect"
         and s.evidence >= NEAR * step.evidence
         and s.name.partition("@")[0] not in taken
         and s.name not in loop.final.model.names

@@ -75,9 +75,15 @@ def explored(
 
 
 def _searched(
-    base: ArrayState, apart: Apart, ages: Ages | None, problem: MotionProblem, grams: Grams,
-    before: Explored | None, *, names_first: bool,
-) -> Explored:  # fmt: skip
+    base: ArrayState,
+    apart: Apart,
+    ages: Ages | None,
+    problem: MotionProblem,
+    grams: Grams,
+    before: Explored | None,
+    *,
+    names_first: bool,
+) -> Explored:
     posterior = climbed(problem, grams, problem.picks(apart.state))
     first = (problem, posterior) if before is None else before.first
     said = told(problem, posterior, names_first=names_first)

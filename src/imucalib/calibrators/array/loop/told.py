@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.cross_fit import Gained
 from imucalib.calibrators.array.loop.products import MotionProblem
@@ -11,14 +9,13 @@ from imucalib.calibrators.array.loop.search import Explored
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import OPEN
 from imucalib.calibrators.array.loop.words import size_in_words
-from imucalib.loop.evidence import Candidate, Score
+from imucalib.loop.evidence import Score
 from imucalib.loop.found import Step, Unexplained
 from imucalib.loop.posterior.odds import CERTAIN
 from imucalib.loop.posterior.space import Posterior
-from imucalib.loop.posterior.words import Place
+from imucalib.loop.posterior.tried import of_each
+from imucalib.loop.posterior.words import Place, name_of
 from imucalib.loop.thresholds import ABSORBED
-
-_NOTHING = np.zeros((0, 0))
 
 
 def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple[Step, ...]:
@@ -39,14 +36,13 @@ def steps_of(found: Explored, final: ArrayState, gained: Gained | None) -> tuple
             for own, part in (twins if c == place.component else ((_member(found, c), 1.0),))
         ]
         likely = tuple(r for r in rivals if r[1] > 1.0 - CERTAIN or r[0] == term.name)
-        odds = place.probability / max(1.0 - place.probability, 1e-12)
         named = found.problem.named(name)
         steps.append(
             Step(
                 effect=term.name,
                 p=found.said.complete,
                 draws=0,
-                evidence=float(np.log(max(odds, 1e-12))),
+                evidence=place.log_odds,
                 checked=() if gained is None else gained.checked,
                 aliases=tuple(n for n, _ in likely if n != term.name),
                 value=size_in_words(final, term),
@@ -89,37 +85,24 @@ def _without_a_name(found: Explored, place: Place, name: str) -> Unexplained:
 
 
 def _member(found: Explored, component: int) -> str:
-    """The name that stands for a component in what is told, or in its likeliest set."""
-    sets = (found.said.hypothesis, *found.posterior.hypotheses)
-    own = next(h for h in sets if component in h.components)
-    choices, ways = found.problem.choices, found.problem.ways
-    return next(ways[p.choice].name for p in own.picks if choices[p.choice].component == component)
+    return name_of(found.problem, found.posterior, found.said, component)
 
 
 def scores_of(problem: MotionProblem, posterior: Posterior) -> tuple[Score, ...]:
     """Every component, likeliest first, by its first member at typical size: its evidence beside
     the base model alone, and the probability that it is not there in `p`."""
-    alone = {h.components[0]: h.evidence for h in posterior.hypotheses if len(h.components) == 1}
-    inside = np.zeros(len(problem.components))
-    for hypothesis, p in zip(posterior.hypotheses, posterior.probability, strict=True):
-        inside[list(hypothesis.components)] += p
-    none = posterior.base.evidence
+    evidence, inside = of_each(posterior, len(problem.components))
     found = []
     for c, component in enumerate(problem.components):
         left, strength, _ = problem.shown(c)
         score = Score(
-            candidate=Candidate(
-                component.name,
-                "effect" if component.named else "probe",
-                _NOTHING,
-                driver=component.driver,
-            ),
-            evidence=alone.get(c, none) - none,
-            p=float(1.0 - min(inside[c], 1.0)),
-            draws=0,
+            name=component.name,
+            kind="effect" if component.named else "probe",
+            driver=component.driver,
+            evidence=float(evidence[c]),
+            p=float(1.0 - inside[c]),
             left=left if strength > OPEN else 0.0,
             strength=strength,
-            share=0.0,
         )
         found.append(score)
     return tuple(sorted(found, key=lambda s: s.p))
