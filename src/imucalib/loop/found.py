@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from imucalib.core.fit import Fit
 from imucalib.effects.shape import is_form
@@ -14,9 +14,11 @@ from imucalib.loop.evidence import Score
 from imucalib.loop.faults.found import Fault
 from imucalib.loop.posterior.rivals import Rival
 from imucalib.loop.record_errors import RecordError
-from imucalib.loop.separation.products import Ambiguity
-from imucalib.loop.separation.sums import Sums
+from imucalib.loop.sums import Sums
 from imucalib.loop.thresholds import CERTAIN, STRONG
+
+if TYPE_CHECKING:
+    from imucalib.loop.separation import Ambiguity
 
 _WALK_NATS = 5.0  # from which on a walk is more than independent noise
 

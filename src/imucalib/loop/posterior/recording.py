@@ -33,8 +33,8 @@ from imucalib.loop.posterior.rivals import rivals_of
 from imucalib.loop.posterior.solution import Solved, solved
 from imucalib.loop.posterior.space import search
 from imucalib.loop.posterior.words import Told, told
-from imucalib.loop.separation.ambiguities import ambiguities
-from imucalib.loop.separation.sums import sums_of
+from imucalib.loop.separation import ambiguities
+from imucalib.loop.sums import sums_of
 
 #: Rounds after which what is told stands still or never will; in these few sets are opened, as in
 #: a fold.
