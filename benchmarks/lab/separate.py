@@ -43,7 +43,7 @@ from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.effects import names_a_cause
 from imucalib.estimators.starting_point import full_matrix_start
-from imucalib.loop.asked import searched
+from imucalib.loop.candidates import searched
 from imucalib.loop.found import FitLoop, Step
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.separation import ambiguities, separation

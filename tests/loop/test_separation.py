@@ -12,7 +12,7 @@ from imucalib.core.context import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.effects import catalogue
-from imucalib.loop.asked import Searched
+from imucalib.loop.candidates import Searched
 from imucalib.loop.found import FitLoop
 from imucalib.loop.posterior.closed import close_loop
 from imucalib.loop.separation import (

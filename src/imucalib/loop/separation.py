@@ -29,7 +29,7 @@ from imucalib.effects import known, names_a_cause
 from imucalib.effects.record_error import is_record_error
 from imucalib.loop.candidates import effect_columns
 from imucalib.loop.found import FitLoop, Step
-from imucalib.loop.records import reduced
+from imucalib.loop.record_errors import reduced
 
 #: Log odds at which a name is certain: 95 to 5.
 CERTAIN = float(np.log(19.0))

@@ -9,19 +9,17 @@ from numpy.typing import NDArray
 
 from imucalib.calibration.outcome import ErrorSummary, Limit, Outcome, Run
 from imucalib.calibration.provenance import Provenance, provenance_of
-from imucalib.calibrators.array.advice import advice
 from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.calibration import array_calibration, array_details
+from imucalib.calibrators.array.estimate.covariance import Uneven
 from imucalib.calibrators.array.estimate.left import (
     Residual,
     left_in_words,
     residual_in_motion,
     what_is_left,
 )
-from imucalib.calibrators.array.estimate.size import GyroScale
-from imucalib.calibrators.array.estimate.total import Total
-from imucalib.calibrators.array.estimate.uneven import Uneven
-from imucalib.calibrators.array.findings import array_errors, array_findings
+from imucalib.calibrators.array.estimate.total import GyroScale, Total
+from imucalib.calibrators.array.findings import advice, array_errors, array_findings
 from imucalib.calibrators.array.linear_part import LinearPart
 from imucalib.calibrators.array.loop.closed_loop import MotionLoop
 from imucalib.calibrators.array.loop.state import ArrayState
