@@ -21,6 +21,7 @@ from worlds.fuzz.truth import compare
 CASES = 3 * (len(kinds()) + 1)
 
 
+@pytest.mark.slow
 def test_damage_is_told(tmp_path: Path) -> None:
     fuzzer = Fuzzer(tmp_path, 1)
     bad = []

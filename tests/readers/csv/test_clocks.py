@@ -220,6 +220,7 @@ def test_no_stamp_takes_the_interpreter_down(tmp_path: Path) -> None:
     assert "'nonsense'" in lines[-1]
 
 
+@pytest.mark.slow
 def test_no_cast_of_numpy_parses_a_text() -> None:
     """Numbers become months and days of numpy by a cast, which cannot fail; texts never do."""
     bad = []

@@ -159,6 +159,7 @@ def test_what_lies_elsewhere_is_not_described(tmp_path: Path) -> None:
     assert "77.1" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_damaged_index_never_gives_wrong_samples(tmp_path: Path) -> None:
     """Bits of the trees that say where the chunks are; those have checksums, the trees have not."""
     path = chunked(tmp_path / "a.h5", slice(0, 0))

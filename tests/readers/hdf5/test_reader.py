@@ -208,6 +208,7 @@ def test_channels_with_clocks_of_their_own_stream_in_step(tmp_path: Path) -> Non
         np.testing.assert_array_equal(whole.channels[name].t, channel.t)
 
 
+@pytest.mark.slow
 def test_the_real_array_board() -> None:
     found = readers.read(SAMPLES / "board.h5")
     assert len(found.channels) == 16
@@ -248,6 +249,7 @@ def test_a_flipped_byte_of_ours_costs_ten_seconds(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.values, values[np.rint(found.t * 100).astype(int)])
 
 
+@pytest.mark.slow
 def test_a_heap_whose_walk_would_not_end_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:

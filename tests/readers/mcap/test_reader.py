@@ -116,6 +116,7 @@ def test_cdr_that_is_not_plain_is_named(tmp_path: Path) -> None:
         read(write_log(tmp_path / "a.mcap", logs))
 
 
+@pytest.mark.slow
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     frames=st.lists(st.text(max_size=12).filter(lambda s: "\0" not in s), min_size=2, max_size=60)
