@@ -14,8 +14,7 @@ from typing import Protocol
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
-from imucalib.readers.joining import together
-from imucalib.readers.parts import in_parts, with_plausible_clocks
+from imucalib.readers.joining import in_parts, together, with_plausible_clocks
 from imucalib.readers.rates import with_checked_rates
 from imucalib.readers.repeats import with_repeats_told
 from imucalib.readers.source import head_of, sha256_of

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Index
 from imucalib.errors import UnreadableInput
-from imucalib.readers.hdf5.in_memory import blocks_in_memory, put_channel
+from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording

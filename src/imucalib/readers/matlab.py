@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.hdf5.in_memory import blocks_in_memory
+from imucalib.readers.hdf5.reader import blocks_in_memory
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording

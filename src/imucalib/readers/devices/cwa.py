@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.packets import Log, Packets, recordings
-from imucalib.readers.devices.packing import Stream, head_unpacked, opened
+from imucalib.readers.devices.packets import Log, Packets, Stream, head_unpacked, opened, recordings
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
