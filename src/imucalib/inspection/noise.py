@@ -301,9 +301,11 @@ def _shape(names: tuple[str, ...], tau: Array) -> Array:
 
 
 def _fitted(
-    names: tuple[str, ...], curve: AllanCurve, rows: NDArray[np.intp],
+    names: tuple[str, ...],
+    curve: AllanCurve,
+    rows: NDArray[np.intp],
     held: tuple[str, float] | None = None,
-) -> tuple[Array, float]:  # fmt: skip
+) -> tuple[Array, float]:
     """Squared coefficients of the likeliest model and minus its log likelihood.
 
     held : a term of a given squared coefficient beside them

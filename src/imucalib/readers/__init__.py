@@ -120,9 +120,11 @@ def read(
 
 
 def read_together(
-    paths: Sequence[str | os.PathLike[str]], mapping: FieldMapping | None = None, *,
+    paths: Sequence[str | os.PathLike[str]],
+    mapping: FieldMapping | None = None,
+    *,
     strict: bool = False,
-) -> Recording:  # fmt: skip
+) -> Recording:
     """Files of one device, each of other sensors, as one recording (a phone's accelerometer and
     gyroscope). Errors as in `read`, and UsageError for clocks that do not fit each other."""
     return together([read(path, mapping, strict=strict) for path in paths])
@@ -159,14 +161,16 @@ def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:
     reader = reader_for(path)
     if mapping.where and reader.name != "csv":
         raise UsageError(
-            f"--where selects rows of text tables, and this is {reader.name}", where=str(path),
+            f"--where selects rows of text tables, and this is {reader.name}",
+            where=str(path),
             remedy="leave it out",
-        )  # fmt: skip
+        )
     if mapping.time_unit in TIME_ZEROS and reader.name not in ("csv", "hdf5", "matlab"):
         raise UsageError(
             f"stamps of {reader.name} count from 1970 or from a start, not in {mapping.time_unit}",
-            where=str(path), remedy="give --time-unit s, ms, us or ns",
-        )  # fmt: skip
+            where=str(path),
+            remedy="give --time-unit s, ms, us or ns",
+        )
     return reader
 
 

@@ -239,10 +239,12 @@ def unit_of_axes(text: str, option: str, where: str) -> str:
     if len(each) != 3 or "" in each or COUNTS in each:
         said = ", ".join(f"{a} {u or 'nothing'}" for a, u in zip("xyz", each, strict=False))
         raise UnreadableInput(
-            f"the axes state different units ({said}), which do not go together", where=where,
+            f"the axes state different units ({said}), which do not go together",
+            where=where,
             remedy=f"name one for all with {option}, or one an axis: {option} m/s2,m/s2,g"
-            if option == "--unit" else f"name one for all with {option}",
-        )  # fmt: skip
+            if option == "--unit"
+            else f"name one for all with {option}",
+        )
     return ",".join(each)
 
 
@@ -255,8 +257,9 @@ def _by_norm(source: Source, rest: Array, where: str) -> tuple[str, str]:
     if source.whole and found.unit == "mg" and _LIKE_1024[0] < found.norm_at_rest < _LIKE_1024[1]:
         raise UnreadableInput(
             f"whole numbers whose norm at rest is {found.norm_at_rest:.6g}: mg, or counts",
-            where=where, remedy="say which: --unit mg, or --unit counts --lsb 1024",
-        )  # fmt: skip
+            where=where,
+            remedy="say which: --unit mg, or --unit counts --lsb 1024",
+        )
     return found.unit, f"acceleration: {found.sentence}"
 
 
@@ -270,8 +273,9 @@ def _by_scales(
         raise UnreadableInput(
             f"the norm at rest is {norm:.6g} counts, and the device's models have "
             f"{', '.join(f'{s:g}' for s in scales)} a g",
-            where=where, remedy="give the scale with --unit counts --lsb N",
-        )  # fmt: skip
+            where=where,
+            remedy="give the scale with --unit counts --lsb N",
+        )
     (scale,) = fitting
     factor = np.array([units.STANDARD_GRAVITY / scale])
     note = f"acceleration: norm at rest = {norm:.6g} -> {scale:g} counts a g, as the device has"
@@ -343,11 +347,13 @@ def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
     return Conversion("rad/s", unit, factor, offset, axes)
 
 
-_TEMPERATURE: dict[str, tuple[float, float]] = {  # degC = (raw - offset) * factor
-    "degC": (1.0, 0.0), "C": (1.0, 0.0), "°C": (1.0, 0.0), "deg C": (1.0, 0.0),
-    "celsius": (1.0, 0.0), "Celsius": (1.0, 0.0), "deg_C": (1.0, 0.0), "K": (1.0, 273.15),
-    "degF": (5.0 / 9.0, 32.0), "F": (5.0 / 9.0, 32.0), "°F": (5.0 / 9.0, 32.0),
-}  # fmt: skip
+#: degC = (raw - offset) * factor
+_CELSIUS, _FAHRENHEIT = (1.0, 0.0), (5.0 / 9.0, 32.0)
+_TEMPERATURE = {
+    **dict.fromkeys(("degC", "C", "°C", "deg C", "celsius", "Celsius", "deg_C"), _CELSIUS),
+    **dict.fromkeys(("degF", "F", "°F"), _FAHRENHEIT),
+    "K": (1.0, 273.15),
+}
 
 
 #: A degree sign that a conversion between character sets has made into something else.

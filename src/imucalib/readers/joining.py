@@ -57,15 +57,17 @@ def together(recordings: Sequence[Recording]) -> Recording:
     if twice is not None:
         files = [Path(one.path).name for one in recordings if twice in one.channels]
         raise UsageError(
-            f"{twice} is in {' and in '.join(files)}", where=first.path,
+            f"{twice} is in {' and in '.join(files)}",
+            where=first.path,
             remedy="join files of different sensors; name what each holds, or convert it alone",
-        )  # fmt: skip
+        )
     if len({one.start_ns is None for one in recordings}) > 1:
         bare = next(one.path for one in recordings if one.start_ns is None)
         raise UsageError(
-            "its clock has no date, those of the others have one", where=bare,
+            "its clock has no date, those of the others have one",
+            where=bare,
             remedy="join files whose stamps count from one zero",
-        )  # fmt: skip
+        )
     start = min((one.start_ns for one in recordings if one.start_ns is not None), default=None)
     moved = [_shifted(one, (one.start_ns or 0) - (start or 0)) for one in recordings]
     spans = [_span(one) for one in moved]
@@ -73,9 +75,10 @@ def together(recordings: Sequence[Recording]) -> Recording:
         if low > spans[0][1] or high < spans[0][0]:
             raise UsageError(
                 f"it spans {low:.6g} to {high:.6g} s, {first.path} {spans[0][0]:.6g} to "
-                f"{spans[0][1]:.6g} s: their clocks do not overlap", where=one.path,
+                f"{spans[0][1]:.6g} s: their clocks do not overlap",
+                where=one.path,
                 remedy="join files of the same moments whose stamps count from one zero",
-            )  # fmt: skip
+            )
     notes = [f"{Path(one.path).name}: {note}" for one in recordings for note in one.notes]
     marks = tuple(dict.fromkeys(mark for one in recordings for mark in one.corrections))
     return replace(
@@ -117,12 +120,17 @@ _MOST = 100  # parts: a clock that is set back more often is no clock
 #: Seconds after which counters begin again: of 16, 24 and 32 bits in s, ms, us or 100 us, of 32 in
 #: ns; stamps within a minute, an hour or a day.
 _PERIODS = {
-    **{float(n): f"within {text}" for n, text in ((60, "a minute"), (3600, "an hour"),
-                                                   (86_400, "a day"))},
-    **{2.0**bits * size: f"counter of {bits} bits in {unit}"
-       for unit, size in (("s", 1.0), ("ms", 1e-3), ("100 us", 1e-4), ("us", 1e-6), ("ns", 1e-9))
-       for bits in (8, 16, 24, 32) if 2.0**bits * size > _BACK},
-}  # fmt: skip
+    **{
+        float(n): f"within {text}"
+        for n, text in ((60, "a minute"), (3600, "an hour"), (86_400, "a day"))
+    },
+    **{
+        2.0**bits * size: f"counter of {bits} bits in {unit}"
+        for unit, size in (("s", 1.0), ("ms", 1e-3), ("100 us", 1e-4), ("us", 1e-6), ("ns", 1e-9))
+        for bits in (8, 16, 24, 32)
+        if 2.0**bits * size > _BACK
+    },
+}
 _LATE = 4.0  # sample steps: a counter that begins again is read within a few of them
 
 
@@ -178,19 +186,21 @@ def with_plausible_clocks(blocks: Iterator[Recording]) -> Iterator[Recording]:
     for name, (low, high, count, path) in spans.items():
         if count > 1 and not high > low:
             raise UnreadableInput(
-                f"{name}: its {count} samples have one time", where=path,
+                f"{name}: its {count} samples have one time",
+                where=path,
                 remedy="give --rate, name other stamps with --time, or their unit with --time-unit",
-            )  # fmt: skip
+            )
 
 
 def _demand_rate(name: str, rate: float, count: int, path: str) -> None:
     if count > 1 and not SLOWEST <= rate <= FASTEST:
         said = f"{rate:.6g} samples a second, and inertial sensors have {SLOWEST:g} to {FASTEST:g}"
         raise UnreadableInput(
-            f"{name}: {said if rate > 0.0 else 'its times do not advance'}", where=path,
+            f"{name}: {said if rate > 0.0 else 'its times do not advance'}",
+            where=path,
             remedy="name the unit of the stamps with --time-unit, other stamps with --time, or "
             "give --rate",
-        )  # fmt: skip
+        )
 
 
 def _moved(block: Recording, clock: _Clock) -> Recording:

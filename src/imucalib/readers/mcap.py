@@ -128,9 +128,22 @@ _INDEX_WINDOW = 1 << 17
 _LARGEST = 1 << 40  # no record is longer
 #: The fewest bytes that the content of each record type has.
 _SMALLEST = {
-    0x01: 8, 0x02: 20, 0x03: 14, 0x04: 16, 0x05: 22, 0x06: 40, 0x07: 6, 0x08: 60, 0x09: 36,
-    0x0A: 44, 0x0B: 46, 0x0C: 8, 0x0D: 20, 0x0E: 17, 0x0F: 4,
-}  # fmt: skip
+    0x01: 8,
+    0x02: 20,
+    0x03: 14,
+    0x04: 16,
+    0x05: 22,
+    0x06: 40,
+    0x07: 6,
+    0x08: 60,
+    0x09: 36,
+    0x0A: 44,
+    0x0B: 46,
+    0x0C: 8,
+    0x0D: 20,
+    0x0E: 17,
+    0x0F: 4,
+}
 #: Each begins with a byte, which is searched for several times as fast as a lookahead alone.
 _CHUNK_PATTERN = re.compile(
     rb"\x06(?=.{5}\x00{3}.{21}\x00{3}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4).{5}\x00{3})",

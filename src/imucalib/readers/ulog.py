@@ -61,9 +61,14 @@ class UlogReader:
         topics, thinned = _chosen(log.data_list)
         notes = (*_damage(log, said, path, strict=strict), *thinned)
         yield from blocks_in_memory(
-            lambda held: _fill(held, topics, path), path, mapping,
-            block_samples=block_samples, strict=strict, name=self.name, notes=notes,
-        )  # fmt: skip
+            lambda held: _fill(held, topics, path),
+            path,
+            mapping,
+            block_samples=block_samples,
+            strict=strict,
+            name=self.name,
+            notes=notes,
+        )
 
 
 READER = UlogReader()

@@ -92,9 +92,14 @@ def kinds_of(sensor: Sensor, settings: StillSettings) -> Kinds:
     if sensor.quantity == "acceleration":
         slow &= every(w.high - w.low <= _SLOW * gravity_of(sensor, still))
     return replace(
-        nothing, still=still | louder, louder=louder, other=other, shaking=shaking, slow=slow,
+        nothing,
+        still=still | louder,
+        louder=louder,
+        other=other,
+        shaking=shaking,
+        slow=slow,
         spiky=spiky,
-    )  # fmt: skip
+    )
 
 
 def steady_windows(w: Windows, step: Array, still: Flags) -> Flags:
@@ -181,9 +186,7 @@ def with_refused(
         free = flags & ~_taken(w, [c for c in found if c.reason != "too short"])
         runs = [(a, b) for a, b in _runs(w, free) if b - a >= _LISTED and needed[a:b].any()]
         new = [_of_windows(w, a, b, reason) for a, b in runs]
-        new = [
-            c for c in new if c.length >= settings.shortest and c.noise <= _MOTION * gravity
-        ]  # fmt: skip
+        new = [c for c in new if c.length >= settings.shortest and c.noise <= _MOTION * gravity]
         short = np.array([c.reason == "too short" for c in found], dtype=np.bool_)
         drop = short & _overlapped([c.start for c in found], [c.stop for c in found], new)
         kept = [c for c, gone in zip(found, drop, strict=True) if not gone]

@@ -325,9 +325,14 @@ def limits(sensor: Sensor, settings: StillSettings) -> tuple[str, ...]:
 #: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
 #: that breathing causes. Together they tilt the mean by less than 1e-5 of its size.
 WORN = StillSettings(
-    window=10.0, shortest=5.0, trim=0, variance_ratio=2.25, range_ratio=12.0, sway=3.3 * MG,
+    window=10.0,
+    shortest=5.0,
+    trim=0,
+    variance_ratio=2.25,
+    range_ratio=12.0,
+    sway=3.3 * MG,
     quietest=0.05,
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -405,23 +410,19 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
         notes += block.notes
         held += block.held
         gaps += len(block.gaps)
-        if not name:
-            name = _accelerometer(block, triad)
+        name = name or _accelerometer(block, triad)
         for key, channel in _chosen(block, name):
-            if key not in builders:
-                per = max(1 if key == "temperature" else 5, round(window * channel.rate))
-                builders[key] = WindowBuilder(per)
-            builders[key].add(channel, block.gaps)
+            per = max(1 if key == "temperature" else 5, round(window * channel.rate))
+            builders.setdefault(key, WindowBuilder(per)).add(channel, block.gaps)
             if key == "acceleration":
                 tails = tails or TailBuilder(max(5, round(WORN.shortest * channel.rate)))
                 tails.add(channel, block.gaps)
                 rate, samples = rate or channel.rate, samples + channel.t.size
                 stop = max(stop, float(channel.t[-1])) if channel.t.size else stop
     if first is None or tails is None:
-        where = first.path if first else ""
         raise UsageError(
             "the recording has no acceleration channel",
-            where=where,
+            where=first.path if first else "",
             remedy="`imucal inspect FILE` lists what it has; name the columns with --acc X,Y,Z",
         )
     windows = builders["acceleration"].windows()
@@ -430,23 +431,33 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
             f"no {window:g} s in a row without a gap", where=first.path, remedy="record longer"
         )
     ordered, lost = in_order(windows)
-    if lost:
-        notes.append(f"{lost} windows left out: time had stepped back")
+    notes += [f"{lost} windows left out: time had stepped back"] * bool(lost)
     held = [h for h in held if h.channel == f"{name}/acceleration"]
     ordered = without_held(with_tails(ordered, tails.tails), held)
     if not ordered.start.size:
         raise Undetermined(
-            f"{name} repeats one reading in every {window:g} s", where=first.path,
+            f"{name} repeats one reading in every {window:g} s",
+            where=first.path,
             remedy="record it without a step that fills or holds samples",
-        )  # fmt: skip
-    warm = "temperature" in builders and builders["temperature"].windows()
+        )
+    warm = builders["temperature"].windows() if "temperature" in builders else None
     heat = believed(in_order(warm)[0] if warm else None)
     return Scan(
-        windows=ordered, temperature=heat.windows, triad=name, rate=rate,
-        samples=samples, stop=stop, gaps=gaps, path=first.path, format=first.format,
-        sha256=first.sha256, start_ns=first.start_ns, mapping=first.mapping,
-        notes=tuple(dict.fromkeys([*notes, *heat.words])), no_temperature=heat.gone,
-    )  # fmt: skip
+        windows=ordered,
+        temperature=heat.windows,
+        triad=name,
+        rate=rate,
+        samples=samples,
+        stop=stop,
+        gaps=gaps,
+        path=first.path,
+        format=first.format,
+        sha256=first.sha256,
+        start_ns=first.start_ns,
+        mapping=first.mapping,
+        notes=tuple(dict.fromkeys([*notes, *heat.words])),
+        no_temperature=heat.gone,
+    )
 
 
 def _accelerometer(block: Recording, triad: str | None) -> str:

@@ -153,8 +153,9 @@ class _Pass:
             if not ordered.start.size:
                 raise Undetermined(
                     f"{name} repeats one reading in every stretch of {builder.samples} samples",
-                    where=self.path, remedy="record it without a step that fills or holds samples",
-                )  # fmt: skip
+                    where=self.path,
+                    remedy="record it without a step that fills or holds samples",
+                )
             own = self.settings
             sensors.append(Sensor(triad, quantity, rate, ordered, own.quietest, own.turning))
             if lost:

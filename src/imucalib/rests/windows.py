@@ -270,9 +270,7 @@ def without_held(windows: Windows, held: Sequence[Held]) -> Windows:
     return replace(windows, **{**kept, "run": (windows.run + stretch)[~within]})
 
 
-def window_statistics(
-    cube: NDArray[np.generic],
-) -> tuple[Array, Array, Array, Array, Array]:
+def window_statistics(cube: NDArray[np.generic]) -> tuple[Array, Array, Array, Array, Array]:
     """Mean, variance, low and high (m, k), and the finest step (k,), of windows (m, w, k).
 
     As many windows at a time as the cache holds are turned, so that every reduction runs along

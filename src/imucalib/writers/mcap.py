@@ -49,12 +49,15 @@ _BODIES: dict[int, tuple[int, dict[str, tuple[object, int]]]] = {
     1: (296, _IMU),
     2: (296, _IMU),
     3: (16, {"temperature": ("<f8", 0)}),
-    4: (336, {
-        "acceleration": (("<f8", (3,)), 0),
-        "angular_acceleration": (("<f8", (3,)), 24),
-        "covariance": (("<f8", (6, 6)), 48),
-    }),
-}  # fmt: skip
+    4: (
+        336,
+        {
+            "acceleration": (("<f8", (3,)), 0),
+            "angular_acceleration": (("<f8", (3,)), 24),
+            "covariance": (("<f8", (6, 6)), 48),
+        },
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -98,10 +101,18 @@ def record_type(frame: int, schema: int) -> np.dtype[np.void]:
     begin = 35 + 12 + frame
     begin += -(begin - 35) % 8
     fields: list[tuple[str, object, int]] = [
-        ("opcode", "u1", 0), ("length", "<u8", 1), ("channel", "<u2", 9), ("sequence", "<u4", 11),
-        ("log", "<u8", 15), ("publish", "<u8", 23), ("cdr", "<u2", 31), ("sec", "<i4", 35),
-        ("nanosec", "<u4", 39), ("frame_length", "<u4", 43), ("frame", f"V{frame}", 47),
-    ]  # fmt: skip
+        ("opcode", "u1", 0),
+        ("length", "<u8", 1),
+        ("channel", "<u2", 9),
+        ("sequence", "<u4", 11),
+        ("log", "<u8", 15),
+        ("publish", "<u8", 23),
+        ("cdr", "<u2", 31),
+        ("sec", "<i4", 35),
+        ("nanosec", "<u4", 39),
+        ("frame_length", "<u4", 43),
+        ("frame", f"V{frame}", 47),
+    ]
     size, body = _BODIES[schema]
     fields += [(name, kind, begin + at) for name, (kind, at) in body.items()]
     columns = {
@@ -317,10 +328,14 @@ _SPUN, _DOUBTED = "angular_acceleration", "_covariance"
 _WIDTHS = {"acceleration": 3, "angular_rate": 3, "temperature": 1, _SPUN: 3}
 _WIDTHS |= {f"{name}{_DOUBTED}": 9 for name in ("acceleration", "angular_rate", _SPUN)}
 _UNITS = {
-    "acceleration": "m/s2", "angular_rate": "rad/s", "temperature": "degC", _SPUN: "rad/s2",
-    "acceleration_covariance": "m2/s4", "angular_rate_covariance": "rad2/s2",
+    "acceleration": "m/s2",
+    "angular_rate": "rad/s",
+    "temperature": "degC",
+    _SPUN: "rad/s2",
+    "acceleration_covariance": "m2/s4",
+    "angular_rate_covariance": "rad2/s2",
     "angular_acceleration_covariance": "rad2/s4",
-}  # fmt: skip
+}
 Part = tuple[str, tuple[str, ...]]  #: a topic, and the names of the channels in it
 
 

@@ -45,7 +45,7 @@ from imucalib.readers.timebase import (
     clock_unit,
     contradicts,
     date_of,
-    guess_unit,
+    known_unit,
     seconds_of,
     stepping,
 )
@@ -53,8 +53,9 @@ from imucalib.recording.mapping import TIME_UNITS, FieldMapping
 from imucalib.recording.recording import Correction
 
 #: What headings of stamps have in brackets that is no unit.
-_NO_UNIT = {"unix", "epoch", "posix", "utc", "gmt", "local", "iso", "iso8601", "iso 8601", "cal",
-            "raw", "time", "unix time", "posix time", "unix epoch"}  # fmt: skip
+_NO_UNIT = {"iso 8601", "unix time", "posix time", "unix epoch"} | set(
+    str.split("unix epoch posix utc gmt local iso iso8601 cal raw time")
+)
 
 
 @dataclass(frozen=True)
@@ -97,9 +98,14 @@ class Clock:
 
 
 def clock_of(
-    selection: Selection, layout: Layout, mapping: FieldMapping, facts: HeaderFacts,
-    *, known: Stamps, where: str,
-) -> tuple[Clock, list[str]]:  # fmt: skip
+    selection: Selection,
+    layout: Layout,
+    mapping: FieldMapping,
+    facts: HeaderFacts,
+    *,
+    known: Stamps,
+    where: str,
+) -> tuple[Clock, list[str]]:
     """The clock, and what had to be found out about it. Raises UnreadableInput without a rate."""
     if not layout.time_kind:
         return _by_rate(mapping.rate or facts.rate, facts, known.rows, where)
@@ -111,22 +117,29 @@ def _by_rate(
 ) -> tuple[Clock, list[str]]:
     if not rate:
         raise UnreadableInput(
-            "the file has neither time stamps nor a sample rate", where=where,
+            "the file has neither time stamps nor a sample rate",
+            where=where,
             remedy="give --rate, or --time",
-        )  # fmt: skip
+        )
     looks = tuple(np.arange(rows.values.shape[0]) / rate for rows in parsed)
     clock = Clock("", "", 0, facts.start_ns, rate, 1.75 / rate, looks=looks)
     return clock, [f"time: row number at {rate:.6g} Hz"]
 
 
 def _by_stamps(
-    selection: Selection, layout: Layout, mapping: FieldMapping, facts: HeaderFacts,
-    *, known: Stamps, where: str,
-) -> tuple[Clock, list[str]]:  # fmt: skip
+    selection: Selection,
+    layout: Layout,
+    mapping: FieldMapping,
+    facts: HeaderFacts,
+    *,
+    known: Stamps,
+    where: str,
+) -> tuple[Clock, list[str]]:
     kind, notes = layout.time_kind, []
     text = _text_of(selection, mapping, known, where) if kind == "text" else None
-    stated = mapping.time_unit or ("" if selection.time_unit.lower() in _NO_UNIT else
-                                   selection.time_unit)  # fmt: skip
+    stated = mapping.time_unit or (
+        "" if selection.time_unit.lower() in _NO_UNIT else selection.time_unit
+    )
     unit, epoch = ("text", None) if text else clock_unit(stated, where)
     raw = [_numbers(rows.stamps, text, where) for rows in known.rows]
     main = [_numbers(rows.stamps, text, where) for rows in known.main]
@@ -136,15 +149,10 @@ def _by_stamps(
     steps = stepping([seconds_of(s, first, "s", MISSING) for s in main])
     if steps is None:
         raise UnreadableInput("the time stamps never advance", where=where, remedy="give --rate")
-    if not text and unit not in TIME_UNITS:
-        guessed, note = guess_unit(float(first), steps.step, where, facts.rate)
-        if unit and date_of(first, guessed) is None:
-            raise UnreadableInput(
-                f"the heading states the unknown unit of time '{unit[:40]}'", where=where,
-                remedy=f"name it with --time-unit: {', '.join(TIME_UNITS)}",
-            )  # fmt: skip
-        unit = guessed
-        notes.append(note)
+    if not text:
+        who, stated_rate = "the heading", facts.rate
+        unit, note = known_unit(unit, first, steps.step, where, who=who, stated=stated_rate)
+        notes += [note] * bool(note)
     size = TIME_UNITS.get(unit, 1e-9)
     start = (int(first) if text.dated else None) if text else date_of(first, unit, epoch)
     origin = 0 if start is None else first
@@ -154,9 +162,15 @@ def _by_stamps(
     looks = tuple(seconds_of(s, origin, unit, MISSING) for s in raw)
     steps = Stepping(steps.step * size, steps.threshold * size)
     clock = Clock(
-        kind=kind, unit=unit, origin=origin, start_ns=start_ns, rate=1.0 / steps.step,
-        threshold=steps.threshold, text=text, looks=looks,
-    )  # fmt: skip
+        kind=kind,
+        unit=unit,
+        origin=origin,
+        start_ns=start_ns,
+        rate=1.0 / steps.step,
+        threshold=steps.threshold,
+        text=text,
+        looks=looks,
+    )
     coarse = _coarse(clock, looks, steps)
     if coarse is not clock:
         notes.append(
@@ -167,9 +181,10 @@ def _by_stamps(
     if facts.rate and not asked and contradicts(coarse.rate, facts.rate):
         raise UnreadableInput(
             f"the lines above the table state {facts.rate:g} Hz, the time stamps in "
-            f"{coarse.unit} advance with {coarse.rate:.4g} Hz", where=where,
+            f"{coarse.unit} advance with {coarse.rate:.4g} Hz",
+            where=where,
             remedy=f"--rate {facts.rate:g} takes the former, --time-unit {coarse.unit} the latter",
-        )  # fmt: skip
+        )
     return coarse, notes
 
 
@@ -332,9 +347,10 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         raise UnreadableInput("the chosen columns hold no values", where=where)
     dev = facts.device
     signals = conversion.readable(
-        used, lambda v: _signal(v, layout, parsed, mapping, clock=clock, device=dev, where=where),
+        used,
+        lambda v: _signal(v, layout, parsed, mapping, clock=clock, device=dev, where=where),
         notes,
-    )  # fmt: skip
+    )
     notes += [s.conversion.note for s in signals if s.conversion.note]
     resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=dev.name)
     unique = tuple(dict.fromkeys(notes))
@@ -358,9 +374,12 @@ def _conditions(mapping: FieldMapping, dialect: Dialect) -> tuple[Condition, ...
 
 
 def _pieces_chosen(
-    pieces: Sequence[bytes], conditions: Sequence[Condition], dialect: Dialect,
-    mapping: FieldMapping, where: str,
-) -> list[bytes]:  # fmt: skip
+    pieces: Sequence[bytes],
+    conditions: Sequence[Condition],
+    dialect: Dialect,
+    mapping: FieldMapping,
+    where: str,
+) -> list[bytes]:
     """The looks without the rows that are not asked for. Raises UnreadableInput for none."""
     lines = pieces[0].split(b"\n")
     above = b"".join(line + b"\n" for line in lines[: dialect.data_line - 1])
@@ -443,9 +462,15 @@ def _has_values(vector: Vector, layout: Layout, parsed: Sequence[Rows]) -> bool:
 
 
 def _signal(
-    vector: Vector, layout: Layout, parsed: Sequence[Rows], mapping: FieldMapping, *,
-    clock: Clock, device: Device, where: str,
-) -> Signal:  # fmt: skip
+    vector: Vector,
+    layout: Layout,
+    parsed: Sequence[Rows],
+    mapping: FieldMapping,
+    *,
+    clock: Clock,
+    device: Device,
+    where: str,
+) -> Signal:
     raw = [_values(vector, layout, rows) for rows in parsed]
     known = [np.isfinite(v).all(axis=1) for v in raw]
     rate, threshold = clock.rate, clock.threshold
@@ -489,9 +514,14 @@ def _scale_of(signals: Sequence[Signal]) -> tuple[float, ...]:
 
 
 def _resolved(
-    mapping: FieldMapping, dialect: Dialect, selection: Selection, signals: Sequence[Signal], *,
-    clock: Clock, device: str,
-) -> FieldMapping:  # fmt: skip
+    mapping: FieldMapping,
+    dialect: Dialect,
+    selection: Selection,
+    signals: Sequence[Signal],
+    *,
+    clock: Clock,
+    device: str,
+) -> FieldMapping:
     """The mapping that reads this file, and others like it, the same way."""
 
     def address(column: int) -> str:

@@ -235,9 +235,15 @@ def _blocks(
 
 def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator[Recording]:
     empty = Recording(
-        {}, str(path), "csv", sha256_of(path), plan.clock.start_ns,
-        notes=plan.notes, mapping=plan.resolved.to_dict(), corrections=plan.corrections,
-    )  # fmt: skip
+        {},
+        str(path),
+        "csv",
+        sha256_of(path),
+        plan.clock.start_ns,
+        notes=plan.notes,
+        mapping=plan.resolved.to_dict(),
+        corrections=plan.corrections,
+    )
     position = Position()
     before: Recording | None = None
     lost: list[str] = []
@@ -334,9 +340,14 @@ def _block(
 
 
 def _channels(
-    t: Array, values: Array, numbers: Array, keep: NDArray[np.bool_], *, plan: Plan,
+    t: Array,
+    values: Array,
+    numbers: Array,
+    keep: NDArray[np.bool_],
+    *,
+    plan: Plan,
     position: Position,
-) -> _Block | None:  # fmt: skip
+) -> _Block | None:
     channels: dict[str, Channel] = {}
     gaps: dict[tuple[float, float], Gap] = {}
     missing = np.zeros(t.shape, dtype=np.bool_)

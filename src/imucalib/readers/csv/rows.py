@@ -31,9 +31,12 @@ def arrow_is_installed() -> bool:
 
 
 def columns_of(
-    text: bytes, delimiter: str, width: int,
-    stamps: tuple[tuple[int, ...], str] | None, values: Sequence[int],
-) -> tuple[list[NDArray[np.generic]], Array] | None:  # fmt: skip
+    text: bytes,
+    delimiter: str,
+    width: int,
+    stamps: tuple[tuple[int, ...], str] | None,
+    values: Sequence[int],
+) -> tuple[list[NDArray[np.generic]], Array] | None:
     """Stamps (n,) of each of their columns and values (n, m) of whole lines of `width` cells.
 
     stamps : their columns and kind ("int", "float" or "text"), or None: there are none then
@@ -76,10 +79,13 @@ def _table(text: bytes, delimiter: str, width: int, kinds: dict[str, Any]) -> An
             csv.ReadOptions(use_threads=False, block_size=len(text) + 1, column_names=names),
             csv.ParseOptions(delimiter=delimiter, quote_char=False, ignore_empty_lines=False),
             csv.ConvertOptions(
-                check_utf8=False, column_types=kinds, include_columns=list(kinds),
-                null_values=[], strings_can_be_null=False,
+                check_utf8=False,
+                column_types=kinds,
+                include_columns=list(kinds),
+                null_values=[],
+                strings_can_be_null=False,
             ),
-        )  # fmt: skip
+        )
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # numpy's parser finds and names the row
         return None
 

@@ -105,10 +105,15 @@ def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
     marks = corrections_of(_OWN_MARK.findall(text) if stated else ())
     notes += [*told.notes, *map(str, marks)]
     return HeaderFacts(
-        device, rate or told.rate or None, told.start_ns, tuple(notes), stated, marks,
+        device,
+        rate or told.rate or None,
+        told.start_ns,
+        tuple(notes),
+        stated,
+        marks,
         acc_unit=force if force in ACCELERATION_UNITS else "",
         gyro_unit=turn if turn in RATE_UNITS else "",
-    )  # fmt: skip
+    )
 
 
 def _rows_stated(line: str, rows: str, crc: str | None) -> Stated:
@@ -239,9 +244,12 @@ class _Table:
 
 
 def select(
-    dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, pieces: Sequence[bytes],
+    dialect: Dialect,
+    mapping: FieldMapping,
+    facts: HeaderFacts,
+    pieces: Sequence[bytes],
     stem: str = "",
-) -> Selection:  # fmt: skip
+) -> Selection:
     """Choose the columns: none when neither an acceleration nor an angular rate is found.
 
     pieces : the looks; stem : the file's name, which tells a phone's sensors apart
@@ -345,9 +353,10 @@ def _stated(quantity: str, stated: Sequence[str], table: _Table) -> list[Vector]
     option = "acc" if quantity == "acceleration" else "gyro"
     if len(stated) % 3:
         raise UsageError(
-            f"{len(stated)} columns do not make triads", where=f"mapping: {option}",
+            f"{len(stated)} columns do not make triads",
+            where=f"mapping: {option}",
             remedy="name three columns for each sensor",
-        )  # fmt: skip
+        )
     vectors = []
     before = len(mapping.acc) // 3 if quantity == "angular_rate" else 0
     own = before if len(mapping.triads) >= before + len(stated) // 3 else 0
@@ -477,6 +486,8 @@ def _by_position(
             other = numbers[3:] if heavy[0] == numbers[:3] else numbers[:3]
             first = "accelerometer, gyroscope" if heavy[0] < other else "gyroscope, accelerometer"
             notes.append(f"no column names: taken as {said}{first}, by the norm of gravity")
-            return [Vector("acceleration", "imu0", heavy[0]),
-                    Vector("angular_rate", "imu0", other)], time  # fmt: skip
+            return [
+                Vector("acceleration", "imu0", heavy[0]),
+                Vector("angular_rate", "imu0", other),
+            ], time
     return [], ()

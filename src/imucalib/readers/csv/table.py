@@ -63,8 +63,10 @@ class Cells:
 
     def at(self, keep: Sequence[int]) -> Cells:
         """Some of the rows, by their places from 0."""
-        columns = {n: v[list(keep)] if isinstance(v, np.ndarray) else [v[k] for k in keep]
-                   for n, v in self.columns.items()}  # fmt: skip
+        columns = {
+            n: v[list(keep)] if isinstance(v, np.ndarray) else [v[k] for k in keep]
+            for n, v in self.columns.items()
+        }
         return replace(self, columns=columns, row=tuple(self.row[k] for k in keep))
 
 
@@ -87,10 +89,13 @@ def table_cells(path: Path, mapping: FieldMapping, exclude: Collection[int] = ()
     delimiter = mapping.delimiter or _delimiter_of(first)
     heading, *rows = [_cells(line, delimiter) for _, line in lines]
     found = columns_of(
-        [heading, *rows], f"{where}, line {at}", where, exclude=exclude,
+        [heading, *rows],
+        f"{where}, line {at}",
+        where,
+        exclude=exclude,
         decimal=mapping.decimal or ("," if delimiter != "," else ""),
         stated=bool(mapping.decimal),
-    )  # fmt: skip
+    )
     return selected(found, mapping, where)
 
 
@@ -105,16 +110,24 @@ def selected(cells: Cells, mapping: FieldMapping, where: str) -> Cells:
             raise UsageError(f"no column '{column}'", where="--where", remedy=f"columns: {have}")
         wanted.append(Condition(0, value))
         texts.append([str(cell) for cell in cells.columns[column]])
-    keep = [k for k in range(len(cells.row))
-            if all(c.fits(t[k]) for c, t in zip(wanted, texts, strict=True))]  # fmt: skip
+    keep = [
+        k
+        for k in range(len(cells.row))
+        if all(c.fits(t[k]) for c, t in zip(wanted, texts, strict=True))
+    ]
     demand_some(len(keep), mapping.where, texts, where)
     return cells.at(keep)
 
 
 def columns_of(
-    rows: list[list[str]], top: str, where: str, *, decimal: str, stated: bool = False,
+    rows: list[list[str]],
+    top: str,
+    where: str,
+    *,
+    decimal: str,
+    stated: bool = False,
     exclude: Collection[int] = (),
-) -> Cells:  # fmt: skip
+) -> Cells:
     """Every column by its heading, the first row; `top` says where that is. Errors as above.
 
     decimal : "," where that may be the mark, or the mark itself where it is `stated`
@@ -126,9 +139,10 @@ def columns_of(
     comma = decimal == ","
     if all(is_number(cell) or (comma and is_number(cell, ",")) for cell in heading if cell):
         raise UnreadableInput(
-            "the first row is numbers, not headings", where=top,
+            "the first row is numbers, not headings",
+            where=top,
             remedy="add a heading line such as: inclination,tool_face,x,y,z",
-        )  # fmt: skip
+        )
     heading = [name or f"column {k}" for k, name in enumerate(heading, start=1)]
     if len(set(heading)) != len(heading):
         raise UnreadableInput("two columns have the same heading", where=top)
@@ -241,9 +255,10 @@ def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
     binary = _BINARY.search(data)
     if binary:
         raise UnreadableInput(
-            "not a text file", where=f"{path}, byte {binary.start()}",
+            "not a text file",
+            where=f"{path}, byte {binary.start()}",
             remedy="give a CSV or HDF5 table; save a spreadsheet as CSV",
-        )  # fmt: skip
+        )
     text = decoded(data)
     for number, line in enumerate(text.split("\n"), start=1):
         bare = line.strip()
@@ -293,9 +308,10 @@ def _rows(path: Path, skip: int) -> list[tuple[int, list[str]]]:
         import openpyxl
     except ImportError:
         raise UnreadableInput(
-            "a spreadsheet needs openpyxl", where=str(path),
+            "a spreadsheet needs openpyxl",
+            where=str(path),
             remedy="pip install 'imucalib[xlsx]', or save it as CSV",
-        ) from None  # fmt: skip
+        ) from None
     try:
         with zipfile.ZipFile(path) as archive:
             claimed = sum(member.file_size for member in archive.infolist())
@@ -312,9 +328,10 @@ def _rows(path: Path, skip: int) -> list[tuple[int, list[str]]]:
         raise
     except Exception as error:  # what the package raises on damage depends on where the damage is
         raise UnreadableInput(
-            f"the spreadsheet cannot be read: {error}", where=str(path),
+            f"the spreadsheet cannot be read: {error}",
+            where=str(path),
             remedy="save it again, or as CSV",
-        ) from error  # fmt: skip
+        ) from error
     return [(n, row) for n, row in rows if n > skip]
 
 

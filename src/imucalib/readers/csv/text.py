@@ -221,8 +221,11 @@ def line_blocks(path: Path, size: int, *, strict: bool) -> Iterator[Lines]:
         )
 
 
-BLANK = {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "?", "inf", "-inf", "+inf",
-         "#value!", "#ref!", "#div/0!", "#num!", "#name?", "#null!"}  # fmt: skip
+BLANK = {""} | set(
+    str.split(
+        "nan na n/a null none - -- #n/a ? inf -inf +inf #value! #ref! #div/0! #num! #name? #null!"
+    )
+)
 _NUMBER = {
     ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"),
     ",": re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?"),
@@ -497,9 +500,10 @@ def demand_some(
         f"{parted(c)[0]} is {_listed(Counter(v))}" for c, v in zip(conditions, cells, strict=True)
     ]
     raise UnreadableInput(
-        f"no row has {' and '.join(conditions)}", where=where,
+        f"no row has {' and '.join(conditions)}",
+        where=where,
         remedy=f"choose what is there with --where: {'; '.join(there)}",
-    )  # fmt: skip
+    )
 
 
 def told(name: str, cells: Sequence[str]) -> str:

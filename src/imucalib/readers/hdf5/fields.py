@@ -92,8 +92,14 @@ def number_of(node: Any, *names: str) -> float | None:
     return None
 
 
-TIME_NAMES = ("time", "timestamp", "timestamps", "t", "times", "stamp", "time_ns", "timestamp_ns",
-         "time_us", "timestamp_us", "time_ms", "timestamp_ms")  # fmt: skip
+TIME_NAMES = tuple(
+    str.split(
+        """
+        time timestamp timestamps t times stamp time_ns timestamp_ns time_us timestamp_us time_ms
+        timestamp_ms
+        """
+    )
+)
 
 
 _SCALES, _OFFSETS = ("scale", "scale_factor", "Scale"), ("add_offset",)
@@ -134,12 +140,18 @@ def place_of(
     unit = unit_of(node, column)
     if unit and named not in ("", "counts") and canonical(named) != canonical(unit):
         unit = f"{unit} (its name says {named})"  # no unit that is known: the reader refuses it
-    scale, offset = (numbers_of(node, column, names, usual)
-                     for names, usual in ((_SCALES, 1.0), (_OFFSETS, 0.0)))  # fmt: skip
+    scale, offset = (
+        numbers_of(node, column, names, usual) for names, usual in ((_SCALES, 1.0), (_OFFSETS, 0.0))
+    )
     return Place(
-        node.name, column, triad, transposed=transposed, unit=unit or named, scale=scale,
+        node.name,
+        column,
+        triad,
+        transposed=transposed,
+        unit=unit or named,
+        scale=scale,
         offset=offset,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -260,15 +272,17 @@ def _column_of_time(node: Any, field: Found, mapping: FieldMapping) -> Found | N
 
 
 _QUANTITY = {
-    "accelerometer": "acceleration", "acceleration": "acceleration", "accel": "acceleration",
-    "acc": "acceleration", "linear_acceleration": "acceleration", "accelerations": "acceleration",
-    "gyroscope": "angular_rate", "gyro": "angular_rate", "gyr": "angular_rate",
-    "angular_velocity": "angular_rate", "angular_rate": "angular_rate",
-    "angular_velocities": "angular_rate", "omega": "angular_rate",
-    "temperature": "temperature", "temp": "temperature",
-}  # fmt: skip
-_GENERIC = {"sensors", "data", "raw", "calibrated", "imu", "readings", "table", "", "value",
-            "values", "processed", "x"}  # fmt: skip
+    word: value
+    for value, words in {
+        "acceleration": "accelerometer acceleration accel acc linear_acceleration accelerations",
+        "angular_rate": "gyroscope gyro gyr angular_velocity angular_rate angular_velocities omega",
+        "temperature": "temperature temp",
+    }.items()
+    for word in words.split()
+}
+_GENERIC = {""} | set(
+    str.split("sensors data raw calibrated imu readings table value values processed x")
+)
 _MOST = 4096  # datasets with rows: each costs half a millisecond before it is read
 _MOST_OBJECTS = 4 * _MOST  # with groups and datasets without rows: each costs 0.15 ms
 _DEEPEST = 32  # groups within groups
@@ -286,9 +300,10 @@ def datasets(file: Any, where: str) -> Iterator[Any]:
         visited += 1
         if name.count("/") > _DEEPEST:
             raise UnreadableInput(
-                f"the file nests more than {_DEEPEST} groups", where=where,
+                f"the file nests more than {_DEEPEST} groups",
+                where=where,
                 remedy="no recording does: copy it again",
-            )  # fmt: skip
+            )
         if hasattr(node, "shape") and node.shape and node.size:
             found.append(node)
         if len(found) > _MOST:

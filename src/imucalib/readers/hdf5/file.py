@@ -133,9 +133,10 @@ class Walk:
         other = "" if self.external else outside(node, path)
         if other:
             raise UnreadableInput(
-                f"{node.name} lies in another file, {other}", where=str(self.path),
+                f"{node.name} lies in another file, {other}",
+                where=str(self.path),
                 remedy="read it with --allow-external if you trust this file",
-            )  # fmt: skip
+            )
         self.found[key] = None
         rows = int(node.shape[axis])
         everything = np.array([[0, rows]], dtype=np.int64)
@@ -178,9 +179,10 @@ class Walk:
         there = int((held[:, 1] - held[:, 0]).sum())
         if rows > _MOST_RATIO * max(there, _FEW):
             raise self._refused(
-                node, f"claims {rows} rows, and its sources hold {there}",
+                node,
+                f"claims {rows} rows, and its sources hold {there}",
                 "write the rows that there are to a file",
-            )  # fmt: skip
+            )
         return held
 
     def _source_is_whole(self, source: Any, node: Any, path: Path, depth: int) -> bool:

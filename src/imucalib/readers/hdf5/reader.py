@@ -29,7 +29,7 @@ from imucalib.readers.timebase import (
     clock_unit,
     date_of,
     find_gaps,
-    guess_unit,
+    known_unit,
     seconds_of,
     start_of,
     stepping,
@@ -182,13 +182,7 @@ def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
         steps = stepping([s.astype(np.float64) for s in known])
         if steps is None or first is None:
             raise UnreadableInput("the time stamps never advance", where=where)
-        guessed, note = guess_unit(float(first), steps.step, where)
-        if unit and date_of(first, guessed) is None:
-            raise UnreadableInput(
-                f"the file states the unknown unit of time '{unit[:40]}'", where=where,
-                remedy=f"name it with --time-unit: {', '.join(TIME_UNITS)}",
-            )  # fmt: skip
-        unit = guessed
+        unit, note = known_unit(unit, first, steps.step, where, who="the file")
     return replace(found, time_unit=unit, epoch=epoch), first, note
 
 
@@ -239,13 +233,16 @@ def resolved_mapping(mapping: FieldMapping, signals: Sequence[Signal]) -> FieldM
     clocks = {s.found.time.path for s in signals if s.found.time}
     return replace(
         mapping,
-        acc=paths("acceleration"), gyro=paths("angular_rate"), temperature=paths("temperature"),
+        acc=paths("acceleration"),
+        gyro=paths("angular_rate"),
+        temperature=paths("temperature"),
         time=clocks.pop() if len(clocks) == 1 else mapping.time,
         triads=tuple(dict.fromkeys(s.found.triad for s in signals)),
-        acc_unit=unit("acceleration"), gyro_unit=unit("angular_rate"),
+        acc_unit=unit("acceleration"),
+        gyro_unit=unit("angular_rate"),
         temperature_unit=unit("temperature"),
         preset=mapping.preset or signals[0].found.preset,
-    )  # fmt: skip
+    )
 
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -301,9 +298,14 @@ def blocks_of(
     resolved = resolved_mapping(mapping, signals)
     marks = corrections_of(text_of(file.handle.attrs.get("corrections", "")).split("\n"))
     empty = Recording(
-        {}, str(path), "hdf5", sha256_of(path), start_ns, mapping=resolved.to_dict(),
+        {},
+        str(path),
+        "hdf5",
+        sha256_of(path),
+        start_ns,
+        mapping=resolved.to_dict(),
         corrections=marks,
-    )  # fmt: skip
+    )
     last: dict[str, float] = {}
     at = {s.name: 0 for s in signals}
     main = max(signals, key=lambda s: s.found.rows)

@@ -87,9 +87,14 @@ def spread(times: NDArray[np.int64], period: float) -> NDArray[np.int64]:
 
 
 def choose_clock(
-    survey: Survey, *, scalar: bool, time_unit: str, rate: float | None, apart: str = "",
+    survey: Survey,
+    *,
+    scalar: bool,
+    time_unit: str,
+    rate: float | None,
+    apart: str = "",
     where: str = "",
-) -> Clock:  # fmt: skip
+) -> Clock:
     """Decide between the stamp and log_time.
 
     scalar : the stamp is one number of unknown unit rather than seconds and nanoseconds
@@ -121,21 +126,25 @@ def choose_clock(
         notes.append(f"about {each:.3g} samples share a stamp, spread evenly up to the next{other}")
     period, longest = _period(times)
     if rate:
-        return Clock(
-            source="rate", factor=1, late=0, period=1e9 / rate, longest=np.inf,
-            first=int(log.first), notes=tuple(notes),
-        )  # fmt: skip
+        return Clock("rate", 1, 0, 1e9 / rate, np.inf, int(log.first), notes=tuple(notes))
     if facts.count > 1 and facts.low == facts.high:
         raise UnreadableInput(
             f"all {facts.count} samples have one time, by their stamps and by log_time",
-            where=where, remedy="give the sampling rate with --rate",
-        )  # fmt: skip
+            where=where,
+            remedy="give the sampling rate with --rate",
+        )
     notes += _counted(survey, facts, factor, times, period, batched=batched)
     late, first = int(np.ceil(facts.late * factor)), int(to_ns(np.array([facts.low]), factor)[0])
     return Clock(
-        source=chosen, factor=factor, late=late, period=period, longest=longest, first=first,
-        notes=tuple(notes), batched=batched,
-    )  # fmt: skip
+        source=chosen,
+        factor=factor,
+        late=late,
+        period=period,
+        longest=longest,
+        first=first,
+        notes=tuple(notes),
+        batched=batched,
+    )
 
 
 def _useless(stamp: ClockFacts, log: ClockFacts, factor: int) -> str:
@@ -180,9 +189,14 @@ def _period(times: NDArray[np.int64]) -> tuple[float, float]:
 
 
 def _counted(
-    survey: Survey, facts: ClockFacts, factor: int, times: NDArray[np.int64], period: float,
-    *, batched: bool,
-) -> list[str]:  # fmt: skip
+    survey: Survey,
+    facts: ClockFacts,
+    factor: int,
+    times: NDArray[np.int64],
+    period: float,
+    *,
+    batched: bool,
+) -> list[str]:
     notes = []
     if facts.count > 1:
         own = _pace(facts, factor)

@@ -17,10 +17,21 @@ from functools import cache
 import numpy as np
 
 PRIMITIVES = {
-    "bool": "u1", "byte": "u1", "char": "u1", "octet": "u1", "boolean": "u1", "int8": "i1",
-    "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8",
-    "uint64": "u8", "float32": "f4", "float64": "f8",
-}  # fmt: skip
+    word: value
+    for value, words in {
+        "u1": "bool byte char octet boolean uint8",
+        "i1": "int8",
+        "i2": "int16",
+        "u2": "uint16",
+        "i4": "int32",
+        "u4": "uint32",
+        "i8": "int64",
+        "u8": "uint64",
+        "f4": "float32",
+        "f8": "float64",
+    }.items()
+    for word in words.split()
+}
 _FIELD = re.compile(r"^(\S+)\s+(\w+)\s*(=?)")
 _TYPE = re.compile(r"^([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?$")
 _VECTOR = "float64 x\nfloat64 y\nfloat64 z"
@@ -295,8 +306,13 @@ class _Walk:
 
 #: encapsulation identifier -> (byte order, largest alignment)
 _ENCAPSULATIONS = {
-    0x00: (">", 8), 0x01: ("<", 8), 0x06: (">", 4), 0x07: ("<", 4), 0x10: (">", 4), 0x11: ("<", 4),
-}  # fmt: skip
+    0x00: (">", 8),
+    0x01: ("<", 8),
+    0x06: (">", 4),
+    0x07: ("<", 4),
+    0x10: (">", 4),
+    0x11: ("<", 4),
+}
 
 
 def compile_layout(definition: Definition, data: bytes) -> Layout:

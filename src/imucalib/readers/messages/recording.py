@@ -146,9 +146,13 @@ def _clocks(
     def clock(name: str, fields: TopicFields, apart: str = "") -> Clock:
         survey = store.surveys[name] if fields.time_leaves else store.without_stamps(name)
         return choose_clock(
-            survey, scalar=len(fields.time_leaves) == 1, time_unit=mapping.time_unit,
-            rate=mapping.rate, apart=apart, where=f"{where}, topic {name}",
-        )  # fmt: skip
+            survey,
+            scalar=len(fields.time_leaves) == 1,
+            time_unit=mapping.time_unit,
+            rate=mapping.rate,
+            apart=apart,
+            where=f"{where}, topic {name}",
+        )
 
     clocks = {name: clock(name, fields) for name, fields in topics.items()}
     starts = [one.first for one in clocks.values()]
@@ -161,11 +165,7 @@ def _clocks(
 
 
 def _parts(
-    path: Path,
-    mapping: FieldMapping,
-    triads: list[Triad],
-    store: Store,
-    topics: _Topics,
+    path: Path, mapping: FieldMapping, triads: list[Triad], store: Store, topics: _Topics
 ) -> tuple[list[Part], list[str]]:
     parts, notes = [], []
     for triad in triads:

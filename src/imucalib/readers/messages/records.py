@@ -159,9 +159,14 @@ def parse_chunk_head(content: bytes) -> ChunkHead | None:
     (inner,) = _U64.unpack_from(content, 32 + name_length)
     text = name.decode("ascii", "replace")
     return ChunkHead(
-        first_ns=first, last_ns=last, uncompressed_size=size, uncompressed_crc=crc,
-        compression=text, body=40 + name_length, size=inner,
-    )  # fmt: skip
+        first_ns=first,
+        last_ns=last,
+        uncompressed_size=size,
+        uncompressed_crc=crc,
+        compression=text,
+        body=40 + name_length,
+        size=inner,
+    )
 
 
 def text_at(content: bytes, at: int) -> tuple[str, int]:

@@ -26,16 +26,18 @@ from imucalib.recording.pairing import distinct_names
 
 Leaves = dict[str, int]
 
-_ACC = (
-    "linearacceleration", "acceleration", "accelerometerms2", "accelerometer", "specificforce",
-    "linearacc", "accel", "acc", "a",
-)  # fmt: skip
-_GYRO = (
-    "angularvelocity", "angularrate", "gyrorad", "gyroscope", "gyro", "gyr", "rotationrate", "w",
-    "g",
-)  # fmt: skip
-_STAMPS = ("stamp", "timestamp", "timestampns", "timestampus", "timestampms", "timens", "timeus",
-           "time", "t")  # fmt: skip
+_ACC = tuple(
+    str.split(
+        """
+        linearacceleration acceleration accelerometerms2 accelerometer specificforce linearacc
+        accel acc a
+        """
+    )
+)
+_GYRO = tuple(str.split("angularvelocity angularrate gyrorad gyroscope gyro gyr rotationrate w g"))
+_STAMPS = tuple(
+    str.split("stamp timestamp timestampns timestampus timestampms timens timeus time t")
+)
 _SECONDS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
 #: Channel metadata of the files that this package writes: what a ROS message cannot say.
 META_TRIAD, META_QUANTITIES = "imucal.triad", "imucal.quantities"
