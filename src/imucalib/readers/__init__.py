@@ -1,6 +1,7 @@
 """Recording formats: each module of this folder that has a `READER` reads one format.
 
-A reader is found by its file being here; `read` picks the one that recognises the input.
+A reader is found by its file being here, or by an entry point of the group "imucal.readers" of a
+package that is installed; `read` picks the one that recognises the input.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Protocol
 
@@ -80,8 +82,12 @@ class Reader(Protocol):
 
 @cache
 def readers() -> tuple[Reader, ...]:
-    """Every reader of this folder, in the order of their module names."""
-    return tuple(m.READER for m in modules_of(__name__) if hasattr(m, "READER"))
+    """Every reader of this folder, in the order of their module names, then those of other packages.
+
+    An entry point of the group "imucal.readers" names an object like `READER` here.
+    """
+    own = (m.READER for m in modules_of(__name__) if hasattr(m, "READER"))
+    return (*own, *(point.load() for point in entry_points(group="imucal.readers")))
 
 
 def reader_for(path: str | os.PathLike[str]) -> Reader:
