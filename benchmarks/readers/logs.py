@@ -49,7 +49,7 @@ def generate(path: Path, imus: int, seconds: float) -> int:
     """Write a log with the official writer, so that no reader gets a layout made for it."""
     from mcap.writer import Writer
 
-    from imucalib.readers.messages.definition import IMU_ROS2
+    from imucalib.readers.messages.layout import IMU_ROS2
 
     rng = np.random.default_rng(1)
     count, start = round(seconds * 1000), 1_700_000_000_000_000_000

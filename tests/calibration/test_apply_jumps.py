@@ -21,8 +21,7 @@ from imucalib.errors import UnreadableInput
 from imucalib.readers import blocks, read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.thermal_history import thermal_history
-from imucalib.rests.thermometer import is_gone
+from imucalib.rests.thermal import is_gone, thermal_history
 from imucalib.units import MG, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]

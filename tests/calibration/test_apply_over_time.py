@@ -32,7 +32,7 @@ from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.thermal_history import (
+from imucalib.rests.thermal import (
     ThermalHistory,
     temperature_at,
     thermal_history,

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
 from imucalib import cli
-from imucalib.inspection.allan import AllanCurve, AllanSums
-from imucalib.inspection.noise import identified
+from imucalib.inspection.noise import AllanCurve, AllanSums, identified
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import DEG, STANDARD_GRAVITY
 from imucalib.writers import write

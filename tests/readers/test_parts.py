@@ -9,8 +9,7 @@ import pytest
 
 from imucalib import readers, writers
 from imucalib.readers import blocks, read
-from imucalib.readers.joining import join
-from imucalib.readers.parts import in_parts
+from imucalib.readers.joining import in_parts, join
 from imucalib.recording.recording import Channel, Gap, Recording
 from worlds.mcap_logs import START, Reading, cdr, packed, readings, write_log
 from worlds.mcap_logs import values as axes

@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucalib import readers
-from imucalib.inspection.advice import problems
-from imucalib.inspection.inspection import Inspection, inspect_recording
+from imucalib.inspection.inspection import Inspection, inspect_recording, problems
 from imucalib.recording.mapping import FieldMapping
 from imucalib.rests.runs import scan
 from worlds.every_format import WRITE

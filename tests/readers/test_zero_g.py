@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from imucalib.cli import cli as root
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
-from imucalib.readers.zero_g import zero_g
+from imucalib.readers.conversion import zero_g
 
 Array = NDArray[np.float64]
 

@@ -10,26 +10,24 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from imucalib.recording.recording import Channel, Gap
-from imucalib.rests import edges, stillness
-from imucalib.rests.candidates import Seen
-from imucalib.rests.drift import (
+from imucalib.rests import stillness
+from imucalib.rests.candidates import (
     Noise,
+    Seen,
+    Span,
     colour_of,
     drift_of,
     far_apart,
+    groups_of,
     is_noise,
     parts_of,
     whiteness,
 )
-from imucalib.rests.grouping import groups_of
 from imucalib.rests.levels import Kinds, steady_windows
-from imucalib.rests.postures import postures_begin
-from imucalib.rests.runs import Scan, grouped
-from imucalib.rests.samples import Samples
+from imucalib.rests.runs import Scan, Tail, grouped, overlapping, postures_begin, with_tails
 from imucalib.rests.stillness import Sensor, StillSettings, allowed
-from imucalib.rests.tails import Tail, overlapping, with_tails
-from imucalib.rests.thermal_history import ThermalHistory, history_of, temperature_at
-from imucalib.rests.windows import Windows, breaks, in_order
+from imucalib.rests.thermal import ThermalHistory, history_of, temperature_at
+from imucalib.rests.windows import Samples, Windows, breaks, in_order
 
 Array = NDArray[np.float64]
 G = 9.80665
@@ -350,8 +348,10 @@ def test_short_pieces_of_a_slow_motion_wander() -> None:
 
 
 def seen(w: Windows, quantity: str = "acceleration", usual: float = 1.0) -> Seen:
-    spans = [edges.Span(0, 200, 0.0, 1.99, False, False), edges.Span(300, 600, 3.0, 5.99, True,
-                                                                     False)]  # fmt: skip
+    spans = [
+        Span(0, 200, 0.0, 1.99, False, False),
+        Span(300, 600, 3.0, 5.99, True, False),
+    ]
     return Seen(sensor(w, quantity), kinds(np.ones(12)), spans, 1.0, usual)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests import samples
+from imucalib.rests import windows
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.rests.segments import Segments, StillSettings, find_segments, still_segments
 
@@ -222,7 +222,7 @@ def test_a_long_recording_in_blocks_keeps_its_rests(
     most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values, spans = bench(np.random.default_rng(13), [6.0] * 10)
-    monkeypatch.setattr(samples.Samples.__init__, "__defaults__", (most,))
+    monkeypatch.setattr(windows.Samples.__init__, "__defaults__", (most,))
     found = find_segments(in_blocks(values))
     assert found.n == len(spans)
     for k, (a, b) in enumerate(spans):
@@ -237,7 +237,7 @@ def test_a_rest_in_blocks_is_as_long_as_its_windows(
 ) -> None:
     """Of rests of five seconds half a second at each end is left out; nothing is added for that."""
     values, _ = bench(np.random.default_rng(15), [5.0] * 8)
-    monkeypatch.setattr(samples.Samples.__init__, "__defaults__", (0,))
+    monkeypatch.setattr(windows.Samples.__init__, "__defaults__", (0,))
     found = find_segments(in_blocks(values), StillSettings(shortest=shortest))
     assert found.n == rests
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.ranges import two_ranges
+from imucalib.rests.runs import two_ranges
 from imucalib.rests.segments import Segments, StillSettings, still_segments
 
 RATE, G = 100.0, 9.80665

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.rests.thermal_history import ThermalHistory
+from imucalib.rests.thermal import ThermalHistory
 
 
 @pytest.mark.parametrize("hours", [1e-4, 0.003, 0.1, 3.0, 1e4])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.rests.thermal_history import ThermalHistory
-from imucalib.rests.thermal_memory import REMEMBERED, is_remembered, remembered
+from imucalib.rests.thermal import REMEMBERED, ThermalHistory, is_remembered, remembered
 
 
 def behind(values: np.ndarray, width: float) -> np.ndarray:

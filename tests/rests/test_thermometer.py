@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.runs import Scan, posture_runs, scan
-from imucalib.rests.thermal_history import history_of
-from imucalib.rests.thermometer import believed, mean_of_known, tells_apart, temperature_in
+from imucalib.rests.thermal import believed, history_of, mean_of_known, tells_apart, temperature_in
 from imucalib.rests.windows import WindowBuilder, Windows
 from imucalib.units import MG, STANDARD_GRAVITY
 

@@ -18,11 +18,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from imucalib.errors import UsageError
 from imucalib.readers import read
-from imucalib.readers.mcap.scan import Scanner
+from imucalib.readers.mcap import Scanner
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Channel, Recording
 from imucalib.writers import write
-from imucalib.writers.mcap.writer import write_with_topics_of
+from imucalib.writers.mcap_over import write_with_topics_of
 from worlds.mcap_logs import (
     IMU_ROS1,
     START,

@@ -19,7 +19,7 @@ from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import Pairing
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests.segments import find_segments
-from imucalib.rests.thermal_history import (
+from imucalib.rests.thermal import (
     ThermalHistory,
     thermal_history,
     thermometer_of,
@@ -197,7 +197,7 @@ def correct_file(
 def write_over(corrected: Recording, source: Path, target: Path) -> None:
     """Write a whole recording; from MCAP to MCAP, every other topic of the source is kept."""
     if reader_for(source).name == "mcap" and target.suffix.lower() == ".mcap":
-        from imucalib.writers.mcap.writer import write_with_topics_of
+        from imucalib.writers.mcap_over import write_with_topics_of
 
         write_with_topics_of(corrected, source, target)
     else:

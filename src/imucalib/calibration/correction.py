@@ -23,8 +23,13 @@ from imucalib.core.truth import Truth
 from imucalib.effects.thermal.lag import PREFIX, counts_rows
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.thermal_history import ThermalHistory, temperature_at, unheard
-from imucalib.rests.thermal_memory import is_remembered, remembered
+from imucalib.rests.thermal import (
+    ThermalHistory,
+    is_remembered,
+    remembered,
+    temperature_at,
+    unheard,
+)
 from imucalib.units import MG, STANDARD_GRAVITY
 
 Spans = Mapping[str, tuple[float, float]]

@@ -25,7 +25,7 @@ from imucalib.core.context import Context
 from imucalib.core.model import Model
 from imucalib.errors import UnreadableInput
 from imucalib.readers.source import sha256_of
-from imucalib.recording.names import fault
+from imucalib.recording.pairing import fault
 from imucalib.recording.yaml_text import dump, load
 
 SCHEMA = "imucal/calibration"

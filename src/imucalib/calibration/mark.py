@@ -7,8 +7,7 @@ import hashlib
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import to_yaml
 from imucalib.errors import UsageError
-from imucalib.recording.correction import Correction
-from imucalib.recording.recording import Recording
+from imucalib.recording.recording import Correction, Recording
 
 
 def identity(calibration: Calibration) -> str:

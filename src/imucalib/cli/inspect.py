@@ -127,7 +127,7 @@ def _noise(
 
 
 def _save_noise(seen: tuple[SensorNoise, ...], file: Path, target: Path) -> None:
-    from imucalib.inspection.noise_file import save_noise
+    from imucalib.inspection.noise import save_noise
 
     save_noise(seen, file.name, target)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from imucalib.atomic_file import replaced_atomically
 from imucalib.errors import UsageError
-from imucalib.recording.names import cell
+from imucalib.recording.pairing import cell
 
 
 def write_table(rows: tuple[dict[str, Any], ...], path: Path) -> None:

@@ -12,7 +12,7 @@ from functools import cache
 from imucalib.calibration.calibration import Calibration
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UsageError
-from imucalib.recording.names import printable
+from imucalib.recording.pairing import printable
 
 
 @dataclass(frozen=True)

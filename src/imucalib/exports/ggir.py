@@ -10,7 +10,7 @@ import numpy as np
 from imucalib.calibration.calibration import Calibration
 from imucalib.exports import Export, Made
 from imucalib.exports.per_axis import demand_one, lost_per_axis, nearest_row
-from imucalib.recording.names import cell
+from imucalib.recording.pairing import cell
 
 
 def ggir_csv(calibration: Calibration, filename: str) -> Made:

@@ -20,7 +20,7 @@ from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Response
 from imucalib.effects import catalogue
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.inspection.noise_file import read_noise
+from imucalib.inspection.noise import read_noise
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
 #: What every form of single IMUs loses of an array.

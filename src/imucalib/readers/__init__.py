@@ -1,6 +1,7 @@
 """Recording formats: each module of this folder that has a `READER` reads one format.
 
-A reader is found by its file being here; `read` picks the one that recognises the input.
+A reader is found by its file being here, or by an entry point of the group "imucal.readers" of a
+package that is installed; `read` picks the one that recognises the input.
 """
 
 from __future__ import annotations
@@ -8,14 +9,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Protocol
 
 from imucalib.core.discovery import modules_of
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.devices.catalogue import refuse_foreign, with_preset
-from imucalib.readers.joining import together
-from imucalib.readers.parts import in_parts, with_plausible_clocks
+from imucalib.readers.joining import in_parts, together, with_plausible_clocks
 from imucalib.readers.rates import with_checked_rates
 from imucalib.readers.repeats import with_repeats_told
 from imucalib.readers.source import head_of, sha256_of
@@ -81,8 +82,12 @@ class Reader(Protocol):
 
 @cache
 def readers() -> tuple[Reader, ...]:
-    """Every reader of this folder, in the order of their module names."""
-    return tuple(m.READER for m in modules_of(__name__) if hasattr(m, "READER"))
+    """Every reader of this folder, in the order of their names, then those of other packages.
+
+    An entry point of the group "imucal.readers" names an object like `READER` here.
+    """
+    own = (m.READER for m in modules_of(__name__) if hasattr(m, "READER"))
+    return (*own, *(point.load() for point in entry_points(group="imucal.readers")))
 
 
 def reader_for(path: str | os.PathLike[str]) -> Reader:
@@ -121,9 +126,11 @@ def read(
 
 
 def read_together(
-    paths: Sequence[str | os.PathLike[str]], mapping: FieldMapping | None = None, *,
+    paths: Sequence[str | os.PathLike[str]],
+    mapping: FieldMapping | None = None,
+    *,
     strict: bool = False,
-) -> Recording:  # fmt: skip
+) -> Recording:
     """Files of one device, each of other sensors, as one recording (a phone's accelerometer and
     gyroscope). Errors as in `read`, and UsageError for clocks that do not fit each other."""
     return together([read(path, mapping, strict=strict) for path in paths])
@@ -160,14 +167,16 @@ def _reader(path: str | os.PathLike[str], mapping: FieldMapping) -> Reader:
     reader = reader_for(path)
     if mapping.where and reader.name != "csv":
         raise UsageError(
-            f"--where selects rows of text tables, and this is {reader.name}", where=str(path),
+            f"--where selects rows of text tables, and this is {reader.name}",
+            where=str(path),
             remedy="leave it out",
-        )  # fmt: skip
+        )
     if mapping.time_unit in TIME_ZEROS and reader.name not in ("csv", "hdf5", "matlab"):
         raise UsageError(
             f"stamps of {reader.name} count from 1970 or from a start, not in {mapping.time_unit}",
-            where=str(path), remedy="give --time-unit s, ms, us or ns",
-        )  # fmt: skip
+            where=str(path),
+            remedy="give --time-unit s, ms, us or ns",
+        )
     return reader
 
 

@@ -1,33 +1,52 @@
-"""What a column is, from its name: quantity, axis, triad and unit.
+"""What a file's columns are, by their names: quantity, axis, triad and unit; and the list of them.
 
-Column names of loggers differ in case, separators and order, but are made of the same words.
+Column names of loggers differ in case, separators and order, but are made of the same words. Where
+they do not tell, the user gets the contents of the file, field by field.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from imucalib.arrays import Array
 from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical, without_brackets
 
-_ACC = {"a", "acc", "accel", "acceleration", "accelerometer", "accelerations", "accelero",
-        "beschleunigung", "beschl"}  # fmt: skip
-_GYRO = {"g", "w", "gyr", "gyro", "gyros", "gyroscope", "omega", "angular", "angvel", "angrate",
-         "drehrate"}  # fmt: skip
+_ACC = set(
+    str.split("a acc accel acceleration accelerometer accelerations accelero beschleunigung beschl")
+)
+_GYRO = set(str.split("g w gyr gyro gyros gyroscope omega angular angvel angrate drehrate"))
 _TEMPERATURE = {"temp", "temperature", "temps", "temperatur"}
-_TIME = {"time", "timestamp", "timestamps", "stamp", "t", "datetime", "seconds", "secs", "sec",
-         "sampletimefine", "utc", "epoch", "elapsed", "stamps",
-         "zeit", "zeitstempel", "uhrzeit"}  # fmt: skip
-_SILENT = {"rs", "s", "b", "field", "data", "raw", "cal", "calibrated", "uncal", "linear",
-           "angular", "velocity", "rate", "imu", "sensor", "sensors", "axis", "value", "values",
-           "header",
-           "acceleration", "meas", "rot", "rotation", "vel", "speed"}  # fmt: skip
+_TIME = set(
+    str.split(
+        """
+        time timestamp timestamps stamp t datetime seconds secs sec sampletimefine utc epoch
+        elapsed stamps zeit zeitstempel uhrzeit
+        """
+    )
+)
+_SILENT = set(
+    str.split(
+        """
+        rs s b field data raw cal calibrated uncal linear angular velocity rate imu sensor sensors
+        axis value values header acceleration meas rot rotation vel speed
+        """
+    )
+)
 # Quantities that share words with the two above but are not them.
-_OTHER = {"mag", "magnetometer", "magnetic", "free", "freeacc", "gravity", "grav", "mean", "std",
-          "var", "enmo", "mad", "cov", "covariance", "quat", "quaternion", "orientation", "bias",
-          "svm", "vm", "norm", "inc", "velinc", "oriinc", "pos", "position", "user",
-          "ori", "offset", "euler", "counts1", "vector", "magnitude", "b_w", "b_a"}  # fmt: skip
+_OTHER = set(
+    str.split(
+        """
+        mag magnetometer magnetic free freeacc gravity grav mean std var enmo mad cov covariance
+        quat quaternion orientation bias svm vm norm inc velinc oriinc pos position user ori
+        offset euler counts1 vector magnitude b_w b_a
+        """
+    )
+)
 _COMPACT = re.compile(
     r"^(accel|acc|a|gyro|gyr|g|w|omega)_?(\d*)_?([xyz])(\d*)$|^([xyz])_?(accel|acc|gyro|gyr)(\d*)$"
 )
@@ -36,36 +55,47 @@ _BRACKETED = re.compile(r"\s*(\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\))\s*$")
 _SLASHED = re.compile(r"[\s_.\-]+([^\s_]+/[^\s_]+|[^\s_]+/\(?s\^?2\)?)$")
 _TEX = re.compile(r"\\(?:hat|vec|bar|tilde|mathrm|mathbf|text|dot)\s*|[\\${}]|\^\{?\\circ\}?")
 _UNIT_WORDS = {
-    "ms2": "m/s2", "mps2": "m/s2", "mss": "m/s2", "mg": "mg", "ug": "ug", "rads": "rad/s",
-    "rps": "rad/s", "dps": "deg/s", "degs": "deg/s", "degc": "degC", "celsius": "degC",
-    "ns": "ns", "us": "us", "ms": "ms", "nsec": "ns", "usec": "us", "msec": "ms",
-    "counts": "counts", "lsb": "counts", "nanoseconds": "ns", "microseconds": "us",
-    "milliseconds": "ms", "seconds": "s", "sec": "s", "secs": "s", "nanosec": "ns",
-}  # fmt: skip
+    word: value
+    for value, words in {
+        "m/s2": "ms2 mps2 mss",
+        "mg": "mg",
+        "ug": "ug",
+        "rad/s": "rads rps",
+        "deg/s": "dps degs",
+        "degC": "degc celsius",
+        "ns": "ns nsec nanoseconds nanosec",
+        "us": "us usec microseconds",
+        "ms": "ms msec milliseconds",
+        "counts": "counts lsb",
+        "s": "seconds sec secs",
+    }.items()
+    for word in words.split()
+}
 # Last words of a temperature's name, joined; "tempC" and "temp_degC" are split before the C.
-_TEMPERATURE_UNITS = {"c": "degC", "degc": "degC", "celsius": "degC", "degreesc": "degC",
-                      "f": "degF", "degf": "degF", "fahrenheit": "degF", "degreesf": "degF",
-                      "k": "K", "kelvin": "K", "degk": "K"}  # fmt: skip
+_TEMPERATURE_UNITS = {
+    word: value
+    for value, words in {
+        "degC": "c degc celsius degreesc",
+        "degF": "f degf fahrenheit degreesf",
+        "K": "k kelvin degk",
+    }.items()
+    for word in words.split()
+}
 #: Units that a name may state of a column without saying that it is a time, and last words that
 #: name the unit of one that does ("elapsed_min"; of "acc_x_min" it is a minimum).
 _STAMP_UNITS = {"s", "ms", "us", "ns", "100us"}
 _TIME_WORDS = {
-    "min": "min",
-    "mins": "min",
-    "minutes": "min",
-    "minute": "min",
-    "h": "h",
-    "hr": "h",
-    "hrs": "h",
-    "hours": "h",
-    "hour": "h",
-    "d": "d",
-    "day": "d",
-    "days": "d",
-    "s": "s",
-    "datenum": "datenum",
-    "filetime": "filetime",
-    "ticks": "ticks",
+    word: value
+    for value, words in {
+        "min": "min mins minutes minute",
+        "h": "h hr hrs hours hour",
+        "d": "d day days",
+        "s": "s",
+        "datenum": "datenum",
+        "filetime": "filetime",
+        "ticks": "ticks",
+    }.items()
+    for word in words.split()
 }
 #: Parts of a stamp in columns of their own, in its order; i and u are whole ms and us.
 _PARTS = {
@@ -142,9 +172,10 @@ def _of_kalibr(columns: list[Column]) -> list[Column]:
     forces = {axes[name]: k for k, name in enumerate(named[3:])}
     return [
         replace(c, quantity="acceleration", axis=forces[c.index], triad="imu0")
-        if c.index in forces else c
+        if c.index in forces
+        else c
         for c in columns
-    ]  # fmt: skip
+    ]
 
 
 def _bare_axis(column: Column, bare: str) -> Column:
@@ -238,3 +269,59 @@ def _triad(words: Sequence[str], number: str = "") -> str:
     if number:
         left.append(f"imu{number}")
     return "_".join(left) or "imu0"
+
+
+_SHOWN = 12
+#: Median norms that gravity has in the units in use, within this factor.
+_GRAVITY, _NEAR = (9.80665, 1.0, 1000.0), 1.15
+
+
+@dataclass(frozen=True)
+class Content:
+    """One topic, column, dataset or field.
+
+    address : what the options --acc, --gyro and --time take
+    kind : type, encoding, shape, as the format says it
+    count : messages or rows; rate : Hz, NaN when unknown
+    norm : median norm of a 3-vector in the file's unit, else NaN; median : of a single number
+    why : why it could not be read, or empty
+    """
+
+    address: str
+    kind: str
+    count: int
+    rate: float = math.nan
+    norm: float = math.nan
+    median: float = math.nan
+    why: str = ""
+
+    def __str__(self) -> str:
+        parts = [f"{self.count} x" if self.count else "", self.kind]
+        parts += [f"{self.rate:.4g} Hz" if math.isfinite(self.rate) else ""]
+        parts += [f"median norm {self.norm:.5g}" if math.isfinite(self.norm) else ""]
+        parts += [f"median {self.median:.6g}" if math.isfinite(self.median) else "", self.why]
+        return f"{self.address}: {', '.join(filter(None, parts))}"
+
+    @property
+    def like_gravity(self) -> bool:
+        """Whether the norm is that of gravity in m/s², g or mg."""
+        return any(g / _NEAR <= self.norm <= g * _NEAR for g in _GRAVITY)
+
+
+def norm_of(values: Array) -> float:
+    """Median norm of (n, 3) values, the incomplete ones left out; NaN when none is left."""
+    norms = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
+    return float(np.median(norms)) if norms.size else math.nan
+
+
+def listing(contents: Sequence[Content]) -> str:
+    """One indented line each, for an error's text."""
+    lines = [f"\n  {content}" for content in contents[:_SHOWN]]
+    more = len(contents) - _SHOWN
+    return "".join(lines) + (f"\n  and {more} more" if more > 0 else "")
+
+
+def suggestion(contents: Sequence[Content]) -> str:
+    """The field whose norm is that of gravity, as an option; empty when there is none or two."""
+    fitting = [c.address for c in contents if c.like_gravity]
+    return f"; the norm of gravity is in: --acc {fitting[0]}" if len(fitting) == 1 else ""

@@ -1,7 +1,9 @@
 """From the numbers of a file to SI, once, at the border: unit, counts, offset and axes.
 
 The unit comes from, in this order: the user's mapping, the file, the norm at rest. What was
-decided, and why, is one sentence in `Conversion.note`.
+decided, and why, is one sentence in `Conversion.note`. An analogue sensor behind a converter is
+counted from the middle of its supply (33,000 of 65,536, or 1.65 V of 3.3 V); no bias of an
+accelerometer reaches as far as gravity itself.
 """
 
 from __future__ import annotations
@@ -17,8 +19,58 @@ from numpy.typing import NDArray
 from imucalib import units
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.zero_g import zero_g
 from imucalib.recording.mapping import UNCHANGED, AxisMap, FieldMapping, parse_axis_map
+
+_FEWEST = 8
+#: An offset is half of a converter's range, which is no hundred g: further off, what looks like a
+#: sphere is the noise of one posture.
+_FARTHEST = 50.0
+#: What every direction of the sphere must hold of the readings' spread, and how far the middle one
+#: of them may lie from the sphere, of its radius: scales and misalignments differ by less.
+_SPREAD, _NEAR = 0.05, 0.05
+
+
+@dataclass(frozen=True)
+class ZeroG:
+    """level : (3,) reading of each axis at zero g; radius : of the sphere, what one g reads"""
+
+    level: Array
+    radius: float
+
+    @property
+    def sentence(self) -> str:
+        return (
+            f"at rest the readings lie around {', '.join(f'{v:.6g}' for v in self.level)}, each "
+            f"{self.radius:.4g} away: they are counted from an offset"
+        )
+
+    @property
+    def option(self) -> str:
+        level = ",".join(f"{v:.6g}" for v in self.level)
+        return f"--unit counts --lsb {self.radius:.4g} --acc-offset {level}"
+
+
+def zero_g(rest: Array) -> ZeroG | None:
+    """The sphere that readings at rest (n, 3) lie on, where its centre is further from zero than
+    gravity is large; None where they tell no sphere, or one about zero."""
+    if len(rest) < _FEWEST or not np.ptp(rest):
+        return None
+    middle, scale = rest.mean(axis=0), float(rest.std())
+    own = (rest - middle) / scale
+    terms = np.column_stack([2.0 * own, np.ones(len(own))])
+    (*shift, rest_of_it), *_ = np.linalg.lstsq(terms, (own**2).sum(axis=1))
+    centre = np.array(shift)
+    radius = float(np.sqrt(max(rest_of_it + centre @ centre, 0.0)))
+    out = own - centre
+    away = float(np.median(np.abs(np.linalg.norm(out, axis=1) - radius)))
+    least = float(np.linalg.eigvalsh(np.cov(out.T))[0])
+    if not radius or away > _NEAR * radius or least < _SPREAD * radius**2:
+        return None
+    level = middle + scale * centre
+    if not 1.0 < np.linalg.norm(level) / (scale * radius) < _FARTHEST:
+        return None
+    return ZeroG(level, scale * radius)
+
 
 COUNTS = "counts"
 _IMPLAUSIBLE = 3.0  # a stated unit is refused when the norm at rest is off by this factor
@@ -187,10 +239,12 @@ def unit_of_axes(text: str, option: str, where: str) -> str:
     if len(each) != 3 or "" in each or COUNTS in each:
         said = ", ".join(f"{a} {u or 'nothing'}" for a, u in zip("xyz", each, strict=False))
         raise UnreadableInput(
-            f"the axes state different units ({said}), which do not go together", where=where,
+            f"the axes state different units ({said}), which do not go together",
+            where=where,
             remedy=f"name one for all with {option}, or one an axis: {option} m/s2,m/s2,g"
-            if option == "--unit" else f"name one for all with {option}",
-        )  # fmt: skip
+            if option == "--unit"
+            else f"name one for all with {option}",
+        )
     return ",".join(each)
 
 
@@ -203,8 +257,9 @@ def _by_norm(source: Source, rest: Array, where: str) -> tuple[str, str]:
     if source.whole and found.unit == "mg" and _LIKE_1024[0] < found.norm_at_rest < _LIKE_1024[1]:
         raise UnreadableInput(
             f"whole numbers whose norm at rest is {found.norm_at_rest:.6g}: mg, or counts",
-            where=where, remedy="say which: --unit mg, or --unit counts --lsb 1024",
-        )  # fmt: skip
+            where=where,
+            remedy="say which: --unit mg, or --unit counts --lsb 1024",
+        )
     return found.unit, f"acceleration: {found.sentence}"
 
 
@@ -218,8 +273,9 @@ def _by_scales(
         raise UnreadableInput(
             f"the norm at rest is {norm:.6g} counts, and the device's models have "
             f"{', '.join(f'{s:g}' for s in scales)} a g",
-            where=where, remedy="give the scale with --unit counts --lsb N",
-        )  # fmt: skip
+            where=where,
+            remedy="give the scale with --unit counts --lsb N",
+        )
     (scale,) = fitting
     factor = np.array([units.STANDARD_GRAVITY / scale])
     note = f"acceleration: norm at rest = {norm:.6g} -> {scale:g} counts a g, as the device has"
@@ -291,11 +347,13 @@ def angular_rate(mapping: FieldMapping, stated: str, where: str) -> Conversion:
     return Conversion("rad/s", unit, factor, offset, axes)
 
 
-_TEMPERATURE: dict[str, tuple[float, float]] = {  # degC = (raw - offset) * factor
-    "degC": (1.0, 0.0), "C": (1.0, 0.0), "°C": (1.0, 0.0), "deg C": (1.0, 0.0),
-    "celsius": (1.0, 0.0), "Celsius": (1.0, 0.0), "deg_C": (1.0, 0.0), "K": (1.0, 273.15),
-    "degF": (5.0 / 9.0, 32.0), "F": (5.0 / 9.0, 32.0), "°F": (5.0 / 9.0, 32.0),
-}  # fmt: skip
+#: degC = (raw - offset) * factor
+_CELSIUS, _FAHRENHEIT = (1.0, 0.0), (5.0 / 9.0, 32.0)
+_TEMPERATURE = {
+    **dict.fromkeys(("degC", "C", "°C", "deg C", "celsius", "Celsius", "deg_C"), _CELSIUS),
+    **dict.fromkeys(("degF", "F", "°F"), _FAHRENHEIT),
+    "K": (1.0, 273.15),
+}
 
 
 #: A degree sign that a conversion between character sets has made into something else.

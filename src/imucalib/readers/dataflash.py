@@ -17,17 +17,33 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Index
 from imucalib.errors import UnreadableInput
-from imucalib.readers.hdf5.in_memory import blocks_in_memory, put_channel
+from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
 _MAGIC, _FMT, _FMT_SIZE = b"\xa3\x95", 128, 89
 _LETTERS = {
-    "a": "(32,)<i2", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4",
-    "f": "<f4", "d": "<f8", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4",
-    "E": "<u4", "L": "<i4", "M": "u1", "q": "<i8", "Q": "<u8", "g": "<f2",
-}  # fmt: skip
+    letter: kind
+    for kind, letters in {
+        "(32,)<i2": "a",
+        "i1": "b",
+        "u1": "BM",
+        "<i2": "hc",
+        "<u2": "HC",
+        "<i4": "ieL",
+        "<u4": "IE",
+        "<f4": "f",
+        "<f8": "d",
+        "S4": "n",
+        "S16": "N",
+        "S64": "Z",
+        "<i8": "q",
+        "<u8": "Q",
+        "<f2": "g",
+    }.items()
+    for letter in letters
+}
 #: Names of messages, best first: samples as they came from the sensor, then those that were fused.
 _ACCELERATION = (("ACC", ("AccX", "AccY", "AccZ")), ("IMU", ("AccX", "AccY", "AccZ")))
 _RATE = (("GYR", ("GyrX", "GyrY", "GyrZ")), ("IMU", ("GyrX", "GyrY", "GyrZ")))
@@ -76,9 +92,14 @@ class DataflashReader:
             if strict:
                 raise UnreadableInput(notes[0], where=str(path), remedy="read it without --strict")
         yield from blocks_in_memory(
-            lambda held: _fill(held, found.rows, path), path, mapping,
-            block_samples=block_samples, strict=strict, name=self.name, notes=notes,
-        )  # fmt: skip
+            lambda held: _fill(held, found.rows, path),
+            path,
+            mapping,
+            block_samples=block_samples,
+            strict=strict,
+            name=self.name,
+            notes=notes,
+        )
 
 
 READER = DataflashReader()
@@ -174,8 +195,9 @@ def _text(raw: bytes) -> str:
 def _fill(held: Any, rows: Mapping[str, NDArray[Any]], path: Path) -> None:
     found = 0
     for quantity, names, unit in (
-        ("acceleration", _ACCELERATION, "m/s2"), ("angular_rate", _RATE, "rad/s"),
-    ):  # fmt: skip
+        ("acceleration", _ACCELERATION, "m/s2"),
+        ("angular_rate", _RATE, "rad/s"),
+    ):
         for kind, axes in names:
             for name, triad, some in _sensors(rows, kind):
                 channel = f"{triad}/{quantity}"
@@ -187,9 +209,10 @@ def _fill(held: Any, rows: Mapping[str, NDArray[Any]], path: Path) -> None:
                     _put_temperature(held, triad, some, path)
     if not found:
         raise UnreadableInput(
-            "the log has no IMU, ACC or GYR messages", where=str(path),
+            "the log has no IMU, ACC or GYR messages",
+            where=str(path),
             remedy="set LOG_BITMASK so that IMU or raw IMU messages are logged",
-        )  # fmt: skip
+        )
 
 
 def _put_temperature(held: Any, triad: str, some: NDArray[Any], path: Path) -> None:

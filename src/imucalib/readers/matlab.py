@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from imucalib.errors import ImucalError, UnreadableInput
-from imucalib.readers.hdf5.in_memory import blocks_in_memory
+from imucalib.readers.hdf5.reader import blocks_in_memory
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -42,9 +42,13 @@ class MatlabReader:
         """Yield the fields in blocks of about `block_samples` rows."""
         variables = _variables(path)
         yield from blocks_in_memory(
-            lambda held: _store(held, variables, 0), path, mapping,
-            block_samples=block_samples, strict=strict, name=self.name,
-        )  # fmt: skip
+            lambda held: _store(held, variables, 0),
+            path,
+            mapping,
+            block_samples=block_samples,
+            strict=strict,
+            name=self.name,
+        )
 
 
 READER = MatlabReader()
@@ -63,9 +67,10 @@ def _variables(path: Path) -> dict[str, Any]:
         raise
     except Exception as error:  # what scipy raises on damage depends on where the damage is
         raise UnreadableInput(
-            f"the MATLAB file cannot be read: {error}", where=str(path),
+            f"the MATLAB file cannot be read: {error}",
+            where=str(path),
             remedy="it may be cut: save it again, with -v7.3 if it is large",
-        ) from error  # fmt: skip
+        ) from error
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 

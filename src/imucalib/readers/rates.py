@@ -95,10 +95,11 @@ class _Stated:
         who = "as --gyro-unit states" if self.by_user else "as the file states"
         option = f"--gyro-unit {true}" if true else "--gyro-unit"
         return UnreadableInput(
-            f"{what} when its unit is {self.unit}, {who}", where=self.where,
+            f"{what} when its unit is {self.unit}, {who}",
+            where=self.where,
             remedy=f"name the true unit with {option}, or a scale with --gyro-unit counts "
             "--gyro-lsb N",
-        )  # fmt: skip
+        )
 
 
 def _refuse_fastest(rate: Channel, stated: _Stated) -> None:

@@ -79,9 +79,11 @@ def set_back(t: NDArray[Any], before: NDArray[Any], least: float) -> list[int]:
     rows, last = list[int](), 0
     for row in (np.flatnonzero(whole[1:] < whole[:-1] - least) + 1).tolist():
         one, other = whole[max(last, row - SIDES) : row], whole[row : row + SIDES]
-        if min(one.size, other.size) >= _FEWEST and row >= before.size and (
-            np.median(other) < np.median(one) - least
-        ):  # fmt: skip
+        if (
+            min(one.size, other.size) >= _FEWEST
+            and row >= before.size
+            and (np.median(other) < np.median(one) - least)
+        ):
             rows.append(row - before.size)
             last = row
     return rows
@@ -136,6 +138,23 @@ def guess_unit(
     )
 
 
+def known_unit(
+    unit: str, first: float, step: float, where: str, *, who: str, stated: float | None = None
+) -> tuple[str, str]:
+    """The unit of stamps where it is one that is known, else the one that `guess_unit` finds, with
+    its sentence. who : whose words the unit is; raises UnreadableInput for a word that is none."""
+    if unit in TIME_UNITS:
+        return unit, ""
+    guessed, note = guess_unit(first, step, where, stated)
+    if unit and date_of(first, guessed) is None:
+        raise UnreadableInput(
+            f"{who} states the unknown unit of time '{unit[:40]}'",
+            where=where,
+            remedy=f"name it with --time-unit: {', '.join(TIME_UNITS)}",
+        )
+    return guessed, note
+
+
 def seconds_of(
     stamps: NDArray[Any], origin: float | int, unit: str, missing: int | None = None
 ) -> Array:
@@ -168,11 +187,17 @@ _SINCE = re.compile(r"\s*([A-Za-zµμ]+)\s+since\s+(.+?)\s*$")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 #: Spellings of the units of time.
 _SPELLED = {
-    "s": "sec secs second seconds", "ms": "msec msecs millis millisecond milliseconds millisec",
-    "us": "µs μs usec usecs micros microsecond microseconds microsec", "min": "mins minute minutes",
-    "ns": "nsec nsecs nanos nanosecond nanoseconds nanosec", "h": "hr hrs hour hours",
-    "d": "day days", "excel": "serial", "datenum": "matlab", "julian": "jd",
-}  # fmt: skip
+    "s": "sec secs second seconds",
+    "ms": "msec msecs millis millisecond milliseconds millisec",
+    "us": "µs μs usec usecs micros microsecond microseconds microsec",
+    "min": "mins minute minutes",
+    "ns": "nsec nsecs nanos nanosecond nanoseconds nanosec",
+    "h": "hr hrs hour hours",
+    "d": "day days",
+    "excel": "serial",
+    "datenum": "matlab",
+    "julian": "jd",
+}
 _ALIASES = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
 
 
@@ -193,9 +218,10 @@ def clock_unit(text: str, where: str) -> tuple[str, int | None]:
         start = datetime.fromisoformat(_padded(found[2].removesuffix("UTC").strip()))
     except ValueError:
         raise UnreadableInput(
-            f"the clock counts from '{found[2][:40]}', which is no date", where=where,
+            f"the clock counts from '{found[2][:40]}', which is no date",
+            where=where,
             remedy="name the unit with --time-unit: it then counts from the first sample",
-        ) from None  # fmt: skip
+        ) from None
     start = start if start.tzinfo else start.replace(tzinfo=UTC)
     since = start - _EPOCH
     return unit, (since.days * 86_400_000_000 + since.seconds * 10**6 + since.microseconds) * 1000

@@ -17,7 +17,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.hdf5.in_memory import blocks_in_memory, put_channel
+from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -61,9 +61,14 @@ class UlogReader:
         topics, thinned = _chosen(log.data_list)
         notes = (*_damage(log, said, path, strict=strict), *thinned)
         yield from blocks_in_memory(
-            lambda held: _fill(held, topics, path), path, mapping,
-            block_samples=block_samples, strict=strict, name=self.name, notes=notes,
-        )  # fmt: skip
+            lambda held: _fill(held, topics, path),
+            path,
+            mapping,
+            block_samples=block_samples,
+            strict=strict,
+            name=self.name,
+            notes=notes,
+        )
 
 
 READER = UlogReader()

@@ -21,16 +21,29 @@ from imucalib.recording.yaml_text import dump, load
 
 #: Seconds in one unit of a numeric time stamp; "text" is a date or a time of day.
 TIME_UNITS: dict[str, float] = {
-    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100us": 1e-4, "min": 60.0, "h": 3600.0,
-    "d": 86_400.0, "excel": 86_400.0, "datenum": 86_400.0, "julian": 86_400.0, "filetime": 1e-7,
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+    "100us": 1e-4,
+    "min": 60.0,
+    "h": 3600.0,
+    "d": 86_400.0,
+    "excel": 86_400.0,
+    "datenum": 86_400.0,
+    "julian": 86_400.0,
+    "filetime": 1e-7,
     "ticks": 1e-7,
-}  # fmt: skip
+}
 #: Seconds since 1970 of stamp zero, of the units that count from a date of their own: days of a
 #: spreadsheet (from 1899-12-30), of MATLAB (year 0), Julian days; 100 ns of Windows (1601), .NET.
 TIME_ZEROS: dict[str, int] = {
-    "excel": -25_569 * 86_400, "datenum": -719_529 * 86_400, "julian": -210_866_760_000,
-    "filetime": -11_644_473_600, "ticks": -62_135_596_800,
-}  # fmt: skip
+    "excel": -25_569 * 86_400,
+    "datenum": -719_529 * 86_400,
+    "julian": -210_866_760_000,
+    "filetime": -11_644_473_600,
+    "ticks": -62_135_596_800,
+}
 
 
 @dataclass(frozen=True)
@@ -105,9 +118,10 @@ class FieldMapping:
         for condition in self.where:
             if not all(part.strip() for part in condition.partition("=")):
                 raise UsageError(
-                    f"'{condition}' is not COLUMN=VALUE", where="mapping: where",
+                    f"'{condition}' is not COLUMN=VALUE",
+                    where="mapping: where",
                     remedy="write it like serial=A12",
-                )  # fmt: skip
+                )
         if self.decimal not in ("", ".", ","):
             raise UsageError(
                 f"decimal mark '{self.decimal}' is neither . nor ,", where="mapping: decimal"

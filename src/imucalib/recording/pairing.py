@@ -1,21 +1,60 @@
-"""Whose readings are whose: sensors of a recording paired by name with those of a board or of a
-calibration.
+"""Names of sensors, and whose readings are whose: sensors paired with those of a board.
 
 A recording's sensor is called by `Channel.triad`, unless that is only a number that a reader gave,
 and by `Channel.names`: its topic, dataset, column, frame_id. A name counts where no other sensor
 of the recording has it, and so does a part of one: "imu_fl" of /imu_fl/data_raw.
+
+Names end in headers, scripts, launch files and tables that other programs read, so a name has none
+of the characters that end a string or a comment anywhere: no quotes, no backslash, no control
+character, no ; { } < > $ & | ! ? and no comment.
 """
 
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from imucalib.errors import UnreadableInput
-from imucalib.recording.names import fault
 from imucalib.recording.recording import Recording
+
+#: Beside letters, digits and their marks, in any script: what names of topics, frames, columns,
+#: effects and units have.
+_MARKS = frozenset(" _-.:/@#+,()[]=~^*%°·⁻√±×−‰′″→…")
+_COMMENTS = ("/*", "*/", "//")
+_LONGEST = 200
+_FORMULA = tuple("=+-@\t")
+
+
+def fault(name: str) -> str:
+    """What a name has that no name may have, in words; empty for a sound one."""
+    if len(name) > _LONGEST:
+        return f"it has {len(name)} characters, more than {_LONGEST}"
+    for letter in name:
+        if letter not in _MARKS and unicodedata.category(letter)[0] not in "LMN":
+            return f"it has the character {letter!a}"
+    found = [mark for mark in _COMMENTS if mark in name]
+    return f"it has {found[0]}, which begins or ends a comment" if found else ""
+
+
+def cell(value: object) -> object:
+    """A table's cell; a text that a spreadsheet would take for a formula begins with an apostrophe,
+    which spreadsheets read as "this is text"."""
+    if not isinstance(value, str):
+        return value
+    value = value.replace("\r", " ")  # which csv leaves bare, to end a row
+    return f"'{value}" if value.startswith(_FORMULA) else value
+
+
+def printable(text: str) -> str:
+    """A text, such as a file's name, on one line and without what ends a comment."""
+    line = "".join(c if c == " " or unicodedata.category(c)[0] not in "CZ" else "?" for c in text)
+    for mark in _COMMENTS:
+        line = line.replace(mark, "?".join(mark))
+    return line
+
 
 _SEPARATORS = re.compile(r"[/:\[\]]+")
 

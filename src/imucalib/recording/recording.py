@@ -1,8 +1,9 @@
-"""A recording: time series as they were read, units known, provenance and losses kept."""
+"""A recording: time series as they were read, units known, provenance, losses and corrections."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -10,7 +11,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.recording.correction import Correction
+
+
+@dataclass(frozen=True)
+class Correction:
+    """One calibration that was applied.
+
+    triad : the sensor whose acceleration was corrected
+    calibrator : what made the calibration ("lab", ...); sha256 : of the calibration's file
+    """
+
+    triad: str
+    calibrator: str
+    sha256: str
+
+    def to_text(self) -> str:
+        """One line of ASCII for any format's header."""
+        return json.dumps([self.triad, self.calibrator, self.sha256])
+
+    def __str__(self) -> str:
+        return (
+            f"{self.triad} is corrected by a calibration of {self.calibrator} ({self.sha256[:12]})"
+        )
+
+
+def corrections_of(texts: Iterable[str]) -> tuple[Correction, ...]:
+    """The marks that a file's header states, each once; what is no such line is passed over."""
+    found = []
+    for text in texts:
+        try:
+            parts = json.loads(text)
+        except (ValueError, RecursionError):
+            continue
+        if isinstance(parts, list) and len(parts) == 3 and all(isinstance(p, str) for p in parts):
+            found.append(Correction(*parts))
+    return tuple(dict.fromkeys(found))
 
 
 class Pending(Protocol):

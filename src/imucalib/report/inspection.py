@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.inspection.advice import advice, problems
-from imucalib.inspection.inspection import ChannelFacts, Inspection
+from imucalib.inspection.inspection import ChannelFacts, Inspection, advice, problems
 from imucalib.inspection.noise import SensorNoise
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text, Tone
 from imucalib.report.noise import noise_dict, noise_section

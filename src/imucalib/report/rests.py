@@ -8,7 +8,7 @@ import numpy as np
 
 from imucalib.inspection.inspection import Inspection
 from imucalib.report.document import Block, Plot, Section, Series, Table, Text, Tone
-from imucalib.rests.refused import Candidate, refusals
+from imucalib.rests.levels import Candidate, refusals
 from imucalib.units import MG
 
 _NOTE = (

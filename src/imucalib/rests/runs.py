@@ -1,34 +1,338 @@
 """Posture runs: still windows of a worn sensor, grouped while the posture lasts.
 
 Windows of one posture share what the posture does to the sensor, so a run of them is one
-observation: its mean reading, time and temperature, and how many windows it averages.
+observation: its mean reading, time and temperature, and how many windows it averages. Looked at
+before: a change of range or unit within the recording; the rest before a gap (a worn sensor falls
+asleep because it has been at rest); and axes that repeat one number.
+
+Two things tell such an axis from a live one. Noise of σ steps leaves a sample within one step with
+the chance erf(1 / (2√2 σ)), which a stretch of n samples has to the n-th power. And gravity that
+moves on the other axes, with the jolts that this takes, moves every axis by more than one step. An
+axis that is held but keeps its noise repeats nothing: it stays at one mean, while the size of
+gravity, which no posture changes, does not stay.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
-from imucalib.arrays import Array, Index
+from imucalib.arrays import Array, Flags, Index
 from imucalib.errors import Undetermined, UnreadableInput, UsageError
-from imucalib.recording.recording import Channel, Held, Recording
-from imucalib.rests.postures import postures_begin
-from imucalib.rests.ranges import refuse_two_ranges
-from imucalib.rests.stillness import Sensor, StillSettings, still_windows
-from imucalib.rests.stuck import limits, stuck, without
-from imucalib.rests.tails import TailBuilder, overlapping, with_tails
-from imucalib.rests.thermometer import believed, mean_of_known, temperature_in
-from imucalib.rests.windows import WindowBuilder, Windows, in_order, without_held
+from imucalib.recording.recording import Channel, Gap, Held, Recording
+from imucalib.rests.stillness import Sensor, StillSettings, allowed, every, some, still_windows
+from imucalib.rests.thermal import believed, mean_of_known, temperature_in
+from imucalib.rests.windows import (
+    COLUMNS,
+    WindowBuilder,
+    Windows,
+    breaks,
+    in_order,
+    window_statistics,
+    without_held,
+)
 from imucalib.units import MG, STANDARD_GRAVITY
+
+_CHANGE = 20.0 * MG  # between neighbouring windows of one posture, at most
+_REACH = 30.0 * MG  # between any window of a run and its first
+
+
+def postures_begin(w: Windows, chosen: Index) -> Index:
+    """Positions in `chosen` where a run begins: a gap, a jump, or too far from its start."""
+    reading = w.mean[chosen]
+    apart = (np.diff(chosen) > 1) | (np.diff(w.run[chosen]) != 0)
+    apart |= np.linalg.norm(np.diff(reading, axis=0), axis=1) > _CHANGE
+    starts = np.concatenate([[0], np.flatnonzero(apart) + 1])
+    while True:
+        owner = np.repeat(starts, np.diff(np.append(starts, chosen.size)))
+        far = np.linalg.norm(reading - reading[owner], axis=1) > _REACH
+        if not far.any():
+            return starts.astype(np.intp)
+        # The first far window of each run begins a new one.
+        first = np.unique(owner[far], return_index=True)[1]
+        starts = np.union1d(starts, np.flatnonzero(far)[first])
+
+
+_RATIO = 1.3  # between two sizes of gravity that no sensor's errors explain
+_CLEARER = 5.0  # times that two levels leave less scatter than one: a steady drift leaves a quarter
+_FEWEST = 5  # windows on either side
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """row : of the first window after the change; before, after : median size there"""
+
+    row: int
+    before: float
+    after: float
+
+
+def two_ranges(size: Array) -> Ranges | None:
+    """The two ranges of sizes (n,) in order of time; None where one does.
+
+    One split by least squares of the logarithm: a range is a factor.
+    """
+    n = size.size
+    if n < 2 * _FEWEST or not np.all(size > 0.0):
+        return None
+    x = np.log(size)
+    x = x - x.mean()
+    rows = np.arange(_FEWEST, n - _FEWEST + 1)
+    total = np.cumsum(x)[rows - 1]
+    explained = total**2 / rows + total**2 / (n - rows)
+    best = int(np.argmax(explained))
+    row, left = int(rows[best]), float(np.sum(x**2) - explained[best])
+    before, after = float(np.median(size[:row])), float(np.median(size[row:]))
+    far = max(before, after) > _RATIO * min(before, after)
+    return Ranges(row, before, after) if far and _CLEARER * left < float(np.sum(x**2)) else None
+
+
+def refuse_two_ranges(start: Array, mean: Array, path: str) -> None:
+    """Raises UnreadableInput where windows that start at times (m,) s read (m, 3) m/s² in two
+    ranges. All are asked: with the range the noise changes, and one part is not still."""
+    change = two_ranges(np.linalg.norm(mean, axis=1))
+    if change is None:
+        return
+    before, after = (level / STANDARD_GRAVITY for level in (change.before, change.after))
+    raise UnreadableInput(
+        f"gravity is {before:.3g} g before {start[change.row] / 3600.0:.2f} h and {after:.3g} g "
+        "from there on: the range or the unit changes",
+        where=path,
+        remedy="export it in two files at that moment, each with its own scale, or one for all",
+    )
+
+
+@dataclass(frozen=True)
+class Tail:
+    """The last samples of a run: times (w,) s and values (w, k); begin : s, of the run."""
+
+    begin: float
+    t: Array
+    values: Array
+
+
+class TailBuilder:
+    """Collects the last `samples` samples before every gap, from consecutive blocks."""
+
+    def __init__(self, samples: int) -> None:
+        self.samples = samples
+        self.tails: list[Tail] = []
+        self._t: Array = np.empty(0)
+        self._values: Array | None = None
+        self._begin = 0.0
+
+    def add(self, channel: Channel, gaps: Sequence[Gap]) -> None:
+        """Take the next block of the channel, with the gaps that the block reports."""
+        if not channel.t.size:
+            return
+        w, t, values = self.samples, channel.t, channel.values
+        if self._values is None:
+            self._begin = float(t[0])
+        elif gaps or t.size < w:
+            t, values = np.concatenate([self._t, t]), np.concatenate([self._values, values])
+        edges = breaks(t, gaps).tolist() if gaps else []
+        for a, b in pairwise([0, *edges]):
+            if b - a >= w:
+                last = values[b - w : b]
+                last = channel.pending.apply(last) if channel.pending else last.copy()
+                self.tails.append(Tail(self._begin, t[b - w : b].copy(), last))
+            self._begin = float(t[b])
+        first = max(edges[-1] if edges else 0, t.size - w)
+        self._t, self._values = t[first:].copy(), values[first:].copy()
+
+
+def with_tails(windows: Windows, tails: Sequence[Tail]) -> Windows:
+    """The windows and, in order of time, those before gaps; these may overlap the one before."""
+    if not tails:
+        return windows
+    cube = np.stack([tail.values for tail in tails])
+    mean, variance, low, high, _ = window_statistics(cube)
+    start = np.array([tail.t[0] for tail in tails])
+    stop = np.array([tail.t[-1] for tail in tails])
+    begin = np.array([tail.begin for tail in tails])
+    before = np.searchsorted(windows.start, start, side="right") - 1
+    same = (before >= 0) & (windows.start[before] >= begin)
+    run = np.where(same, windows.run[before], -1 - np.arange(len(tails)))
+    first = np.full(len(tails), -1, np.intp)
+    order = np.argsort(np.concatenate([windows.start, start]), kind="stable")
+
+    def joined(name: str, of_tails: Array | Index) -> Array:
+        return np.asarray(np.concatenate([getattr(windows, name), of_tails])[order])
+
+    return replace(
+        windows,
+        first=joined("first", first).astype(np.intp),
+        run=joined("run", run).astype(np.intp),
+        start=joined("start", start),
+        stop=joined("stop", stop),
+        mean=joined("mean", mean),
+        variance=joined("variance", variance),
+        low=joined("low", low),
+        high=joined("high", high),
+    )
+
+
+def overlapping(windows: Windows, still: Index) -> Index:
+    """Of still windows, those that share samples with the still one before."""
+    return still[1:][windows.start[still[1:]] <= windows.stop[still[:-1]]]
+
+
+#: Chance up to which noise has not done it: e^-60, for samples of a filter are not independent.
+_NATS = 60.0
+#: Noise in steps from which the resolution shows it.
+_SHOWN = 0.5
+#: Seconds at least, and share of gravity by which another axis moves meanwhile.
+_SECONDS, _MOVED = 60.0, 0.2
+_FAR, _ENDS = _MOVED * STANDARD_GRAVITY, 2
+#: Noise of an axis that is still, and steps of its mean from window to window, in its own noise.
+_CALM, _ON = 3.0, 2.0
+#: Share of gravity from which on a limit is beyond every rest, whatever the bias.
+_BEYOND = 1.1
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """windows : (m,) in which an axis is stuck, or was within a window; words : of each axis"""
+
+    windows: Flags
+    words: tuple[str, ...] = ()
+
+
+def stuck(sensor: Sensor) -> Stuck:
+    """Stretches of windows in which an axis repeats one number while it should not. At the end of
+    the recording's own range that is clipping, see `limits`."""
+    w = sensor.windows
+    found = np.zeros(w.start.size, dtype=np.bool_)
+    constant = w.high == w.low
+    frozen = every(constant)
+    words = []
+    for axis in np.flatnonzero((constant & ~frozen[:, None]).any(axis=0)):
+        dead = _dead(sensor, int(axis), constant[:, axis], frozen)
+        if dead.any():
+            words.append(_words(w, int(axis), dead, sensor.rate))
+            found |= dead
+    while True:  # what one held axis makes of gravity's size is no sign of the others
+        each = [_held(sensor, axis, found) for axis in range(w.mean.shape[1])]
+        most = int(np.argmax([held.sum() for held in each]))
+        if not each[most].any():
+            break
+        words.append(_held_words(w, most, each[most], sensor.rate))
+        found |= each[most]
+    beside = np.append(False, found[:-1]) | np.append(found[1:], False)
+    return Stuck(found | beside, tuple(words))
+
+
+def _dead(sensor: Sensor, axis: int, constant: Flags, frozen: Flags) -> Flags:
+    """frozen : (m,) windows in which all axes stand still, as asleep"""
+    w, value = sensor.windows, sensor.windows.high[:, axis]
+    joined = constant[1:] & constant[:-1] & (value[1:] == value[:-1])
+    starts = np.flatnonzero(np.append(True, ~joined)).astype(np.intp)
+    count = np.diff(starts, append=constant.size)
+    dead = _moved(w, axis, starts) & (count * w.samples >= _SECONDS * sensor.rate)
+    step, noise = float(sensor.step[axis]), float(sensor.noise[axis])
+    if step > 0.0 and noise >= _SHOWN * step:
+        stays = math.log(math.erf(0.5 * step / (math.sqrt(2.0) * noise)))
+        alone = np.add.reduceat((~frozen).astype(np.float64), starts) * w.samples
+        ends = (value == value.max()) | (value == w.low[:, axis].min())
+        dead |= (-alone * stays > _NATS) & ~ends[starts]
+    return np.asarray(constant & np.repeat(dead, count))
+
+
+def _held(sensor: Sensor, axis: int, known: Flags) -> Flags:
+    """Stretches in which an axis keeps its mean and its noise, through all that moves the others:
+    what is still there has a size that gravity has not."""
+    w, noise = sensor.windows, np.maximum(sensor.noise, sensor.step)
+    calm = (w.variance <= (_CALM * noise) ** 2) & ~known[:, None]
+    value, size = w.mean[:, axis], np.linalg.norm(w.mean, axis=1)
+    joined = calm[1:, axis] & calm[:-1, axis]
+    joined &= np.abs(np.diff(value)) <= _ON * noise[axis]
+    starts = np.flatnonzero(np.append(True, ~joined)).astype(np.intp)
+    count = np.diff(starts, append=value.size)
+    still = every(calm)
+    largest = np.maximum.reduceat(np.where(still, size, -np.inf), starts)
+    smallest = np.minimum.reduceat(np.where(still, size, np.inf), starts)
+    long = count * w.samples >= _SECONDS * sensor.rate
+    held = np.repeat(long & (largest - smallest > _FAR), count)
+    return np.asarray(held & ~known)
+
+
+def _moved(w: Windows, axis: int, starts: Index) -> Flags:
+    """Whether another axis moves far within each stretch, by more than the motion that may reach
+    into its first and last window with a sample or two."""
+    others = [k for k in range(w.high.shape[1]) if k != axis]
+    mean, far = w.mean[:, others], some(w.high[:, others] - w.low[:, others] > _FAR)
+    reach = np.maximum.reduceat(mean, starts) - np.minimum.reduceat(mean, starts)
+    return np.asarray(some(reach > _FAR) | (np.add.reduceat(far.astype(np.intp), starts) > _ENDS))
+
+
+def _words(w: Windows, axis: int, dead: Flags, rate: float) -> str:
+    values = np.unique(w.high[dead, axis])
+    # A converter's zero may have a sign, which is no news.
+    value = f"{values[0] / STANDARD_GRAVITY + 0.0:.3g} g" if values.size == 1 else "one number"
+    return (
+        f"{'xyz'[axis]} repeats {value} {_when(w, dead, rate)}, while it should move: "
+        "stuck, or at a limit; left out of the rests"
+    )
+
+
+def _held_words(w: Windows, axis: int, held: Flags, rate: float) -> str:
+    value = float(np.median(w.mean[held, axis])) / STANDARD_GRAVITY
+    return (
+        f"{'xyz'[axis]} stays at {value:.3g} g {_when(w, held, rate)}, whatever the others do: "
+        "it is not its own reading; left out of the rests"
+    )
+
+
+def _when(w: Windows, some: Flags, rate: float) -> str:
+    seconds = float(some.sum()) * w.samples / rate
+    long = f"{seconds / 3600.0:.2g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.2g} min"
+    return f"for {long} from {float(w.start[int(np.argmax(some))]) / 3600.0:.2f} h on"
+
+
+def without(sensor: Sensor, dead: Stuck) -> Sensor:
+    """The sensor with the windows in which no axis is stuck."""
+    if not dead.windows.any():
+        return sensor
+    live, w = ~dead.windows, sensor.windows
+    kept = {name: getattr(w, name)[live] for name in COLUMNS}
+    return replace(sensor, windows=replace(w, **kept))
+
+
+def limits(sensor: Sensor, settings: StillSettings) -> tuple[str, ...]:
+    """Axes that stand at the end of their range at rest, in words."""
+    w, found = sensor.windows, []
+    if not sensor.fine:
+        return ()
+    constant = w.high == w.low
+    quiet = every(w.variance <= settings.variance_ratio * allowed(sensor, settings) ** 2)
+    single = constant & ~every(constant)[:, None] & quiet[:, None]
+    for axis, name in enumerate("xyz"[: constant.shape[1]]):
+        for value, word in ((w.high[:, axis].max(), "above"), (w.low[:, axis].min(), "below")):
+            size = float(value) / STANDARD_GRAVITY
+            at = int((single[:, axis] & (w.high[:, axis] == value)).sum())
+            if at and abs(size) < _BEYOND:
+                found.append(
+                    f"{name} reads nothing {word} {size:.3g} g: {at} windows at rest stand at "
+                    "that limit and are left out; what lies beyond it no calibration brings back"
+                )
+    return tuple(found)
+
 
 #: Of a worn sensor: ten-second windows, as the field uses, three axes, noise plus a sway of 3 mg
 #: that breathing causes. Together they tilt the mean by less than 1e-5 of its size.
 WORN = StillSettings(
-    window=10.0, shortest=5.0, trim=0, variance_ratio=2.25, range_ratio=12.0, sway=3.3 * MG,
+    window=10.0,
+    shortest=5.0,
+    trim=0,
+    variance_ratio=2.25,
+    range_ratio=12.0,
+    sway=3.3 * MG,
     quietest=0.05,
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -106,23 +410,19 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
         notes += block.notes
         held += block.held
         gaps += len(block.gaps)
-        if not name:
-            name = _accelerometer(block, triad)
+        name = name or _accelerometer(block, triad)
         for key, channel in _chosen(block, name):
-            if key not in builders:
-                per = max(1 if key == "temperature" else 5, round(window * channel.rate))
-                builders[key] = WindowBuilder(per)
-            builders[key].add(channel, block.gaps)
+            per = max(1 if key == "temperature" else 5, round(window * channel.rate))
+            builders.setdefault(key, WindowBuilder(per)).add(channel, block.gaps)
             if key == "acceleration":
                 tails = tails or TailBuilder(max(5, round(WORN.shortest * channel.rate)))
                 tails.add(channel, block.gaps)
                 rate, samples = rate or channel.rate, samples + channel.t.size
                 stop = max(stop, float(channel.t[-1])) if channel.t.size else stop
     if first is None or tails is None:
-        where = first.path if first else ""
         raise UsageError(
             "the recording has no acceleration channel",
-            where=where,
+            where=first.path if first else "",
             remedy="`imucal inspect FILE` lists what it has; name the columns with --acc X,Y,Z",
         )
     windows = builders["acceleration"].windows()
@@ -131,23 +431,33 @@ def scan(blocks: Iterable[Recording], window: float, triad: str | None = None) -
             f"no {window:g} s in a row without a gap", where=first.path, remedy="record longer"
         )
     ordered, lost = in_order(windows)
-    if lost:
-        notes.append(f"{lost} windows left out: time had stepped back")
+    notes += [f"{lost} windows left out: time had stepped back"] * bool(lost)
     held = [h for h in held if h.channel == f"{name}/acceleration"]
     ordered = without_held(with_tails(ordered, tails.tails), held)
     if not ordered.start.size:
         raise Undetermined(
-            f"{name} repeats one reading in every {window:g} s", where=first.path,
+            f"{name} repeats one reading in every {window:g} s",
+            where=first.path,
             remedy="record it without a step that fills or holds samples",
-        )  # fmt: skip
-    warm = "temperature" in builders and builders["temperature"].windows()
+        )
+    warm = builders["temperature"].windows() if "temperature" in builders else None
     heat = believed(in_order(warm)[0] if warm else None)
     return Scan(
-        windows=ordered, temperature=heat.windows, triad=name, rate=rate,
-        samples=samples, stop=stop, gaps=gaps, path=first.path, format=first.format,
-        sha256=first.sha256, start_ns=first.start_ns, mapping=first.mapping,
-        notes=tuple(dict.fromkeys([*notes, *heat.words])), no_temperature=heat.gone,
-    )  # fmt: skip
+        windows=ordered,
+        temperature=heat.windows,
+        triad=name,
+        rate=rate,
+        samples=samples,
+        stop=stop,
+        gaps=gaps,
+        path=first.path,
+        format=first.format,
+        sha256=first.sha256,
+        start_ns=first.start_ns,
+        mapping=first.mapping,
+        notes=tuple(dict.fromkeys([*notes, *heat.words])),
+        no_temperature=heat.gone,
+    )
 
 
 def _accelerometer(block: Recording, triad: str | None) -> str:

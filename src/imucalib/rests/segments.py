@@ -16,10 +16,9 @@ from imucalib.arrays import Array, Index
 from imucalib.errors import Undetermined, UsageError
 from imucalib.recording.recording import Held, Recording
 from imucalib.rests.candidates import Seen, candidates_of, samples_in, seen, windows_in
-from imucalib.rests.refused import Candidate
-from imucalib.rests.samples import Samples
+from imucalib.rests.levels import Candidate
 from imucalib.rests.stillness import Sensor, StillSettings
-from imucalib.rests.windows import WindowBuilder, Windows, in_order, without_held
+from imucalib.rests.windows import Samples, WindowBuilder, Windows, in_order, without_held
 
 __all__ = ["Candidate", "Segments", "StillSettings", "find_segments", "still_segments"]
 
@@ -154,8 +153,9 @@ class _Pass:
             if not ordered.start.size:
                 raise Undetermined(
                     f"{name} repeats one reading in every stretch of {builder.samples} samples",
-                    where=self.path, remedy="record it without a step that fills or holds samples",
-                )  # fmt: skip
+                    where=self.path,
+                    remedy="record it without a step that fills or holds samples",
+                )
             own = self.settings
             sensors.append(Sensor(triad, quantity, rate, ordered, own.quietest, own.turning))
             if lost:

@@ -1,8 +1,9 @@
-"""Statistics of short windows of samples, one pass, block by block.
+"""Statistics of short windows of samples, one pass, block by block; samples while they are few.
 
 A window is a fixed number of consecutive samples of one channel. It never crosses a gap, a step
 back in time, or the end of a block's missing part; what is left over before a gap is dropped.
-Only these statistics are kept, so memory is the recording's size over the window's length.
+Only these statistics are kept, so memory is the recording's size over the window's length, and the
+samples of a recording as long as they are few enough.
 """
 
 from __future__ import annotations
@@ -17,6 +18,70 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.recording.recording import Channel, Gap, Held, Pending
+
+Key = tuple[str, str]
+#: Numbers that are kept of a recording in blocks: 128 MB, or a day of one triad at 65 Hz. A
+#: recording that is one block is in memory anyway, and all of it is at hand.
+KEPT = 1 << 24
+
+_Part = tuple[int, Array, NDArray[np.generic], Pending | None]
+
+
+class Samples:
+    """Samples of channels, by their index in the channel; `whole` until they became too many."""
+
+    def __init__(self, most: int = KEPT) -> None:
+        self.whole = True
+        self._most, self._blocks, self._held = most, 0, 0
+        self._parts: dict[Key, list[_Part]] = {}
+        self._counts: dict[Key, int] = {}
+        self._gaps: list[Gap] = []
+
+    def begin_block(self, gaps: Sequence[Gap]) -> None:
+        """What follows belongs to the next block, which reports these gaps."""
+        self._blocks += 1
+        self._gaps.extend(gaps)
+
+    def add(self, key: Key, channel: Channel) -> None:
+        """Take a channel of the block."""
+        if not self.whole:
+            return
+        first = self._counts.get(key, 0)
+        part = (first, channel.t, channel.values, channel.pending)
+        self._parts.setdefault(key, []).append(part)
+        self._counts[key] = first + channel.t.size
+        self._held += channel.values.size
+        if self._blocks > 1 and self._held > self._most:
+            self.whole = False
+            self._parts.clear()
+
+    def count(self, key: Key) -> int:
+        """Samples of a channel."""
+        return self._counts[key]
+
+    def times(self, key: Key, first: int, last: int) -> Array:
+        """(last - first,) s."""
+        found = [
+            t[max(first - at, 0) : last - at]
+            for at, t, _, _ in self._parts[key]
+            if at < last and at + t.size > first
+        ]
+        return found[0] if len(found) == 1 else np.concatenate([np.empty(0), *found])
+
+    def values(self, key: Key, first: int, last: int) -> Array:
+        """(last - first, k) in SI, or counts."""
+        found = []
+        for at, t, values, pending in self._parts[key]:
+            if at < last and at + t.size > first:
+                some = values[max(first - at, 0) : last - at]
+                found.append(pending.apply(some) if pending else some.astype(float, copy=False))
+        return found[0] if len(found) == 1 else np.concatenate(found)
+
+    def breaks(self, t: Array) -> Index:
+        """Where a stretch of samples at times t is broken by a gap or a step back of time."""
+        near = [g for g in self._gaps if t.size and g.stop > t.min() and g.start < t.max()]
+        return breaks(t, near)
+
 
 COLUMNS = ("first", "run", "start", "stop", "mean", "variance", "low", "high")
 _CACHE = 1 << 19  # bytes that are worked on at a time
@@ -205,9 +270,7 @@ def without_held(windows: Windows, held: Sequence[Held]) -> Windows:
     return replace(windows, **{**kept, "run": (windows.run + stretch)[~within]})
 
 
-def window_statistics(
-    cube: NDArray[np.generic],
-) -> tuple[Array, Array, Array, Array, Array]:
+def window_statistics(cube: NDArray[np.generic]) -> tuple[Array, Array, Array, Array, Array]:
     """Mean, variance, low and high (m, k), and the finest step (k,), of windows (m, w, k).
 
     As many windows at a time as the cache holds are turned, so that every reduction runs along

@@ -119,8 +119,10 @@ def _names(channels: dict[str, Channel]) -> list[str]:
     for name, channel in channels.items():
         k = channel.values.shape[1]
         axes = _AXES.get(k, range(k))
-        names += [_heading(f"{name}/{a} [{channel.unit}]" if k > 1 else
-                           f"{name} [{channel.unit}]") for a in axes]  # fmt: skip
+        names += [
+            _heading(f"{name}/{a} [{channel.unit}]" if k > 1 else f"{name} [{channel.unit}]")
+            for a in axes
+        ]
     return names
 
 
@@ -160,9 +162,11 @@ def _keys(t: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.void]]:
 
 
 def _fill(
-    block: np.ndarray[tuple[int, ...], np.dtype[np.str_]], first: int,
-    channels: dict[str, Channel], rows: dict[str, Index],
-) -> None:  # fmt: skip
+    block: np.ndarray[tuple[int, ...], np.dtype[np.str_]],
+    first: int,
+    channels: dict[str, Channel],
+    rows: dict[str, Index],
+) -> None:
     column = 1
     for name, channel in channels.items():
         a, b = np.searchsorted(rows[name], [first, first + block.shape[0]])

@@ -17,8 +17,7 @@ from imucalib.calibrators.actigraph.simulation import (
     simulated_week,
 )
 from imucalib.errors import Undetermined, UnreadableInput
-from imucalib.rests.ranges import two_ranges
-from imucalib.rests.runs import PostureRuns, posture_runs, scan
+from imucalib.rests.runs import PostureRuns, posture_runs, scan, two_ranges
 
 OTHER = {
     "bias": (-10.0, 30.0, 5.0),

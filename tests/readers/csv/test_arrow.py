@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from imucalib.errors import ImucalError
 from imucalib.readers import read
-from imucalib.readers.csv import arrow as csv_arrow
-from imucalib.readers.csv.parse import Layout, Rows, parse
-from imucalib.readers.csv.source import Lines
+from imucalib.readers.csv import rows as csv_rows
+from imucalib.readers.csv.rows import Layout, Rows, parse
+from imucalib.readers.csv.text import Lines
 from imucalib.recording.mapping import FieldMapping
 
 ODD = (
@@ -33,7 +33,7 @@ stamps = st.one_of(st.integers(0, 2**62).map(str), decimals, st.sampled_from(ODD
 
 def outcome(text: bytes, layout: Layout, arrow: bool) -> Rows | str:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(csv_arrow, "available", lambda: arrow)
+        patch.setattr(csv_rows, "arrow_is_installed", lambda: arrow)
         try:
             return parse(Lines(text, 1), layout, "file")
         except ImucalError as error:
@@ -73,7 +73,7 @@ def test_same_rows_or_same_message(table: list[tuple[str, ...]], kind: str, deli
 @given(rows=st.lists(st.tuples(decimals, doubles, decimals), min_size=1, max_size=20))
 def test_plain_numbers_are_read_by_pyarrow(rows: list[tuple[str, ...]]) -> None:
     text = "".join(",".join(row) + "\n" for row in rows).encode()
-    found = csv_arrow.columns_of(text, ",", 3, ((0,), "float"), (1, 2))
+    found = csv_rows.columns_of(text, ",", 3, ((0,), "float"), (1, 2))
     assert found is not None
     assert found[0][0].tolist() == [float(row[0]) for row in rows]
     assert np.array_equal(
@@ -94,7 +94,7 @@ def test_whole_files_are_equal(tmp_path: Path, stamp: str) -> None:
     found = []
     for arrow in (True, False):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(csv_arrow, "available", lambda arrow=arrow: arrow)
+            patch.setattr(csv_rows, "arrow_is_installed", lambda arrow=arrow: arrow)
             found.append(read(path, FieldMapping(acc_unit="g")))
     one, two = found
     assert one.notes == two.notes

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucalib.readers import blocks, read
-from imucalib.readers.csv.idle_sleep import without_repeats
+from imucalib.readers.csv.reader import without_repeats
 from imucalib.recording.recording import Channel, Gap, Recording
 from imucalib.rests.runs import WORN, posture_runs, scan
 from imucalib.units import STANDARD_GRAVITY

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from imucalib import cli, readers
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers.hdf5 import fields
-from imucalib.readers.hdf5.table import table_columns
+from imucalib.readers.hdf5.reader import table_columns
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Recording
 

@@ -14,9 +14,7 @@ from imucalib.core.references import KnownNorm
 from imucalib.effects.history.previous import covariates_before
 from imucalib.effects.thermal import rate
 from imucalib.rests.runs import PostureRuns, Scan
-from imucalib.rests.thermal_history import history_of
-from imucalib.rests.thermal_memory import REMEMBERED, remembered
-from imucalib.rests.thermometer import tells_apart
+from imucalib.rests.thermal import REMEMBERED, history_of, remembered, tells_apart
 from imucalib.rests.windows import Windows
 from imucalib.units import MG
 

@@ -17,8 +17,7 @@ from imucalib.calibrators.actigraph.simulation import (
 )
 from imucalib.core.context import Context
 from imucalib.recording.recording import Channel, Recording
-from imucalib.rests.thermal_history import ThermalHistory, history_of
-from imucalib.rests.thermal_memory import REMEMBERED, remembered
+from imucalib.rests.thermal import REMEMBERED, ThermalHistory, history_of, remembered
 from imucalib.units import MG
 
 _DAY, _POSTURE, _HOUR = 86400.0, 120.0, 3600.0  # s

@@ -14,7 +14,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.recording.mapping import parse_axis_map
-from imucalib.recording.names import fault
+from imucalib.recording.pairing import fault
 from imucalib.recording.yaml_text import load
 from imucalib.units import DEG, STANDARD_GRAVITY
 

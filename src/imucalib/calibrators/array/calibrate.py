@@ -46,7 +46,7 @@ from imucalib.calibrators.array.rests import RestFit, fit_rests
 from imucalib.calibrators.array.run import ArrayRun, finished
 from imucalib.errors import Undetermined, UsageError
 from imucalib.recording.recording import Recording
-from imucalib.rests.refused import refusals
+from imucalib.rests.levels import refusals
 from imucalib.rests.segments import Segments, still_segments
 
 Say = Callable[[str], None]

@@ -18,8 +18,8 @@ from imucalib.core.observations import NoisePrior, Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.effects.covariate import COLUMN
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.zero_g import zero_g
-from imucalib.rests.thermal_memory import remembered_in_rows
+from imucalib.readers.conversion import zero_g
+from imucalib.rests.thermal import remembered_in_rows
 from imucalib.units import (
     ACCELERATION_UNITS,
     DEG,

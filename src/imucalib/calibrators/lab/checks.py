@@ -23,7 +23,7 @@ from imucalib.errors import UsageError
 from imucalib.loop.faults.cells import transposed
 from imucalib.readers.conversion import Conversion, temperature
 from imucalib.recording.mapping import FieldMapping
-from imucalib.rests.thermometer import told_by_code
+from imucalib.rests.thermal import told_by_code
 from imucalib.units import ACCELERATION_UNITS, DEG, MG
 
 #: A reading at rest differs from the others' size by a tenth at most, through bias and scale.

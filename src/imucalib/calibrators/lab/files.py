@@ -16,7 +16,7 @@ from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
-from imucalib.rests.refused import refusals
+from imucalib.rests.levels import refusals
 from imucalib.rests.segments import Segments, StillSettings, still_segments
 from imucalib.units import ACCELERATION_UNITS
 

@@ -11,7 +11,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.columns import without_tex
-from imucalib.readers.csv.dialect import is_number
+from imucalib.readers.csv.text import is_number
 
 #: What a column can be, and the names under which it is found, as `bare` gives them.
 ROLES: dict[str, tuple[str, ...]] = {

@@ -19,11 +19,16 @@ from imucalib.arrays import Array
 from imucalib.atomic_file import replaced_atomically
 from imucalib.calibrators.lab.headings import ROLES, bare, roles_of, says_something
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.csv.conditions import told
-from imucalib.readers.csv.dialect import is_blank, is_number
-from imucalib.readers.csv.spreadsheet import is_spreadsheet, sheet_cells
-from imucalib.readers.csv.table import Cells, and_more, selected, table_cells
-from imucalib.readers.hdf5.table import table_columns
+from imucalib.readers.csv.table import (
+    Cells,
+    and_more,
+    is_spreadsheet,
+    selected,
+    sheet_cells,
+    table_cells,
+)
+from imucalib.readers.csv.text import is_blank, is_number, told
+from imucalib.readers.hdf5.reader import table_columns
 from imucalib.readers.source import head_of, sha256_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import DEG

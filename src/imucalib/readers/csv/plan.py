@@ -5,25 +5,257 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers import conversion
 from imucalib.readers.conversion import Conversion
-from imucalib.readers.csv.clock import Clock, Stamps, clock_of
-from imucalib.readers.csv.conditions import Condition, demand_some, parted, told
-from imucalib.readers.csv.contents import nothing_found, rows_of
-from imucalib.readers.csv.dialect import Dialect, cells_of, is_blank, sniff
-from imucalib.readers.csv.header import Stated, facts_of
-from imucalib.readers.csv.parse import Layout, Rows, parse
-from imucalib.readers.csv.select import Selection, Vector, column_index, select
-from imucalib.readers.csv.source import Lines, looks
+from imucalib.readers.csv.rows import Layout, Rows, parse
+from imucalib.readers.csv.select import (
+    HeaderFacts,
+    Selection,
+    Stated,
+    Vector,
+    column_index,
+    facts_of,
+    nothing_found,
+    rows_of,
+    select,
+)
+from imucalib.readers.csv.stamps import MISSING, TextTime, text_layout, text_to_ns
+from imucalib.readers.csv.text import (
+    Condition,
+    Dialect,
+    Lines,
+    cells_of,
+    demand_some,
+    is_blank,
+    looks,
+    parted,
+    sniff,
+    told,
+)
 from imucalib.readers.devices.catalogue import Device
-from imucalib.readers.timebase import stepping
-from imucalib.recording.correction import Correction
-from imucalib.recording.mapping import FieldMapping
+from imucalib.readers.timebase import (
+    Stepping,
+    clock_unit,
+    contradicts,
+    date_of,
+    known_unit,
+    seconds_of,
+    stepping,
+)
+from imucalib.recording.mapping import TIME_UNITS, FieldMapping
+from imucalib.recording.recording import Correction
+
+#: What headings of stamps have in brackets that is no unit.
+_NO_UNIT = {"iso 8601", "unix time", "posix time", "unix epoch"} | set(
+    str.split("unix epoch posix utc gmt local iso iso8601 cal raw time")
+)
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """Of the looks: all rows, those where the main channel has a value, and stamps as text."""
+
+    rows: tuple[Rows, ...]
+    main: tuple[Rows, ...]
+    texts: tuple[bytes, ...]
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Maps stamps to seconds since the start.
+
+    kind : "int", "float", "text", or "" for row number / rate
+    unit : key of TIME_UNITS or "text"; origin : stamp of t = 0, in the stamps' own unit
+    typical : rows that share one stamp of step `resolution` (s), when stamps are that coarse
+    looks : times of the looks, s
+    """
+
+    kind: str
+    unit: str
+    origin: float | int
+    start_ns: int | None
+    rate: float
+    threshold: float
+    text: TextTime | None = None
+    resolution: float = 0.0
+    typical: float = 0.0
+    looks: tuple[Array, ...] = ()
+
+    def seconds(self, stamps: NDArray[np.generic]) -> tuple[Array, NDArray[np.bool_]]:
+        """Seconds since the start of parsed stamps (n,), NaN where blank; and which stamps are not
+        understood."""
+        wrong = np.zeros(stamps.shape, dtype=np.bool_)
+        if self.text is not None:
+            stamps, wrong = text_to_ns(stamps.astype(np.bytes_), self.text)
+        return seconds_of(stamps, self.origin, self.unit, MISSING), wrong
+
+
+def clock_of(
+    selection: Selection,
+    layout: Layout,
+    mapping: FieldMapping,
+    facts: HeaderFacts,
+    *,
+    known: Stamps,
+    where: str,
+) -> tuple[Clock, list[str]]:
+    """The clock, and what had to be found out about it. Raises UnreadableInput without a rate."""
+    if not layout.time_kind:
+        return _by_rate(mapping.rate or facts.rate, facts, known.rows, where)
+    return _by_stamps(selection, layout, mapping, facts, known=known, where=where)
+
+
+def _by_rate(
+    rate: float | None, facts: HeaderFacts, parsed: Sequence[Rows], where: str
+) -> tuple[Clock, list[str]]:
+    if not rate:
+        raise UnreadableInput(
+            "the file has neither time stamps nor a sample rate",
+            where=where,
+            remedy="give --rate, or --time",
+        )
+    looks = tuple(np.arange(rows.values.shape[0]) / rate for rows in parsed)
+    clock = Clock("", "", 0, facts.start_ns, rate, 1.75 / rate, looks=looks)
+    return clock, [f"time: row number at {rate:.6g} Hz"]
+
+
+def _by_stamps(
+    selection: Selection,
+    layout: Layout,
+    mapping: FieldMapping,
+    facts: HeaderFacts,
+    *,
+    known: Stamps,
+    where: str,
+) -> tuple[Clock, list[str]]:
+    kind, notes = layout.time_kind, []
+    text = _text_of(selection, mapping, known, where) if kind == "text" else None
+    stated = mapping.time_unit or (
+        "" if selection.time_unit.lower() in _NO_UNIT else selection.time_unit
+    )
+    unit, epoch = ("text", None) if text else clock_unit(stated, where)
+    raw = [_numbers(rows.stamps, text, where) for rows in known.rows]
+    main = [_numbers(rows.stamps, text, where) for rows in known.main]
+    first = next((s[k][0].item() for s in raw for k in [_known(s)] if k.any()), None)
+    if first is None:
+        raise UnreadableInput("the time column holds no stamps", where=where, remedy="give --rate")
+    steps = stepping([seconds_of(s, first, "s", MISSING) for s in main])
+    if steps is None:
+        raise UnreadableInput("the time stamps never advance", where=where, remedy="give --rate")
+    if not text:
+        who, stated_rate = "the heading", facts.rate
+        unit, note = known_unit(unit, first, steps.step, where, who=who, stated=stated_rate)
+        notes += [note] * bool(note)
+    size = TIME_UNITS.get(unit, 1e-9)
+    start = (int(first) if text.dated else None) if text else date_of(first, unit, epoch)
+    origin = 0 if start is None else first
+    start_ns = facts.start_ns if start is None or (text and text.ambiguous) else start
+    if text:
+        notes += _text_notes(text)
+    looks = tuple(seconds_of(s, origin, unit, MISSING) for s in raw)
+    steps = Stepping(steps.step * size, steps.threshold * size)
+    clock = Clock(
+        kind=kind,
+        unit=unit,
+        origin=origin,
+        start_ns=start_ns,
+        rate=1.0 / steps.step,
+        threshold=steps.threshold,
+        text=text,
+        looks=looks,
+    )
+    coarse = _coarse(clock, looks, steps)
+    if coarse is not clock:
+        notes.append(
+            f"time: stamps have a resolution of {steps.step:.6g} s; the rows that share one "
+            f"(about {coarse.typical:.4g}) are spread evenly over it"
+        )
+    asked = mapping.time or mapping.time_unit
+    if facts.rate and not asked and contradicts(coarse.rate, facts.rate):
+        raise UnreadableInput(
+            f"the lines above the table state {facts.rate:g} Hz, the time stamps in "
+            f"{coarse.unit} advance with {coarse.rate:.4g} Hz",
+            where=where,
+            remedy=f"--rate {facts.rate:g} takes the former, --time-unit {coarse.unit} the latter",
+        )
+    return coarse, notes
+
+
+def _text_of(selection: Selection, mapping: FieldMapping, known: Stamps, where: str) -> TextTime:
+    """What stamps as text are made of: parts in columns of their own have a known order."""
+    if selection.time_order:
+        fraction = "f" * any(b"." in s.split()[-1] for s in known.texts if s)
+        order = selection.time_order
+        return TextTime(order if order[-1] in "iu" else order + fraction, True)
+    return text_layout(list(known.texts), mapping.time_format, where)
+
+
+def _numbers(stamps: NDArray[np.generic], text: TextTime | None, where: str) -> NDArray[Any]:
+    """Stamps as numbers; those of bad rows, which are told when they are read, are blank here."""
+    if text is None:
+        return stamps
+    ns, wrong = text_to_ns(stamps.astype(np.bytes_), text)
+    if 2 * np.count_nonzero(wrong) > wrong.size:
+        raise bad_stamp(Rows(stamps, np.empty((0, 0))), int(np.argmax(wrong)), 0, where)
+    return ns
+
+
+def bad_stamp(rows: Rows, index: int, line: int, where: str) -> UnreadableInput:
+    """The error for a text stamp that is not understood; `line` is the first row's line, or 0."""
+    stamp = bytes(rows.stamps[index]).decode(errors="replace")
+    line = int(rows.lines[index]) if rows.lines is not None else line and line + index
+    return UnreadableInput(
+        f"the time stamp '{stamp[:40]}' is not understood",
+        where=f"{where}: line {line}" if line else where,
+        remedy="correct or delete that line, or give --time-format",
+    )
+
+
+def _known(stamps: NDArray[Any]) -> NDArray[np.bool_]:
+    return stamps != MISSING if stamps.dtype.kind == "i" else np.isfinite(stamps.astype(np.float64))
+
+
+def _text_notes(text: TextTime) -> list[str]:
+    if not text.dated:
+        what = "midnight" if text.period > 3600.0 else "the end of an hour"
+        return [f"time: stamps have no date, {what} is bridged"]
+    notes = [] if text.zone else ["time: stamps have no zone, taken as UTC"]
+    if text.ambiguous:
+        notes.append("time: day and month cannot be told apart, no start date is kept")
+    return notes
+
+
+def _coarse(clock: Clock, looks: Sequence[Array], steps: Stepping) -> Clock:
+    """The clock with rows spread over their stamp, when most rows share one with the row before."""
+    same = np.concatenate([np.diff(t) == 0 for t in looks])
+    if same.size == 0 or same.mean() <= 0.5:
+        return clock
+    counts: list[int] = []
+    for t in looks:
+        edges = np.flatnonzero(np.diff(t) != 0)
+        counts.extend(np.diff(edges).tolist())
+    typical = float(np.median(counts)) if counts else float(same.sum() + 1)
+    rate = typical / steps.step
+    return Clock(
+        kind=clock.kind,
+        unit=clock.unit,
+        origin=clock.origin,
+        start_ns=clock.start_ns,
+        rate=rate,
+        threshold=1.75 * steps.step,
+        text=clock.text,
+        resolution=steps.step,
+        typical=typical,
+        looks=clock.looks,
+    )
+
 
 _REST_SECONDS = 0.5  # window of the look for rest that finds the unit
 
@@ -115,9 +347,10 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         raise UnreadableInput("the chosen columns hold no values", where=where)
     dev = facts.device
     signals = conversion.readable(
-        used, lambda v: _signal(v, layout, parsed, mapping, clock=clock, device=dev, where=where),
+        used,
+        lambda v: _signal(v, layout, parsed, mapping, clock=clock, device=dev, where=where),
         notes,
-    )  # fmt: skip
+    )
     notes += [s.conversion.note for s in signals if s.conversion.note]
     resolved = _resolved(mapping, dialect, selection, signals, clock=clock, device=dev.name)
     unique = tuple(dict.fromkeys(notes))
@@ -141,9 +374,12 @@ def _conditions(mapping: FieldMapping, dialect: Dialect) -> tuple[Condition, ...
 
 
 def _pieces_chosen(
-    pieces: Sequence[bytes], conditions: Sequence[Condition], dialect: Dialect,
-    mapping: FieldMapping, where: str,
-) -> list[bytes]:  # fmt: skip
+    pieces: Sequence[bytes],
+    conditions: Sequence[Condition],
+    dialect: Dialect,
+    mapping: FieldMapping,
+    where: str,
+) -> list[bytes]:
     """The looks without the rows that are not asked for. Raises UnreadableInput for none."""
     lines = pieces[0].split(b"\n")
     above = b"".join(line + b"\n" for line in lines[: dialect.data_line - 1])
@@ -226,9 +462,15 @@ def _has_values(vector: Vector, layout: Layout, parsed: Sequence[Rows]) -> bool:
 
 
 def _signal(
-    vector: Vector, layout: Layout, parsed: Sequence[Rows], mapping: FieldMapping, *,
-    clock: Clock, device: Device, where: str,
-) -> Signal:  # fmt: skip
+    vector: Vector,
+    layout: Layout,
+    parsed: Sequence[Rows],
+    mapping: FieldMapping,
+    *,
+    clock: Clock,
+    device: Device,
+    where: str,
+) -> Signal:
     raw = [_values(vector, layout, rows) for rows in parsed]
     known = [np.isfinite(v).all(axis=1) for v in raw]
     rate, threshold = clock.rate, clock.threshold
@@ -272,9 +514,14 @@ def _scale_of(signals: Sequence[Signal]) -> tuple[float, ...]:
 
 
 def _resolved(
-    mapping: FieldMapping, dialect: Dialect, selection: Selection, signals: Sequence[Signal], *,
-    clock: Clock, device: str,
-) -> FieldMapping:  # fmt: skip
+    mapping: FieldMapping,
+    dialect: Dialect,
+    selection: Selection,
+    signals: Sequence[Signal],
+    *,
+    clock: Clock,
+    device: str,
+) -> FieldMapping:
     """The mapping that reads this file, and others like it, the same way."""
 
     def address(column: int) -> str:

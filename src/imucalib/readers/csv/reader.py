@@ -1,14 +1,14 @@
 """Text tables of any dialect: actigraph exports, EuRoC, Xsens, loggers of one's own.
 
 The shape, the columns, the clock and the units are decided once, from looks all over the file
-(`csv_plan`); then whole blocks of lines go through numpy's C parser.
+(`csv.plan`); then whole blocks of lines go through numpy's C parser.
 """
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +16,176 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.csv.dialect import cells_of, is_number
-from imucalib.readers.csv.idle_sleep import without_repeats
-from imucalib.readers.csv.parse import parse
-from imucalib.readers.csv.plan import Plan, Signal, make_plan
-from imucalib.readers.csv.position import Position, count_bad, spread_stamps, times_of
-from imucalib.readers.csv.source import Lines, line_blocks, text_head
+from imucalib.readers.csv.plan import Plan, Signal, bad_stamp, make_plan
+from imucalib.readers.csv.rows import Rows, parse
+from imucalib.readers.csv.stamps import spread
+from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, text_head
 from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
+
+_SHORTEST = 1.0  # s: no sensor whose noise exceeds its resolution repeats itself for so long
+
+
+def without_repeats(blocks: Iterator[Recording]) -> Iterator[Recording]:
+    """The same blocks without accelerations that repeat the one before for over a second.
+
+    The device sleeps by whole seconds, so what is left of the stretch's first second stays. The
+    stretch at a block's end waits for the next block.
+    """
+    awake: dict[str, _Awake] = {}
+    before: Recording | None = None
+    for block in blocks:
+        if before is not None:
+            yield _filtered(before, awake, last=False)
+        before = block
+    if before is not None:
+        yield _filtered(before, awake, last=True)
+
+
+def _filtered(block: Recording, awake: dict[str, _Awake], *, last: bool) -> Recording:
+    channels, gaps, notes = dict(block.channels), list(block.gaps), list(block.notes)
+    for name, channel in block.channels.items():
+        if channel.quantity != "acceleration":
+            continue
+        state = awake.setdefault(name, _Awake(channel.rate))
+        channels[name], found = state.take(channel, last=last)
+        gaps += found
+        if last and state.repeated:
+            notes.append(f"{state.repeated} rows that repeat the last (idle sleep) left out")
+    return replace(block, channels=channels, gaps=tuple(gaps), notes=tuple(notes))
+
+
+class _Awake:
+    """The stretch of equal rows at the end of what was seen of one channel.
+
+    held : its rows, or its first second once it is too long, with `dropped` rows gone already
+    repeated : rows left out so far
+    """
+
+    def __init__(self, rate: float) -> None:
+        self.most = max(2, round(_SHORTEST * rate))
+        self.repeated = 0
+        self._held: tuple[Array, Array] | None = None
+        self._dropped = 0
+
+    def take(self, channel: Channel, *, last: bool) -> tuple[Channel, list[Gap]]:
+        """The rows that are measurements, and the gaps that the others leave."""
+        t, values = channel.t, channel.values
+        if self._held is not None:
+            t = np.concatenate([self._held[0], t])
+            values = np.concatenate([self._held[1], values])
+        changed = np.any(values[1:] != values[:-1], axis=1)
+        starts = np.concatenate([[0], np.flatnonzero(changed) + 1])
+        stops = np.append(starts[1:], t.size)
+        length = stops - starts
+        length[0] += self._dropped
+        long = length > self.most
+        end = t.size
+        if not last:
+            end = int(starts[-1])
+            stop = _second(t, end) if long[-1] else t.size
+            self._dropped = int(length[-1]) - (stop - end) if long[-1] else 0
+            self._held = (t[end:stop].copy(), values[end:stop].copy())
+            starts, stops, length, long = starts[:-1], stops[:-1], length[:-1], long[:-1]
+        keep = np.ones(end, dtype=np.bool_)
+        gaps = []
+        for a, b, rows in zip(starts[long], stops[long], length[long], strict=True):
+            first = _second(t, int(a))
+            keep[first:b] = False
+            self.repeated += int(rows) - (first - int(a))
+            if b < t.size:
+                reason = "idle sleep: the last reading repeated"
+                gaps.append(Gap(float(t[first - 1]), float(t[b]), reason))
+        return replace(channel, t=t[:end][keep], values=values[:end][keep]), gaps
+
+
+def _second(t: Array, row: int) -> int:
+    """The first row after the second (counted from the start) in which a row lies."""
+    return int(np.searchsorted(t, np.floor(t[row] + 1e-6) + 1.0 - 1e-6))
+
+
+@dataclass
+class Position:
+    """What one block hands to the next; moved : s that stamps without a date have been moved on;
+    bad_rows : left out, first_bad : why and where."""
+
+    row: int = 0
+    last: dict[str, float] = field(default_factory=dict)
+    moved: float = 0.0
+    last_of_period: float = -np.inf
+    held: tuple[Array, Array] | None = None
+    first_group: bool = True
+    idle_rows: int = 0
+    missing_rows: int = 0
+    bad_rows: int = 0
+    first_bad: str = ""
+
+
+def count_bad(rows: Rows, position: Position, where: str) -> None:
+    """Count the rows that were left out, and keep the reason of the first."""
+    if rows.bad and not position.bad_rows:
+        first = rows.bad[0]
+        position.first_bad = f"{first.where.removeprefix(where).lstrip(': ')}: {first.what}"
+    position.bad_rows += len(rows.bad)
+
+
+def times_of(
+    rows: Rows, plan: Plan, position: Position, line: int, where: str
+) -> tuple[Array, Rows]:
+    """Seconds of the rows, and the rows whose stamps are understood."""
+    clock = plan.clock
+    if not clock.kind:
+        count = rows.values.shape[0]
+        return (position.row + np.arange(count, dtype=np.float64)) / clock.rate, rows
+    t, wrong = clock.seconds(rows.stamps)
+    if wrong.any():
+        t, rows = t[~wrong], _without(rows, wrong, line, where)
+    if clock.text is None or clock.text.dated or t.size == 0:
+        return t, rows
+    period, known = clock.text.period, np.isfinite(t)
+    back = np.zeros(t.shape, dtype=np.bool_)
+    back[known] = np.diff(t[known], prepend=position.last_of_period) < -period / 2
+    if known.any():
+        position.last_of_period = float(t[known][-1])
+    moved = position.moved + period * np.cumsum(back)
+    position.moved = float(moved[-1])
+    return np.asarray(t + moved), rows
+
+
+def _without(rows: Rows, wrong: NDArray[np.bool_], line: int, where: str) -> Rows:
+    """The rows without those whose stamps are not understood; raises when those are most."""
+    at = np.flatnonzero(wrong)
+    bad = [bad_stamp(rows, int(k), line, where) for k in at]
+    if 2 * at.size > wrong.size:
+        raise bad[0]
+    lines = rows.lines[~wrong] if rows.lines is not None else None
+    return Rows(rows.stamps[~wrong], rows.values[~wrong], (*rows.bad, *bad), lines)
+
+
+def spread_stamps(
+    t: Array, values: Array, plan: Plan, position: Position, *, flush: bool
+) -> tuple[Array, Array]:
+    """Coarse stamps spread; the last group waits for the next block, where it may go on."""
+    if position.held is not None:
+        t = np.concatenate([position.held[0], t])
+        values = np.concatenate([position.held[1], values])
+        position.held = None
+    if t.size == 0:
+        return t, values
+    if not flush:
+        changes = np.flatnonzero(np.diff(t) != 0)
+        cut = int(changes[-1]) + 1 if changes.size else 0
+        position.held = (t[cut:], values[cut:])
+        t, values = t[:cut], values[:cut]
+    if t.size:
+        clock = plan.clock
+        moved = spread(t, clock.resolution, clock.typical, position.first_group)
+        position.first_group = False
+        t = t + moved
+    return t, values
 
 
 class CsvReader:
@@ -76,9 +235,15 @@ def _blocks(
 
 def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator[Recording]:
     empty = Recording(
-        {}, str(path), "csv", sha256_of(path), plan.clock.start_ns,
-        notes=plan.notes, mapping=plan.resolved.to_dict(), corrections=plan.corrections,
-    )  # fmt: skip
+        {},
+        str(path),
+        "csv",
+        sha256_of(path),
+        plan.clock.start_ns,
+        notes=plan.notes,
+        mapping=plan.resolved.to_dict(),
+        corrections=plan.corrections,
+    )
     position = Position()
     before: Recording | None = None
     lost: list[str] = []
@@ -175,9 +340,14 @@ def _block(
 
 
 def _channels(
-    t: Array, values: Array, numbers: Array, keep: NDArray[np.bool_], *, plan: Plan,
+    t: Array,
+    values: Array,
+    numbers: Array,
+    keep: NDArray[np.bool_],
+    *,
+    plan: Plan,
     position: Position,
-) -> _Block | None:  # fmt: skip
+) -> _Block | None:
     channels: dict[str, Channel] = {}
     gaps: dict[tuple[float, float], Gap] = {}
     missing = np.zeros(t.shape, dtype=np.bool_)

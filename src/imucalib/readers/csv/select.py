@@ -1,19 +1,214 @@
-"""Which columns to read: the user's, else by name, else by the device, else by their number."""
+"""Which columns to read: the user's, else by name, else by the device, else by their number.
+
+Before that, what the lines above the table state; and where nothing is found, what there is.
+"""
 
 from __future__ import annotations
 
 import re
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from imucalib.errors import UsageError
-from imucalib.readers.columns import Column, is_date, parts_of_time, understand
-from imucalib.readers.csv.contents import like_gravity
-from imucalib.readers.csv.dialect import Dialect
-from imucalib.readers.csv.header import HeaderFacts
-from imucalib.readers.devices.catalogue import Device
+import numpy as np
+
+from imucalib.arrays import Array
+from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.columns import (
+    Column,
+    Content,
+    is_date,
+    listing,
+    norm_of,
+    parts_of_time,
+    understand,
+)
+from imucalib.readers.csv.text import Dialect, cells_of, is_number
+from imucalib.readers.devices.catalogue import UNKNOWN, Device, Start, device_named_in
+from imucalib.readers.timebase import start_of
 from imucalib.recording.mapping import FieldMapping
-from imucalib.units import canonical
+from imucalib.recording.recording import Correction, corrections_of
+from imucalib.units import ACCELERATION_UNITS, RATE_UNITS, canonical
+
+_NUMBER = r"(\d+(?:[.,]\d+)?)"
+#: A rate of samples says so, or has a unit; that of a filter, a line or a heart is none.
+_RATE = re.compile(
+    rf"(?:sampl\w*\s*(?:rate|freq\w*)|measurement frequency|update rate)[^0-9\n]{{0,12}}{_NUMBER}"
+    rf"\s*(?:hz\b|$|[,;\s])"
+    rf"|(?<!baud )(?<!heart )(?<!bit )(?:\brate[^0-9\n]{{0,12}}|(?<!pass )(?<!filter )\bat\s+)"
+    rf"{_NUMBER}\s*hz\b",
+    re.IGNORECASE | re.MULTILINE,
+)
+_UNIT = re.compile(
+    r"^\W*(acc\w*|beschl\w*|gyr\w*|angular rates?|angular velocity)\s*(?:units?|in|einheit)?\s*"
+    r"(?:\bin\b|[:=])\s*[\[(]?([^\s,;\])]+)[\])]?\s*$",
+    re.IGNORECASE | re.MULTILINE,
+)
+_OWN_ROWS = re.compile(
+    r"(# imucal recording, rows: (\d+)[^\n]*?)(?:, crc32: ([^\n]*))?$", re.MULTILINE
+)
+_OWN_MARK = re.compile(r"^# corrected: (.*)$", re.MULTILINE)
+_OWN_START = re.compile(r"start_ns\s*[:=]\s*(-?\d+)")
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What our own first line says of the table: its rows and, where it has it, the CRC-32 of the
+    lines below followed by `line`, its own start."""
+
+    rows: int
+    line: str = ""
+    crc: int | None = None
+
+    def contradicted(self, rows: int, crc: int) -> list[str]:
+        """A sentence for what was found otherwise. crc : of the lines below"""
+        if rows != self.rows:
+            return [f"the header states {self.rows} rows, {rows} were found"]
+        if self.crc is not None and zlib.crc32(self.line.encode(), crc) != self.crc:
+            return ["the table is not what was written (CRC-32): numbers in it were changed"]
+        return []
+
+
+@dataclass(frozen=True)
+class HeaderFacts:
+    """device : whose export it is; rate in Hz; start_ns as in Recording.
+
+    acc_unit, gyro_unit : that a line above the table states, in the usual spelling
+    stated : what the file says of its rows, or None; corrections as in Recording
+    """
+
+    device: Device = UNKNOWN
+    rate: float | None = None
+    start_ns: int | None = None
+    notes: tuple[str, ...] = ()
+    stated: Stated | None = None
+    corrections: tuple[Correction, ...] = ()
+    acc_unit: str = ""
+    gyro_unit: str = ""
+
+
+def facts_of(preamble: Sequence[str], where: str) -> HeaderFacts:
+    """Read the lines above the table. Raises UnreadableInput for what holds no raw data."""
+    text = "\n".join(preamble)
+    found = _RATE.search(text)
+    rate = float((found[1] or found[2]).replace(",", ".")) if found else None
+    units = {name[:3].lower(): canonical(unit) for name, unit in _UNIT.findall(text)}
+    force, turn = units.get("acc") or units.get("bes", ""), units.get("gyr") or units.get("ang", "")
+    own = _OWN_START.search(text)
+    notes: list[str] = []
+    start = start_of(int(own.group(1)), notes) if own else None
+    own_line = _OWN_ROWS.search(text)
+    stated = _rows_stated(*own_line.groups()) if own_line else None
+    device = device_named_in(text)
+    device.refuse(text, where)
+    told = device.start(text) if device.start else Start(start)
+    marks = corrections_of(_OWN_MARK.findall(text) if stated else ())
+    notes += [*told.notes, *map(str, marks)]
+    return HeaderFacts(
+        device,
+        rate or told.rate or None,
+        told.start_ns,
+        tuple(notes),
+        stated,
+        marks,
+        acc_unit=force if force in ACCELERATION_UNITS else "",
+        gyro_unit=turn if turn in RATE_UNITS else "",
+    )
+
+
+def _rows_stated(line: str, rows: str, crc: str | None) -> Stated:
+    try:
+        return Stated(int(rows), line, None if crc is None else int(crc, 16))
+    except ValueError:  # a damaged sum fits nothing
+        return Stated(int(rows), line, -1)
+
+
+_ROWS = 50  # of each look
+
+
+def contents_of(dialect: Dialect, pieces: Sequence[bytes]) -> tuple[Content, ...]:
+    """Every column with its median, and every three neighbours whose norm is that of gravity."""
+    rows = rows_of(dialect, pieces)
+    names = [_address(dialect, i) for i in range(dialect.width)]
+    columns: list[Content] = []
+    for i, name in enumerate(names):
+        if not dialect.numeric[i]:
+            example = next((row[i] for row in rows), "")
+            columns.append(Content(name, f"text such as '{example[:30]}'", 0))
+            continue
+        values = _numbers([row[i] for row in rows], dialect.decimal)
+        finite = values[np.isfinite(values)]
+        median = float(np.median(finite)) if finite.size else float("nan")
+        columns.append(Content(name, "numbers", 0, median=median))
+    return (*columns, *_triples(dialect, names, rows))
+
+
+def _triples(dialect: Dialect, names: list[str], rows: list[list[str]]) -> list[Content]:
+    """Three neighbours that hardly change their norm while each of them changes: gravity's mark."""
+    found = []
+    for i in range(dialect.width - 2):
+        if not all(dialect.numeric[i : i + 3]):
+            continue
+        axes = [_numbers([row[k] for row in rows], dialect.decimal) for k in range(i, i + 3)]
+        values = np.stack(axes, axis=1)
+        values = values[np.isfinite(values).all(axis=1)]
+        norms = np.linalg.norm(values, axis=1)
+        low, middle, high = np.percentile(norms, [25, 50, 75]) if norms.size else (0.0, 0.0, 0.0)
+        turns = values.size and (np.ptp(values, axis=0) > 0.2 * middle).all()
+        if middle > 0 and turns and high - low < 0.05 * middle:
+            address = ",".join(names[i : i + 3])
+            found.append(Content(address, "one vector?", 0, norm=norm_of(values)))
+    return found
+
+
+def like_gravity(dialect: Dialect, pieces: Sequence[bytes], columns: Sequence[int]) -> bool:
+    """Whether the median norm of three columns is that of gravity in m/s², g or mg."""
+    rows = rows_of(dialect, pieces)
+    axes = [_numbers([row[k] for row in rows], dialect.decimal) for k in columns]
+    return Content("", "", 0, norm=norm_of(np.stack(axes, axis=1))).like_gravity
+
+
+def rows_of(dialect: Dialect, pieces: Sequence[bytes]) -> list[list[str]]:
+    """The cells of some rows of every look."""
+    rows = []
+    for number, piece in enumerate(pieces):
+        lines = piece.decode("utf-8", errors="replace").split("\n")[:-1]
+        lines = lines[dialect.data_line - 1 :] if number == 0 else lines
+        step = max(1, len(lines) // _ROWS)
+        for line in lines[::step]:
+            row = cells_of(line, dialect.delimiter)
+            if len(row) >= dialect.width:
+                rows.append(row)
+    return rows
+
+
+def _numbers(cells: list[str], decimal: str) -> Array:
+    return np.array(
+        [float(c.replace(decimal, ".")) if is_number(c, decimal) else np.nan for c in cells]
+    )
+
+
+def _address(dialect: Dialect, column: int) -> str:
+    name = dialect.names[column] if dialect.names else ""
+    return name if name and dialect.names.count(name) == 1 else str(column + 1)
+
+
+def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> UnreadableInput:
+    """The error for a table in which no names tell of an acceleration or an angular rate."""
+    held = contents_of(dialect, pieces)
+    what = (
+        "no acceleration columns among"
+        if dialect.names
+        else (f"the {dialect.width} columns have no names")
+    )
+    vectors = [c for c in held if "," in c.address]
+    option = vectors[0].address if len(vectors) == 1 else "X,Y,Z"
+    return UnreadableInput(
+        f"{what}:{listing(held)}\n",
+        where=where,
+        remedy=f"Name them: --acc {option} (and --gyro, --time or --rate, --unit)",
+    )
+
 
 _GYROSCOPE = re.compile(r"gyro|angular|drehrate", re.IGNORECASE)
 
@@ -49,9 +244,12 @@ class _Table:
 
 
 def select(
-    dialect: Dialect, mapping: FieldMapping, facts: HeaderFacts, pieces: Sequence[bytes],
+    dialect: Dialect,
+    mapping: FieldMapping,
+    facts: HeaderFacts,
+    pieces: Sequence[bytes],
     stem: str = "",
-) -> Selection:  # fmt: skip
+) -> Selection:
     """Choose the columns: none when neither an acceleration nor an angular rate is found.
 
     pieces : the looks; stem : the file's name, which tells a phone's sensors apart
@@ -155,9 +353,10 @@ def _stated(quantity: str, stated: Sequence[str], table: _Table) -> list[Vector]
     option = "acc" if quantity == "acceleration" else "gyro"
     if len(stated) % 3:
         raise UsageError(
-            f"{len(stated)} columns do not make triads", where=f"mapping: {option}",
+            f"{len(stated)} columns do not make triads",
+            where=f"mapping: {option}",
             remedy="name three columns for each sensor",
-        )  # fmt: skip
+        )
     vectors = []
     before = len(mapping.acc) // 3 if quantity == "angular_rate" else 0
     own = before if len(mapping.triads) >= before + len(stated) // 3 else 0
@@ -287,6 +486,8 @@ def _by_position(
             other = numbers[3:] if heavy[0] == numbers[:3] else numbers[:3]
             first = "accelerometer, gyroscope" if heavy[0] < other else "gyroscope, accelerometer"
             notes.append(f"no column names: taken as {said}{first}, by the norm of gravity")
-            return [Vector("acceleration", "imu0", heavy[0]),
-                    Vector("angular_rate", "imu0", other)], time  # fmt: skip
+            return [
+                Vector("acceleration", "imu0", heavy[0]),
+                Vector("angular_rate", "imu0", other),
+            ], time
     return [], ()

@@ -1,8 +1,12 @@
-"""The cells of a small table under its headings, as text: what a recording's columns are not."""
+"""The cells of a small table under its headings, as text: what a recording's columns are not.
+
+A text, or the first sheet of an XLSX file through openpyxl (extra `xlsx`).
+"""
 
 from __future__ import annotations
 
 import re
+import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,9 +15,17 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers.csv.conditions import Condition, demand_some, parted
-from imucalib.readers.csv.dialect import cells_of, decoded, is_comment, is_number
-from imucalib.readers.csv.source import whole_text
+from imucalib.readers.csv.text import (
+    Condition,
+    cells_of,
+    decoded,
+    demand_some,
+    is_comment,
+    is_number,
+    parted,
+    whole_text,
+)
+from imucalib.readers.source import small_directory
 from imucalib.recording.mapping import FieldMapping
 from imucalib.units import ACCELERATION_UNITS, ANGLE_UNITS, RATE_UNITS, canonical, without_brackets
 
@@ -51,8 +63,10 @@ class Cells:
 
     def at(self, keep: Sequence[int]) -> Cells:
         """Some of the rows, by their places from 0."""
-        columns = {n: v[list(keep)] if isinstance(v, np.ndarray) else [v[k] for k in keep]
-                   for n, v in self.columns.items()}  # fmt: skip
+        columns = {
+            n: v[list(keep)] if isinstance(v, np.ndarray) else [v[k] for k in keep]
+            for n, v in self.columns.items()
+        }
         return replace(self, columns=columns, row=tuple(self.row[k] for k in keep))
 
 
@@ -75,10 +89,13 @@ def table_cells(path: Path, mapping: FieldMapping, exclude: Collection[int] = ()
     delimiter = mapping.delimiter or _delimiter_of(first)
     heading, *rows = [_cells(line, delimiter) for _, line in lines]
     found = columns_of(
-        [heading, *rows], f"{where}, line {at}", where, exclude=exclude,
+        [heading, *rows],
+        f"{where}, line {at}",
+        where,
+        exclude=exclude,
         decimal=mapping.decimal or ("," if delimiter != "," else ""),
         stated=bool(mapping.decimal),
-    )  # fmt: skip
+    )
     return selected(found, mapping, where)
 
 
@@ -93,16 +110,24 @@ def selected(cells: Cells, mapping: FieldMapping, where: str) -> Cells:
             raise UsageError(f"no column '{column}'", where="--where", remedy=f"columns: {have}")
         wanted.append(Condition(0, value))
         texts.append([str(cell) for cell in cells.columns[column]])
-    keep = [k for k in range(len(cells.row))
-            if all(c.fits(t[k]) for c, t in zip(wanted, texts, strict=True))]  # fmt: skip
+    keep = [
+        k
+        for k in range(len(cells.row))
+        if all(c.fits(t[k]) for c, t in zip(wanted, texts, strict=True))
+    ]
     demand_some(len(keep), mapping.where, texts, where)
     return cells.at(keep)
 
 
 def columns_of(
-    rows: list[list[str]], top: str, where: str, *, decimal: str, stated: bool = False,
+    rows: list[list[str]],
+    top: str,
+    where: str,
+    *,
+    decimal: str,
+    stated: bool = False,
     exclude: Collection[int] = (),
-) -> Cells:  # fmt: skip
+) -> Cells:
     """Every column by its heading, the first row; `top` says where that is. Errors as above.
 
     decimal : "," where that may be the mark, or the mark itself where it is `stated`
@@ -114,9 +139,10 @@ def columns_of(
     comma = decimal == ","
     if all(is_number(cell) or (comma and is_number(cell, ",")) for cell in heading if cell):
         raise UnreadableInput(
-            "the first row is numbers, not headings", where=top,
+            "the first row is numbers, not headings",
+            where=top,
             remedy="add a heading line such as: inclination,tool_face,x,y,z",
-        )  # fmt: skip
+        )
     heading = [name or f"column {k}" for k, name in enumerate(heading, start=1)]
     if len(set(heading)) != len(heading):
         raise UnreadableInput("two columns have the same heading", where=top)
@@ -229,12 +255,86 @@ def _lines(path: Path, skip: int) -> Iterator[tuple[int, str]]:
     binary = _BINARY.search(data)
     if binary:
         raise UnreadableInput(
-            "not a text file", where=f"{path}, byte {binary.start()}",
+            "not a text file",
+            where=f"{path}, byte {binary.start()}",
             remedy="give a CSV or HDF5 table; save a spreadsheet as CSV",
-        )  # fmt: skip
+        )
     text = decoded(data)
     for number, line in enumerate(text.split("\n"), start=1):
         bare = line.strip()
         if number <= skip or is_comment(line) or _RULE.fullmatch(bare):
             continue
         yield number, bare.removeprefix("|").removesuffix("|").strip() if bare[:1] == "|" else line
+
+
+_MOST_BYTES, _MOST_ROWS, _MOST_COLUMNS, _FEWEST_NAMES = 64 << 20, 100_000, 500, 3
+
+
+def is_spreadsheet(path: Path) -> bool:
+    """Whether the file is a zip archive that holds a workbook."""
+    try:
+        with path.open("rb") as stream:
+            if stream.read(4) != b"PK\x03\x04":
+                return False
+        if not small_directory(path):
+            return False
+        with zipfile.ZipFile(path) as archive:
+            return "xl/workbook.xml" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def sheet_cells(path: Path, mapping: FieldMapping, exclude: Collection[int] = ()) -> Cells:
+    """The cells of the first sheet, as `table_cells` gives those of a text.
+
+    mapping : `skip` and `where` are used. Formulas count by the value that was saved with them.
+    Raises UnreadableInput with the row.
+    """
+    where = str(path)
+    rows = _rows(path, mapping.skip or 0)
+    while rows and sum(cell != "" for cell in rows[0][1]) < _FEWEST_NAMES:
+        del rows[0]
+    if not rows:
+        raise UnreadableInput("no table in its first sheet", where=where)
+    width = max(k + 1 for k, cell in enumerate(rows[0][1]) if cell)
+    cut = [row[:width] + [""] * (width - len(row)) for _, row in rows]
+    top = f"{where}, row {rows[0][0]} of the sheet"
+    return selected(columns_of(cut, top, where, decimal=",", exclude=exclude), mapping, where)
+
+
+def _rows(path: Path, skip: int) -> list[tuple[int, list[str]]]:
+    """Rows as text, with their numbers from 1."""
+    try:
+        import openpyxl
+    except ImportError:
+        raise UnreadableInput(
+            "a spreadsheet needs openpyxl",
+            where=str(path),
+            remedy="pip install 'imucalib[xlsx]', or save it as CSV",
+        ) from None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            claimed = sum(member.file_size for member in archive.infolist())
+        if claimed > _MOST_BYTES:
+            raise UnreadableInput(f"its parts claim {claimed} bytes", where=str(path))
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        try:
+            sheet = book.worksheets[0]
+            found = sheet.iter_rows(max_row=_MOST_ROWS, max_col=_MOST_COLUMNS, values_only=True)
+            rows = [(n, [_text(c) for c in row]) for n, row in enumerate(found, start=1)]
+        finally:
+            book.close()
+    except UnreadableInput:
+        raise
+    except Exception as error:  # what the package raises on damage depends on where the damage is
+        raise UnreadableInput(
+            f"the spreadsheet cannot be read: {error}",
+            where=str(path),
+            remedy="save it again, or as CSV",
+        ) from error
+    return [(n, row) for n, row in rows if n > skip]
+
+
+def _text(cell: object) -> str:
+    """A cell as text: numbers with all their digits."""
+    return "" if cell is None else repr(cell) if isinstance(cell, float) else str(cell).strip()

@@ -24,9 +24,16 @@ from imucalib.readers.source import small_directory
 
 #: What a damaged archive raises, depending on where the damage is.
 DAMAGED = (
-    zipfile.BadZipFile, zlib.error, KeyError, EOFError, OSError, ValueError, NotImplementedError,
-    RuntimeError, struct.error,
-)  # fmt: skip
+    zipfile.BadZipFile,
+    zlib.error,
+    KeyError,
+    EOFError,
+    OSError,
+    ValueError,
+    NotImplementedError,
+    RuntimeError,
+    struct.error,
+)
 _MOST_RATE = 10_000.0  # Hz
 _PIECE = 1 << 16  # bytes: what a checksum that fails at the end may cost
 #: What no device writes: a longer info.txt, a large log that packs better than this.

@@ -117,7 +117,7 @@ _KNOWN = (
         f"export it as CSV with the maker's program or GGIRread (readParmayMatrix), {_CSV}",
         lambda head: head[512:516] == b"MDTC",
     ),
-)  # fmt: skip
+)
 
 
 def refuse_foreign(path: Path, head: bytes) -> None:

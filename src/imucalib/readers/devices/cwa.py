@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.packets import Log, Packets, recordings
-from imucalib.readers.devices.packing import Stream, head_unpacked, opened
+from imucalib.readers.devices.packets import Log, Packets, Stream, head_unpacked, opened, recordings
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -32,12 +31,23 @@ _COMMON = 10  # the code of 100 Hz
 _CODES = 4096  # candidates judged at a time
 _TYPE = np.dtype(
     [
-        ("mark", "S4"), ("fraction", "<u2"), ("session", "<u4"), ("number", "<u4"),
-        ("stamp", "<u4"), ("scales", "<u2"), ("warm", "<u2"), ("events", "u1"), ("battery", "u1"),
-        ("rate", "u1"), ("axes", "u1"), ("at", "<i2"), ("count", "<u2"), ("data", "u1", 480),
+        ("mark", "S4"),
+        ("fraction", "<u2"),
+        ("session", "<u4"),
+        ("number", "<u4"),
+        ("stamp", "<u4"),
+        ("scales", "<u2"),
+        ("warm", "<u2"),
+        ("events", "u1"),
+        ("battery", "u1"),
+        ("rate", "u1"),
+        ("axes", "u1"),
+        ("at", "<i2"),
+        ("count", "<u2"),
+        ("data", "u1", 480),
         ("checksum", "<u2"),
     ]
-)  # fmt: skip
+)
 Bytes = NDArray[np.uint8]
 
 
@@ -98,9 +108,10 @@ def _sectors(
         wasted = end - found.size * _SECTOR
         if strict and wasted:
             raise UnreadableInput(
-                "bytes of no whole sector", where=f"{where}, byte {passed} and later",
+                "bytes of no whole sector",
+                where=f"{where}, byte {passed} and later",
                 remedy="copy the file from the device again, or read what is left without --strict",
-            )  # fmt: skip
+            )
         waste, bad, good = waste + wasted, bad + tried - found.size, good + found.size
         if bad > _MOST_BAD or waste > max(_MOST_WASTE, 8 * good * _SECTOR):
             raise UnreadableInput("this holds hardly any sound sectors", where=where)

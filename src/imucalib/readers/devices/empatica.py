@@ -39,6 +39,9 @@ def _start(text: str) -> Start:
 
 
 DEVICE = Device(
-    "empatica", FieldMapping(acc=("1", "2", "3")), heading=_heading, start=_start,
+    "empatica",
+    FieldMapping(acc=("1", "2", "3")),
+    heading=_heading,
+    start=_start,
     scales=(_LSB_PER_G,),
-)  # fmt: skip
+)

@@ -6,7 +6,11 @@ from imucalib.recording.mapping import FieldMapping
 DEVICE = Device(
     "euroc",
     FieldMapping(
-        time="1", gyro=("2", "3", "4"), acc=("5", "6", "7"), time_unit="ns", acc_unit="m/s2",
+        time="1",
+        gyro=("2", "3", "4"),
+        acc=("5", "6", "7"),
+        time_unit="ns",
+        acc_unit="m/s2",
         gyro_unit="rad/s",
     ),
-)  # fmt: skip
+)

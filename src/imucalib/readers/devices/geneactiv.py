@@ -6,8 +6,13 @@ from imucalib.recording.mapping import FieldMapping
 DEVICE = Device(
     "geneactiv",
     FieldMapping(
-        time="1", acc=("2", "3", "4"), temperature=("7",), time_unit="text",
-        time_format="%Y-%m-%d %H:%M:%S:%f", acc_unit="g", temperature_unit="degC",
+        time="1",
+        acc=("2", "3", "4"),
+        temperature=("7",),
+        time_unit="text",
+        time_format="%Y-%m-%d %H:%M:%S:%f",
+        acc_unit="g",
+        temperature_unit="degC",
     ),
     words=("geneactiv",),
-)  # fmt: skip
+)

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.devices.packets import Log, Packets, recordings
-from imucalib.readers.devices.packing import Stream, head_unpacked, opened
+from imucalib.readers.devices.packets import Log, Packets, Stream, head_unpacked, opened, recordings
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
@@ -140,17 +139,21 @@ def _header(text: bytes, where: str) -> _Header:
         gain, offset = np.zeros(3), np.zeros(3)
     if not (np.isfinite(offset).all() and (gain > 0.0).all() and np.isfinite(gain).all()):
         raise UnreadableInput(
-            "the header does not state the gain and offset of the axes", where=where,
+            "the header does not state the gain and offset of the axes",
+            where=where,
             remedy="copy the file from the device again",
-        )  # fmt: skip
+        )
     zone = re.search(r"([+-])(\d{1,2}):(\d{2})", facts.get("Time Zone", ""))
     size = 3600 * int(zone[2]) + 60 * int(zone[3]) if zone else None
     serial = facts.get("Device Unique Serial Code", "of unknown number")
     pages = facts.get("Number of Pages", "")
     return _Header(
-        gain=gain, offset=offset, serial=serial, pages=int(pages) if pages.isdecimal() else None,
+        gain=gain,
+        offset=offset,
+        serial=serial,
+        pages=int(pages) if pages.isdecimal() else None,
         zone_s=-size if size and zone and zone[1] == "-" else size,
-    )  # fmt: skip
+    )
 
 
 def _facts(text: str) -> dict[str, str]:
@@ -182,10 +185,14 @@ def _packets(pages: Iterator[list[bytes]], header: _Header, loss: _Loss) -> Iter
             acc = np.concatenate(raw)
             count = np.full(len(stamps), _PER_PAGE)
             yield Packets(
-                stamp=np.array(stamps), at=np.zeros_like(count), count=count,
-                rate=np.array(rates), warm=np.array(warm), acc=acc,
+                stamp=np.array(stamps),
+                at=np.zeros_like(count),
+                count=count,
+                rate=np.array(rates),
+                warm=np.array(warm),
+                acc=acc,
                 gyro=np.full(acc.shape, np.nan),
-            )  # fmt: skip
+            )
     loss.told(header.pages, number)
 
 

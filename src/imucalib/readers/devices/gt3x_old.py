@@ -113,7 +113,11 @@ def _packets(
 def _packet(acc: Array, start: _Start, passed: int) -> Packets:
     stamp = start.stamp + round(passed / start.rate * 1e9)
     return Packets(
-        stamp=np.array([stamp]), at=np.zeros(1, np.int64), count=np.array([acc.shape[0]]),
-        rate=np.array([start.rate]), warm=np.array([np.nan]), acc=acc,
+        stamp=np.array([stamp]),
+        at=np.zeros(1, np.int64),
+        count=np.array([acc.shape[0]]),
+        rate=np.array([start.rate]),
+        warm=np.array([np.nan]),
+        acc=acc,
         gyro=np.full(acc.shape, np.nan),
-    )  # fmt: skip
+    )

@@ -121,9 +121,14 @@ def _head(stream: BinaryIO, where: str) -> _Head:
     if start is None:
         raise UnreadableInput("its headers state no time of the first sample", where=where)
     head = _Head(
-        rate=float(rate), channels=channels, scales=scales, start=start, at=at + 8, size=size,
+        rate=float(rate),
+        channels=channels,
+        scales=scales,
+        start=start,
+        at=at + 8,
+        size=size,
         device=facts.get("Id", ""),
-    )  # fmt: skip
+    )
     if not head.triad("Accel"):
         raise UnreadableInput(f"no three accelerations among {', '.join(channels)}", where=where)
     return head
@@ -157,9 +162,9 @@ def _packets(stream: BinaryIO, head: _Head, packets: int, lost: list[str]) -> It
     # A recorder that was cut off leaves no size, or the largest.
     stated = head.size // wide if 0 < head.size < 0xFFFF_FF00 else None
     while stated is None or passed < stated:
-        most = packets * _PER_PACKET if stated is None else min(
-            packets * _PER_PACKET, stated - passed
-        )  # fmt: skip
+        most = (
+            packets * _PER_PACKET if stated is None else min(packets * _PER_PACKET, stated - passed)
+        )
         raw = stream.read(most * wide)
         rows = np.frombuffer(raw[: len(raw) // wide * wide], "<i2").reshape(-1, len(head.channels))
         if not rows.size:
@@ -191,6 +196,11 @@ def _of_rows(rows: NDArray[np.int16], passed: int, head: _Head) -> Iterator[Pack
     if turned:
         gyro = rows[row][:, turned] / _FULL * head.scales[turned]
     yield Packets(
-        stamp=stamp, at=np.zeros_like(count), count=count, rate=np.full(first.size, head.rate),
-        warm=warm, acc=acc, gyro=gyro,
-    )  # fmt: skip
+        stamp=stamp,
+        at=np.zeros_like(count),
+        count=count,
+        rate=np.full(first.size, head.rate),
+        warm=warm,
+        acc=acc,
+        gyro=gyro,
+    )

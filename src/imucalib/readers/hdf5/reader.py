@@ -1,33 +1,249 @@
-"""HDF5 recordings of any layout: fields are found by walking the file (`hdf5_fields`).
+"""HDF5 recordings of any layout: fields are found by walking the file (`hdf5.fields`).
 
 A file whose writer was killed is read in SWMR mode; a chunk with a bad checksum costs only its
-rows, and the recording says which.
+rows, and the recording says which. Clock, unit and rate of a channel come from looks all over it.
+Other formats that have to be held in memory are read as an HDF5 file with their numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.contents import listing, suggestion
-from imucalib.readers.hdf5.attributes import text_of
-from imucalib.readers.hdf5.contents import contents_of
-from imucalib.readers.hdf5.fields import datasets, fields_of
-from imucalib.readers.hdf5.file import File, opened
-from imucalib.readers.hdf5.signals import Signal, resolved_mapping, signals_of, stored_rows, times
+from imucalib.readers import conversion
+from imucalib.readers.columns import Content, listing, norm_of, suggestion
+from imucalib.readers.conversion import Conversion
+from imucalib.readers.hdf5.fields import Found, datasets, fields_of, number_of, text_of, unit_of
+from imucalib.readers.hdf5.file import File, Walk, opened
 from imucalib.readers.joining import join
 from imucalib.readers.source import sha256_of
-from imucalib.readers.timebase import find_gaps
-from imucalib.recording.correction import corrections_of
-from imucalib.recording.mapping import FieldMapping
-from imucalib.recording.recording import Channel, Gap, Recording
+from imucalib.readers.timebase import (
+    Stepping,
+    clock_unit,
+    date_of,
+    find_gaps,
+    known_unit,
+    seconds_of,
+    start_of,
+    stepping,
+)
+from imucalib.recording.mapping import TIME_UNITS, FieldMapping
+from imucalib.recording.recording import Channel, Gap, Recording, corrections_of
+
+_ROWS = 500
+
+
+def contents_of(held: Iterable[Any], where: str) -> tuple[Content, ...]:
+    """Every dataset with its shape, type and unit, and the norm or median of its first rows."""
+    return tuple(_content(node, Path(where)) for node in held)
+
+
+def _content(node: Any, path: Path) -> Content:
+    shape = " x ".join(map(str, node.shape[1:]))
+    fields = f" of {', '.join(node.dtype.names)}" if node.dtype.names else ""
+    unit = unit_of(node)
+    kind = f"{shape + ' ' if shape else ''}{node.dtype if not fields else 'records'}{fields}"
+    kind += f" in {unit}" if unit else ""
+    norm = median = float("nan")
+    try:
+        Walk(path).spans(node, path)
+    except UnreadableInput as error:
+        why = error.what.removeprefix(f"{node.name} ")
+        return Content(node.name, kind, node.shape[0], why=f"it {why}")
+    numeric = not fields and node.dtype.kind in "iuf"
+    step = max(1, node.shape[0] // _ROWS)
+    try:
+        if numeric and node.shape[1:] == (3,):
+            norm = norm_of(np.asarray(node[::step], dtype=np.float64))
+        elif numeric and len(node.shape) == 1:
+            values = np.asarray(node[::step], dtype=np.float64)
+            median = float(np.median(values[np.isfinite(values)]))
+    except (OSError, RuntimeError):
+        return Content(node.name, kind, node.shape[0], why="its first rows cannot be read")
+    return Content(node.name, kind, node.shape[0], norm=norm, median=median)
+
+
+_LOOKS, _LOOK = 24, 4096  # looks spread over each field, and their rows
+_REST_SECONDS = 0.5
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One channel ready to read; origin : first stamp of its clock, in `found.time_unit`;
+    shift : s from the recording's start to that stamp."""
+
+    found: Found
+    conversion: Conversion
+    rate: float
+    threshold: float
+    origin: float | int
+    shift: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return f"{self.found.triad}/{self.found.quantity}"
+
+
+def times(file: File, signal: Signal, start: int, stop: int) -> Array:
+    """Seconds since the start; NaN where a damaged chunk hides them."""
+    if signal.found.time is None:
+        t = np.arange(start, stop, dtype=np.float64)
+        t /= signal.rate
+        return t
+    place = signal.found.time
+    found, held = file.stored(place, start, stop)
+    t = seconds_of(place.unpacked(found).reshape(-1), signal.origin, signal.found.time_unit)
+    t = t + signal.shift if signal.shift else t
+    if held is not None:
+        t[~held] = np.nan
+    return t
+
+
+def raw_rows(file: File, found: Found, start: int, stop: int) -> Array:
+    """Rows (n, 3), or (n, 1) of a temperature, in the stated unit."""
+    return stored_rows(file, found, start, stop).astype(np.float64, copy=False)
+
+
+def stored_rows(file: File, found: Found, start: int, stop: int) -> NDArray[np.generic]:
+    """The same in the type of the file, as far as no factor has to be applied."""
+    parts = [file.rows(p, start, stop) for p in found.parts]
+    if len(parts) == 1:
+        return parts[0].reshape(stop - start, -1)
+    return np.stack([p.reshape(-1) for p in parts], axis=1)
+
+
+def _looks(found: Found) -> list[tuple[int, int]]:
+    """Row ranges spread over a field."""
+    starts = np.linspace(0, max(0, found.rows - _LOOK), _LOOKS).astype(int)
+    return [(int(a), min(found.rows, int(a) + _LOOK)) for a in dict.fromkeys(starts.tolist())]
+
+
+def signals_of(
+    file: File, found: Sequence[Found], mapping: FieldMapping
+) -> tuple[list[Signal], int | None, list[str]]:
+    notes: list[str] = []
+    start_ns = None
+    if number_of(file.handle, "start_ns") is not None:
+        start_ns = start_of(np.asarray(file.handle.attrs["start_ns"]).flat[0].item(), notes)
+    origin: dict[tuple[str, int | None], float | int] = {}
+
+    def signal(one: Found) -> Signal:
+        nonlocal start_ns
+        clock, first, note = _clock(file, one)
+        notes.extend([note] if note else [])
+        zero: float | int = 0
+        shift = 0.0
+        if first is not None and date_of(first, clock.time_unit, clock.epoch) is not None:
+            dated = bool(origin)
+            zero = origin.setdefault((clock.time_unit, clock.epoch), first)
+            own = date_of(zero, clock.time_unit, clock.epoch) or 0
+            start_ns = start_ns if dated else own
+            shift = (own - (start_ns or 0)) * 1e-9
+        base = Signal(
+            clock, Conversion("", "", np.ones(1), np.zeros(1)), clock.rate or 1.0, 0.0, zero, shift
+        )
+        return _measured(file, base, mapping)
+
+    signals = list(conversion.readable(found, signal, notes))
+    notes += [s.conversion.note for s in signals if s.conversion.note]
+    return signals, start_ns, list(dict.fromkeys(notes))
+
+
+def _clock(file: File, found: Found) -> tuple[Found, float | int | None, str]:
+    """The field with its time unit known, the first stamp, and how the unit was found."""
+    if found.time is None:
+        if found.rate is None:
+            raise UnreadableInput(
+                f"{found.parts[0].path} has neither time stamps nor a sample rate",
+                where=file.where,
+                remedy="give --time (a dataset path) or --rate",
+            )
+        return found, None, ""
+    node = file.handle[found.time.path]
+    if node.shape[0] != found.rows and node.size != found.rows:
+        raise UnreadableInput(
+            f"{found.time.path} has {node.size} stamps for {found.rows} rows of "
+            f"{found.parts[0].path}",
+            where=file.where,
+        )
+    looks = [file.rows(found.time, a, b).reshape(-1) for a, b in _looks(found)]
+    known = [s[np.isfinite(s.astype(np.float64))] for s in looks]
+    first = next((s[0].item() for s in known if s.size), None)
+    where = f"{file.where}: {found.time.path}"
+    (unit, epoch), note = clock_unit(found.time_unit, where), ""
+    if unit not in TIME_UNITS:
+        steps = stepping([s.astype(np.float64) for s in known])
+        if steps is None or first is None:
+            raise UnreadableInput("the time stamps never advance", where=where)
+        unit, note = known_unit(unit, first, steps.step, where, who="the file")
+    return replace(found, time_unit=unit, epoch=epoch), first, note
+
+
+def _measured(file: File, signal: Signal, mapping: FieldMapping) -> Signal:
+    """The signal with its rate, gap threshold and unit, from looks all over the field."""
+    found = signal.found
+    raw_counts = found.quantity == "acceleration" and mapping.acc_unit == conversion.COUNTS
+    raw_counts |= found.quantity == "angular_rate" and mapping.gyro_unit == conversion.COUNTS
+    if raw_counts:
+        bare = tuple(replace(p, scale=(1.0,), offset=(0.0,)) for p in found.parts)
+        found = replace(found, parts=bare)
+    looks = [raw_rows(file, found, a, b) for a, b in _looks(found)]
+    stamps = [times(file, signal, a, b) for a, b in _looks(found)]
+    good = [np.isfinite(v).all(axis=1) & np.isfinite(t) for v, t in zip(looks, stamps, strict=True)]
+    steps = stepping([t[g] for t, g in zip(stamps, good, strict=True)])
+    if steps is None:
+        if found.rate is None:
+            why = "the time never advances" if any(g.any() for g in good) else "holds no number"
+            remedy = "give --rate, or other stamps with --time"
+            raise UnreadableInput(f"{signal.name}: {why}", where=file.where, remedy=remedy)
+        steps = Stepping(1.0 / found.rate, 1.75 / found.rate)
+    rate = found.rate or 1.0 / steps.step
+    where = f"{file.where}: {found.parts[0].path}"
+    if found.quantity == "acceleration":
+        window = max(3, round(_REST_SECONDS * rate))
+        rest = conversion.readings_at_rest([v[g] for v, g in zip(looks, good, strict=True)], window)
+        how = conversion.acceleration(mapping, found.unit, rest, where)
+    elif found.quantity == "angular_rate":
+        how = conversion.angular_rate(mapping, found.unit, where)
+    else:
+        how = conversion.temperature(mapping, found.unit, np.concatenate(looks)[:, 0], where)
+    return replace(signal, found=found, conversion=how, rate=rate, threshold=steps.threshold)
+
+
+def resolved_mapping(mapping: FieldMapping, signals: Sequence[Signal]) -> FieldMapping:
+    """What was read, as far as one mapping can say it (a dataset of K triads is named once)."""
+
+    def paths(quantity: str) -> tuple[str, ...]:
+        chosen = [s.found.parts[0].path for s in signals if s.found.quantity == quantity]
+        return tuple(dict.fromkeys(chosen))
+
+    def unit(quantity: str) -> str:
+        units = {s.conversion.source_unit for s in signals if s.found.quantity == quantity}
+        return units.pop() if len(units) == 1 else ""
+
+    if any(len(s.found.parts) > 1 or s.found.parts[0].column for s in signals):
+        return mapping
+    clocks = {s.found.time.path for s in signals if s.found.time}
+    return replace(
+        mapping,
+        acc=paths("acceleration"),
+        gyro=paths("angular_rate"),
+        temperature=paths("temperature"),
+        time=clocks.pop() if len(clocks) == 1 else mapping.time,
+        triads=tuple(dict.fromkeys(s.found.triad for s in signals)),
+        acc_unit=unit("acceleration"),
+        gyro_unit=unit("angular_rate"),
+        temperature_unit=unit("temperature"),
+        preset=mapping.preset or signals[0].found.preset,
+    )
+
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
@@ -82,9 +298,14 @@ def blocks_of(
     resolved = resolved_mapping(mapping, signals)
     marks = corrections_of(text_of(file.handle.attrs.get("corrections", "")).split("\n"))
     empty = Recording(
-        {}, str(path), "hdf5", sha256_of(path), start_ns, mapping=resolved.to_dict(),
+        {},
+        str(path),
+        "hdf5",
+        sha256_of(path),
+        start_ns,
+        mapping=resolved.to_dict(),
         corrections=marks,
-    )  # fmt: skip
+    )
     last: dict[str, float] = {}
     at = {s.name: 0 for s in signals}
     main = max(signals, key=lambda s: s.found.rows)
@@ -177,3 +398,68 @@ def _finite(values: NDArray[np.generic]) -> bool:
 def _converted(channel: Channel) -> Channel:
     assert channel.pending is not None
     return replace(channel, values=channel.pending.apply(channel.values), pending=None)
+
+
+def blocks_in_memory(
+    fill: Callable[[Any], None],
+    path: Path,
+    mapping: FieldMapping,
+    *,
+    block_samples: int,
+    strict: bool,
+    name: str,
+    notes: tuple[str, ...] = (),
+) -> Iterator[Recording]:
+    """Blocks of what `fill` puts into an HDF5 file that is nowhere but in memory.
+
+    name : of the format that the numbers came from; notes : what was lost there, for the first
+    block
+    """
+    import h5py
+
+    with h5py.File(f"{path.name}-in-memory", "w", driver="core", backing_store=False) as held:
+        fill(held)
+        file = File(held, str(path), strict)
+        for block in blocks_of(file, path, mapping, block_samples):
+            yield replace(block, format=name, notes=(*notes, *block.notes))
+            notes = ()
+
+
+def put_channel(held: Any, name: str, seconds: Array, values: Array, units: str) -> None:
+    """One channel, "imu0/acceleration", with its own clock in s and its stated unit."""
+    group = held.create_group(name)
+    group.create_dataset("time", data=seconds).attrs["units"] = "s"
+    group.create_dataset("values", data=values).attrs["units"] = units
+
+
+def table_columns(path: Path) -> dict[str, Array | list[str]]:
+    """Every column by name: a dataset (n,), a field of a compound one, x, y, z of one (n, 3).
+
+    Raises UnreadableInput for a damaged file and for columns of different length.
+    """
+    with opened(path, strict=True) as file:
+        nodes = list(datasets(file.handle, str(path)))
+        for node in nodes:
+            file.demand_whole(node)
+        found = dict(part for node in nodes for part in _columns(node))
+    if len({len(v) for v in found.values()}) > 1:
+        sizes = ", ".join(f"{name} {len(v)}" for name, v in found.items())
+        raise UnreadableInput(f"datasets of different length ({sizes})", where=str(path))
+    return found
+
+
+def _columns(node: Any) -> Iterator[tuple[str, Array | list[str]]]:
+    values = np.asarray(node[...])
+    if values.dtype.names:
+        for field in values.dtype.names:
+            yield field, _column(values[field])
+    elif values.ndim == 1 and values.dtype.kind in "iufSO":
+        yield node.name.rsplit("/", maxsplit=1)[-1], _column(values)
+    elif values.ndim == 2 and values.shape[1] == 3 and values.dtype.kind in "iuf":
+        yield from zip("xyz", values.T.astype(np.float64), strict=True)
+
+
+def _column(values: Any) -> Array | list[str]:
+    if values.dtype.kind in "iuf":
+        return np.asarray(values, np.float64)
+    return [text_of(value) for value in values]

@@ -1,7 +1,8 @@
-"""The clock of a topic: log_time is the recorder's, the stamp in the message the sensor's.
+"""The clock of a topic, and its samples in time order with their gaps.
 
-The sensor's is used unless it is absent, constant, or jumps; nothing is resampled. Where a driver
-reads a buffer and gives all of its samples one stamp, they are spread evenly up to the next stamp.
+log_time is the recorder's, the stamp in the message the sensor's. That is used unless it is absent,
+constant, or jumps; nothing is resampled. Where a buffer is read and all of its samples get one
+stamp, they are spread evenly up to the next stamp.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.arrays import Index
+from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput
-from imucalib.readers.messages.survey import ClockFacts, Stamps, Survey
-from imucalib.readers.timebase import stepping
+from imucalib.readers.messages.stream import ClockFacts, Stamps, Survey
+from imucalib.readers.timebase import SIDES, set_back, stepping
 from imucalib.recording.mapping import TIME_UNITS
+from imucalib.recording.recording import Gap
 
 TWO_PERIODS = 1.75  # a longer step lacks a sample, even where jitter makes it no gap
 SET_BACK = 1_000_000_000  # ns: a stamp further back is a clock that jumped
@@ -85,9 +87,14 @@ def spread(times: NDArray[np.int64], period: float) -> NDArray[np.int64]:
 
 
 def choose_clock(
-    survey: Survey, *, scalar: bool, time_unit: str, rate: float | None, apart: str = "",
+    survey: Survey,
+    *,
+    scalar: bool,
+    time_unit: str,
+    rate: float | None,
+    apart: str = "",
     where: str = "",
-) -> Clock:  # fmt: skip
+) -> Clock:
     """Decide between the stamp and log_time.
 
     scalar : the stamp is one number of unknown unit rather than seconds and nanoseconds
@@ -119,21 +126,25 @@ def choose_clock(
         notes.append(f"about {each:.3g} samples share a stamp, spread evenly up to the next{other}")
     period, longest = _period(times)
     if rate:
-        return Clock(
-            source="rate", factor=1, late=0, period=1e9 / rate, longest=np.inf,
-            first=int(log.first), notes=tuple(notes),
-        )  # fmt: skip
+        return Clock("rate", 1, 0, 1e9 / rate, np.inf, int(log.first), notes=tuple(notes))
     if facts.count > 1 and facts.low == facts.high:
         raise UnreadableInput(
             f"all {facts.count} samples have one time, by their stamps and by log_time",
-            where=where, remedy="give the sampling rate with --rate",
-        )  # fmt: skip
+            where=where,
+            remedy="give the sampling rate with --rate",
+        )
     notes += _counted(survey, facts, factor, times, period, batched=batched)
     late, first = int(np.ceil(facts.late * factor)), int(to_ns(np.array([facts.low]), factor)[0])
     return Clock(
-        source=chosen, factor=factor, late=late, period=period, longest=longest, first=first,
-        notes=tuple(notes), batched=batched,
-    )  # fmt: skip
+        source=chosen,
+        factor=factor,
+        late=late,
+        period=period,
+        longest=longest,
+        first=first,
+        notes=tuple(notes),
+        batched=batched,
+    )
 
 
 def _useless(stamp: ClockFacts, log: ClockFacts, factor: int) -> str:
@@ -178,9 +189,14 @@ def _period(times: NDArray[np.int64]) -> tuple[float, float]:
 
 
 def _counted(
-    survey: Survey, facts: ClockFacts, factor: int, times: NDArray[np.int64], period: float,
-    *, batched: bool,
-) -> list[str]:  # fmt: skip
+    survey: Survey,
+    facts: ClockFacts,
+    factor: int,
+    times: NDArray[np.int64],
+    period: float,
+    *,
+    batched: bool,
+) -> list[str]:
     notes = []
     if facts.count > 1:
         own = _pace(facts, factor)
@@ -201,3 +217,114 @@ def _counted(
 def _pace(facts: ClockFacts, factor: int) -> float:
     span = float(facts.high - facts.low) * factor * 1e-9
     return (facts.count - 1) / span if span > 0 else 0.0
+
+
+_MOST_PARTS = 100
+
+
+@dataclass
+class Timeline:
+    """Turns the samples of a topic, in file order, into samples in time order with gaps."""
+
+    clock: Clock
+    start_ns: int
+    label: str
+    missing: int = 0
+    _row: int = 0
+    _sent: int = 0
+    _last: int | None = None
+    _tail: NDArray[np.int64] | None = None
+    _held: tuple[NDArray[np.int64], list[Array]] | None = None
+
+    def push(
+        self, stamps: Stamps | None, log: Stamps, columns: list[Array], marks: list[int]
+    ) -> tuple[Array, list[Array], list[Gap]]:
+        """Times (s), values and gaps that are final after these samples.
+
+        marks : row numbers before which a part of the file is damaged
+        """
+        ns = self.clock.ns(stamps, log, self._row)
+        self._row += log.size
+        if self.clock.batched and ns.size:
+            return self._finished(*self._spread(ns, columns), marks)
+        if not self.clock.late or not ns.size:
+            return self._finished(ns, columns, marks)
+        done, first = list[tuple[Array, list[Array], list[Gap]]](), 0
+        for row in [*self._set_back(ns), ns.size]:
+            part = self._ordered(ns[first:row], [c[first:row] for c in columns])
+            done.append(self._finished(*part, marks))
+            rest = self.flush(marks) if row < ns.size else None
+            done += [rest] if rest else []
+            first = row
+        t = np.concatenate([d[0] for d in done])
+        joined = [np.concatenate(c) for c in zip(*(d[1] for d in done), strict=True)]
+        return t, joined, [g for d in done for g in d[2]]
+
+    def _set_back(self, ns: NDArray[np.int64]) -> list[int]:
+        """Rows where the clock was set back; a message that comes late sets no clock."""
+        before = self._tail if self._tail is not None else ns[:0]
+        rows = set_back(ns, before, SET_BACK)
+        start = rows[-1] if rows else 0
+        self._tail = (ns[start:] if rows else np.concatenate([before, ns]))[-SIDES:]
+        return rows if len(rows) <= _MOST_PARTS else []
+
+    def flush(self, marks: list[int]) -> tuple[Array, list[Array], list[Gap]] | None:
+        """The samples that were held back for their order, or for the next stamp."""
+        held, self._held = self._held, None
+        if held and self.clock.batched:
+            held = spread(held[0], self.clock.period), held[1]
+        return self._finished(*held, marks) if held else None
+
+    def _spread(
+        self, ns: NDArray[np.int64], columns: list[Array]
+    ) -> tuple[NDArray[np.int64], list[Array]]:
+        """Batches of one stamp, spread; the last waits for the stamp after it."""
+        if self._held:
+            ns = np.concatenate([self._held[0], ns])
+            columns = [np.concatenate(p) for p in zip(self._held[1], columns, strict=True)]
+        cut = int(batches(ns)[-1])
+        self._held = (ns[cut:], [c[cut:] for c in columns])
+        return spread(ns, self.clock.period)[:cut], [c[:cut] for c in columns]
+
+    def _ordered(
+        self, ns: NDArray[np.int64], columns: list[Array]
+    ) -> tuple[NDArray[np.int64], list[Array]]:
+        if self._held:
+            ns = np.concatenate([self._held[0], ns])
+            columns = [np.concatenate(p) for p in zip(self._held[1], columns, strict=True)]
+        order = np.argsort(ns, kind="stable")
+        ns, columns = ns[order], [c[order] for c in columns]
+        cut = int(np.searchsorted(ns, ns[-1] - self.clock.late, side="right"))
+        self._held = (ns[cut:], [c[cut:] for c in columns])
+        return ns[:cut], [c[:cut] for c in columns]
+
+    def _finished(
+        self, ns: NDArray[np.int64], columns: list[Array], marks: list[int]
+    ) -> tuple[Array, list[Array], list[Gap]]:
+        gaps: list[Gap] = []
+        if ns.size:
+            gaps = self._gaps(ns, marks)
+            self._sent += ns.size
+            self._last = int(ns[-1])
+        t = (ns - self.start_ns).astype(np.float64)
+        t *= 1e-9
+        return t, columns, gaps
+
+    def _gaps(self, ns: NDArray[np.int64], marks: list[int]) -> list[Gap]:
+        steps = np.diff(ns, prepend=ns[0] if self._last is None else self._last)
+        period = self.clock.period
+        far = steps > TWO_PERIODS * period if period else np.zeros(ns.size, dtype=np.bool_)
+        broken = np.zeros(ns.size, dtype=np.bool_)
+        inside = [m - self._sent for m in marks if self._sent <= m < self._sent + ns.size]
+        broken[inside] = True
+        long = steps > self.clock.longest
+        self.missing += int(np.rint(steps[far & ~long] / period - 1).sum()) if far.any() else 0
+        gaps = []
+        back = steps < -SET_BACK
+        for i in np.flatnonzero((far & broken) | long | back).tolist():
+            stop = int(ns[i])
+            reason = "a damaged part of the file" if broken[i] else "no samples"
+            reason = "time steps back" if back[i] else reason
+            edges = [(t - self.start_ns) * 1e-9 for t in (stop - int(steps[i]), stop)]
+            gaps.append(Gap(edges[0], edges[1], f"{self.label}: {reason}"))
+        return gaps

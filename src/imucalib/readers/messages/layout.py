@@ -1,20 +1,160 @@
-"""ROS message definitions compiled to byte offsets, so that whole blocks decode as arrays.
+"""ROS message definitions, and their layouts: byte offsets at which whole blocks decode as arrays.
 
 The offsets of a message depend on its contents only through the lengths of its strings and
 sequences. `compile_layout` walks one message, notes those lengths as guards, and its layout then
 holds for every message with the same length fields and size.
 
-Sources: OMG DDS-XTypes 1.3, section 7.4 (CDR versions 1 and 2); DDSI-RTPS 2.5, table 10.3
-(encapsulation identifiers); the ROS 1 wiki page "msg".
+Sources: the ROS 1 wiki page "msg"; the ROS 2 interface definition; OMG DDS-XTypes 1.3, section 7.4
+(CDR versions 1 and 2); DDSI-RTPS 2.5, table 10.3 (encapsulation identifiers).
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
-from imucalib.readers.messages.definition import PRIMITIVES, Definition, LayoutError, Member
+PRIMITIVES = {
+    word: value
+    for value, words in {
+        "u1": "bool byte char octet boolean uint8",
+        "i1": "int8",
+        "i2": "int16",
+        "u2": "uint16",
+        "i4": "int32",
+        "u4": "uint32",
+        "i8": "int64",
+        "u8": "uint64",
+        "f4": "float32",
+        "f8": "float64",
+    }.items()
+    for word in words.split()
+}
+_FIELD = re.compile(r"^(\S+)\s+(\w+)\s*(=?)")
+_TYPE = re.compile(r"^([\w/]+)(?:<=\d+)?(\[(?:<=)?\d*\])?$")
+_VECTOR = "float64 x\nfloat64 y\nfloat64 z"
+#: sensor_msgs/Imu, for a file that names the type without defining it in ROS's own syntax.
+_NEXT = "=" * 80  # between types; readers of others look for exactly this
+_IMU = f"""std_msgs/Header header
+geometry_msgs/Quaternion orientation
+float64[9] orientation_covariance
+geometry_msgs/Vector3 angular_velocity
+float64[9] angular_velocity_covariance
+geometry_msgs/Vector3 linear_acceleration
+float64[9] linear_acceleration_covariance
+{_NEXT}
+MSG: geometry_msgs/Quaternion
+{_VECTOR}
+float64 w
+{_NEXT}
+MSG: geometry_msgs/Vector3
+{_VECTOR}
+{_NEXT}
+MSG: std_msgs/Header
+"""
+IMU_ROS2 = _IMU + "builtin_interfaces/Time stamp\nstring frame_id\n"
+TEMPERATURE_ROS2 = (
+    "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n"
+    + IMU_ROS2[IMU_ROS2.rindex(_NEXT) :]
+)
+#: geometry_msgs/AccelWithCovarianceStamped, the covariance 6 x 6 in rows, linear before angular.
+ACCEL_ROS2 = f"""std_msgs/Header header
+geometry_msgs/AccelWithCovariance accel
+{_NEXT}
+MSG: geometry_msgs/AccelWithCovariance
+geometry_msgs/Accel accel
+float64[36] covariance
+{_NEXT}
+MSG: geometry_msgs/Accel
+geometry_msgs/Vector3 linear
+geometry_msgs/Vector3 angular
+{_NEXT}
+MSG: geometry_msgs/Vector3
+{_VECTOR}
+""" + IMU_ROS2[IMU_ROS2.rindex(_NEXT) :]
+IMU_ROS1 = _IMU + "uint32 seq\ntime stamp\nstring frame_id\n"
+
+
+class LayoutError(ValueError):
+    """The message does not match its definition, or uses a part of it that is not supported."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """One field of a definition; `count` is -1 for a scalar, 0 for a sequence, N for N[...]."""
+
+    name: str
+    type: str
+    count: int = -1
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A message type with every type that it uses, by full name ("pkg/Type")."""
+
+    root: str
+    types: dict[str, tuple[Member, ...]]
+    ros1: bool
+
+
+def parse_definition(name: str, text: str, ros1: bool) -> Definition:
+    """Parse a concatenated ROS definition; raises LayoutError for a syntax that it is not."""
+    root = _full(name, "")
+    types: dict[str, tuple[Member, ...]] = {}
+    stamp = (Member("sec", "int32"), Member("nanosec", "uint32"))
+    if not ros1:
+        types["builtin_interfaces/Time"] = types["builtin_interfaces/Duration"] = stamp
+    current = root
+    members: list[Member] = []
+    for raw in text.splitlines():
+        line = raw.split("#", 1)[0].strip()
+        if line.startswith("==="):
+            types.setdefault(current, tuple(members))
+            current, members = "", []
+        elif line.startswith("MSG:"):
+            current, members = _full(line[4:].strip(), ""), []
+        elif line:
+            members += _member(line, current)
+    types.setdefault(current, tuple(members))
+    return Definition(root, types, ros1)
+
+
+def _member(line: str, owner: str) -> list[Member]:
+    match = _FIELD.match(line)
+    if not match:
+        raise LayoutError(f"the definition line '{line[:60]}' is not understood")
+    spelled, name, constant = match.groups()
+    kind = _TYPE.match(spelled)
+    if constant or kind is None:
+        if constant:
+            return []
+        raise LayoutError(f"the type '{spelled[:60]}' is not understood")
+    base, array = kind.groups()
+    count = -1 if array is None else int(array[1:-1]) if array[1:-1].isdigit() else 0
+    known = base in PRIMITIVES or base in ("string", "wstring", "time", "duration")
+    return [Member(name, base if known else _full(base, owner), count)]
+
+
+def _full(name: str, owner: str) -> str:
+    parts = [p for p in name.split("/") if p != "msg"]
+    if len(parts) == 1:
+        package = "std_msgs" if parts[0] == "Header" else owner.rpartition("/")[0]
+        parts = [package, parts[0]] if package else parts
+    return "/".join(parts)
+
+
+@cache
+def definition_of(name: str, encoding: str, text: str) -> Definition:
+    """The definition in a schema record; sensor_msgs/Imu is also known without one."""
+    ros1 = encoding == "ros1msg"
+    if encoding in ("ros1msg", "ros2msg") and text.strip():
+        return parse_definition(name, text, ros1)
+    if _full(name, "") == "sensor_msgs/Imu":
+        return parse_definition(name, IMU_ROS1 if ros1 else IMU_ROS2, ros1)
+    raise LayoutError(f"its schema is '{encoding}', and {name} is not known without ros2msg text")
+
 
 #: Structures in a message, and how deep: beyond it a message is no sensor reading. Also what ends
 #: a type that contains itself.
@@ -166,8 +306,13 @@ class _Walk:
 
 #: encapsulation identifier -> (byte order, largest alignment)
 _ENCAPSULATIONS = {
-    0x00: (">", 8), 0x01: ("<", 8), 0x06: (">", 4), 0x07: ("<", 4), 0x10: (">", 4), 0x11: ("<", 4),
-}  # fmt: skip
+    0x00: (">", 8),
+    0x01: ("<", 8),
+    0x06: (">", 4),
+    0x07: ("<", 4),
+    0x10: (">", 4),
+    0x11: ("<", 4),
+}
 
 
 def compile_layout(definition: Definition, data: bytes) -> Layout:

@@ -1,4 +1,4 @@
-"""MCAP records: the bytes of one record to typed values, and the messages of a block to arrays.
+"""Logs of messages, whatever file they are in: records of topics and messages, MCAP's summary.
 
 Source: MCAP format specification, version 0 (https://mcap.dev/spec).
 """
@@ -6,13 +6,16 @@ Source: MCAP format specification, version 0 (https://mcap.dev/spec).
 from __future__ import annotations
 
 import struct
+import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from pathlib import Path
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.recording.correction import Correction, corrections_of
+from imucalib.recording.recording import Correction, corrections_of
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
@@ -156,9 +159,14 @@ def parse_chunk_head(content: bytes) -> ChunkHead | None:
     (inner,) = _U64.unpack_from(content, 32 + name_length)
     text = name.decode("ascii", "replace")
     return ChunkHead(
-        first_ns=first, last_ns=last, uncompressed_size=size, uncompressed_crc=crc,
-        compression=text, body=40 + name_length, size=inner,
-    )  # fmt: skip
+        first_ns=first,
+        last_ns=last,
+        uncompressed_size=size,
+        uncompressed_crc=crc,
+        compression=text,
+        body=40 + name_length,
+        size=inner,
+    )
 
 
 def text_at(content: bytes, at: int) -> tuple[str, int]:
@@ -229,3 +237,92 @@ def message_block(data: bytes, starts: NDArray[np.int64], offset: int) -> Messag
     """The messages whose records start at `starts` in `data`."""
     lengths = _rows(data)["length"][starts].astype(np.int64) - MESSAGE_HEADER_SIZE
     return MessageBlock(data, starts + 31, lengths, offset)
+
+
+class Summary(NamedTuple):
+    """Channels by number, and message counts by channel number."""
+
+    topics: dict[int, Topic]
+    counts: dict[int, int]
+
+
+def read_summary(path: Path) -> Summary:
+    """The summary; empty when it is absent, cut or damaged."""
+    with open(path, "rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - 37, 0))
+        tail = file.read()
+        if len(tail) < 37 or tail[0] != FOOTER or tail[-8:] != MAGIC:
+            return Summary({}, {})
+        summary = int.from_bytes(tail[9:17], "little")
+        if not len(MAGIC) <= summary < size:
+            return Summary({}, {})
+        file.seek(summary)
+        data = file.read(size - 37 - summary)
+    expected = int.from_bytes(tail[25:29], "little")
+    if expected and zlib.crc32(data + tail[:25]) != expected:
+        return Summary({}, {})
+    return _parsed(data)
+
+
+def _parsed(data: bytes) -> Summary:
+    schemas: dict[int, Schema] = {}
+    topics: dict[int, Topic] = {}
+    counts: dict[int, int] = {}
+    at = 0
+    try:
+        while at + 9 <= len(data):
+            opcode, length = RECORD_HEADER.unpack_from(data, at)
+            content = data[at + 9 : at + 9 + length]
+            if opcode == SCHEMA:
+                schema = parse_schema(content)
+                schemas[schema.id] = schema
+            elif opcode == CHANNEL:
+                topic = parse_channel(content, schemas)
+                topics[topic.id] = topic
+            elif opcode == STATISTICS:
+                pairs = content[46 : 46 + len(content[46:]) // 10 * 10]
+                counts = dict(struct.iter_unpack("<HQ", pairs))
+            at += 9 + length
+    except MalformedRecordError:
+        return Summary({}, {})
+    return Summary(topics, counts)
+
+
+class Scan(Protocol):
+    """One pass over a log: `topics` (by channel number), `damages` and `corrections` fill
+    meanwhile."""
+
+    topics: dict[int, Topic]
+    damages: list[Damage]
+    corrections: tuple[Correction, ...]
+
+    def blocks(self) -> Iterator[MessageBlock]:
+        """The messages in file order, some thousand at a time."""
+        ...
+
+
+class MessageLog(Protocol):
+    """A file, or a folder of files, that holds messages."""
+
+    @property
+    def format(self) -> str:
+        """Name of the reader, stored in `Recording.format`."""
+        ...
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+        ...
+
+    def scan(self, *, strict: bool) -> Scan:
+        """Begin a pass; with `strict` the first damage raises UnreadableInput."""
+        ...
+
+    def summary(self) -> Summary:
+        """Topics and counts that are known without a pass; nothing depends on them."""
+        ...
+
+    def sha256(self) -> str:
+        """SHA-256 of the content as lower-case hex."""
+        ...

@@ -1,21 +1,206 @@
-"""Which topics and fields are read, and which triad each of them belongs to."""
+"""Which topics and fields are read, and which triad each of them belongs to.
+
+There is no common IMU schema outside ROS, so the names decide which fields are acceleration,
+angular rate and time; a `FieldMapping` overrides them. Where nothing is found, `contents_of` lists
+the log.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from imucalib.arrays import Array
 from imucalib.errors import UsageError
-from imucalib.readers.messages import fields as mf
-from imucalib.readers.messages.fields import Field, Leaves, TopicFields
-from imucalib.readers.messages.records import Topic
+from imucalib.readers.columns import Content, norm_of
+from imucalib.readers.messages.decode import Decoder, decoder_for
+from imucalib.readers.messages.layout import Groups, LayoutError
+from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import distinct_names
 
+Leaves = dict[str, int]
+
+_ACC = tuple(
+    str.split(
+        """
+        linearacceleration acceleration accelerometerms2 accelerometer specificforce linearacc
+        accel acc a
+        """
+    )
+)
+_GYRO = tuple(str.split("angularvelocity angularrate gyrorad gyroscope gyro gyr rotationrate w g"))
+_STAMPS = tuple(
+    str.split("stamp timestamp timestampns timestampus timestampms timens timeus time t")
+)
+_SECONDS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
+#: Channel metadata of the files that this package writes: what a ROS message cannot say.
+META_TRIAD, META_QUANTITIES = "imucal.triad", "imucal.quantities"
+META_ACC_UNIT, META_GYRO_UNIT = "imucal.acc_unit", "imucal.gyro_unit"
+META_ORIGIN, META_DATED = "imucal.origin_ns", "imucal.dated"
+
+_AXES = (("x", "y", "z"), ("0", "1", "2"))
+#: Names that state their unit themselves (PX4's SensorCombined).
+_UNITS_OF_NAMES = {"accelerometerms2": "m/s2", "gyrorad": "rad/s"}
+
+
+@dataclass(frozen=True)
+class Field:
+    """A quantity in a topic's messages.
+
+    quantity : "acc", "gyro" or "temperature", as in FieldMapping
+    address : its place as the mapping writes it; leaves : the numbers that make it
+    unit : what the message type states, "" when it does not
+    found : whether the names decided, rather than the user
+    """
+
+    quantity: str
+    address: str
+    leaves: tuple[str, ...]
+    unit: str = ""
+    found: bool = True
+
+
+@dataclass(frozen=True)
+class TopicFields:
+    """What is read from one topic.
+
+    time : address of its stamp, "" for none
+    frame : the frame_id of its first message, "" for none
+    triad, origin_ns, dated : as this package's own files state them, else "" and None
+    """
+
+    fields: tuple[Field, ...]
+    time: str = ""
+    time_leaves: tuple[str, ...] = ()
+    frame: str = ""
+    triad: str = ""
+    origin_ns: int | None = None
+    dated: bool = True
+
+    @property
+    def groups(self) -> Groups:
+        """The leaves of every field, and of the stamp as the last group when there is one."""
+        last = (self.time_leaves,) if self.time_leaves else ()
+        return tuple(f.leaves for f in self.fields) + last
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """How many numbers each group has."""
+        last = (len(self.time_leaves),) if self.time_leaves else ()
+        return tuple(1 if f.quantity == "temperature" else 3 for f in self.fields) + last
+
+
+def is_imu(topic: Topic) -> bool:
+    """Whether the topic's type is sensor_msgs/Imu, in any of its spellings, or this package's."""
+    own = META_TRIAD in dict(topic.metadata)
+    return own or bool(re.fullmatch(r"sensor_msgs[/.](msg[/.])?Imu", topic.type_name))
+
+
+def vector(leaves: Leaves, address: str) -> tuple[str, ...]:
+    """Leaves of the 3-vector at an address; "acc_*" stands for acc_x, acc_y, acc_z."""
+    if "*" in address:
+        paths = tuple(address.replace("*", axis) for axis in "xyz")
+        return paths if all(leaves.get(p) == 1 for p in paths) else ()
+    if leaves.get(address) == 3:
+        return (address,)
+    for axes in _AXES:
+        paths = tuple(f"{address}.{axis}" for axis in axes)
+        more = f"{address}.w", f"{address}.3"  # a quaternion, or a longer list
+        if all(leaves.get(p) == 1 for p in paths) and not any(p in leaves for p in more):
+            return paths
+    return ()
+
+
+def vectors_of(leaves: Leaves) -> dict[str, tuple[str, ...]]:
+    """Address of every 3-vector, with its leaves."""
+    stars = [a for a in _stars(leaves) if a.replace("*", "w") not in leaves]  # no quaternion
+    addresses = (*_nodes(leaves), *stars)
+    named = {found: a for a in reversed(addresses) if (found := vector(leaves, a))}
+    return {a: found for found, a in reversed(named.items())}
+
+
+def instant(leaves: Leaves, address: str) -> tuple[str, ...]:
+    """Leaves of the time at an address: one number, or seconds and nanoseconds."""
+    if leaves.get(address) == 1:
+        return (address,)
+    for names in _SECONDS:
+        paths = tuple(f"{address}.{name}" for name in names)
+        if all(leaves.get(p) == 1 for p in paths):
+            return paths
+    return ()
+
+
+def scalar(leaves: Leaves, address: str) -> tuple[str, ...]:
+    """The leaf of a single number."""
+    return (address,) if leaves.get(address) == 1 else ()
+
+
+def find_acc(leaves: Leaves) -> str:
+    """Address of the acceleration, or ""."""
+    return _find(leaves, _ACC)
+
+
+def find_gyro(leaves: Leaves) -> str:
+    """Address of the angular rate, or ""."""
+    return _find(leaves, _GYRO)
+
+
+def find_time(leaves: Leaves) -> str:
+    """Address of the sensor's own time stamp, or ""."""
+    best: list[tuple[int, int, str]] = []
+    for path in _nodes(leaves):
+        name = _plain(path.rpartition(".")[2])
+        if name in _STAMPS and instant(leaves, path):
+            best.append((path.count(".") if name != "stamp" else -1, _STAMPS.index(name), path))
+    return min(best)[2] if best else ""
+
+
+def stated_unit(topic: Topic, address: str, imu_unit: str) -> str:
+    """The unit that the message type or the field's own name states, or ""."""
+    own = {"m/s2": META_ACC_UNIT, "rad/s": META_GYRO_UNIT}.get(imu_unit, "")
+    if own in dict(topic.metadata):
+        return dict(topic.metadata)[own]
+    if is_imu(topic):
+        return imu_unit
+    return _UNITS_OF_NAMES.get(_plain(address.rpartition(".")[2]), "")
+
+
+def _find(leaves: Leaves, names: tuple[str, ...]) -> str:
+    best: list[tuple[int, int, str]] = []
+    for path in (*_nodes(leaves), *_stars(leaves)):
+        name = _plain(path.rpartition(".")[2].replace("*", ""))
+        # One letter means something only beside an axis letter ("ax", "g_x").
+        usable = name in names and (len(name) > 1 or "*" in path)
+        if usable and vector(leaves, path):
+            best.append((names.index(name), path.count("."), path))
+    return min(best)[2] if best else ""
+
+
+def _nodes(leaves: Leaves) -> list[str]:
+    nodes: dict[str, None] = {}
+    for path in leaves:
+        parts = path.split(".")
+        nodes.update(dict.fromkeys(".".join(parts[: i + 1]) for i in range(len(parts))))
+    return list(nodes)
+
+
+def _stars(leaves: Leaves) -> list[str]:
+    return [f"{path[:-1]}*" for path in leaves if len(path) > 1 and path[-1] in "x"]
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
 QUANTITIES = ("acc", "gyro", "temperature")
 _UNITS = {"acc": "m/s2", "gyro": "rad/s", "temperature": ""}
-_FINDERS = {"acc": mf.find_acc, "gyro": mf.find_gyro}
+_FINDERS = {"acc": find_acc, "gyro": find_gyro}
 _CLOCKS = ("log_time", "publish_time")
 _SENSOR_WORDS = re.compile(r"accelerometer|accel|acc|gyroscope|gyro|gyr", re.IGNORECASE)
 
@@ -40,7 +225,7 @@ def fields_of(topic: Topic, leaves: Leaves, mapping: FieldMapping) -> TopicField
     stated = [f for q in QUANTITIES for f in _stated(topic, leaves, mapping, q)]
     if not stated and _any_stated(mapping):
         return None
-    own = dict(topic.metadata).get(mf.META_QUANTITIES, "").split()
+    own = dict(topic.metadata).get(META_QUANTITIES, "").split()
     if own and not stated:
         mine = [replace(f, found=False) for q in own for f in _found(topic, leaves, q)]
         return _timed(topic, leaves, mapping, tuple(mine)) if mine else None
@@ -74,7 +259,7 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
         if path is None:
             continue
         address = path or (_FINDERS[quantity](leaves) if quantity in _FINDERS else "")
-        resolve = mf.scalar if quantity == "temperature" else mf.vector
+        resolve = scalar if quantity == "temperature" else vector
         found = resolve(leaves, address) if address else ()
         if not found:
             raise UsageError(
@@ -83,41 +268,41 @@ def _stated(topic: Topic, leaves: Leaves, mapping: FieldMapping, quantity: str) 
                 where=f"mapping: {quantity}",
                 remedy=f"its fields: {', '.join(list(leaves)[:40])}",
             )
-        unit = mf.stated_unit(topic, address, _UNITS[quantity])
+        unit = stated_unit(topic, address, _UNITS[quantity])
         fields.append(Field(quantity, address, found, unit, found=False))
     return fields
 
 
 def _found(topic: Topic, leaves: Leaves, quantity: str) -> list[Field]:
     if quantity == "temperature":  # asked for only where a file of this package has it
-        found = mf.scalar(leaves, quantity)
+        found = scalar(leaves, quantity)
         return [Field(quantity, quantity, found, "degC")] if found else []
     address = _FINDERS[quantity](leaves) if quantity in _FINDERS else ""
     if not address:
         return []
-    unit = mf.stated_unit(topic, address, _UNITS[quantity])
-    return [Field(quantity, address, mf.vector(leaves, address), unit)]
+    unit = stated_unit(topic, address, _UNITS[quantity])
+    return [Field(quantity, address, vector(leaves, address), unit)]
 
 
 def _timed(
     topic: Topic, leaves: Leaves, mapping: FieldMapping, fields: tuple[Field, ...]
 ) -> TopicFields:
     own = dict(topic.metadata)
-    origin = own.get(mf.META_ORIGIN, "")
+    origin = own.get(META_ORIGIN, "")
     whole = TopicFields(
         fields,
-        triad=own.get(mf.META_TRIAD, ""),
+        triad=own.get(META_TRIAD, ""),
         origin_ns=int(origin) if re.fullmatch(r"-?\d{1,19}", origin) else None,
-        dated=own.get(mf.META_DATED) != "no",
+        dated=own.get(META_DATED) != "no",
     )
     if mapping.time in _CLOCKS:
         return replace(whole, time=mapping.time)
     if not mapping.time:
-        address = mf.find_time(leaves)
-        stamps = mf.instant(leaves, address) if address else ()
+        address = find_time(leaves)
+        stamps = instant(leaves, address) if address else ()
         return replace(whole, time=address, time_leaves=stamps)
     path = split_address(mapping.time, topic) or mapping.time
-    stamps = mf.instant(leaves, path)
+    stamps = instant(leaves, path)
     if not stamps:
         known = ", ".join(list(leaves)[:40])
         raise UsageError(
@@ -254,3 +439,75 @@ def resolved(
         acc_unit=mapping.acc_unit or units[0],
         gyro_unit=mapping.gyro_unit or units[1],
     )
+
+
+_SAMPLED = 2000  # messages of a topic that its norms are taken from, a stretch of each block
+_STRETCH = 50
+
+
+@dataclass
+class _Seen:
+    topic: Topic
+    count: int = 0
+    first: int = 0
+    last: int = 0
+    sampled: int = 0
+    why: str = ""
+    vectors: dict[str, tuple[str, ...]] | None = None
+    values: dict[str, list[Array]] = field(default_factory=dict)
+    decoder: Decoder | None = None
+
+    def add(self, block: MessageBlock) -> None:
+        """Consecutive messages of this topic."""
+        times = block.header("log_time").astype(np.int64)
+        self.first = min(self.first, int(times.min())) if self.count else int(times.min())
+        self.last = max(self.last, int(times.max()))
+        self.count += times.size
+        if self.sampled >= _SAMPLED or self.why:
+            return
+        part = block.take(np.arange(min(_STRETCH, times.size)))
+        try:
+            self._sample(part)
+        except (LayoutError, UsageError) as error:  # the latter: a package is missing
+            self.why = str(error)
+        self.sampled += part.starts.size
+
+    def _sample(self, part: MessageBlock) -> None:
+        if self.decoder is None or self.vectors is None:
+            self.decoder = decoder_for(self.topic)
+            self.vectors = vectors_of(self.decoder.leaves(part.payloads()[0]))
+        if not self.vectors:
+            return
+        groups = tuple(self.vectors.values())
+        decoded = self.decoder.decode(part, groups, (3,) * len(groups))
+        for address, column in zip(self.vectors, decoded.columns, strict=True):
+            values = column[decoded.good].astype(np.float64)
+            self.values.setdefault(address, []).append(values)
+
+    def contents(self) -> list[Content]:
+        """The topic, and below it its vectors."""
+        name, span = self.topic.name, (self.last - self.first) * 1e-9
+        rate = (self.count - 1) / span if self.count > 1 and span > 0 else math.nan
+        kind = f"{self.topic.type_name} ({self.topic.encoding or 'no encoding'})"
+        own = [Content(name, kind, self.count, rate, why=self.why)]
+        for address, pieces in self.values.items():
+            norm = norm_of(np.concatenate(pieces))
+            own.append(Content(f"{name}:{address}", "3 numbers", 0, norm=norm))
+        return own
+
+
+def contents_of(log: MessageLog) -> tuple[Content, ...]:
+    """Every topic of a log in natural order, after one pass over it."""
+    scan, hints = log.scan(strict=False), log.summary().topics
+    seen: dict[int, _Seen] = {}
+    for block in scan.blocks():
+        channels: NDArray[np.int64] = block.header("channel").astype(np.int64)
+        for number in np.flatnonzero(np.bincount(channels)).tolist():
+            topic = scan.topics.get(number) or hints.get(number)
+            if topic is None:
+                continue
+            seen.setdefault(number, _Seen(topic)).add(block.take(channels == number))
+    for number, topic in {**hints, **scan.topics}.items():
+        seen.setdefault(number, _Seen(topic))
+    ordered = sorted(seen.values(), key=lambda s: natural(s.topic.name))
+    return tuple(content for one in ordered for content in one.contents())

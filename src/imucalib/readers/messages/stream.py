@@ -1,24 +1,302 @@
-"""One pass over a log that turns the wanted topics' messages into columns."""
+"""One pass over a log: the wanted topics' messages as columns, and what is kept of each topic.
+
+Always kept is a topic's survey, the facts that are known only at its end; its samples on demand.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imucalib.arrays import Array
 from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers.messages.decode import Decoder, decoder_for
-from imucalib.readers.messages.definition import LayoutError
-from imucalib.readers.messages.fields import TopicFields, is_imu
-from imucalib.readers.messages.lanes import DecodedRows, Lane, Samples, Source, joined_stamps
-from imucalib.readers.messages.log import MessageLog
-from imucalib.readers.messages.records import MessageBlock, Topic
-from imucalib.readers.messages.select import fields_of, split_address
+from imucalib.readers.messages.layout import Groups, LayoutError
+from imucalib.readers.messages.records import MessageBlock, MessageLog, Topic
+from imucalib.readers.messages.select import TopicFields, fields_of, is_imu, split_address
 from imucalib.recording.mapping import FieldMapping
+
+
+class Samples(NamedTuple):
+    """Consecutive samples of one topic, in file order.
+
+    stamps : (n,) in the message's own unit, or None; log : (n,) int64 ns; columns : (n, k) each
+    """
+
+    topic: str
+    stamps: NDArray[Any] | None
+    log: NDArray[np.int64]
+    columns: list[NDArray[Any]]
+
+
+@dataclass
+class Source:
+    """A topic that is read; `rows` samples so far, `marks` the rows before which damage lies."""
+
+    name: str
+    fields: TopicFields
+    imu: bool
+    rows: int = 0
+    bad: int = 0
+    problem: str = ""
+    marks: list[int] = field(default_factory=list)
+
+
+class DecodedRows(NamedTuple):
+    """Decoded messages of several topics, in file order."""
+
+    channels: NDArray[np.int64]
+    log: NDArray[np.int64]
+    stamps: NDArray[Any] | None
+    columns: list[NDArray[Any]]
+
+
+@dataclass
+class Lane:
+    """Topics that decode together: one decoder, the same groups; and what waits for division."""
+
+    decoder: Decoder
+    groups: Groups
+    widths: tuple[int, ...]
+    timed: bool
+    waiting: list[DecodedRows] = field(default_factory=list)
+    rows: int = 0
+
+
+def joined_stamps(stamps: NDArray[Any]) -> NDArray[Any]:
+    """(n,) stamps: seconds and nanoseconds as int64 ns, a single number as it is."""
+    if stamps.shape[1] == 2:
+        pair = stamps.astype(np.int64)
+        total: NDArray[np.int64] = pair[:, 0] * 1_000_000_000 + pair[:, 1]
+        return total
+    only = stamps[:, 0]
+    return only.astype(np.float64 if only.dtype.kind == "f" else np.int64)
+
+
+_PIECE = 4096  # rows of one stretch that is kept to judge the norm at rest
+_LARGEST_SLAB = 1 << 20  # rows
+_HEAD = 1 << 15  # rows that the sampling period is taken from
+
+
+Stamps = NDArray[Any]  # int64 or float64, as the file has it
+
+
+class Growing:
+    """Rows appended in slabs, which become one array at the end: nothing is copied meanwhile."""
+
+    def __init__(self, width: int | None, dtype: type, expected: int = 0) -> None:
+        self._expected = expected
+        self._shape = () if width is None else (width,)
+        self._dtype = dtype
+        self._slabs: list[NDArray[Any]] = []
+        self._used = 0  # rows in the last slab
+        self.size = 0
+
+    def append(self, rows: NDArray[Any]) -> None:
+        """Copy rows (n,) or (n, width) to the end."""
+        while rows.shape[0]:
+            if not self._slabs or self._used == self._slabs[-1].shape[0]:
+                self._start(rows.shape[0])
+            count = min(rows.shape[0], self._slabs[-1].shape[0] - self._used)
+            self._slabs[-1][self._used : self._used + count] = rows[:count]
+            self._used += count
+            self.size += count
+            rows = rows[count:]
+
+    def taken(self) -> NDArray[Any]:
+        """All rows as one array, and the slabs given up; appending starts anew."""
+        if self._slabs:
+            self._slabs[-1] = self._slabs[-1][: self._used]
+        else:
+            self._start(0)
+        whole = self._slabs[0] if len(self._slabs) == 1 else np.concatenate(self._slabs)
+        self._slabs, self._used, self.size = [], 0, 0
+        return whole
+
+    def _start(self, rows: int) -> None:
+        # Memory that is not written yet costs nothing, so a slab may be generous.
+        first = self._expected if not self._slabs else 0
+        rows = max(rows, first, min(self.size, _LARGEST_SLAB), _PIECE if rows else 0)
+        self._slabs.append(np.empty((rows, *self._shape), dtype=self._dtype))
+        self._used = 0
+
+
+@dataclass
+class ClockFacts:
+    """What a clock did over all samples, in its own unit."""
+
+    count: int = 0
+    first: Any = 0
+    last: Any = 0
+    low: Any = 0
+    high: Any = 0
+    zeros: int = 0
+    repeats: int = 0
+    backs: int = 0
+    late: Any = 0  # the furthest that a stamp lies before an earlier one
+
+    def update(self, stamps: Stamps) -> None:
+        """Add consecutive stamps."""
+        if stamps.size == 0:
+            return
+        if self.count:
+            steps = np.diff(stamps, prepend=self.last)
+        else:
+            steps = np.diff(stamps)
+            self.first = self.low = self.high = stamps[0].item()
+        self.count += stamps.size
+        self.zeros += int(stamps.size - np.count_nonzero(stamps))
+        self.repeats += int(np.count_nonzero(steps == 0))
+        backs = int(np.count_nonzero(steps < 0))
+        if backs:
+            self.backs += backs
+            peaks = np.maximum(np.maximum.accumulate(stamps), self.high)
+            self.late = max(self.late, (peaks - stamps).max().item())
+        self.last = stamps[-1].item()
+        self.low = min(self.low, stamps.min().item())
+        self.high = max(self.high, stamps.max().item())
+
+
+@dataclass
+class Survey:
+    """Facts of one topic that decide how its samples become channels."""
+
+    width: int  # number of value columns (acceleration, ...)
+    stamp: ClockFacts = field(default_factory=ClockFacts)
+    log: ClockFacts = field(default_factory=ClockFacts)
+    alive: list[bool] = field(default_factory=list)
+    pieces: list[dict[int, list[Array]]] = field(default_factory=list)
+    head_stamp: list[Stamps] = field(default_factory=list)
+    head_log: list[Stamps] = field(default_factory=list)
+    rows: int = 0
+
+    def __post_init__(self) -> None:
+        self.alive = [False] * self.width
+        self.pieces = [{} for _ in range(self.width)]
+
+    def update(
+        self, stamps: Stamps | None, log: Stamps, columns: list[Array], *, passing: bool
+    ) -> None:
+        """Add consecutive samples; the result does not depend on how they are divided.
+
+        passing : whether the columns are given up afterwards, so that what is kept is copied
+        """
+        start, stop = self.rows, self.rows + log.size
+        self.log.update(log)
+        if start < _HEAD:
+            self.head_log.append(log[: _HEAD - start].copy())
+        if stamps is not None:
+            self.stamp.update(stamps)
+            if start < _HEAD:
+                self.head_stamp.append(stamps[: _HEAD - start].copy())
+        for i, column in enumerate(columns):
+            self.alive[i] = self.alive[i] or bool(column.any())
+        for number in _stretches(start // _PIECE, (stop - 1) // _PIECE):
+            a, b = max(number * _PIECE, start), min((number + 1) * _PIECE, stop)
+            for kept, column in zip(self.pieces, columns, strict=True):
+                part = column[a - start : b - start]
+                kept.setdefault(number, []).append(part.copy() if passing else part)
+        self.rows = stop
+
+    def rest_pieces(self, column: int) -> list[Array]:
+        """Stretches of consecutive raw samples from all over the recording."""
+        return [np.concatenate(parts) for parts in self.pieces[column].values()]
+
+
+def _stretches(first: int, last: int) -> list[int]:
+    """Stretches 0 to 3 and every power of two: the start in detail, the rest now and then."""
+    chosen = [*range(4), *(1 << k for k in range(2, 40))]
+    return [number for number in chosen if first <= number <= last]
+
+
+_BATCH = 4096  # rows that are surveyed at once when samples are not kept
+
+
+class Store:
+    """Samples by topic. With `keep`, whole arrays; without, only what the surveys need.
+
+    expected : topic -> how many samples to make room for, 0 when unknown
+    """
+
+    def __init__(self, keep: bool, expected: Callable[[str], int]) -> None:
+        self._expected = expected
+        self.surveys: dict[str, Survey] = {}
+        self._keep = keep
+        self._kept: dict[str, _Kept] = {}
+
+    def add(self, samples: Samples) -> None:
+        """Add consecutive samples of one topic."""
+        kept = self._kept.get(samples.topic)
+        if kept is None:
+            kept = self._kept[samples.topic] = _Kept(
+                samples, self._expected(samples.topic) if self._keep else 0
+            )
+            self.surveys[samples.topic] = Survey(len(samples.columns))
+        kept.append(samples)
+        if not self._keep and kept.log.size >= _BATCH:
+            self._survey(samples.topic)
+
+    def close(self) -> None:
+        """Finish the surveys; with `keep`, the arrays become whole one after the other."""
+        for topic, kept in self._kept.items():
+            kept.whole()
+            self._survey(topic)
+
+    def taken(
+        self, topic: str, *, needs_stamps: bool
+    ) -> tuple[Stamps | None, NDArray[np.int64], list[Array]]:
+        """The kept stamps, log times and columns of a topic, handed over."""
+        stamps, log, columns = self._kept.pop(topic).arrays()
+        return stamps if needs_stamps else None, log, columns
+
+    def without_stamps(self, topic: str) -> Survey:
+        """The survey of a topic as if its messages had no stamp."""
+        survey = self.surveys[topic]
+        copy = replace(survey, stamp=ClockFacts(), head_stamp=[])
+        copy.alive, copy.pieces = survey.alive, survey.pieces
+        return copy
+
+    def _survey(self, topic: str) -> None:
+        stamps, log, columns = self._kept[topic].arrays()
+        if log.size:
+            self.surveys[topic].update(stamps, log, columns, passing=not self._keep)
+
+
+class _Kept:
+    """The arrays of one topic, growing until they are whole."""
+
+    def __init__(self, first: Samples, expected: int) -> None:
+        self.stamps = None
+        if first.stamps is not None:
+            self.stamps = Growing(None, first.stamps.dtype.type, expected)
+        self.log = Growing(None, np.int64, expected)
+        widths = [column.shape[1] for column in first.columns]
+        self.columns = [Growing(width, np.float64, expected) for width in widths]
+        self._arrays: tuple[Stamps | None, NDArray[np.int64], list[Array]] | None = None
+
+    def append(self, samples: Samples) -> None:
+        if self.stamps is not None and samples.stamps is not None:
+            self.stamps.append(samples.stamps)
+        self.log.append(samples.log)
+        for growing, column in zip(self.columns, samples.columns, strict=True):
+            growing.append(column)
+
+    def whole(self) -> None:
+        """End the growth; `arrays` then gives the same arrays every time."""
+        self._arrays = self.arrays()
+
+    def arrays(self) -> tuple[Stamps | None, NDArray[np.int64], list[Array]]:
+        """What has grown, taken out."""
+        if self._arrays is not None:
+            return self._arrays
+        stamps = self.stamps.taken() if self.stamps is not None else None
+        return stamps, self.log.taken(), [column.taken() for column in self.columns]
+
 
 _UNDECIDED, _SKIPPED = -1, -2
 _FRAME = "header.frame_id"

@@ -14,9 +14,8 @@ from google.protobuf import descriptor_pb2
 
 from imucalib.errors import UnreadableInput
 from imucalib.readers import read
-from imucalib.readers.mcap.chunks import MAX_CHUNK
-from imucalib.readers.messages.definition import LayoutError, parse_definition
-from imucalib.readers.messages.layout import compile_layout
+from imucalib.readers.mcap import MAX_CHUNK
+from imucalib.readers.messages.layout import LayoutError, compile_layout, parse_definition
 from imucalib.readers.messages.records import CHUNK, MAGIC, RECORD_HEADER
 from imucalib.recording.mapping import from_dict
 from worlds.mcap_logs import START, imu_log, write_log

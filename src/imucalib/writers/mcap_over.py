@@ -1,27 +1,46 @@
-"""Corrected vectors put into their own messages: everything else of these stays bit for bit.
+"""A recording over the MCAP file that it was read from: vectors patched in, the rest copied.
 
 A message is patched where its acceleration and angular rate are runs of doubles in SI units (what
-sensor_msgs/Imu is); topics of other kinds are written anew by the caller.
+sensor_msgs/Imu is), and keeps every other byte; topics of other kinds are written anew.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.readers.mcap.reader import McapLog
+from imucalib.atomic_file import replaced_atomically
+from imucalib.readers.mcap import McapLog
 from imucalib.readers.messages.decode import RosDecoder, decoder_for
-from imucalib.readers.messages.plan import CHANNEL_NAMES, Part, Plan
-from imucalib.readers.messages.recording import planned
-from imucalib.readers.messages.records import MessageBlock, Topic
-from imucalib.readers.messages.store import Store
-from imucalib.readers.messages.stream import TopicStream
+from imucalib.readers.messages.recording import CHANNEL_NAMES, Part, Plan, planned
+from imucalib.readers.messages.records import (
+    ATTACHMENT,
+    CORRECTIONS,
+    METADATA,
+    MalformedRecordError,
+    MessageBlock,
+    Topic,
+    text_at,
+)
+from imucalib.readers.messages.stream import Store, TopicStream
 from imucalib.recording.mapping import UNCHANGED, from_dict
 from imucalib.recording.recording import Recording
+from imucalib.writers.mcap import (
+    LIBRARY,
+    SHORT_NAMES,
+    ChunkData,
+    McapFile,
+    chunks_of,
+    define,
+    outputs_beside,
+    topic_names,
+)
 
 _UNITS = {"acc": "m/s2", "gyro": "rad/s"}
 _VECTORS = 3
@@ -161,3 +180,130 @@ def _miscounted(source: McapLog, topics: dict[int, PatchedTopic]) -> Iterator[in
             if part.starts.size:
                 counts[number] += int(np.all([p != -1 for p in topic.located(part)], axis=0).sum())
     yield from [n for n, topic in topics.items() if counts[n] != topic.rank.size]
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Every channel of a file by its number; attachments and metadata as
+    (opcode, byte, size) of their content."""
+
+    topics: dict[int, Topic]
+    extras: tuple[tuple[int, int, int], ...]
+
+
+def contents_of(source: McapLog) -> Contents:
+    """What there is to copy from a file."""
+    scanner = source.scan(strict=False)
+    for _ in scanner.blocks():
+        pass
+    topics = {**source.summary().topics, **scanner.topics}
+    return Contents(topics, tuple(scanner.extras))
+
+
+def copy_extras(source: McapLog, extras: tuple[tuple[int, int, int], ...], file: McapFile) -> None:
+    """Copy attachments and metadata records but our own marks, which are written anew; one whose
+    CRC or names do not fit is left out."""
+    with source.path.open("rb") as stream:
+        for opcode, at, size in extras:
+            stream.seek(at)
+            content = stream.read(size)
+            crc = int.from_bytes(content[-4:], "little") if opcode == ATTACHMENT else 0
+            if len(content) < size or (crc and crc != zlib.crc32(content[:-4])):
+                continue
+            try:
+                if opcode == METADATA and text_at(content, 0)[0] == CORRECTIONS:
+                    continue
+                (file.attachment if opcode == ATTACHMENT else file.metadata)(content)
+            except MalformedRecordError:
+                continue
+
+
+def copied(source: McapLog, kept: dict[int, Topic], patch: Patch) -> Iterator[ChunkData]:
+    """The messages of some channels, a chunk at a time, as they are but for what is patched."""
+    numbers = np.zeros(1 << 16, dtype=np.bool_)
+    numbers[list(kept)] = True
+    for block in source.scan(strict=False).blocks():
+        channels = block.header("channel").astype(np.int64)
+        patched, lost = patch.apply(block, channels)
+        wanted = numbers[channels] & ~lost
+        if wanted.any():
+            part = patched.take(wanted)
+            yield _records_of(part, channels[wanted])
+
+
+def _records_of(block: MessageBlock, channels: NDArray[np.int64]) -> ChunkData:
+    sizes = block.lengths + 31
+    starts = np.cumsum(sizes) - sizes
+    edges = zip((block.starts - 31).tolist(), (block.starts + block.lengths).tolist(), strict=True)
+    data = b"".join([block.data[a:b] for a, b in edges])
+    return data, starts, channels, block.header("log_time")
+
+
+def write_with_topics_of(recording: Recording, source: Path, path: Path) -> None:
+    """Write a recording over the MCAP file that it was read from, as a new file.
+
+    Messages of sensor_msgs/Imu get the recording's vectors and keep every other byte, their times
+    and sequence numbers (see `patch_of`); other kinds of topics that the recording was read from
+    are written anew. All other topics, attachments and metadata are copied; damaged parts of the
+    source are left out. Written atomically.
+    """
+    with replaced_atomically(path) as temporary:
+        most = from_dict(recording.mapping).max_chunk
+        _write_over(recording, temporary, McapLog(source, most))
+
+
+def _write_over(recording: Recording, path: Path, source: McapLog) -> None:
+    contents, patch = contents_of(source), patch_of(recording, source)
+    held = {topic.name for topic in patch.topics.values()}
+    replaced = _replaced(recording) - held
+    kept = {n: t for n, t in contents.topics.items() if t.name not in replaced}
+    left = {n: c for n, c in recording.channels.items() if n not in patch.channels}
+    anew = replace(recording, channels=left)
+    file = McapFile(path, "ros2", LIBRARY)
+    try:
+        outputs, base = outputs_beside(
+            anew, contents.topics, kept, _names(anew), _log_origin(anew, source)
+        )
+        file.marks(recording.corrections)
+        define(file, outputs, kept, base)
+        for chunk in chunks_of(outputs):
+            file.chunk(*chunk)
+        for block in copied(source, kept, patch):
+            file.chunk(*block)
+        copy_extras(source, contents.extras, file)
+        file.close()
+    finally:
+        file.abandon()
+
+
+def _replaced(recording: Recording) -> set[str]:
+    names = set()
+    for quantity in ("acc", "gyro"):
+        stated = recording.mapping.get(quantity, ())
+        for text in stated if isinstance(stated, list | tuple) else ():
+            names.add(str(text).rpartition(":")[0])
+    return names
+
+
+def _names(recording: Recording) -> dict[str, str]:
+    """The topic of each channel: where it was read from, or a new one."""
+    names = topic_names(recording)
+    triads = recording.mapping.get("triads", ())
+    for quantity, short in SHORT_NAMES.items():
+        stated = recording.mapping.get(short, ())
+        if not isinstance(stated, list | tuple) or not isinstance(triads, list | tuple):
+            continue
+        for triad, text in zip(triads, stated, strict=False):
+            topic, name = str(text).rpartition(":")[0], f"{triad}/{quantity}"
+            if topic and name in names and short != "temperature":
+                names[name] = topic
+    return names
+
+
+def _log_origin(recording: Recording, source: McapLog) -> int:
+    """ns that brings a recording without a date to the log times of the file it joins."""
+    if recording.start_ns is not None:
+        return 0
+    for block in source.scan(strict=False).blocks():
+        return int(block.header("log_time").min())
+    return 0

@@ -24,18 +24,28 @@ Texts = NDArray[np.bytes_]
 MISSING = np.iinfo(np.int64).min  #: a blank stamp
 _BLANK = [b"", b"nan", b"na", b"null"]
 _PER_DAY = 86_400_000_000_000
-_DIRECTIVE = {"Y": "Y", "y": "Y", "m": "M", "b": "M", "B": "M", "d": "D", "H": "h", "I": "h",
-              "M": "m", "S": "s", "f": "f", "T": "hms", "F": "YMD"}  # fmt: skip
+_DIRECTIVE = dict(zip("YymbBdHIMSf", "YYMMMDhhmsf", strict=True)) | {"T": "hms", "F": "YMD"}
 _SILENT_DIRECTIVES = "pzZ"
 #: Digits that a group may have, by its letter: C is YYYYMMDD, H hhmmss, i and u whole ms and us.
 _LONGEST = {"Y": 4, "C": 8, "H": 6, "f": 9, "i": 3, "u": 6}
 #: Hours east of UTC. RFC 2822, 4.3, and Europe's; those that name two zones (CST, IST, BST) are
 #: left out.
 _ZONES = {
-    b"z": 0, b"utc": 0, b"ut": 0, b"gmt": 0, b"wet": 0, b"west": 1, b"cet": 1, b"met": 1,
-    b"mez": 1, b"cest": 2, b"mest": 2, b"mesz": 2, b"eet": 2, b"eest": 3, b"msk": 3, b"jst": 9,
-    b"kst": 9, b"est": -5, b"edt": -4, b"cdt": -5, b"mst": -7, b"mdt": -6, b"pst": -8, b"pdt": -7,
-}  # fmt: skip
+    name.encode(): hours
+    for hours, names in {
+        0: "z utc ut gmt wet",
+        1: "west cet met mez",
+        2: "cest mest mesz eet",
+        3: "eest msk",
+        9: "jst kst",
+        -5: "est cdt",
+        -4: "edt",
+        -7: "mst pdt",
+        -6: "mdt",
+        -8: "pst",
+    }.items()
+    for name in names.split()
+}
 _HALF = rb"(?:\s*([ap])\.?\s?m\.?)"
 #: What ends a stamp behind a digit or a half of the day: a zone, and its name in brackets.
 _TAIL = re.compile(
@@ -46,19 +56,28 @@ _TAIL = re.compile(
 _TIMED = re.compile(rb"(?::\d\d(?:[.,]\d*)?|t\d{4,6}(?:[.,]\d*)?)" + _HALF + rb"?$")
 _HALF_AT_END = re.compile(_HALF + rb"\s*$")
 _MONTH = re.compile(rb"[a-z\x80-\xff]{3,}\.?")
-_MONTHS = {name: k for k, names in enumerate((
-    "jan", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov",
-    "dec dez"), start=1) for name in names.split()}  # fmt: skip
+_MONTHS = {
+    name: k
+    for k, names in enumerate(
+        str.split("jan feb mar/mär/mrz apr may/mai jun jul aug sep oct/okt nov dec/dez"), start=1
+    )
+    for name in names.split("/")
+}
 _BETWEEN, _CLOCK = rb"[\s\-:/.,_t]+", rb"\d\d?[:.\-_]\d\d?[:.\-_]\d\d?([.,:]\d+)?"
 _DATE = rb"\d\d?" + _BETWEEN + rb"\d\d?" + _BETWEEN + rb"(\d\d|\d{4})" + _BETWEEN
 _YEAR = rb"\d{4}" + _BETWEEN + rb"\d\d?" + _BETWEEN + rb"\d\d?" + _BETWEEN
 #: Form of a stamp without words -> order of its groups; x is the day or the month.
 _FORMS = {
-    rb"\d{8}[t _-]\d{6}([.,]\d+)?": "CHf", rb"\d{8}[t _-]" + _CLOCK: "Chmsf",
-    rb"\d{8}[t _-]\d\d?:\d\d": "Chm", rb"\d\d?:\d\d?[.,]\d+": "msf", _CLOCK: "hmsf",
-    _YEAR + _CLOCK: "YMDhmsf", _YEAR + rb"\d\d?:\d\d": "YMDhm", _DATE + _CLOCK: "xxYhmsf",
+    rb"\d{8}[t _-]\d{6}([.,]\d+)?": "CHf",
+    rb"\d{8}[t _-]" + _CLOCK: "Chmsf",
+    rb"\d{8}[t _-]\d\d?:\d\d": "Chm",
+    rb"\d\d?:\d\d?[.,]\d+": "msf",
+    _CLOCK: "hmsf",
+    _YEAR + _CLOCK: "YMDhmsf",
+    _YEAR + rb"\d\d?:\d\d": "YMDhm",
+    _DATE + _CLOCK: "xxYhmsf",
     _DATE + rb"\d\d?:\d\d": "xxYhm",
-}  # fmt: skip
+}
 _MOST_FORMS = 64  # zones, halves or months that one block of stamps is looked through for
 _SEPARATOR = np.zeros(256, dtype=np.bool_)
 _SEPARATOR[list(b"\0 -:/.,_t")] = True
@@ -110,10 +129,11 @@ def text_layout(samples: list[bytes], time_format: str, where: str) -> TextTime:
         stamp = samples[0].decode(errors="replace") if samples else ""
         what = f"'{odd[0].decode(errors='replace')}' in " if odd else ""
         raise UnreadableInput(
-            f"{what}the time stamp '{stamp[:60]}' is not understood", where=where,
+            f"{what}the time stamp '{stamp[:60]}' is not understood",
+            where=where,
             remedy="give --time-format, for example '%d/%m/%Y %H:%M:%S.%f'; letters in it are "
             "passed over",
-        )  # fmt: skip
+        )
     return TextTime(*order, zone, half, months)
 
 
@@ -129,16 +149,21 @@ def _by_format(text: str, zone: bool, half: bool) -> TextTime:
     if unknown:
         known = " ".join(f"%{c}" for c in (*_DIRECTIVE, *_SILENT_DIRECTIVES))
         raise UsageError(
-            f"%{unknown[0]} of the time format is not understood", where="--time-format",
+            f"%{unknown[0]} of the time format is not understood",
+            where="--time-format",
             remedy=f"use of: {known}",
-        )  # fmt: skip
+        )
     order = "".join(_DIRECTIVE.get(c, "") for c in letters)
     words = re.findall(r"[^\W\d_]+", re.sub(r"%[A-Za-z]", " ", text))
     literal = tuple(w.lower().encode() for w in words if w.lower() != "t")
     return TextTime(
-        order, {"Y", "M", "D"} <= set(order), zone=zone and not literal, half=half,
-        months=bool(set(letters) & {"b", "B"}), literal=literal,
-    )  # fmt: skip
+        order,
+        {"Y", "M", "D"} <= set(order),
+        zone=zone and not literal,
+        half=half,
+        months=bool(set(letters) & {"b", "B"}),
+        literal=literal,
+    )
 
 
 def _order_of(

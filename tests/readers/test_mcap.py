@@ -514,7 +514,7 @@ def test_reader_recognises_only_its_magic(tmp_path: Path) -> None:
 
 
 def test_imu_schema_text_is_not_needed_for_the_official_layout() -> None:
-    from imucalib.readers.messages import definition as mcap_definition
+    from imucalib.readers.messages import layout as mcap_definition
 
     own = mcap_definition.parse_definition("sensor_msgs/msg/Imu", mcap_definition.IMU_ROS2, False)
     theirs = mcap_definition.parse_definition("sensor_msgs/msg/Imu", IMU_ROS2, False)

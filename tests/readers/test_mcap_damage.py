@@ -16,7 +16,7 @@ from mcap.writer import CompressionType
 
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers import blocks, read
-from imucalib.readers.mcap.scan import Scanner
+from imucalib.readers.mcap import Scanner
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 from worlds.mcap_logs import START, imu_log, readings, same_bits, values, write_log

@@ -1,10 +1,15 @@
-"""One pass over a ROS bag with the package rosbags, as blocks of message records."""
+"""Recordings in ROS bags: ROS 1 .bag, ROS 2 .db3 and bag folders, through the package rosbags.
+
+rosbags unpacks the containers; messages are decoded by the layouts that MCAP files use.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -12,17 +17,20 @@ from typing import Any
 import numpy as np
 
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.readers.messages.recording import log_blocks, read_log
 from imucalib.readers.messages.records import (
     MESSAGE,
     MESSAGE_HEADER_SIZE,
     Damage,
     MessageBlock,
     Schema,
+    Summary,
     Topic,
     message_block,
 )
-from imucalib.readers.messages.summary import Summary
-from imucalib.recording.correction import Correction
+from imucalib.readers.source import sha256_of
+from imucalib.recording.mapping import FieldMapping
+from imucalib.recording.recording import Correction, Recording
 
 SQLITE = b"SQLite format 3\0"
 _BATCH = 4096  # messages of a block
@@ -32,7 +40,7 @@ _FORMATS = {"MSG": "ros2msg", "IDL": "ros2idl", "NONE": ""}
 
 
 class BagScan:
-    """One pass over a bag file or folder, in order of time; see `message_log.Scan`.
+    """One pass over a bag file or folder, in order of time; see `messages.records.Scan`.
 
     A bag is read through its index, so a damaged index makes it unreadable, and damage met on the
     way ends the pass: what came before is kept, what was lost is in `damages`.
@@ -172,3 +180,58 @@ def _block(batch: list[tuple[int, int, int, bytes]]) -> MessageBlock:
         parts += [_RECORD.pack(MESSAGE, size, channel, row & 0xFFFFFFFF, time, time), data]
     lengths = np.array([31 + len(b[3]) for b in batch], dtype=np.int64)
     return message_block(b"".join(parts), np.cumsum(lengths) - lengths, 0)
+
+
+_ROS1 = b"#ROSBAG V"
+
+
+@dataclass(frozen=True)
+class BagLog:
+    """A bag file or folder as a log of messages."""
+
+    path: Path
+    format: str = "rosbag"
+
+    def scan(self, *, strict: bool) -> BagScan:
+        """A pass in order of time, as the bag's index gives it."""
+        return BagScan(self.path, strict=strict)
+
+    def summary(self) -> Summary:
+        """Topics and their counts, from the bag's index."""
+        return BagScan(self.path, strict=False).summary()
+
+    def sha256(self) -> str:
+        """Hash of the file; of a folder, the hash over its files' names and hashes, in order."""
+        if not self.path.is_dir():
+            return sha256_of(self.path)
+        files = sorted(p for p in self.path.iterdir() if p.is_file())
+        whole = hashlib.sha256()
+        for file in files:
+            whole.update(f"{sha256_of(file)}  {file.name}\n".encode())
+        return whole.hexdigest()
+
+
+class RosbagReader:
+    """The reader of ROS bags; needs the extra `ros`."""
+
+    name = "rosbag"
+    suffixes = (".bag", ".db3")
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """A ROS 1 bag, a ROS 2 database, or a folder with a metadata.yaml."""
+        folder = not head and path.is_dir()
+        database = head.startswith(SQLITE) and path.suffix.lower() == ".db3"
+        return folder or database or head.startswith(_ROS1)
+
+    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
+        """Read all samples in one pass."""
+        return read_log(BagLog(path), mapping, strict=strict)
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """Read the bag twice, in bounded memory."""
+        yield from log_blocks(BagLog(path), mapping, block_samples=block_samples, strict=strict)
+
+
+READER = RosbagReader()

@@ -1,1 +1,0 @@
-"""MCAP files, whole or damaged."""

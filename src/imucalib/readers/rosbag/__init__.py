@@ -1,1 +1,0 @@
-"""ROS bags, through rosbags."""

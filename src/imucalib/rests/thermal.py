@@ -1,0 +1,358 @@
+"""The temperature over a recording, at any time, and what a lag or a play makes of it.
+
+For these it is kept as means of ten seconds, which a week has sixty thousand of: the lag of a
+whole recording costs the same memory however the recording is read.
+
+Readings that no thermometer has made are left out. One that has just been powered reads 85 °C, one
+that does not answer -127 °C between good readings (DS18B20, data sheet, Maxim 2019). The case of a
+sensor takes minutes: what differs from the readings of a minute around it by more than the case can
+change, and is gone after it, is no temperature. There is none there then: what was read at rest
+meanwhile has no temperature.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags, Index
+from imucalib.effects.thermal import hysteresis as play
+from imucalib.effects.thermal import lag, rate
+from imucalib.recording.recording import Channel, Recording
+from imucalib.rests.windows import COLUMNS, WindowBuilder, Windows, in_order
+
+_RANGE = (-55.0, 125.0)  # °C that common thermometers can read
+_FASTEST = 0.2  # °C/s: a case of one minute's time constant, moved by 12 °C at once
+_LEAST, _MOST = 2.0, 30.0  # °C that a jump has at least; that it always is
+_AROUND, _FEWEST, _WIDEST = 50.0, 2, 5  # s on either side that it is held against, and windows
+_NOISE = 8.0  # standard deviations (by the median)
+_STEPS = 1.5  # steps of the resolution
+_CODES = (85.0, -127.0)  # °C that it says after power-up, and where it does not answer
+_HALF = 0.5  # share of jumps from which on nothing of a thermometer is believed
+
+
+@dataclass(frozen=True)
+class Believed:
+    """windows : without the jumps, None where too few are left; gone : (k, 2) s, from and to of
+    those; words : how many, or nothing"""
+
+    windows: Windows | None
+    gone: Array = field(default_factory=lambda: np.empty((0, 2)))
+    words: tuple[str, ...] = ()
+
+
+def believed(w: Windows | None) -> Believed:
+    """The windows of a thermometer, if there is one, that hold no jump."""
+    if w is None or not (bad := _jumps(w)).any():
+        return Believed(w)
+    count = f"{int(bad.sum())} of {bad.size} readings"
+    why = "that jump and come back faster than a case can, or that are none"
+    if bad.mean() > _HALF:
+        return Believed(None, words=(f"temperature: not used, for {count} are {why}",))
+    kept = replace(w, **{name: getattr(w, name)[~bad] for name in COLUMNS})
+    half = 0.5 * _interval(w)
+    middle = 0.5 * (w.start + w.stop)[bad]
+    own = 0.5 * (w.stop - w.start)[bad]
+    reach = np.maximum(own, half)
+    gone = np.column_stack([middle - reach, middle + reach])
+    return Believed(kept, gone, (f"temperature: {count} left out {why}",))
+
+
+def temperature_in(w: Windows | None, gone: Array, start: Array, stop: Array) -> Array:
+    """(n,) °C in the middle of intervals (n,) s; NaN in those that hold a reading that is gone, and
+    without a thermometer."""
+    if w is None:
+        return np.full(start.size, np.nan)
+    middle = 0.5 * (start + stop)
+    found = np.interp(middle, 0.5 * (w.start + w.stop), w.mean[:, 0])
+    found[is_gone(gone, middle)] = np.nan
+    return np.asarray(found)
+
+
+def is_gone(gone: Array, at: Array) -> Flags:
+    """(n,) whether times (s) are within what a thermometer did not measure, (k, 2) s in order."""
+    last = np.searchsorted(gone[:, 0], at, side="right") - 1
+    return np.asarray((last >= 0) & (at < np.append(gone[:, 1], -np.inf)[last]))
+
+
+def mean_of_known(values: Array, starts: Index) -> Array:
+    """(k,) means of the finite values of stretches that begin at `starts`; NaN where none is."""
+    known = np.isfinite(values)
+    count = np.add.reduceat(known.astype(np.float64), starts)
+    total = np.add.reduceat(np.where(known, values, 0.0), starts)
+    return np.asarray(np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan))
+
+
+def tells_apart(w: Windows, one: Array, other: Array) -> bool:
+    """Whether two temperatures (n,) °C, made of a thermometer's readings, differ by more than its
+    rounding makes them differ: by twice its error of step / √12, in the root mean square."""
+    step = float(w.finest[0]) if np.isfinite(w.finest[0]) else _step(w.mean[:, 0])
+    return float(np.mean(np.square(one - other))) > step**2 / 3.0
+
+
+def told_by_code(values: Array) -> Flags:
+    """(n,) whether a reading of a table, °C, is what a thermometer says that has not measured: just
+    that number, not in two rows that follow each other, and far from the rows that measured."""
+    code = np.isin(values, _CODES)
+    others = values[~code]
+    if others.size <= _HALF * values.size or (code[1:] & code[:-1]).any():
+        return np.zeros_like(code)
+    return np.asarray(code & (np.abs(values[:, None] - others).min(axis=1) > _MOST))
+
+
+def _jumps(w: Windows) -> Flags:
+    low, high = w.low[:, 0], w.high[:, 0]
+    bad = ~(np.isfinite(w.mean[:, 0]) & (low >= _RANGE[0]) & (high <= _RANGE[1]))
+    good = np.flatnonzero(~bad)
+    interval = _interval(w)
+    half = int(np.clip(round(_AROUND / interval), _FEWEST, _WIDEST))
+    if good.size <= 2 * half:
+        return bad
+    around = _medians(w.mean[good, 0], half)
+    off = np.maximum(high[good] - around, around - low[good])
+    limit = max(
+        float(np.clip(_FASTEST * interval, _LEAST, _MOST)),
+        _NOISE * 1.4826 * float(np.median(off)),
+        _STEPS * _step(w.mean[good, 0]),
+    )
+    bad[good] = off > limit
+    return bad
+
+
+def _interval(w: Windows) -> float:
+    """s from window to window."""
+    return float(np.median(np.diff(w.start))) if w.start.size > 1 else 1.0
+
+
+def _medians(values: Array, half: int) -> Array:
+    """(n,) median of every value with `half` on either side, mirrored at the ends."""
+    padded = np.pad(values, half, mode="reflect")
+    return np.asarray(
+        np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)
+    )
+
+
+def _step(values: Array) -> float:
+    """°C, the smallest difference of two readings."""
+    apart = np.diff(np.unique(values))
+    return float(apart.min()) if apart.size else 0.0
+
+
+_WINDOW = 10.0  # s
+_FORGOTTEN = 20.0  # decays
+_SILENT = 3600.0  # s without a reading after which nothing is known of the way to the next one
+
+
+@dataclass(frozen=True)
+class ThermalHistory:
+    """time (m,) s, of the middles of the windows; values (m,) °C, their means; gone : (k, 2) s, in
+    order, from and to of what the thermometer did not measure."""
+
+    time: Array
+    values: Array
+    gone: Array = field(default_factory=lambda: np.empty((0, 2)))
+
+    def lagged(self, hours: float, at: Array) -> Array:
+        """Temperature (°C) behind a lag of some hours, at times (s); it starts in equilibrium."""
+        t = self.time
+        step = float(np.median(np.diff(t))) if t.size > 1 else 1.0
+        grid = np.arange(t[0], t[-1] + step, step)
+        values = np.interp(grid, t, self.values)
+        share = 1.0 - np.exp(-step / (3600.0 * hours))
+        return np.asarray(np.interp(at, grid, _trailing(values, share)))
+
+    def rate(self, hours: float, at: Array) -> Array:
+        """How fast the temperature changes (°C/h), over a lag of some hours, at times (s)."""
+        now = np.interp(at, self.time, self.values)
+        return np.asarray((now - self.lagged(hours, at)) / hours)
+
+    def behind_play(self, width: float, at: Array) -> Array:
+        """Temperature (°C) behind a play of a width (°C), in the middle of it at the start, at
+        times (s)."""
+        return np.asarray(np.interp(at, self.time, _with_play(self.values, width)))
+
+
+def _with_play(values: Array, width: float) -> Array:
+    """p_k = p_{k-1} held to x_k ± width / 2. To hold to one range after another is to hold to one:
+    the ranges of 1, 2, 4, ... steps come from those of half as many."""
+    low, high = values - 0.5 * width, values + 0.5 * width
+    low[:1] = high[:1] = values[:1]
+    step = 1
+    while step < values.size:
+        before = low[:-step], high[:-step]
+        first, last = (np.clip(x, low[step:], high[step:]) for x in before)
+        low, high = np.append(low[:step], first), np.append(high[:step], last)
+        step *= 2
+    return low
+
+
+def _trailing(values: Array, share: float) -> Array:
+    """y_k = y_{k-1} + share (x_k - y_{k-1}) from equilibrium, in stretches over which a reading's
+    weight falls to e^-20: in sums the decay is a factor, and there none overflows."""
+    if share >= 1.0:
+        return values
+    decay = -np.log1p(-share)
+    found, last = np.empty_like(values), values[0]
+    length = max(1, int(_FORGOTTEN / decay))
+    for start in range(0, values.size, length):
+        some = values[start : start + length]
+        fallen = np.exp(-decay * np.arange(1, some.size + 1))
+        found[start : start + length] = fallen * (last + np.cumsum(share * some / fallen))
+        last = found[start + some.size - 1]
+    return found
+
+
+def history_of(windows: Windows) -> ThermalHistory:
+    """From the windows of a temperature channel."""
+    return ThermalHistory(0.5 * (windows.start + windows.stop), windows.mean[:, 0])
+
+
+def thermal_history(blocks: Iterable[Recording], triad: str) -> ThermalHistory | None:
+    """From a recording in blocks, of the thermometer of a triad; None when there is none. Jumps
+    that no case can follow are left out; where more than half are jumps, all is gone."""
+    builder: WindowBuilder | None = None
+    for block in blocks:
+        for channel in block.channels.values():
+            if channel.quantity == "temperature" and channel.triad in (triad, ""):
+                builder = builder or WindowBuilder(max(1, round(_WINDOW * channel.rate)))
+                builder.add(channel, block.gaps)
+                break
+    windows = builder.windows() if builder else None
+    if windows is None:
+        return None
+    heat = believed(in_order(windows)[0])
+    if heat.windows is None:
+        return ThermalHistory(np.empty(0), np.empty(0), np.array([[-np.inf, np.inf]]))
+    return replace(history_of(heat.windows), gone=heat.gone)
+
+
+def thermometer_of(recording: Recording, triad: str) -> Channel | None:
+    """The temperature channel of a triad, or the one that belongs to none."""
+    for channel in recording.channels.values():
+        if channel.quantity == "temperature" and channel.triad in (triad, ""):
+            return channel
+    return None
+
+
+def temperature_at(thermometer: Channel, at: Array) -> Array:
+    """Temperature (°C) at times (s), straight from reading to reading.
+
+    Where readings are more than an hour apart the earlier one holds, as at the end.
+    """
+    t, values = thermometer.t, thermometer.values[:, 0]
+    found = np.interp(at, t, values)
+    if not np.any(np.diff(t) > _SILENT):
+        return np.asarray(found)
+    before = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
+    alone = (at >= t[before]) & (at < t[before + 1]) & (t[before + 1] - t[before] > _SILENT)
+    return np.where(alone, values[before], found)
+
+
+def unheard(thermometer: Channel, history: ThermalHistory, at: Array) -> Flags:
+    """(n,) whether there is no temperature at times (s): at a reading that is gone, and between it
+    and its neighbours."""
+    t, bad = thermometer.t, is_gone(history.gone, thermometer.t)
+    after = np.minimum(np.searchsorted(t, at), t.size - 1)
+    before = np.maximum(np.searchsorted(t, at, side="right") - 1, 0)
+    return np.asarray(bad[after] | bad[before])
+
+
+def with_thermometer(
+    blocks: Iterable[Recording], triad: str
+) -> Iterator[tuple[Recording, Channel | None]]:
+    """Every block with the readings around it: the last one before it and the first one after.
+
+    A block waits for that one, an hour of the recording at most, so that a slow thermometer gives
+    the same temperatures in blocks of any size.
+    """
+    waiting: deque[tuple[Recording, float]] = deque()
+    track: Channel | None = None
+    seen = start = -np.inf
+    for block in blocks:
+        new = thermometer_of(block, triad)
+        track = _joined(track, new) if new is not None else track
+        times = [c.t[-1] for c in block.channels.values() if c.quantity == "acceleration"]
+        seen = max([seen, *map(float, times)])
+        start = start if np.isfinite(start) else seen
+        waiting.append((block, seen))
+        heard = -np.inf if track is None else float(track.t[-1])
+        silent = seen > max(heard, start) + _SILENT
+        while waiting and (waiting[0][1] <= heard or silent):
+            first, end = waiting.popleft()
+            yield first, track
+            if track is not None:  # from the last reading before the next block on
+                near = max(int(np.searchsorted(track.t, end, side="right")) - 1, 0)
+                track = replace(track, t=track.t[near:], values=track.values[near:])
+    for block, _ in waiting:
+        yield block, track
+
+
+def _joined(before: Channel | None, new: Channel) -> Channel:
+    if before is None:
+        return new
+    t, values = np.concatenate([before.t, new.t]), np.concatenate([before.values, new.values])
+    return replace(new, t=t, values=values)
+
+
+#: Covariates that a recording with a clock and a thermometer has.
+REMEMBERED = (
+    *map(lag.covariate, lag.LAGS),
+    *map(play.covariate, play.WIDTHS),
+    *map(rate.covariate, rate.TIMES),
+)
+#: Of a play the power that the temperature itself tells, from which on it is that but for noise.
+_PLAIN = 0.97
+
+
+def is_remembered(name: str) -> bool:
+    """Whether a history of the temperature tells the covariate."""
+    past = name.startswith((lag.PREFIX, play.PREFIX, rate.PREFIX))
+    return past and not lag.counts_rows(name)
+
+
+def remembered(history: ThermalHistory, name: str, at: Array) -> Array:
+    """The covariate (°C) at times (s)."""
+    if name.startswith(rate.PREFIX):
+        return history.rate(rate.time_of(name.removeprefix(rate.PREFIX)), at)
+    if name.startswith(play.PREFIX):
+        return history.behind_play(play.width_of(name.removeprefix(play.PREFIX)), at)
+    return history.lagged(lag.hours_of(name.removeprefix(lag.PREFIX)), at)
+
+
+def remembered_in_rows(temperature: Array, time: Array | None, session: Array) -> dict[str, Array]:
+    """Covariates (n,) of a table: lags and rates by its clock (s), or in rows, and plays of a width
+    that its temperatures show: on one way alone, or between two of them, a play is an offset. Each
+    session (n,) begins in equilibrium, amid the play."""
+    by_rows = time is None
+    at = 3600.0 * np.arange(len(temperature)) if time is None else time
+    every = float(np.median(np.abs(np.diff(at)))) / 3600.0
+    if every <= 0.0:
+        return {}
+    rows = [r for r in lag.ROWS if 4 * r <= len(temperature)]
+    lags = {lag.covariate(lag.in_rows(r) if by_rows else f"{r * every:.2g}h"): r for r in rows}
+    rates = {
+        rate.covariate(lag.in_rows(r) if by_rows else f"{60.0 * r * every:.2g}min"): r
+        for r in rate.ROWS
+    }
+    crossed = [w for w in play.WIDTHS if 2.0 * play.width_of(w) <= np.ptp(temperature)]
+    plays = {play.covariate(w): play.width_of(w) for w in crossed}
+    found = {name: np.empty(len(temperature)) for name in (*lags, *rates, *plays)}
+    for one in np.unique(session):
+        of = session == one
+        history = ThermalHistory(at[of], temperature[of])
+        for name, r in lags.items():
+            found[name][of] = history.lagged(r * every, at[of])
+        for name, r in rates.items():
+            found[name][of] = history.rate(r * every, at[of])
+        for name, width in plays.items():
+            found[name][of] = history.behind_play(width, at[of])
+    return {n: v for n, v in found.items() if n not in plays or _is_another(v, temperature)}
+
+
+def _is_another(values: Array, temperature: Array) -> bool:
+    """Whether what follows the temperature is more than it, a scale and an offset."""
+    spread = float(np.std(values))
+    return spread > 0.0 and float(np.corrcoef(values, temperature)[0, 1] ** 2) < _PLAIN

@@ -1,1 +1,0 @@
-"""MCAP files, written and patched."""
