@@ -23,8 +23,8 @@ import numpy as np
 from imucalib.calibration.calibration import Calibration, from_fit
 from imucalib.calibration.checking.check import look_of
 from imucalib.calibration.checking.e_value import e_value
-from imucalib.calibration.checking.linearised import misfits_of
-from imucalib.calibration.checking.noise import check_noise
+from imucalib.calibration.checking.misfit import check_noise
+from imucalib.calibration.checking.next_rests import misfits_of
 from imucalib.calibration.checking.statistic import Statistic
 from imucalib.calibrators.lab.bench import position_observations, still_observations
 from imucalib.calibrators.lab.calibrate import LabSettings, base_model

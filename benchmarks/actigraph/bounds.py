@@ -10,9 +10,9 @@ import argparse
 import numpy as np
 from numpy.typing import NDArray
 
-from imucalib.calibrators.actigraph.calibration_points import PointCollector
+from imucalib.calibrators.actigraph.published import PointCollector
 from imucalib.core.balance import Noise
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm

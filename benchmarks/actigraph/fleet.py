@@ -33,7 +33,7 @@ from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import postures, scan_of
 from imucalib.calibrators.population import Population, read, to_yaml
 from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.sphere import even_directions
 from imucalib.effects import named
 from imucalib.report.data import report_dict

@@ -33,7 +33,7 @@ PACKAGES = {"skdh": "scikit-digital-health"}
 def sphere_error(gain: Array, offset: Array) -> float:
     """Mean | |gain @ reading + offset| - 1 | in mg over the sphere; readings of the sensor in g."""
     from imucalib.calibrators.actigraph.simulation import WeekPlan, planted
-    from imucalib.core.context import Context
+    from imucalib.core.effect import Context
 
     rng = np.random.default_rng(0)
     truth = rng.standard_normal((20000, 3))

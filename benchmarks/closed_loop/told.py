@@ -94,7 +94,7 @@ def corrected(folder: Path, reading: Array, known: dict[str, Array]) -> tuple[Ar
     and (n, 3, 3) mg2, their covariance by that of the parameters. What is not known stands where
     the program puts it."""
     import imucalib
-    from imucalib.core.context import Context
+    from imucalib.core.effect import Context
 
     calibration = imucalib.load(folder / "calibration.yaml")
     names = set(calibration.valid)

@@ -27,7 +27,7 @@ from imucalib.calibrators.lab.run import LabRun
 from imucalib.calibrators.population import Population
 from imucalib.cohort.fleet.run import run_fleet
 from imucalib.cohort.fleet.search import Rules
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.loop.held_out import errors
 from imucalib.units import MG

@@ -37,7 +37,7 @@ from imucalib.calibrators.next_recording import (
     recorded_of,
     rests_of,
 )
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector

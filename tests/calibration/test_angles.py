@@ -13,7 +13,7 @@ from imucalib import cli
 from imucalib.calibration.angles import angles_at_rests, angles_of_samples
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import read as read_calibration
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.readers import read
 from imucalib.rests.segments import Segments, still_segments
 from imucalib.units import MG, STANDARD_GRAVITY

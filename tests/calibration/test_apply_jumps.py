@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from imucalib.calibration import apply as application
 from imucalib.calibration.apply import apply_to_recording, correct_file
 from imucalib.calibration.calibration import Calibration, StoredParameter
+from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.simulation import SENSOR
-from imucalib.calibrators.actigraph.weak import NINE
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput
 from imucalib.readers import blocks, read

@@ -21,11 +21,11 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
 from imucalib.calibration.series import part_at, parts_of
+from imucalib.calibrators.actigraph.observations import NINE
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import SENSOR, WeekPlan, simulated_week
-from imucalib.calibrators.actigraph.weak import NINE
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError

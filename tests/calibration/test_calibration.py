@@ -21,7 +21,7 @@ from ruamel.yaml import YAML
 import imucalib
 from imucalib.calibration.calibration import Calibration, StoredParameter, from_fit
 from imucalib.calibration.file import as_dict, check, from_dict, read, to_yaml, write
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.effects import named
 from imucalib.effects.record_error import record_error

@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from imucalib.calibration.uncertainty import angle_uncertainty, correcting, force_slope
 from imucalib.core.balance import Noise
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.references import angles_of, unit_vector

@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.undo import Undo
-from imucalib.core.context import Context
-from imucalib.core.effect import Response
+from imucalib.core.effect import Context, Parameter, Response, Truth
 from imucalib.core.model import Model
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
 from imucalib.effects import catalogue, known, named
 from imucalib.recording.recording import Channel, Recording
 from imucalib.units import MG, STANDARD_GRAVITY

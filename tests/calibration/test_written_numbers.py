@@ -13,7 +13,7 @@ from imucalib.calibration.calibration import Calibration, StoredParameter, matri
 from imucalib.calibration.correction import Correction
 from imucalib.calibration.outcome import Left, Limit
 from imucalib.calibration.series import CalibrationPart, part_at
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.effects import named
 from imucalib.recording.recording import Channel, Recording

@@ -17,13 +17,19 @@ from imucalib.calibration.file import read
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.cli import cli
-from imucalib.cohort.fleet.device import Device, device_of
 from imucalib.cohort.fleet.left_out import foretold
-from imucalib.cohort.fleet.outcome import Fleet
-from imucalib.cohort.fleet.pooled import evidence, outstanding, pooled, predictive, sizes
+from imucalib.cohort.fleet.outcome import Fleet, outliers, spread_of
+from imucalib.cohort.fleet.pooled import (
+    Device,
+    device_of,
+    evidence,
+    outstanding,
+    pooled,
+    predictive,
+    sizes,
+)
 from imucalib.cohort.fleet.run import run_fleet
 from imucalib.cohort.fleet.search import Rules
-from imucalib.cohort.fleet.spread import outliers, spread_of
 from imucalib.effects import catalogue
 from imucalib.errors import UsageError
 from imucalib.report.fleet.document import fleet_document

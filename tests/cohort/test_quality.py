@@ -8,8 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from imucalib import cli
-from imucalib.cohort.batch import Entry, rows
-from imucalib.cohort.quality import quality_of
+from imucalib.cohort.batch import Entry, quality_of, rows
 from worlds.places import SAMPLES
 
 

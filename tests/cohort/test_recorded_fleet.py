@@ -23,13 +23,12 @@ from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_week
 from imucalib.calibrators.population import read as read_population
 from imucalib.cli import cli
-from imucalib.cohort.fleet.outcome import Fleet
+from imucalib.cohort.fleet.outcome import Fleet, nested_spread
 from imucalib.cohort.fleet.recorded.calibrated import calibrated
 from imucalib.cohort.fleet.recorded.pooled import combined, device_of, sizes_of
 from imucalib.cohort.fleet.recorded.run import Wanted, run_recorded
 from imucalib.cohort.fleet.search import Rules
-from imucalib.cohort.fleet.spread import nested_spread
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.core.context import Context
+from imucalib.core.effect import Context, Truth
 from imucalib.core.model import Model
-from imucalib.core.truth import Truth
 from imucalib.effects import named
 from imucalib.errors import NotConverged
 from imucalib.units import MG

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.core.identifiability import null_directions
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Parameter
+from imucalib.core.fit import null_directions
 
 NAMES = tuple(Parameter(name, "mg", 10.0, 99.0) for name in "abcdefg")
 

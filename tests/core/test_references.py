@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from imucalib.core.known_direction import KnownDirection
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
+from imucalib.core.sphere import KnownDirection
 
 Array = NDArray[np.float64]
 G = 9.8061

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.core.sessions import BIAS, MOUNTING, session_of, turned, with_sessions
+from imucalib.core.observations import BIAS, MOUNTING, session_of, turned, with_sessions
 from worlds.bench import bench, tumble
 
 SESSION = np.array([0, 0, 1, 1, 2, 2]).repeat(10)

@@ -10,10 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from imucalib.core.context import MOTION, Context
-from imucalib.core.effect import Action, Effect, Response
+from imucalib.core.effect import MOTION, Action, Context, Effect, Motion, Response, Truth
 from imucalib.core.model import Model
-from imucalib.core.truth import Motion, Truth
 from imucalib.effects import catalogue, families, load_file, named
 from imucalib.effects.record_error import is_record_error, record_error
 from imucalib.errors import UsageError

@@ -70,7 +70,7 @@ _OWN = """
 from dataclasses import replace
 import numpy as np
 from imucalib.core.effect import Action, Response
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Parameter
 from imucalib.effects import named
 own = replace(named("bias"), name="own_bias")
 class Plain:

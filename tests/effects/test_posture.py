@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.core.context import Context
-from imucalib.core.effect import Response
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Response, Truth
 from imucalib.effects import families
 from imucalib.effects.worn.posture import centres, posture
 from imucalib.units import MG, STANDARD_GRAVITY

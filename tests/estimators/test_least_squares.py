@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector

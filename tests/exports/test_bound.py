@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import LimitBroken
 from imucalib.exports import exported

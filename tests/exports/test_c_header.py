@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.file import read, write
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.errors import UsageError
 from imucalib.exports import exported

@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.sphere import counted, even_directions
 from imucalib.effects import named
 from imucalib.errors import UsageError

@@ -11,7 +11,7 @@ import pytest
 from goldens.test_programs import golden
 from imucalib.calibration.checking.misfit import Misfits, Part
 from imucalib.calibration.checking.statistic import ANYTHING, Statistic
-from imucalib.calibration.comparison.beyond import beyond
+from imucalib.calibration.comparison.agreement import beyond
 from imucalib.calibrators.lab.advice import beyond_declared
 from imucalib.core.fit import Fit
 from imucalib.loop.held_out import difference, with_density

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import imucalib
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.effects import catalogue, families

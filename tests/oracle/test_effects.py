@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect
-from imucalib.core.truth import Motion, Truth
+from imucalib.core.effect import Context, Effect, Motion, Truth
 from imucalib.effects import catalogue
 from imucalib.units import DEG, STANDARD_GRAVITY
 from oracle.by_hand import BY_HAND, direction

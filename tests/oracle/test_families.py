@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucalib.core.context import Context
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Truth
 from imucalib.effects import families, named
 from imucalib.effects.shape import FORMS
 from imucalib.units import DEG, MG, STANDARD_GRAVITY

@@ -15,7 +15,7 @@ from imucalib.calibration.provenance import provenance_of
 from imucalib.report.card import card_of, error_worth
 from imucalib.report.data import shown_dict
 from imucalib.report.document import Card, Document, Plot, Section, Series, Table, Text, Tone, Worth
-from imucalib.report.gain import gain_plot, refuted_words
+from imucalib.report.loop import gain_plot, refuted_words
 from imucalib.report.render.html import render_html
 from imucalib.report.render.text import PAGE, render_text
 from imucalib.report.sphere import projected

@@ -12,8 +12,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from imucalib.report.document import Plot, Series
-from imucalib.report.render.axes import Axis, linear_axis, log_axis
-from imucalib.report.render.svg import HEIGHT, WIDTH, render_svg
+from imucalib.report.render.svg import HEIGHT, WIDTH, Axis, linear_axis, log_axis, render_svg
 from worlds.report_strategies import PLOTS
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucalib.core.balance import Noise
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector, Reference, unit_vector

@@ -15,7 +15,7 @@ from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
 from imucalib.calibrators.actigraph.observations import covariates_of
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.simulation import scan_of
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.rests.runs import PostureRuns, Scan
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Flags
 from imucalib.calibration.calibration import Calibration
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.references import angles_of
 from imucalib.rests.segments import Segments
 from imucalib.units import DEG, MG, STANDARD_GRAVITY

@@ -12,7 +12,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.calibration.triads import Triad
 from imucalib.calibration.uncertainty import correcting
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.effects import known

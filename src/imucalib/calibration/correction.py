@@ -17,9 +17,7 @@ from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration, taken_at
 from imucalib.calibration.series import CalibrationPart, part_at, parts_of
 from imucalib.calibration.undo import Undo
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Effect, Truth
 from imucalib.effects.thermal.lag import PREFIX, counts_rows
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording

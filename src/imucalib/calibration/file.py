@@ -21,7 +21,7 @@ from imucalib.atomic_file import replaced_together
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.plain import plain
 from imucalib.calibration.triads import triad_from
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.errors import UnreadableInput
 from imucalib.readers.source import sha256_of

@@ -14,9 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration
-from imucalib.core.context import Context
-from imucalib.core.effect import Response
-from imucalib.core.truth import Motion, Truth
+from imucalib.core.effect import Context, Motion, Response, Truth
 from imucalib.effects import known
 from imucalib.errors import UnreadableInput
 from imucalib.recording.recording import Channel, Recording

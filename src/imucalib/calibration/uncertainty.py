@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.references import unit_vector

@@ -15,10 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Response
+from imucalib.core.effect import Context, Effect, Response, Truth
 from imucalib.core.model import Model
-from imucalib.core.truth import Truth
 from imucalib.units import STANDARD_GRAVITY
 
 _ROWS = 8192  # at a time, so that memory does not grow with the recording

@@ -10,10 +10,9 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.apply import refuse_second
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.array_misfit import gyro_rest, triad_misfits
 from imucalib.calibration.checking.check import Measured
-from imucalib.calibration.checking.linearised import misfits_of
-from imucalib.calibration.checking.noise import CheckNoise
+from imucalib.calibration.checking.misfit import CheckNoise, gyro_rest, triad_misfits
+from imucalib.calibration.checking.next_rests import misfits_of
 from imucalib.calibration.series import BLOCK
 from imucalib.calibration.shared_gravity import held_against_gravity
 from imucalib.calibration.triads import named_triads, pairing_of
@@ -24,7 +23,7 @@ from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.files import ANGLES, LabFiles, positions_in, still_rests
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.effects.covariate import COLUMN

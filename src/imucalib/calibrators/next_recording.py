@@ -21,13 +21,12 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.next_rests import attitudes
 from imucalib.calibration.file import check, read
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect
+from imucalib.core.effect import Context, Effect
 from imucalib.core.fit import Fit
-from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector, Reference, angles_of, unit_vector
+from imucalib.core.sphere import KnownDirection
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.loop.separation import (

@@ -15,12 +15,10 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.balance import Noise, balance
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect
+from imucalib.core.effect import Context, Effect, Parameter
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.core.parameter import Parameter
 from imucalib.core.prior import Prior, correlated
 from imucalib.effects import named
 from imucalib.errors import UnreadableInput, UsageError

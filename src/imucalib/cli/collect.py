@@ -29,8 +29,7 @@ def command(folder: Path, output: Path, force: bool, quiet: bool) -> int:
     Example: imucal collect entries -o cohort.csv
     """
     from imucalib.atomic_file import demand_output
-    from imucalib.cohort.batch import read_entry, rows
-    from imucalib.cohort.table import write_table
+    from imucalib.cohort.batch import read_entry, rows, write_table
     from imucalib.errors import UnreadableInput
 
     if not folder.is_dir():

@@ -4,23 +4,153 @@ Two shapes cover the catalogue. A `Response` adds to the readings of one channel
 make of the truth: linear in its parameters, reading = truth + Σ basis(truth)·θ. A `Rotation` turns
 the specific force before the sensor sees it, about an axis by an angle that is linear in its
 parameters. Both act on the truth, never on the reading: the inverse is derived (`model.correct`).
+
+A parameter: a number with a name, a unit, a physical size and a range outside of which it is
+not believed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imucalib.arrays import Array
-from imucalib.core.context import Context
+from imucalib.arrays import Array, Index
 from imucalib.core.course import Lagged
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
 from imucalib.units import DEG
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How K triads turn: rate ω (rad/s), spin dω/dt (rad/s²) and jerk, the specific force's
+    derivative (m/s³), each (n, K, 3) in every triad's own axes."""
+
+    rate: Array
+    spin: Array
+    jerk: Array
+
+    def take(self, rows: Index) -> Motion:
+        return Motion(self.rate[rows], self.spin[rows], self.jerk[rows])
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What K triads are exposed to in n observations, each triad in its own axes.
+
+    force : (n, K, 3) m/s², specific force; motion : None where the sensors rest
+    """
+
+    force: Array
+    motion: Motion | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(n, K, 3)."""
+        return self.force.shape
+
+    def take(self, rows: Index) -> Truth:
+        return Truth(self.force[rows], self.motion and self.motion.take(rows))
+
+    @property
+    def turning(self) -> Motion:
+        """The motion. Raises ValueError at rest: an effect that asks for it must name it in
+        `needs`."""
+        if self.motion is None:
+            raise ValueError("the sensors rest: there is no motion")
+        return self.motion
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown of an effect.
+
+    unit : the unit that a person reads (mg, deg, 1, mg/degC); the effect converts it to SI
+    typical : one standard deviation of what data sheets and practice let one expect, in `unit`
+    plausible : largest absolute value that is still believed, in `unit`
+    start : the value at which the effect is absent
+    usual : largest that data sheets let one expect, in `unit`; the name of a larger one is in doubt
+    least : smallest value that is still believed, in `unit`, of what has one sign
+    """
+
+    name: str
+    unit: str
+    typical: float
+    plausible: float
+    start: float = 0.0
+    usual: float = math.inf
+    least: float = -math.inf
+
+
+#: Parts of the truth that are there only where the sensors move.
+MOTION = ("rate", "spin", "jerk")
+#: Covariates that are the time of a recording, the last of which comes again each day.
+DAILY = "time_of_day"
+CLOCKS = ("order", "record", "time", DAILY)
+
+
+@dataclass(frozen=True)
+class Context:
+    """Covariates by name, each (n,) in SI units (angles in rad, temperature in °C, time in s), or
+    (n, K) where every triad has its own.
+
+    Names with a meaning for the catalogue: "order" (0..1 over the recording), "time",
+    "temperature", "inclination", "tool_face", "inclination_dial" and "tool_face_dial" (as the
+    bench's dials say them, where these count otherwise), "inclination_sense" and "tool_face_sense"
+    (-1 where they count the other way), "sweep" (number of the run of rows with the same held
+    angle), "inclination_approach" and "tool_face_approach" (-1, 0, +1: the direction from
+    which the setting was reached), "previous_x", "previous_y", "previous_z" (m/s²), "approach_x",
+    "approach_y", "approach_z" (-1, 0, +1: the side from which an axis came to its reading, where
+    nothing lay between), "sample_age"
+    ((n, K) sawtooth of unit span, the beat of each gyro's clock).
+    `sweeps` counts those of the whole recording, so that a subset keeps the parameters' meaning.
+    attitude : (K, 3, 3) from each triad's axes to the common ones, or None where they are the same
+    moving : whether the truth has a motion beside the specific force
+    """
+
+    n: int
+    covariates: Mapping[str, Array] = field(default_factory=dict)
+    triads: tuple[str, ...] = ("imu0",)
+    sweeps: int = 1
+    attitude: Array | None = None
+    moving: bool = False
+
+    def __getitem__(self, name: str) -> Array:
+        return self.covariates[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.covariates or (self.moving and name in MOTION)
+
+    def dial(self, name: str) -> Array:
+        """(n,) rad, "inclination" or "tool_face" as its dial counts it."""
+        return self.covariates.get(f"{name}_dial", self.covariates[name])
+
+    def sense(self, name: str) -> Array:
+        """(n,) +1, or -1 where the dial counts against the angle."""
+        return self.covariates.get(f"{name}_sense", np.ones(self.n))
+
+    def take(self, rows: NDArray[np.intp]) -> Context:
+        """The context of a subset of the observations; order and time keep their values."""
+        picked = {name: values[rows] for name, values in self.covariates.items()}
+        return replace(self, n=len(rows), covariates=picked)
+
+    def in_common(self, vectors: Array) -> Array:
+        """(n, K, 3) in the common axes, of vectors (n, K, 3) in each triad's own."""
+        if self.attitude is None:
+            return vectors
+        return np.asarray((self.attitude @ vectors[..., None])[..., 0])
+
+    def in_own(self, columns: Array) -> Array:
+        """(n, K, 3, m) in each triad's own axes, of columns (n, 1 or K, 3, m) in common ones."""
+        shape = (len(columns), len(self.triads), *columns.shape[2:])
+        if self.attitude is None:
+            return np.broadcast_to(columns, shape)
+        return np.asarray(self.attitude.transpose(0, 2, 1) @ columns)
+
 
 #: fixture: the reference is off (never applied to new readings); mounting: the triad's attitude in
 #: the tool; sensor: what the sensor does. The last two are undone by `apply`.

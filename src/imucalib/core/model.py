@@ -10,10 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Effect, Parameter, Truth
 from imucalib.errors import NotConverged
 
 _ORDER = {"fixture": 0, "mounting": 1, "sensor": 2}

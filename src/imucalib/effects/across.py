@@ -4,10 +4,7 @@ degree by name, and to third as whatever all three forces make of it."""
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Effect, Family, Parameter, Response, Truth
 from imucalib.units import MG, STANDARD_GRAVITY
 
 _SOURCE = "IEEE Std 1293 model equation; 0.1-0.5 % of full scale in MEMS data sheets"

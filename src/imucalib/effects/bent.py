@@ -6,10 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Response, Rotation, Turn
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Effect, Parameter, Response, Rotation, Truth, Turn
 from imucalib.effects.inclination import inclination_axis
 from imucalib.effects.tool_face import tool_face_axis
 from imucalib.units import MG, STANDARD_GRAVITY

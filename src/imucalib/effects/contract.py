@@ -10,10 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from imucalib.core.context import Context
-from imucalib.core.effect import Action, Effect
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Motion, Truth
+from imucalib.core.effect import Action, Context, Effect, Motion, Parameter, Truth
 from imucalib.errors import UsageError
 from imucalib.units import STANDARD_GRAVITY
 

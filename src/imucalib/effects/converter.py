@@ -9,10 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Action, Effect, Family, Response
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Action, Context, Effect, Family, Parameter, Response, Truth
 from imucalib.units import MG, STANDARD_GRAVITY
 
 TERMS = 32

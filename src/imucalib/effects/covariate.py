@@ -8,10 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Basis, Effect, Family, Response
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Basis, Context, Effect, Family, Parameter, Response, Truth
 from imucalib.units import MG
 
 Drive = Callable[[Context], Array]

@@ -6,10 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Basis, Response
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Basis, Context, Parameter, Response, Truth
 
 #: (axis that reads, axis that leaks in): y sees x, z sees x, z sees y.
 _PAIRS = ((1, 0), (2, 0), (2, 1))

@@ -5,10 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Basis, Response
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Basis, Context, Parameter, Response, Truth
 from imucalib.units import MG, STANDARD_GRAVITY
 
 _SOURCE = "IEEE Std 1293 model equation; 0.1-0.5 % of full scale in MEMS data sheets"

@@ -6,10 +6,7 @@ Not part of the catalogue that is scored block by block: `record_errors.py` scan
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Response
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Parameter, Response, Truth
 from imucalib.units import MG
 
 _PREFIX = "record_error_"

@@ -3,9 +3,7 @@
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Rotation
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Context, Parameter, Rotation
 from imucalib.core.references import unit_vector
 
 

@@ -5,9 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Rotation
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Context, Parameter, Rotation
 
 
 def tool_face_axis(context: Context) -> Array:

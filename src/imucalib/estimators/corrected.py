@@ -14,8 +14,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.balance import Noise
-from imucalib.core.fit import Fit
-from imucalib.core.identifiability import null_directions
+from imucalib.core.fit import Fit, null_directions
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector, angles_of, unit_vector

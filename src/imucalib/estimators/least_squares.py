@@ -20,9 +20,8 @@ from imucalib.core.balance import (
     setting_errors,
     whitener,
 )
-from imucalib.core.context import Context
-from imucalib.core.fit import Fit, shrinking
-from imucalib.core.identifiability import null_directions
+from imucalib.core.effect import Context
+from imucalib.core.fit import Fit, null_directions, shrinking
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior

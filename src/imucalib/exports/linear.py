@@ -9,7 +9,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import PASSING, Calibration
 from imucalib.calibration.series import parts_of
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.sphere import even_directions
 from imucalib.units import MG, STANDARD_GRAVITY
 

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import MOTION
-from imucalib.core.effect import Effect, Family
+from imucalib.core.effect import MOTION, Effect, Family, Truth
 from imucalib.core.fit import Fit
 from imucalib.core.model import Prediction
-from imucalib.core.truth import Truth
 from imucalib.effects import catalogue, families, named
 
 

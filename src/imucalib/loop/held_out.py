@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array, Index
 from imucalib.core.balance import whitener
+from imucalib.core.effect import Truth
 from imucalib.core.fit import Fit
 from imucalib.core.observations import Observations
-from imucalib.core.truth import Truth
 from imucalib.effects.record_error import is_record_error
 from imucalib.estimators.student import quantile
 

@@ -14,9 +14,9 @@ from imucalib.arrays import Array
 from imucalib.core.balance import Noise
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
-from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
 from imucalib.core.references import KnownNorm, KnownVector, angles_of
+from imucalib.core.sphere import KnownDirection
 from imucalib.effects.record_error import is_record_error, record_error, record_of
 from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.loop.candidates import ALL_TRIADS

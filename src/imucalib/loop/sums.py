@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.context import CLOCKS
+from imucalib.core.effect import CLOCKS
 from imucalib.core.fit import Fit
 from imucalib.loop.posterior.gram import swept
 from imucalib.loop.posterior.problem import Problem

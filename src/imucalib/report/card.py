@@ -10,7 +10,7 @@ from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.effects import known
 from imucalib.effects.shape import in_words
 from imucalib.report.document import Card, Text, Tone, Worth
-from imucalib.report.gain import density_words, likeliest_words, refuted_words
+from imucalib.report.loop import density_words, likeliest_words, refuted_words
 from imucalib.significant_digits import per_cent, plus_minus, two_digits
 from imucalib.units import MG
 

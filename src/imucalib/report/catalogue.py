@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Context, Effect, Family, Parameter, Response
 from imucalib.report.document import Document, Facts, Section, Table, Text
 
 #: Needs as a list of a line each has them.

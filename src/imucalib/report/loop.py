@@ -5,16 +5,151 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from imucalib.calibration.findings import Findings, FoundStep
+import numpy as np
+
+from imucalib.calibration.findings import Findings, FoundStep, Gain
 from imucalib.calibration.outcome import ErrorSummary, Outcome
 from imucalib.calibration.power import hidden
 from imucalib.effects.shape import in_words
 from imucalib.loop.found import Score
-from imucalib.report.document import Block, Facts, Section, Table, Text, Tone
-from imucalib.report.gain import refuted_words
-from imucalib.report.steps import step_tables
+from imucalib.report.document import Block, Facts, Plot, Section, Series, Table, Text, Tone
 from imucalib.significant_digits import per_cent, plus_minus, probability
 from imucalib.units import MG
+
+
+def step_tables(found: Findings) -> list[Table]:
+    """Effects that were added; a column of sizes and of nats held out where a calibrator has it."""
+    kinds = dict.fromkeys(tuple(c.metric for c in s.checks) for s in found.steps)
+    return [
+        _table([s for s in found.steps if tuple(c.metric for c in s.checks) == kind], found)
+        for kind in kinds
+    ]
+
+
+def _table(steps: Sequence[FoundStep], found: Findings) -> Table:
+    checks = steps[0].checks
+    sized, nats = (any(getattr(s, name) for s in steps) for name in ("size", "held_out"))
+    posterior = not any(math.isnan(s.probability) for s in steps)
+    rows = tuple(
+        (
+            s.effect,
+            *((s.size,) if sized else ()),
+            per_cent(s.probability) if posterior else probability(s.p, s.draws),
+            *((f"{s.evidence:.1f}", ", ".join(f"{v:.0f}" for v in s.held_out)) if nats else ()),
+            *_changes(s),
+            _others(s) or ("nothing: certain" if s.certain else "-"),
+        )
+        for s in steps
+    )
+    errors = (
+        ("before", "after") if len(checks) == 1 else tuple(f"{c.metric}, {c.unit}" for c in checks)
+    )
+    header = (
+        "effect added",
+        *(("size",) if sized else ()),
+        "there" if posterior else "p",
+        *(("nats", "held out, nats") if nats else ()),
+        *errors,
+        "cannot be told from",
+    )
+    align = "l" + "l" * sized + "r" * (len(header) - 2 - sized) + "l"
+    if len(checks) == 1:
+        note = f"{_upper(checks[0].metric).removesuffix(', rms')} in {checks[0].unit} rms, "
+        note += (
+            "of all steps together. There: how likely it is, in this place or beside another."
+            if posterior
+            else "which took part in the choice; p is the chance in the whole search."
+        )
+    else:
+        note = (
+            "p is the chance in the whole search. Held out: what each half of the data gains by "
+            "the effect as the other half has it. Residuals: median absolute deviation, held out."
+        )
+    return Table("Steps of the loop", header, rows, align, note)
+
+
+def _others(step: FoundStep) -> str:
+    """What may stand in a step's place, with its share where there is one."""
+    if not step.rivals:
+        return ", ".join(step.aliases)
+    return ", ".join(f"{n} {per_cent(s)}" for n, s in step.rivals if n != step.effect)
+
+
+def _changes(step: FoundStep) -> tuple[str, ...]:
+    if len(step.checks) == 1:
+        (check,) = step.checks
+        return f"{check.before:.{check.digits}f}", f"{check.after:.{check.digits}f}"
+    return tuple(f"{c.before:.{c.digits}f} -> {c.after:.{c.digits}f}" for c in step.checks)
+
+
+def _upper(text: str) -> str:
+    return text[0].upper() + text[1:]
+
+
+def gain_plot(found: Findings | None) -> tuple[Plot, ...]:
+    """One plot where held-out data say what a step is worth; empty where they do not."""
+    gain = found.gain if found else None
+    if gain is None:
+        return ()
+    known = np.full(2, np.nan)
+    bars = Series(
+        "held out", np.arange(3.0), np.array([gain.before, gain.after, gain.before - gain.after]),
+        "bars", np.append(known, gain.low), np.append(known, gain.high),
+        names=("before", "after", "gain, 95 %"),
+    )  # fmt: skip
+    words = "excludes" if gain.low > 0.0 else "includes"
+    caption = f"On data that took no part in any choice. The interval of the gain {words} zero"
+    caption += "." if math.isnan(gain.nats) else f"; {density_words(gain)}."
+    return (Plot("What the search is worth", "", f"error ({gain.unit})", (bars,), caption),)
+
+
+def density_words(gain: Gain) -> str:
+    """What the log density of held-out data gains, where it was judged."""
+    return f"in log density {gain.nats:+.1f} nats, at least {gain.nats_low:+.1f}"
+
+
+#: Probability from which on something that is not told is likely enough to be named, and how many.
+_LIKELY, _NAMED = 0.1, 2
+
+
+def likeliest_words(found: Findings) -> str:
+    """What nothing missing may turn out to be, with the probability of each, or nothing."""
+    likely = [s for s in found.scores if 1.0 - s.p > _LIKELY][:_NAMED]
+    words = ", ".join(f"{in_words(s.name)} {per_cent(1.0 - s.p)}" for s in likely)
+    return f"; the likeliest that could be: {words}" if words else ""
+
+
+def refuted_words(found: Findings) -> str:
+    """Why nothing was taken where nothing is left."""
+    if not found.refuted or found.gain is None:
+        return "no candidate passes the search"
+    g, names = found.gain, " and ".join(map(in_words, found.refuted))
+    return (
+        f"{names} stood out by more than chance, but not on data that took no part "
+        f"({g.before:.3g} {g.unit} without, {g.after:.3g} with)"
+    )
+
+
+TERMS: tuple[tuple[str, str], ...] = (
+    ("mg", "a thousandth of standard gravity, 0.00980665 m/s²"),
+    ("|a|", "the size of the measured acceleration; at rest it is local gravity"),
+    ("raw, base, final", "the reading as it came; corrected by the usual parameters; corrected by "
+     "these and by what the search found"),
+    ("held out", "on data that took no part: searched and fitted without them, then predicted"),
+    ("noise floor", "what noise alone would leave, from positions that repeat or as declared"),
+    ("sd, ±", "one standard deviation; 95 %: an interval that holds the truth 19 times of 20"),
+    ("p", "the chance that the best of all candidates does as well on data that lack nothing"),
+    ("nats", "evidence: e to that power is how much more probable the data are with the effect"),
+    ("explained, suspected", "the gain on held-out data excludes zero, or does not yet"),
+    ("cannot be told from", "effects that do the same to these data; a name stays open, the "
+     "correction averages over them"),
+    ("left (%), λ", "share of an effect that the fitted parameters do not take up, and its "
+     "strength over the noise: about 4.7 is found four times of five"),
+    ("bias, scale, cross", "reading at zero; sensitivity minus one; what one axis reads of "
+     "another's acceleration (non-orthogonality)"),
+    ("posture run", "a stretch at rest in one posture, taken as one observation"),
+    ("tool-face, inclination", "roll about the tool's axis, and its angle from the horizontal"),
+)  # fmt: skip
 
 _HELD_OUT = {
     "actigraph": "Held out: each block of time predicted by a fit without it.",

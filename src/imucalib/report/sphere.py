@@ -8,7 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.report.document import Plot, Series
-from imucalib.report.render.axes import nice_step
+from imucalib.report.render.svg import nice_step
 
 #: Radius of a hemisphere of the unit sphere, Lambert's azimuthal equal-area projection (Snyder, Map
 #: Projections: A Working Manual, USGS 1395, 1987, p. 185), and the gap between the two.

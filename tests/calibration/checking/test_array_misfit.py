@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.array_misfit import gyro_rest, triad_misfits
 from imucalib.calibration.checking.check import Measured, checked
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.noise import check_noise
+from imucalib.calibration.checking.misfit import check_noise, gyro_rest, triad_misfits
 from imucalib.calibration.triads import Triad
 from worlds.instrument import DEG, MG, Array, G, four, rotation, vectors
 

@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imucalib.calibration.checking.e_value import KAPPA, Look, e_value, mixture, paid
-from imucalib.calibration.checking.history import PastCheck, append_check, read_history
+from imucalib.calibration.checking.e_value import (
+    KAPPA,
+    Look,
+    PastCheck,
+    append_check,
+    e_value,
+    mixture,
+    paid,
+    read_history,
+)
 from imucalib.errors import UnreadableInput, UsageError
 from worlds.instrument import MG
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imucalib.calibration.checking.array_misfit import gyro_rest
+from imucalib.calibration.checking.misfit import gyro_rest
 from imucalib.units import DEG
 
 

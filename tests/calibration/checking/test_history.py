@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imucalib.calibration.checking.e_value import Look
-from imucalib.calibration.checking.history import SCHEMA, counted_once, read_history
+from imucalib.calibration.checking.e_value import SCHEMA, Look, counted_once, read_history
 from imucalib.errors import UnreadableInput, UsageError
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2, ncx2
 
+from imucalib.calibration.checking.misfit import check_noise
 from imucalib.calibration.checking.next_rests import MANY, next_rests
-from imucalib.calibration.checking.noise import check_noise
 from worlds.stated import made
 
 OWN, READING = 0.3, 1.0  # mg

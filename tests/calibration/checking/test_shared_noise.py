@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.checking.linearised import misfits_of
-from imucalib.calibration.checking.misfit import Misfits
-from imucalib.calibration.checking.noise import check_noise
+from imucalib.calibration.checking.misfit import Misfits, check_noise
+from imucalib.calibration.checking.next_rests import misfits_of
 from imucalib.calibration.checking.statistic import Statistic
 from imucalib.calibrators.lab.calibration import noise_block
 from imucalib.core.balance import Noise
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.observations import Observations, SharedNoise
 from imucalib.core.references import KnownNorm
 from imucalib.estimators.least_squares import fit

@@ -9,10 +9,15 @@ import pytest
 from scipy import stats
 
 from imucalib.calibration.checking import next_rests
-from imucalib.calibration.checking.array_misfit import gyro_rest
 from imucalib.calibration.checking.e_value import paid
-from imucalib.calibration.checking.misfit import Misfits, Part
-from imucalib.calibration.checking.noise import KNOWN, Scatter, check_noise
+from imucalib.calibration.checking.misfit import (
+    KNOWN,
+    Misfits,
+    Part,
+    Scatter,
+    check_noise,
+    gyro_rest,
+)
 from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibration.triads import Triad
 from imucalib.errors import UnreadableInput

@@ -11,9 +11,8 @@ from scipy import stats
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.check import Measured, checked
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.linearised import misfits_of
-from imucalib.calibration.checking.misfit import Misfits
-from imucalib.calibration.checking.noise import Scatter, check_noise
+from imucalib.calibration.checking.misfit import Misfits, Scatter, check_noise
+from imucalib.calibration.checking.next_rests import misfits_of
 from imucalib.calibration.checking.statistic import ANYTHING, Statistic
 from imucalib.calibrators.lab.bench import still_observations
 from imucalib.calibrators.lab.position_table import PositionTable

@@ -12,12 +12,15 @@ from scipy import optimize, stats
 
 from imucalib.calibration.checking.limits import Limits
 from imucalib.calibration.comparison.agreement import (
+    Beyond,
     agreement,
+    beyond,
     noise_dof,
     odd_ones,
     scatter,
 )
-from imucalib.calibration.comparison.attitudes import (
+from imucalib.calibration.comparison.basis import (
+    Basis,
     Seen,
     Worst,
     largest_sd,
@@ -25,11 +28,13 @@ from imucalib.calibration.comparison.attitudes import (
     worst_size,
     worst_turn,
 )
-from imucalib.calibration.comparison.basis import Basis
-from imucalib.calibration.comparison.beyond import Beyond, beyond
-from imucalib.calibration.comparison.compare import Comparison
-from imucalib.calibration.comparison.drift import due, slope_of
-from imucalib.calibration.comparison.meaning import Meaning, array_meanings
+from imucalib.calibration.comparison.compare import (
+    Comparison,
+    Meaning,
+    array_meanings,
+    due,
+    slope_of,
+)
 from imucalib.units import DEG
 
 Array = NDArray[np.float64]

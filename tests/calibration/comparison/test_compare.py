@@ -9,9 +9,8 @@ import pytest
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.comparison.beyond import beyond
-from imucalib.calibration.comparison.compare import compared
-from imucalib.calibration.comparison.drift import due, slope_of
+from imucalib.calibration.comparison.agreement import beyond
+from imucalib.calibration.comparison.compare import compared, due, slope_of
 from imucalib.core.sphere import even_directions
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.report.comparing.picture import control_chart

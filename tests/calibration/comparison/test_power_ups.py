@@ -11,8 +11,7 @@ from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.limits import Limits, sessions_of
 from imucalib.calibration.comparison.agreement import agreement
 from imucalib.calibration.comparison.basis import basis_of
-from imucalib.calibration.comparison.compare import compared
-from imucalib.calibration.comparison.power_ups import with_power_ups
+from imucalib.calibration.comparison.compare import compared, with_power_ups
 from imucalib.errors import UsageError
 from worlds.stated import made
 

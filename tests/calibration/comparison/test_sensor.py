@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.calibration.comparison.sensor import ArrayImu, sensor_of
+from imucalib.calibration.comparison.basis import ArrayImu, sensor_of
 from imucalib.calibration.triads import Triad
 from worlds.instrument import MG, Array, G, rotation
 

@@ -16,19 +16,17 @@ from imucalib.calibration.apply import apply_to_recording
 from imucalib.calibration.file import read as read_calibration
 from imucalib.calibration.file import write as write_calibration
 from imucalib.calibrators.actigraph.errors import norm_sd
-from imucalib.calibrators.actigraph.observations import observations_of
+from imucalib.calibrators.actigraph.observations import NINE, observations_of, robust_fit
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.series import series
 from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_week
-from imucalib.calibrators.actigraph.weak import NINE, robust_fit
 from imucalib.core.balance import Noise
-from imucalib.core.context import Context
+from imucalib.core.effect import Context, Truth
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm
 from imucalib.core.sphere import cell_of, even_directions
-from imucalib.core.truth import Truth
 from imucalib.effects import families, known, named
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.estimators.least_squares import fit

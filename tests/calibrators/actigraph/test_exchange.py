@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.actigraph.exchange import exchange_in
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
+from imucalib.calibrators.actigraph.series import exchange_in
 from imucalib.calibrators.actigraph.simulation import (
     WeekPlan,
     code_steps,

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from imucalib import cli
 from imucalib.calibration.file import read as read_calibration
-from imucalib.calibrators.actigraph.calibration_points import BINS, PointCollector, two_sets
-from imucalib.calibrators.actigraph.published import published_theta
+from imucalib.calibrators.actigraph.published import BINS, PointCollector, published_theta, two_sets
 from imucalib.calibrators.actigraph.simulation import WeekPlan, simulated_blocks
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.gradient_descent import (

@@ -14,10 +14,7 @@ from imucalib.calibrators.actigraph.simulation import (
     code_steps,
     simulated_week,
 )
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Response
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Effect, Parameter, Response, Truth
 from imucalib.estimators.least_squares import fit
 from imucalib.units import MG, STANDARD_GRAVITY
 

@@ -10,19 +10,24 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from imucalib.calibrators.actigraph import advice, coverage, errors
+from imucalib.calibrators.actigraph import calibration as advice
+from imucalib.calibrators.actigraph import coverage, errors
 from imucalib.calibrators.actigraph.calibrate import unseen
-from imucalib.calibrators.actigraph.calibration_points import (
-    PointCollector,
-    published_still,
-    two_sets,
-)
 from imucalib.calibrators.actigraph.closest_point import closest_point
 from imucalib.calibrators.actigraph.observations import (
     covariates_of,
+    from_data,
     hours,
+    is_weak,
     observations_of,
+    open_words,
     quantisation,
+    robust_fit,
+)
+from imucalib.calibrators.actigraph.published import (
+    PointCollector,
+    published_still,
+    two_sets,
 )
 from imucalib.calibrators.actigraph.simulation import (
     WeekPlan,
@@ -33,10 +38,9 @@ from imucalib.calibrators.actigraph.simulation import (
     simulated_week,
     temperature_at,
 )
-from imucalib.calibrators.actigraph.weak import from_data, is_weak, open_words, robust_fit
 from imucalib.calibrators.actigraph.wear import Minutes, Wear, activity_of
+from imucalib.core.effect import Parameter
 from imucalib.core.model import Model
-from imucalib.core.parameter import Parameter
 from imucalib.core.sphere import cell_of
 from imucalib.effects import named
 from imucalib.loop.held_out import Held
@@ -148,7 +152,7 @@ def test_coverage_is_what_was_recorded() -> None:
 
 
 def _one() -> object:
-    from imucalib.core.context import Context
+    from imucalib.core.effect import Context
 
     return Context(1)
 

@@ -13,11 +13,17 @@ from numpy.typing import NDArray
 
 from imucalib import cli
 from imucalib.calibration.file import read as read_calibration
-from imucalib.calibrators.actigraph.observations import observations_of, quantisation
+from imucalib.calibrators.actigraph.observations import (
+    NINE,
+    base_fit,
+    from_data,
+    is_weak,
+    observations_of,
+    quantisation,
+)
 from imucalib.calibrators.actigraph.request import ActigraphRequest
 from imucalib.calibrators.actigraph.run import run_of
 from imucalib.calibrators.actigraph.simulation import Week, WeekPlan, simulated_week
-from imucalib.calibrators.actigraph.weak import NINE, base_fit, from_data, is_weak
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.prior import Prior, independent

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucalib.calibrators.actigraph.simulation import WeekPlan
-from imucalib.calibrators.actigraph.worn_log import worn_blocks
+from imucalib.calibrators.actigraph.simulation import WeekPlan, worn_blocks
 from imucalib.units import MG
 
 PLAN = WeekPlan(days=0.5, rests=0.6, noise=4.0, rate=0.5, temperature=True)

@@ -7,9 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from imucalib.calibrators.array.rests import framed_misalignment, in_the_mean_frame
-from imucalib.core.context import Context
+from imucalib.core.effect import Context, Truth
 from imucalib.core.model import Model
-from imucalib.core.truth import Truth
 from imucalib.effects import named
 
 IMUS = ("a", "b", "c")

@@ -13,7 +13,7 @@ from imucalib.calibrators.lab.design import (
     settings_of,
     uniform_directions,
 )
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.effects import named
 from worlds.sheets import direction

@@ -17,7 +17,7 @@ from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import run_lab
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from worlds.places import SAMPLES

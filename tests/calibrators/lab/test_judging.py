@@ -16,7 +16,7 @@ from imucalib.calibrators.lab.dial import bends
 from imucalib.calibrators.lab.errors import noise_floor
 from imucalib.calibrators.lab.sessions.between import Between
 from imucalib.calibrators.population import not_of_its_kind
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
 from imucalib.errors import UsageError

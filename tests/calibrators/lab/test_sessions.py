@@ -13,7 +13,7 @@ from imucalib.calibrators.lab.files import LabFiles, calibrate_files
 from imucalib.calibrators.lab.request import LabRequest
 from imucalib.calibrators.lab.run import LabRun
 from imucalib.calibrators.lab.sessions.between import NextPowerUp
-from imucalib.core.sessions import turned
+from imucalib.core.observations import turned
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.source import sha256_of
 

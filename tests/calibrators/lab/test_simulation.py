@@ -9,7 +9,7 @@ import pytest
 
 from imucalib.calibrators.lab import simulation
 from imucalib.calibrators.lab.simulation import BenchPlan
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownVector
 from imucalib.errors import UsageError

@@ -10,12 +10,10 @@ from typing import Literal
 import numpy as np
 
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.checking.array_misfit import GyroRest
 from imucalib.calibration.checking.e_value import ALPHA, Look, e_value
 from imucalib.calibration.checking.limits import Limits
-from imucalib.calibration.checking.misfit import Misfits
+from imucalib.calibration.checking.misfit import CheckNoise, GyroRest, Misfits
 from imucalib.calibration.checking.next_rests import NextRests, next_rests, one_reading
-from imucalib.calibration.checking.noise import CheckNoise
 from imucalib.calibration.checking.statistic import ANYTHING, FamilyTest, Statistic
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UsageError
 from imucalib.units import DEG, MG

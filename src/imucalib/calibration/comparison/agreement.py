@@ -4,6 +4,19 @@ All agree: χ² = Σ (θ_i - θ̄)ᵀ C_i⁻¹ (θ_i - θ̄), θ̄ by generalise
 of freedom; since the covariances' scale was estimated, χ² / dof is held against F (ν by
 Satterthwaite), where power-ups scatter against what chance does (`chance`). The scatter of one
 parameter beyond its sds is that of `beyond`.
+
+How far calibrations lie apart by chance, where power-ups scatter.
+
+What readings leave open and what power-ups bring have sizes of their own, known from few of each.
+In the directions of a bias the second decides alone, so that no one F holds: calibrations are drawn
+with each part's true size as its estimate tells it, size² = estimate² ν / χ²(ν) (Fisher's fiducial
+law). The size of what power-ups bring is one, for all.
+
+How much values scatter beyond their own standard deviations, as a whole or within groups.
+
+τ² solves Q(τ²) = Σ (y_i - ȳ)² / (v_i + τ²) = degrees of freedom (Paule and Mandel 1982; the
+iterated DerSimonian and Laird 1986), its interval Q(τ²) = the quantiles of χ² (Viechtbauer 2007,
+Statistics in Medicine 26, 37-52). ȳ is the mean of all, or of each group.
 """
 
 from __future__ import annotations
@@ -12,10 +25,97 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.arrays import Array
+from imucalib.arrays import Array, Index
 from imucalib.calibration.comparison.basis import Basis
-from imucalib.calibration.comparison.beyond import beyond, chi_square
-from imucalib.calibration.comparison.chance import drawn, exceeded
+from imucalib.core.eigen import eigen
+
+#: Calibrations that are drawn; p is no finer than one of as many and one.
+DRAWS = 6000
+
+
+def drawn(basis: Basis, rng: np.random.Generator) -> Array:
+    """(DRAWS, m, p) values about a common truth."""
+    assert basis.power_ups is not None
+    m, p = basis.value.shape
+    found = np.zeros((DRAWS, m, p))
+    common = _size(basis.power_ups.dof, rng)
+    for k, share in enumerate(basis.power_ups.share):
+        own = basis.covariance[k] - share
+        for part, size in ((own, _size(float(basis.dof[k]), rng)), (share, common)):
+            found[:, k] += size[:, None] * (rng.standard_normal((DRAWS, p)) @ _root(part))
+    return found
+
+
+def exceeded(squares: Array, found: float) -> float:
+    """p of a sum of squares beside those that are drawn."""
+    return float((1 + np.count_nonzero(squares >= found)) / (squares.size + 1))
+
+
+def _size(dof: float, rng: np.random.Generator) -> Array:
+    if not np.isfinite(dof):
+        return np.ones(DRAWS)
+    return np.asarray(np.sqrt(dof / rng.chisquare(dof, DRAWS)))
+
+
+def _root(covariance: Array) -> Array:
+    values, vectors = eigen(0.5 * (covariance + covariance.T))
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """A standard deviation beyond stated ones, with its 95 % interval, in the values' unit."""
+
+    sd: float
+    low: float
+    high: float
+
+
+def beyond(value: Array, variance: Array, group: Index | None = None) -> Beyond:
+    """Of values (m,) with variances (m,); group : (m,) whose means differ anyhow, or one for all.
+
+    NaN where no group holds two.
+    """
+    from scipy.special import chdtri
+
+    dof = value.size - (1 if group is None else np.unique(group).size)
+    if dof < 1:
+        return Beyond(float("nan"), float("nan"), float("nan"))
+    wanted = (float(dof), float(chdtri(dof, 0.025)), float(chdtri(dof, 0.975)))
+    return Beyond(*(_solved(q, value, variance, group) for q in wanted))
+
+
+def beyond_sd(value: Array, variance: Array) -> float:
+    """The same of one group, without its interval."""
+    return _solved(value.size - 1.0, value, variance, None)
+
+
+def chi_square(value: Array, variance: Array) -> float:
+    """Weighted squares of values (m,) about their mean."""
+    return _q(0.0, value, variance, None)
+
+
+def _q(square: float, value: Array, variance: Array, group: Index | None) -> float:
+    weight = 1.0 / (variance + square)
+    if group is None:
+        return float(weight @ (value - weight @ value / weight.sum()) ** 2)
+    total = np.bincount(group, weight)
+    mean = np.bincount(group, weight * value) / np.where(total > 0.0, total, 1.0)
+    return float(weight @ (value - mean[group]) ** 2)
+
+
+def _solved(wanted: float, value: Array, variance: Array, group: Index | None) -> float:
+    """τ where Q(τ²) is so large; 0 where it never is."""
+    from scipy.optimize import brentq
+
+    if _q(0.0, value, variance, group) <= wanted:
+        return 0.0
+    high = float(np.ptp(value)) ** 2 + float(variance.max())
+    while _q(high, value, variance, group) > wanted:
+        high *= 4.0
+    return float(
+        np.sqrt(brentq(lambda s: _q(s, value, variance, group) - wanted, 0.0, high, xtol=1e-30))
+    )
 
 
 @dataclass(frozen=True)
@@ -41,7 +141,7 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ParameterScatter:
     """Standard deviation between calibrations beyond their own, (p,) each, with its 95 % interval;
     z_rms : (p,) of each parameter alone"""
 
@@ -117,7 +217,7 @@ def noise_dof(covariance: Array, dof: Array) -> float:
     return float(1.0 / np.sum(share**2 / dof))
 
 
-def scatter(basis: Basis) -> Scatter | None:
+def scatter(basis: Basis) -> ParameterScatter | None:
     """Parameter by parameter; None of fewer than three calibrations."""
     m = len(basis.value)
     if m < 3:
@@ -127,7 +227,7 @@ def scatter(basis: Basis) -> Scatter | None:
     found = [beyond(value, own) for value, own in pairs]
     sd, low, high = (np.array([getattr(one, k) for one in found]) for k in ("sd", "low", "high"))
     z_rms = np.sqrt([chi_square(value, own) / (m - 1) for value, own in pairs])
-    return Scatter(sd, low, high, z_rms)
+    return ParameterScatter(sd, low, high, z_rms)
 
 
 def _mean(value: Array, covariance: Array) -> tuple[Array, Array]:

@@ -4,20 +4,195 @@ Where all hold the same parameters, these. Where they hold other effects, what t
 order: the linear map reading = S force + c that is nearest to theirs over all attitudes, with its
 frame (S row by row) where all tie a frame to a tool or none does, else without it (lengths of S's
 rows, angles between them).
+
+A calibrated sensor as it acts: readings of a force, the force of a reading, and how both move
+with the calibration's parameters. The same for a single accelerometer and for an IMU of an array.
+
+What a difference between calibrations means: the corrected force in every attitude.
+
+The first calibration's reading of gravity, f(u) = g u, is corrected by the other. Its size may be
+compared always, its direction where both mean the same frame. Standard deviations carry the full
+covariances of both, S C Sᵀ with S the slope of the corrected force.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import NEVER_APPLIED, Calibration
-from imucalib.calibration.comparison.sensor import OneSensor, sensor_of
+from imucalib.calibration.checking.next_rests import Acting, acting
+from imucalib.calibration.triads import Triad
+from imucalib.core.effect import Context
+from imucalib.core.references import tangents
 from imucalib.core.sphere import even_directions
 from imucalib.units import DEG, MG
+
+
+class CalibratedSensor(Protocol):
+    """Vectors are (n, 3) m/s²."""
+
+    @property
+    def covariance(self) -> Array:
+        """(p, p) of the parameters that act."""
+        ...
+
+    def reading(self, force: Array) -> Array: ...
+    def force(self, reading: Array) -> Array: ...
+    def slope(self, force: Array) -> Array:
+        """(n, 3, p) of the corrected force by the parameters, at a reading of `force`."""
+        ...
+
+
+@dataclass(frozen=True)
+class OneSensor:
+    """A calibration with covariates where a later reading finds them."""
+
+    calibration: Calibration
+    part: Acting
+
+    @property
+    def covariance(self) -> Array:
+        return self.calibration.covariance[np.ix_(self.part.at, self.part.at)]
+
+    def _context(self, n: int) -> Context:
+        before = {f"previous_{axis}": np.zeros(n) for axis in "xyz"}
+        return Context(n, {**before, **self.calibration.usual(n)})
+
+    def reading(self, force: Array) -> Array:
+        part, context = self.part, self._context(len(force))
+        return part.model.predict(part.theta, force[:, None], context).reading[:, 0]
+
+    def force(self, reading: Array) -> Array:
+        part, context = self.part, self._context(len(reading))
+        return part.model.correct(part.theta, reading[:, None], context)[:, 0]
+
+    def slope(self, force: Array) -> Array:
+        part = self.part
+        seen = part.model.predict(part.theta, force[:, None], self._context(len(force)))
+        return np.asarray(-np.linalg.solve(seen.d_truth[:, 0], seen.d_theta[:, 0]))
+
+    def reading_slope(self, force: Array) -> Array:
+        """(n, 3, p) of the reading by the parameters."""
+        part = self.part
+        seen = part.model.predict(part.theta, force[:, None], self._context(len(force)))
+        return seen.d_theta[:, 0]
+
+
+def sensor_of(calibration: Calibration) -> OneSensor:
+    """Raises UnreadableInput for effects that are not known."""
+    return OneSensor(calibration, acting(calibration, fixture=False))
+
+
+@dataclass(frozen=True)
+class ArrayImu:
+    """One IMU, in board axes: reading = gain · force + bias."""
+
+    triad: Triad
+
+    @property
+    def covariance(self) -> Array:
+        return self.triad.covariance
+
+    def reading(self, force: Array) -> Array:
+        return np.asarray(force @ self.triad.gain.T + self.triad.bias)
+
+    def force(self, reading: Array) -> Array:
+        return np.asarray(np.linalg.solve(self.triad.gain, (reading - self.triad.bias).T).T)
+
+    def slope(self, force: Array) -> Array:
+        n = len(force)
+        by_gain = np.einsum("ij,nk->nijk", np.eye(3), force).reshape(n, 3, 9)
+        both = np.concatenate([by_gain, np.broadcast_to(np.eye(3), (n, 3, 3))], axis=2)
+        return np.asarray(-np.linalg.solve(self.triad.gain, both))
+
+
+_ATTITUDES = 400
+
+
+@dataclass(frozen=True)
+class Seen:
+    """m calibrations in n attitudes, against the first. attitude : (n, 3) unit vectors
+    size : (m, n) mg, of |f|; size_sd : (m, n) mg, of each one's own
+    turn : (m, n, 2) deg, along two tangents; turn_covariance : (m, n, 2, 2) of each one's own
+    """
+
+    attitude: Array
+    size: Array
+    size_sd: Array
+    turn: Array
+    turn_covariance: Array
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The largest difference of a pair. pair : numbers of the calibrations; value, sd : in `unit`;
+    attitude : (3,) unit vector of the specific force"""
+
+    pair: tuple[int, int]
+    value: float
+    sd: float
+    unit: str
+    attitude: Array
+
+
+def seen(sensors: Sequence[CalibratedSensor], gravity: float) -> Seen:
+    """gravity : m/s²"""
+    attitude = even_directions(_ATTITUDES)
+    across = tangents(attitude)
+    truth = gravity * attitude
+    reading = sensors[0].reading(truth)
+    size, size_sd, turn, spread = [], [], [], []
+    for sensor in sensors:
+        force, slope = sensor.force(reading), sensor.slope(truth)
+        own = np.einsum("nip,pq,njq->nij", slope, sensor.covariance, slope)
+        size.append((np.linalg.norm(force, axis=1) - gravity) / MG)
+        size_sd.append(np.sqrt(np.einsum("ni,nij,nj->n", attitude, own, attitude)) / MG)
+        turn.append(np.einsum("ni,nik->nk", force, across) / gravity / DEG)
+        spread.append(np.einsum("nik,nij,njl->nkl", across, own, across) / (gravity * DEG) ** 2)
+    return Seen(attitude, np.array(size), np.array(size_sd), np.array(turn), np.array(spread))
+
+
+def worst_size(found: Seen) -> Worst:
+    """Of |f|, over all pairs and attitudes."""
+
+    def one(i: int, j: int) -> tuple[float, int]:
+        away = np.abs(found.size[j] - found.size[i])
+        return float(away.max()), int(away.argmax())
+
+    (value, at), pair = max((one(i, j), (i, j)) for i, j in pairs_of(len(found.size)))
+    sd = float(np.hypot(found.size_sd[pair[0], at], found.size_sd[pair[1], at]))
+    return Worst(pair, value, sd, "mg", found.attitude[at])
+
+
+def worst_turn(found: Seen) -> Worst:
+    """Of the direction, over all pairs and attitudes; sd along the difference."""
+
+    def one(i: int, j: int) -> tuple[float, int]:
+        away = np.linalg.norm(found.turn[j] - found.turn[i], axis=1)
+        return float(away.max()), int(away.argmax())
+
+    (value, at), pair = max((one(i, j), (i, j)) for i, j in pairs_of(len(found.turn)))
+    along = (found.turn[pair[1], at] - found.turn[pair[0], at]) / max(value, 1e-300)
+    both = found.turn_covariance[pair[0], at] + found.turn_covariance[pair[1], at]
+    return Worst(pair, value, float(np.sqrt(along @ both @ along)), "deg", found.attitude[at])
+
+
+def largest_sd(found: Seen) -> tuple[float, float]:
+    """The largest stated sd of any calibration in any attitude: of |f| in mg, of the direction in
+    deg."""
+    turn = np.linalg.eigvalsh(found.turn_covariance)[..., -1]
+    return float(found.size_sd.max()), float(np.sqrt(turn.max()))
+
+
+def pairs_of(m: int) -> list[tuple[int, int]]:
+    """All pairs of m things."""
+    return [(i, j) for i in range(m) for j in range(i + 1, m)]
+
 
 _ROUNDING = 1e-9  # mg, deg, or parts of one: what moves by less is touched by no parameter
 _PAIRS = ((0, 1), (0, 2), (1, 2))

@@ -1,37 +1,389 @@
-"""Calibrations of one sensor beside each other."""
+"""Calibrations of one sensor beside each other.
+
+What a power-up changes, in the covariances of calibrations of different days.
+
+A calibration of one power-up states how well that one is known: its bias and its seat are the
+day's. One of several states the mean, and the scatter about it. Beside another day's, the first
+lacks the scatter whole; the other's mean holds its share, known from as many power-ups as it has.
+
+Calibrations with dates: what drifts a day, and when a limit is reached.
+
+Weighted least squares of a value on time, the variances those of the calibrations plus what they
+scatter by about the line beyond them (from three on; moments as in `agreement`). Intervals are
+Student's with m - 2 degrees of freedom, of two calibrations normal ones by the stated sds.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
 
+from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.checking.limits import Limits
+from imucalib.calibration.checking.misfit import FAMILIES, Scatter, stated_sessions
 from imucalib.calibration.comparison.agreement import (
     Agreement,
-    Scatter,
+    ParameterScatter,
     agreement,
     odd_ones,
     scatter,
 )
-from imucalib.calibration.comparison.attitudes import Seen, largest_sd, seen
-from imucalib.calibration.comparison.basis import Basis, basis_of
-from imucalib.calibration.comparison.dates import Dates, dates_of
-from imucalib.calibration.comparison.drift import Due, Slope, due, slope_of
-from imucalib.calibration.comparison.meaning import (
-    SIGNIFICANT,
-    Meaning,
-    array_meanings,
-    meanings_of,
+from imucalib.calibration.comparison.basis import (
+    ArrayImu,
+    Basis,
+    CalibratedSensor,
+    PowerUps,
+    Seen,
+    Worst,
+    basis_of,
+    largest_sd,
+    pairs_of,
+    seen,
+    sensor_of,
+    worst_size,
+    worst_turn,
 )
-from imucalib.calibration.comparison.power_ups import with_power_ups
-from imucalib.calibration.comparison.remarks import mounted, remarks
-from imucalib.calibration.comparison.sensor import ArrayImu, CalibratedSensor, sensor_of
 from imucalib.errors import UNEXPLAINED_EXIT_CODE, LimitBroken, UnreadableInput, UsageError
+from imucalib.units import DEG, MG
+
+#: Days between the first and the last from which on times of the runs stand in for recordings.
+_APART = 1.0
+
+
+@dataclass(frozen=True)
+class Dates:
+    """days : (m,) since the first; start : of the first; words : where they are from"""
+
+    days: Array
+    start: datetime
+    words: str
+
+
+def dates_of(calibrations: Sequence[Calibration], stated: Sequence[str]) -> Dates | None:
+    """As stated, else as the recordings say, else by the runs where these lie days apart; None
+    where none of this tells a difference. Raises UsageError for dates that are none."""
+    if stated:
+        if len(stated) != len(calibrations):
+            raise UsageError(
+                f"{len(stated)} dates for {len(calibrations)} calibrations",
+                remedy="give one a file, in their order: --dates 2026-01-31,2026-07-31",
+            )
+        found = _dates([_parsed(text) for text in stated], "dates as given")
+        if found is None:
+            raise UsageError("all dates are the same: nothing can drift between them",
+                             remedy="leave out --dates, or give the times of day")  # fmt: skip
+        return found
+    starts = [(c.facts.get("clock") or {}).get("start_ns") for c in calibrations]
+    if all(isinstance(s, int) for s in starts):
+        known = [datetime.fromtimestamp(s / 1e9, UTC) for s in starts if s is not None]
+        return _dates(known, "dates as the recordings have them")
+    runs = [(c.facts.get("provenance") or {}).get("time") for c in calibrations]
+    when = [_parsed(r) for r in runs if isinstance(r, str)]
+    if len(when) < len(runs):
+        return None
+    found = _dates(when, "dates are those of the runs of imucal, not of the "
+                   "recordings, which state none (--dates)")  # fmt: skip
+    return found if found is not None and np.ptp(found.days) >= _APART else None
+
+
+def _parsed(text: str) -> datetime:
+    try:
+        found = datetime.fromisoformat(text.strip())
+    except ValueError:
+        raise UsageError(
+            f"'{text}' is no date", remedy="write it as 2026-07-31 or 2026-07-31T12:00:00Z"
+        ) from None
+    return found if found.tzinfo else found.replace(tzinfo=UTC)
+
+
+def _dates(when: list[datetime], words: str) -> Dates | None:
+    first = min(when)
+    days = np.array([(w - first).total_seconds() / 86400.0 for w in when])
+    return Dates(days, first, words) if np.ptp(days) > 0.0 else None
+
+
+def mounted(calibration: Calibration) -> bool:
+    """Whether a calibration ties a frame to a tool."""
+    return any(p.effect == "mounting" for p in calibration.parameters)
+
+
+def remarks(
+    calibrations: Sequence[Calibration], names: Sequence[str], *, framed: bool
+) -> tuple[str, ...]:
+    """One sentence each. framed : whether directions can be compared."""
+    notes = []
+    provenance = [c.facts.get("provenance") or {} for c in calibrations]
+    inputs = [set(b.get("inputs_sha256") or [b.get("sha256")]) - {None, ""} for b in provenance]
+    if len(set().union(*inputs)) < sum(map(len, inputs)):
+        notes.append(
+            "two of them were made from the same recording: their errors are shared, so the "
+            "standard deviations of the difference are too large and p too near 1"
+        )
+    gravities = [c.gravity for c in calibrations]
+    if np.ptp(gravities) > 1e-9:
+        size = np.ptp(gravities) / MG
+        notes.append(
+            f"they assume gravities {size:.2g} mg apart ({_each(gravities)} m/s²): right where "
+            "they were recorded in different places, else this difference is in all scales"
+        )
+    units = [f"{c.raw_unit}" for c in calibrations]
+    scales = {c.raw_to_si for c in calibrations}
+    if len(scales) > 1:
+        notes.append(f"their readings are in {', '.join(units)}: compared in m/s²")
+    makers = [c.calibrator for c in calibrations]
+    if len(set(makers)) > 1:
+        notes.append(f"they were made by {', '.join(makers)}")
+    if not framed:
+        tied = [n for n, c in zip(names, calibrations, strict=True) if mounted(c)]
+        notes.append(
+            f"only {', '.join(tied)} tie{'s' * (len(tied) == 1)} a frame to a tool: directions are "
+            "not compared"
+        )
+    notes += [
+        f"status of {name}: {c.status}" + (f" ({'; '.join(c.reasons)})" if c.reasons else "")
+        for name, c in zip(names, calibrations, strict=True) if c.status != "ok"
+    ]  # fmt: skip
+    return tuple(notes)
+
+
+def _each(gravities: Sequence[float]) -> str:
+    return ", ".join(f"{g:.5f}" for g in gravities)
+
+
+@dataclass(frozen=True)
+class BetweenPowerUps:
+    """calibrations : with the scatter in their covariances
+    power_ups : what of them it is, or None where nothing tells it
+    words : where it is from, or that nothing states it"""
+
+    calibrations: tuple[Calibration, ...]
+    power_ups: PowerUps | None
+    words: str
+
+
+def with_power_ups(
+    calibrations: Sequence[Calibration], given: Mapping[str, float]
+) -> BetweenPowerUps:
+    """given : kind of change -> its scatter (bias mg, mounting deg) instead of what files state"""
+    stated = [stated_sessions(c) for c in calibrations]
+    scatter = {kind: Scatter(size) for kind, size in given.items()} or _pooled(stated)
+    words = _words(scatter, given, stated)
+    if not scatter:
+        return BetweenPowerUps(tuple(calibrations), None, words)
+    made, share = [], []
+    for calibration, own in zip(calibrations, stated, strict=True):
+        count = len(calibration.facts["between_sessions"]["sessions"]) if own else 1
+        part = _on_parameters(calibration, own or scatter, count)
+        whole = calibration.covariance if own else calibration.covariance + part
+        made.append(replace(calibration, covariance=whole))
+        share.append(part)
+    dof = min(s.dof for s in scatter.values())
+    return BetweenPowerUps(tuple(made), PowerUps(share, dof), words)
+
+
+def _pooled(stated: Sequence[Mapping[str, Scatter]]) -> dict[str, Scatter]:
+    """Mean of the variances that files state, by their degrees of freedom."""
+    found = {}
+    for kind in FAMILIES:
+        every = [one[kind] for one in stated if kind in one]
+        if every:
+            dof = sum(s.dof for s in every)
+            found[kind] = Scatter((sum(s.dof * s.sd**2 for s in every) / dof) ** 0.5, dof)
+    return found
+
+
+def _on_parameters(calibration: Calibration, scatter: Mapping[str, Scatter], count: int) -> Array:
+    """(p, p) what power-ups bring to a mean of `count` of them."""
+    var = [
+        scatter[p.effect].sd ** 2 / count if p.effect in scatter else 0.0
+        for p in calibration.parameters
+    ]
+    return np.diag(np.array(var, np.float64))
+
+
+def _words(
+    scatter: Mapping[str, Scatter],
+    given: Mapping[str, float],
+    stated: Sequence[Mapping[str, Scatter]],
+) -> str:
+    if not scatter:
+        return (
+            "what a power-up changes is in no sd: a bias that differs may be another day's "
+            "(--between-sessions)"
+        )
+    said = ", ".join(f"{s.sd:.3g} {FAMILIES[kind]} of {kind}" for kind, s in scatter.items())
+    source = "as given" if given else "as the calibrations of several state"
+    alone = sum(not one for one in stated)
+    return f"power-ups scatter by {said}, {source}: in the sds of {alone} of one power-up"
+
+
+#: Stated standard deviations that a difference may reach where no limit is given.
+SIGNIFICANT = 2.0
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """The largest difference of one kind, and the size that matters. sensor : IMU of an array"""
+
+    worst: Worst
+    limit: float
+    sensor: str = ""
+
+    @property
+    def beyond(self) -> bool:
+        return self.worst.value > self.limit
+
+
+def meanings_of(found: Mapping[str, Seen], limits: Limits, *, turns: bool) -> tuple[Meaning, ...]:
+    """Force, and where it can be compared direction, of the sensor where it is largest."""
+    sds = [largest_sd(one) for one in found.values()]
+    force = limits.force
+    direction = limits.direction
+    if limits == Limits():
+        force, direction = (SIGNIFICANT * max(column) for column in zip(*sds, strict=True))
+    made = []
+    for limit, worst in ((force, worst_size), (direction if turns else None, worst_turn)):
+        if limit is not None:
+            pairs = [(worst(one), name) for name, one in found.items()]
+            largest, name = max(pairs, key=lambda pair: pair[0].value)
+            made.append(Meaning(largest, limit, name))
+    return tuple(made)
+
+
+def array_meanings(
+    calibrations: Sequence[Calibration], basis: Basis, limits: Limits
+) -> tuple[tuple[Meaning, ...], tuple[str, ...]]:
+    """Positions in mm and biases of gyroscopes in deg/s, of which the files state no sd."""
+    limit = limits.position
+    if limits == Limits():
+        limit = SIGNIFICANT * float(np.sqrt(np.einsum("kii->ki", basis.covariance).max()))
+    made = () if limit is None else (_places(calibrations, basis, limit),)
+    rates = np.array([[t.gyro_bias / DEG for t in c.triads] for c in calibrations])
+    away, pair = max(
+        (float(np.abs(rates[j] - rates[i]).max()), (i, j)) for i, j in pairs_of(len(rates))
+    )
+    k, axis = divmod(int(np.abs(rates[pair[1]] - rates[pair[0]]).argmax()), 3)
+    name = calibrations[0].triads[k].name
+    said = (
+        f"the gyroscopes' biases differ by {away:.2g} deg/s at most ({name}, {'xyz'[axis]}); the "
+        "files state no uncertainty of these, so they are told and not tested"
+    )
+    if limits.rate is not None:
+        worst = Worst(pair, away, math.nan, "deg/s", np.eye(3)[axis])
+        made = (*made, Meaning(worst, limits.rate, name))
+    return made, (said,)
+
+
+def _places(calibrations: Sequence[Calibration], basis: Basis, limit: float) -> Meaning:
+    """The IMU whose position differs most."""
+    places = basis.value.reshape(len(calibrations), -1, 3)
+    value, pair, k = max(
+        (float(np.linalg.norm(places[j, k] - places[i, k])), (i, j), k)
+        for i, j in pairs_of(len(places))
+        for k in range(places.shape[1])
+    )
+    own = basis.covariance[list(pair), 3 * k : 3 * k + 3, 3 * k : 3 * k + 3].sum(axis=0)
+    along = (places[pair[1], k] - places[pair[0], k]) / max(value, 1e-300)
+    sd = float(np.sqrt(along @ own @ along))
+    name = calibrations[0].triads[k + 1].name
+    return Meaning(Worst(pair, value, sd, "mm", along), limit, name)
+
+
+#: Attitudes that chance sees independently: the largest of what nine parameters of like effect do
+#: over 400 attitudes exceeds its 95 % quantile as the largest of 29 to 34 numbers does (simulated).
+INDEPENDENT = 30
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Per day, with the half width of its 95 % interval, in the value's unit."""
+
+    value: float
+    half: float
+
+    @property
+    def shown(self) -> bool:
+        """Whether the interval excludes zero."""
+        return abs(self.value) > self.half
+
+
+@dataclass(frozen=True)
+class Due:
+    """When a drift reaches a limit, days after the last calibration. attitude : (3,) where it does
+    first; slope : there; expected : by the slope itself, infinite where none shows; earliest : by
+    the upper edge of its interval"""
+
+    slope: Slope
+    attitude: Array
+    limit: float
+    unit: str
+    expected: float
+    earliest: float
+
+
+def slope_of(days: Array, value: Array, variance: Array, among: int = 1) -> Slope:
+    """days, value, variance : (m,); among : so many at once that the interval holds for all"""
+    from scipy.special import ndtri, stdtrit
+
+    m = days.size
+    extra = _beyond(days, value, variance) if m > 2 else 0.0
+    estimate, sd, _ = _line(days, value, variance + extra)
+    level = 1.0 - 0.025 / among
+    quantile = float(stdtrit(m - 2, level) if m > 2 else ndtri(level))
+    return Slope(estimate, quantile * sd)
+
+
+def due(
+    days: Array, value: Array, variance: Array, attitude: Array, limit: float, *, sensors: int = 1
+) -> Due:
+    """value, variance : (m, n) in mg, in n attitudes (n, 3); limit : mg; sensors : so many"""
+    among = INDEPENDENT * sensors
+    slopes = [slope_of(days, v, s, among) for v, s in zip(value.T, variance.T, strict=True)]
+    reach = np.array([abs(s.value) + s.half for s in slopes])
+    shown = np.array([abs(s.value) if s.shown else 0.0 for s in slopes])
+    at = int(np.argmax(np.where(shown.any(), shown, reach)))
+    fastest = float(shown.max())
+    return Due(
+        slope=slopes[at],
+        attitude=attitude[at],
+        limit=limit,
+        unit="mg",
+        expected=limit / fastest if fastest > 0.0 else np.inf,
+        earliest=float(limit / reach.max()),
+    )
+
+
+def _line(days: Array, value: Array, variance: Array) -> tuple[float, float, float]:
+    """Slope, its sd and the weighted sum of squares about the line."""
+    weight = 1.0 / variance
+    middle = float(weight @ days / weight.sum())
+    mean = float(weight @ value / weight.sum())
+    away = days - middle
+    power = float(weight @ away**2)
+    slope = float(weight @ (away * (value - mean))) / power
+    return slope, power**-0.5, float(weight @ (value - mean - slope * away) ** 2)
+
+
+def _beyond(days: Array, value: Array, variance: Array) -> float:
+    """Variance about the line beyond the stated ones: Q = m - 2."""
+    from scipy.optimize import brentq
+
+    def q(extra: float) -> float:
+        return _line(days, value, variance + extra)[2] - (days.size - 2)
+
+    if q(0.0) <= 0.0:
+        return 0.0
+    high = float(np.ptp(value)) ** 2 + float(variance.max())
+    while q(high) > 0.0:
+        high *= 4.0
+    return float(brentq(q, 0.0, high))
+
 
 Verdict = Literal["agree", "differ", "undecided"]
 ALPHA = 0.05
@@ -55,7 +407,7 @@ class Comparison:
     names: tuple[str, ...]
     basis: Basis
     agreement: Agreement
-    scatter: Scatter | None
+    scatter: ParameterScatter | None
     meanings: tuple[Meaning, ...]
     seen: Mapping[str, Seen]
     drift: Drift | None
@@ -170,7 +522,7 @@ def _sensors(imus: tuple[str, ...]) -> str:
 
 def _dof(calibration: Calibration) -> float:
     """Degrees of freedom behind the covariance's scale, by the noise that the file states."""
-    from imucalib.calibration.checking.noise import check_noise
+    from imucalib.calibration.checking.misfit import check_noise
 
     try:
         return check_noise(calibration).reading.dof

@@ -8,10 +8,16 @@ import numpy as np
 
 from imucalib.calibration.outcome import ErrorSummary
 from imucalib.calibrators.actigraph.errors import error_summary
-from imucalib.calibrators.actigraph.observations import observations_of, quantisation
-from imucalib.calibrators.actigraph.of_a_kind import OfAKind, fit_of_a_kind
+from imucalib.calibrators.actigraph.observations import (
+    NINE,
+    OfAKind,
+    base_fit,
+    fit_of_a_kind,
+    is_weak,
+    observations_of,
+    quantisation,
+)
 from imucalib.calibrators.actigraph.request import HELD, ActigraphRequest
-from imucalib.calibrators.actigraph.weak import NINE, base_fit, is_weak
 from imucalib.calibrators.rivals import with_rivals
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model

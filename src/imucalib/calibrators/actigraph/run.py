@@ -10,16 +10,27 @@ from imucalib.calibration.findings import Findings, findings_of
 from imucalib.calibration.outcome import Outcome, Run, left_open, quality_of
 from imucalib.calibration.plain import plain
 from imucalib.calibration.provenance import Provenance, provenance_of
-from imucalib.calibrators.actigraph.advice import advice, limits_of, reasons
 from imucalib.calibrators.actigraph.calibrate import ActigraphResult, calibrate
-from imucalib.calibrators.actigraph.calibration import actigraph_calibration, actigraph_details
+from imucalib.calibrators.actigraph.calibration import (
+    actigraph_calibration,
+    actigraph_details,
+    advice,
+    limits_of,
+    reasons,
+)
 from imucalib.calibrators.actigraph.closest_point import ClosestPoint, closest_point
 from imucalib.calibrators.actigraph.coverage import Coverage, coverage_of
 from imucalib.calibrators.actigraph.errors import raw_errors
-from imucalib.calibrators.actigraph.exchange import Exchange, exchange_in, refuse_exchange
 from imucalib.calibrators.actigraph.observations import quantisation
 from imucalib.calibrators.actigraph.request import ActigraphRequest
-from imucalib.calibrators.actigraph.series import Series, series, without_found
+from imucalib.calibrators.actigraph.series import (
+    Exchange,
+    Series,
+    exchange_in,
+    refuse_exchange,
+    series,
+    without_found,
+)
 from imucalib.calibrators.actigraph.wear import (
     Activity,
     Minutes,

@@ -24,14 +24,11 @@ from imucalib.calibrators.array.board import Board
 from imucalib.calibrators.array.gyros import gyro_drift
 from imucalib.calibrators.array.loop.catalogue import NOTHING_ASKED, Asked
 from imucalib.core.balance import Noise, balance
-from imucalib.core.context import Context
-from imucalib.core.effect import Action, Effect, Response, cross_matrix
+from imucalib.core.effect import Action, Context, Effect, Parameter, Response, Truth, cross_matrix
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
-from imucalib.core.parameter import Parameter
 from imucalib.core.references import KnownNorm
-from imucalib.core.truth import Truth
 from imucalib.effects import catalogue, families, named
 from imucalib.errors import NotConverged, Undetermined
 from imucalib.estimators.least_squares import fit as fit_model

@@ -16,9 +16,7 @@ import numpy as np
 from imucalib.arrays import Array, Flags, Index
 from imucalib.calibrators.array.loop.laws import array_functions, array_laws
 from imucalib.calibrators.array.loop.motion import BoardMotion
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Response
-from imucalib.core.truth import Motion, Truth
+from imucalib.core.effect import Context, Effect, Motion, Response, Truth
 from imucalib.effects import catalogue
 from imucalib.estimators.turns import (
     ACCELEROMETER,

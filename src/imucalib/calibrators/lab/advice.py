@@ -18,9 +18,9 @@ from imucalib.calibrators.lab.errors import reading_noise, setting_noise
 from imucalib.calibrators.lab.faults import SCATTER
 from imucalib.core.effect import Described
 from imucalib.core.fit import Fit
-from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
 from imucalib.core.references import KnownVector, angles_of, unit_vector
+from imucalib.core.sphere import KnownDirection
 from imucalib.effects import known, names_a_cause
 from imucalib.effects.shape import in_words
 from imucalib.errors import UsageError

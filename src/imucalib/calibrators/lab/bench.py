@@ -12,10 +12,10 @@ from imucalib.arrays import Array, Index
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.headings import driver_name, is_driver
 from imucalib.calibrators.lab.position_table import PositionTable
-from imucalib.core.context import Context
-from imucalib.core.known_direction import KnownDirection
+from imucalib.core.effect import Context
 from imucalib.core.observations import NoisePrior, Observations
 from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.core.sphere import KnownDirection
 from imucalib.effects.covariate import COLUMN
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.conversion import zero_g

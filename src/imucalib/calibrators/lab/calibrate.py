@@ -22,10 +22,10 @@ from imucalib.calibrators.population import Population, of_a_kind
 from imucalib.calibrators.rivals import with_rivals
 from imucalib.core.effect import Effect
 from imucalib.core.fit import Fit
-from imucalib.core.known_direction import KnownDirection
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector
+from imucalib.core.sphere import KnownDirection
 from imucalib.effects import catalogue, named
 from imucalib.errors import NotConverged, Undetermined, UsageError
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected

@@ -17,8 +17,7 @@ from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.core.observations import Observations
-from imucalib.core.sessions import with_sessions
+from imucalib.core.observations import Observations, with_sessions
 from imucalib.errors import UsageError
 from imucalib.loop.faults.cells import transposed
 from imucalib.readers.conversion import Conversion, temperature

@@ -15,9 +15,9 @@ from imucalib.arrays import Array
 from imucalib.calibrators.lab.bench import held_settings
 from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.core.balance import balance
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.eigen import eigen
-from imucalib.core.identifiability import null_directions
+from imucalib.core.fit import null_directions
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import KnownNorm, KnownVector, unit_vector

@@ -9,7 +9,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.lab.calibrate import LabResult
 from imucalib.calibrators.lab.conventions import Conventions
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
 from imucalib.core.references import unit_vector

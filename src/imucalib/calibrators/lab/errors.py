@@ -10,8 +10,7 @@ from imucalib.arrays import Index
 from imucalib.calibration.outcome import ErrorSummary, HeldOutError
 from imucalib.core.fit import Fit
 from imucalib.core.model import Model
-from imucalib.core.observations import Observations
-from imucalib.core.sessions import session_of
+from imucalib.core.observations import Observations, session_of
 from imucalib.errors import NotConverged
 from imucalib.estimators.corrected import OBJECTIVES, fit_corrected
 from imucalib.estimators.variance import INSTEAD

@@ -15,8 +15,8 @@ from imucalib.calibrators.lab.errors import setting_noise
 from imucalib.calibrators.lab.misread import axes_questions, misread_words
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.core.known_direction import KnownDirection
 from imucalib.core.observations import Observations
+from imucalib.core.sphere import KnownDirection
 from imucalib.errors import UsageError
 from imucalib.loop.faults.conventions import misread_angles, wrong_directions
 from imucalib.loop.faults.converter import (

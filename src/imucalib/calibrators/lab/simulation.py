@@ -14,7 +14,7 @@ from imucalib.calibrators.lab.conventions import Conventions
 from imucalib.calibrators.lab.design import recommend
 from imucalib.calibrators.lab.position_table import PositionTable
 from imucalib.core.balance import Noise
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.core.references import unit_vector

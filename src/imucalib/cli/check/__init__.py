@@ -73,7 +73,7 @@ def command(calibration: Path, log: Path, **options: Any) -> int:
     """
     from imucalib.atomic_file import demand_output
     from imucalib.calibration.checking.check import checked
-    from imucalib.calibration.checking.history import read_history
+    from imucalib.calibration.checking.e_value import read_history
     from imucalib.calibration.checking.limits import limits_of
     from imucalib.calibration.file import check, read
     from imucalib.effects import load_file

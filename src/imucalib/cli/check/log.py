@@ -12,14 +12,14 @@ from imucalib.cli.recording_options import mapping_of, one_scale, still_of
 if TYPE_CHECKING:
     from imucalib.calibration.calibration import Calibration
     from imucalib.calibration.checking.check import Check, Measured
-    from imucalib.calibration.checking.history import PastCheck
-    from imucalib.calibration.checking.noise import CheckNoise
+    from imucalib.calibration.checking.e_value import PastCheck
+    from imucalib.calibration.checking.misfit import CheckNoise
 
 
 def noise_of(calibration: Calibration, options: dict[str, Any]) -> CheckNoise:
     """What the options and the calibration say of the noise."""
     from imucalib.calibration.checking.limits import sessions_of, size_of
-    from imucalib.calibration.checking.noise import check_noise
+    from imucalib.calibration.checking.misfit import check_noise
     from imucalib.units import MG
 
     reading = options["noise"] and MG * size_of(options["noise"], {"mg": "force"})[0]
@@ -37,7 +37,7 @@ def measured_of(
     """The log as misfits, sensor by sensor."""
     from dataclasses import replace
 
-    from imucalib.calibration.checking.history import counted_once
+    from imucalib.calibration.checking.e_value import counted_once
     from imucalib.calibrators.check_log import Asked, array_log, sensor_log
     from imucalib.calibrators.lab.files import LabFiles
 
@@ -66,7 +66,7 @@ def append(path: Path, past: tuple[PastCheck, ...], found: Check, content: dict[
     from datetime import UTC, datetime
 
     from imucalib.calibration.checking.check import look_of
-    from imucalib.calibration.checking.history import PastCheck, append_check
+    from imucalib.calibration.checking.e_value import PastCheck, append_check
 
     told = {k: content[k] for k in ("calibration_sha256", "log", "verdict", "p", "e_value")}
     told["time"] = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -41,8 +41,7 @@ def command(recording: Path, seed: int, **options: Any) -> int:
     \b
     Example: imucal simulate actigraph day.h5 --plant temperature_bias=0.2,0,-0.1
     """
-    from imucalib.calibrators.actigraph.simulation import WeekPlan
-    from imucalib.calibrators.actigraph.worn_log import worn_blocks
+    from imucalib.calibrators.actigraph.simulation import WeekPlan, worn_blocks
     from imucalib.errors import UsageError
     from imucalib.readers.joining import join
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucalib.cohort.fleet.device import Device, moderated
-from imucalib.cohort.fleet.pooled import sizes
+from imucalib.cohort.fleet.pooled import Device, moderated, sizes
 from imucalib.cohort.fleet.search import Rules, Search, search, told_to_each
 from imucalib.core.prior import Prior, correlated
 

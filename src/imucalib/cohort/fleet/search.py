@@ -8,8 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.cohort.fleet.device import Device
-from imucalib.cohort.fleet.pooled import Pooled, Sizes, pooled, predictive, sizes, told_by_others
+from imucalib.cohort.fleet.pooled import (
+    Device,
+    Pooled,
+    Sizes,
+    pooled,
+    predictive,
+    sizes,
+    told_by_others,
+)
 from imucalib.core.prior import Prior, correlated
 from imucalib.loop.thresholds import MARGIN
 

@@ -3,9 +3,7 @@
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Response, own_axis, three
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Response, Truth, own_axis, three
 
 
 def _sizes(truth: Truth, context: Context) -> Array:

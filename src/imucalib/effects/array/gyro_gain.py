@@ -3,10 +3,7 @@
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Response, own_axis, three
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Parameter, Response, Truth, own_axis, three
 
 _CROSS = tuple((i, j) for i in range(3) for j in range(3) if i != j)
 _SHEET = "MPU-6050 data sheet 6.1: scale ±3 %, cross-axis ±2 %"

@@ -7,8 +7,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.core.course import Course, calm
-from imucalib.core.effect import Response
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Parameter, Response
 from imucalib.effects.array.timing import by_jerk, by_spin
 
 _SOURCE = "filters of 5 to 260 Hz in MPU-6050 data sheets: 0.6 to 30 ms"

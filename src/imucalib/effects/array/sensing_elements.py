@@ -3,10 +3,7 @@
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Response
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Parameter, Response, Truth
 
 _MM = 1e-3
 

@@ -3,9 +3,7 @@
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Basis, Response, three
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Basis, Context, Response, Truth, three
 from imucalib.units import MG, STANDARD_GRAVITY
 
 _BEFORE = ("previous_x", "previous_y", "previous_z")

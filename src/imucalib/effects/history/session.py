@@ -6,9 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response, Rotation
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Context, Effect, Family, Parameter, Response, Rotation
 from imucalib.effects.inclination import inclination_axis
 from imucalib.effects.non_orthogonality import driven
 

@@ -5,9 +5,7 @@
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response, Rotation
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Context, Effect, Family, Parameter, Response, Rotation
 from imucalib.effects.covariate import Drive, bias_with, scale_with
 from imucalib.effects.inclination import about
 from imucalib.effects.mounting import turns_about

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 
 
 def values_of(prefix: str) -> Callable[[Context], tuple[str, ...]]:

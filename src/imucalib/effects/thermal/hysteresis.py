@@ -4,8 +4,7 @@ A package that sticks to its board, or an adhesive that creeps, gives way only o
 turned by so much. Unlike a lag a play has no time: it waits for the temperature, however long.
 """
 
-from imucalib.core.effect import Effect, Family, Response
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Effect, Family, Parameter, Response
 from imucalib.effects.covariate import USUAL_PER_DEGC, bias_with
 from imucalib.effects.thermal import values_of
 

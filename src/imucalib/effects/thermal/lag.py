@@ -1,7 +1,6 @@
 """A bias that follows the temperature late: the thermometer and the sensing element differ."""
 
-from imucalib.core.effect import Effect, Family, Response
-from imucalib.core.parameter import Parameter
+from imucalib.core.effect import Effect, Family, Parameter, Response
 from imucalib.effects.covariate import USUAL_PER_DEGC, bias_with
 from imucalib.effects.thermal import values_of
 

@@ -7,8 +7,7 @@ where both are taken, the turning point of each axis follows from the two.
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response, three
+from imucalib.core.effect import Context, Effect, Family, Response, three
 from imucalib.effects.covariate import bias_with
 
 #: Where a turning point is tried, in parts of the range: at an end it is nearly a linear bias.

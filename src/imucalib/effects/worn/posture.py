@@ -9,10 +9,7 @@ has their name. Without a force there is no posture: the offset fades below a tw
 import numpy as np
 
 from imucalib.arrays import Array
-from imucalib.core.context import Context
-from imucalib.core.effect import Effect, Family, Response
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Effect, Family, Parameter, Response, Truth
 from imucalib.units import MG, STANDARD_GRAVITY
 
 #: Bumps that are tried, and observations from which on: one for each of the finer, whose prior

@@ -21,8 +21,7 @@ from typing import Literal
 import numpy as np
 
 from imucalib.arrays import Array, Index
-from imucalib.core.context import DAILY, Context
-from imucalib.core.effect import Effect, Family
+from imucalib.core.effect import DAILY, Context, Effect, Family
 from imucalib.core.model import Model
 from imucalib.core.observations import Observations
 from imucalib.effects import known

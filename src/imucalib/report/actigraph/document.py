@@ -8,19 +8,16 @@ import numpy as np
 
 from imucalib.calibrators.actigraph.coverage import Coverage
 from imucalib.calibrators.actigraph.errors import norm_sd
+from imucalib.calibrators.actigraph.observations import from_data
 from imucalib.calibrators.actigraph.run import ActigraphRun
-from imucalib.calibrators.actigraph.weak import from_data
 from imucalib.core.sphere import even_directions
 from imucalib.report.actigraph.activity import activity_section, rule_section
 from imucalib.report.actigraph.card import actigraph_card
 from imucalib.report.actigraph.plots import residual_plots, sphere_blocks
 from imucalib.report.actigraph.series import series_section
 from imucalib.report.document import Document, Facts, Section, Table, Text
-from imucalib.report.gain import gain_plot
-from imucalib.report.kind import kind_section
-from imucalib.report.loop import advice_section, candidate_section, loop_section
-from imucalib.report.sections import sensor_section, verdict
-from imucalib.report.terms import TERMS
+from imucalib.report.loop import TERMS, advice_section, candidate_section, gain_plot, loop_section
+from imucalib.report.sections import kind_section, sensor_section, verdict
 from imucalib.significant_digits import probability, with_sd
 from imucalib.units import MG
 

@@ -9,8 +9,8 @@ import numpy as np
 from imucalib.calibrators.actigraph.published import PublishedRun
 from imucalib.report.card import card_of, error_worth
 from imucalib.report.document import Document, Section, Table
+from imucalib.report.loop import TERMS
 from imucalib.report.sections import parameter_table, verdict
-from imucalib.report.terms import TERMS
 
 
 def published_document(run: PublishedRun) -> Document:

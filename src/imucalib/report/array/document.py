@@ -12,10 +12,8 @@ from imucalib.report.array.known import known_facts
 from imucalib.report.array.plots import board_plots, chain_plots, close_up, deviation_plot
 from imucalib.report.array.residuals import residual_plots
 from imucalib.report.document import Document, Facts, Section, Table, Text
-from imucalib.report.gain import gain_plot
-from imucalib.report.loop import loop_section
+from imucalib.report.loop import TERMS, gain_plot, loop_section
 from imucalib.report.sections import closing_sections, verdict
-from imucalib.report.terms import TERMS
 from imucalib.significant_digits import with_sd
 from imucalib.units import DEG
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from imucalib.calibration.checking.check import POWER, SIGNIFICANT, Check
-from imucalib.calibration.checking.noise import FAMILIES
+from imucalib.calibration.checking.misfit import FAMILIES
 from imucalib.report.checking.words import attitude_words, causes_in_words, evidence_words
 from imucalib.report.document import Card, Text, Tone, Worth
 from imucalib.significant_digits import two_digits

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucalib.calibration.checking.check import POWER, Check, SensorCheck
 from imucalib.calibration.checking.e_value import ALPHA
-from imucalib.calibration.checking.noise import FAMILIES
+from imucalib.calibration.checking.misfit import FAMILIES
 from imucalib.calibration.plain import plain
 from imucalib.report.checking.words import attitude_words, causes_in_words
 from imucalib.units import MG

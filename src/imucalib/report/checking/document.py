@@ -9,8 +9,8 @@ import numpy as np
 
 from imucalib.calibration.checking.check import POWER, SIGNIFICANT, Check, SensorCheck
 from imucalib.calibration.checking.e_value import ALPHA
+from imucalib.calibration.checking.misfit import FAMILIES
 from imucalib.calibration.checking.next_rests import MANY, NextRests
-from imucalib.calibration.checking.noise import FAMILIES
 from imucalib.calibration.checking.statistic import ANYTHING
 from imucalib.report.checking.card import TONE, check_card
 from imucalib.report.checking.words import attitude_words, size_words, verdict_words

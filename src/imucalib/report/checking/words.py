@@ -9,7 +9,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibration.checking.check import POWER, Check, SensorCheck
 from imucalib.calibration.checking.e_value import ALPHA
-from imucalib.calibration.checking.noise import FAMILIES
+from imucalib.calibration.checking.misfit import FAMILIES
 from imucalib.calibration.checking.statistic import ANYTHING, DRAWS
 from imucalib.significant_digits import plus_minus, probability, two_digits
 

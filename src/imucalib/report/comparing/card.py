@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from imucalib.calibration.comparison.compare import Comparison
-from imucalib.calibration.comparison.meaning import SIGNIFICANT
+from imucalib.calibration.comparison.compare import SIGNIFICANT, Comparison
 from imucalib.report.comparing.words import due_words
 from imucalib.report.document import Card, Text, Tone, Worth
 from imucalib.significant_digits import plus_minus, two_digits

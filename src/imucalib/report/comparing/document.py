@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucalib.calibration.comparison.compare import Comparison, Drift
-from imucalib.calibration.comparison.meaning import SIGNIFICANT
+from imucalib.calibration.comparison.compare import SIGNIFICANT, Comparison, Drift
 from imucalib.report.comparing.card import TONE, comparison_card
 from imucalib.report.comparing.picture import control_chart
 from imucalib.report.comparing.words import QUANTITY, due_words, verdict_words

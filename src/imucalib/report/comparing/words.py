@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from datetime import timedelta
 
-from imucalib.calibration.comparison.compare import Comparison, Drift
-from imucalib.calibration.comparison.meaning import Meaning
+from imucalib.calibration.comparison.compare import Comparison, Drift, Meaning
 from imucalib.report.document import Text
 from imucalib.significant_digits import plus_minus, two_digits
 

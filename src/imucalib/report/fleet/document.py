@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imucalib.calibration.comparison.beyond import Beyond
+from imucalib.calibration.comparison.agreement import Beyond
 from imucalib.cohort.fleet.outcome import Fleet
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.effects import named
 from imucalib.report.document import Document, Plot, Section, Series, Table, Text
 from imucalib.report.fleet.card import TONES, fleet_card

@@ -8,10 +8,8 @@ from imucalib.calibration.gyroscope import STAGE
 from imucalib.calibrators.imu.run import ImuRun, heading_drift
 from imucalib.report.card import card_of, error_worth
 from imucalib.report.document import Card, Document, Facts, Section, Table, Worth
-from imucalib.report.gain import gain_plot
-from imucalib.report.loop import advice_section, floor_words, loop_section
+from imucalib.report.loop import TERMS, advice_section, floor_words, gain_plot, loop_section
 from imucalib.report.sections import closing_sections, parameter_table, sensor_section, verdict
-from imucalib.report.terms import TERMS
 from imucalib.significant_digits import plus_minus, two_digits, with_sd
 from imucalib.units import DEG
 

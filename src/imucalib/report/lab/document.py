@@ -12,16 +12,20 @@ from imucalib.core.fit import Fit
 from imucalib.core.references import KnownVector
 from imucalib.loop.held_out import Held, fitted
 from imucalib.report.document import Block, Document, Facts, Section, Table, Text
-from imucalib.report.gain import gain_plot
-from imucalib.report.kind import kind_section
 from imucalib.report.lab.card import lab_card
 from imucalib.report.lab.plots import dial_section, uncertainty_section
 from imucalib.report.lab.residuals import attitude_map, residual_plots
 from imucalib.report.lab.sessions import sessions_section
 from imucalib.report.lab.tables import iscwsa_table, position_table, published_table, training_note
-from imucalib.report.loop import advice_section, candidate_section, floor_words, loop_section
-from imucalib.report.sections import parameter_table, sensor_section, verdict
-from imucalib.report.terms import TERMS
+from imucalib.report.loop import (
+    TERMS,
+    advice_section,
+    candidate_section,
+    floor_words,
+    gain_plot,
+    loop_section,
+)
+from imucalib.report.sections import kind_section, parameter_table, sensor_section, verdict
 from imucalib.significant_digits import plus_minus, spread
 from imucalib.units import DEG, MG
 

@@ -5,14 +5,83 @@ Everything is drawn in `currentColor`; the group around it sets the colour of th
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from html import escape as escape_entities
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucalib.arrays import Array
-from imucalib.report.render.markup import escape, points, short
-from imucalib.report.render.thinning import Indices, runs, thinned
+
+Indices = NDArray[np.intp]
+
+LONGEST = 2000  # points drawn one by one; beyond, extremes of buckets
+
+
+def thinned(x: Array, y: Array) -> Indices:
+    """Indices, ascending, of the points to draw: all, or first, last and bucket extremes of x, y.
+
+    The number kept is bounded by about two times `LONGEST`; gaps are not among them.
+    """
+    good = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    if good.size <= LONGEST:
+        return good
+    buckets = LONGEST // 2
+    size = -(-good.size // buckets)
+    rows = np.concatenate([good, np.full(-good.size % size, good[-1])]).reshape(-1, size)
+    extremes = [pick(values[rows], axis=1) for values in (x, y) for pick in (np.argmin, np.argmax)]
+    ends = [good[:1], good[-1:]]
+    return np.unique(np.concatenate([rows[np.arange(len(rows)), c] for c in extremes] + ends))
+
+
+def runs(keep: Indices, broken: NDArray[np.bool_]) -> list[Indices]:
+    """The kept indices split where a gap (`broken`, bool (n,)) lies between two neighbours."""
+    if keep.size == 0:
+        return []
+    gaps = np.cumsum(broken)
+    return np.split(keep, np.flatnonzero(np.diff(gaps[keep])) + 1)
+
+
+# What XML 1.0 does not allow at all, not even escaped, and the controls that HTML rejects.
+_FORBIDDEN = re.compile(
+    "[^\t\n\x20-\x7e\xa0-\ud7ff\ue000-\ufdcf\ufdf0-\ufffd\U00010000-\U0010ffff]"
+)
+
+
+def escape(text: str) -> str:
+    """Text for element content or a quoted attribute; characters that XML forbids become U+FFFD."""
+    return escape_entities(_FORBIDDEN.sub("\ufffd", text), quote=True)
+
+
+def short(value: float) -> str:
+    """A coordinate to a tenth of a unit without trailing zeros."""
+    text = f"{value:.1f}"
+    return text[:-2] if text.endswith(".0") else text
+
+
+def points(x: Array, y: Array) -> list[str]:
+    """Coordinate pairs "x,y", a tenth of a unit fine."""
+    tenths = np.round(np.stack([x, y], axis=1), 1).tolist()
+    return [f"{a:g},{b:g}" for a, b in tenths]
+
+
+def text_width(text: str, size: float) -> float:
+    """Estimated width of `text` in a sans-serif font of `size`; wide scripts count double."""
+    cells = sum(1.0 if unicodedata.east_asian_width(c) in "WF" else 0.57 for c in text)
+    return cells * size
+
+
+def clipped(text: str, size: float, room: float) -> str:
+    """The text, cut with an ellipsis where its estimated width exceeds `room`."""
+    if text_width(text, size) <= room:
+        return text
+    while text and text_width(text + "…", size) > room:
+        text = text[:-1]
+    return text + "…"
+
 
 NAMED = 600  # points that carry a hover title
 CROWDED = 300  # points that are drawn as dots

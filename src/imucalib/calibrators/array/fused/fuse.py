@@ -24,7 +24,7 @@ from imucalib.calibrators.array.fused.noise import ChipNoise
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.moving import SLOWEST
 from imucalib.core.course import slope_of
-from imucalib.core.truth import Motion
+from imucalib.core.effect import Motion
 from imucalib.estimators.array.fusion import FusedMotion, Sensed, fused_motion, precision_of
 
 _BEYOND = 1.15  # times its range that a clipped rate is first thought to be

@@ -32,8 +32,7 @@ from imucalib.calibrators.array.effect_blocks import AT_REST, covariance_of
 from imucalib.calibrators.array.linear_part import slope_at_rest
 from imucalib.calibrators.array.loop.motion import BoardMotion, board_motion
 from imucalib.calibrators.array.loop.terms import Term, lost
-from imucalib.core.context import MOTION
-from imucalib.core.effect import Response, cross_matrix
+from imucalib.core.effect import MOTION, Response, cross_matrix
 from imucalib.core.eigen import eigen
 from imucalib.effects import known
 from imucalib.errors import UnreadableInput, UsageError

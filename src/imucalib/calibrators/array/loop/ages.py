@@ -13,9 +13,7 @@ from imucalib.calibrators.array.loop.setup import Setup, with_neighbours
 from imucalib.calibrators.array.loop.state import ArrayState
 from imucalib.calibrators.array.loop.terms import Term
 from imucalib.calibrators.array.moving import Moving
-from imucalib.core.context import Context
-from imucalib.core.effect import Response
-from imucalib.core.truth import Truth
+from imucalib.core.effect import Context, Response, Truth
 from imucalib.estimators.array.sample_age import SampleAge, fit_sample_age
 from imucalib.estimators.array.samples import Readings, Sampled, Weights, fit_samples
 

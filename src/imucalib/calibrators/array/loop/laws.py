@@ -17,11 +17,17 @@ from imucalib.calibrators.array.loop.ages import PHASE, phases_of
 from imucalib.calibrators.array.loop.catalogue import array_catalogue
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.loop.terms import Term, columns_of
-from imucalib.core.context import Context
 from imucalib.core.course import delayed
-from imucalib.core.effect import Channel, Response, cross_matrix, own_axis, three
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Truth
+from imucalib.core.effect import (
+    Channel,
+    Context,
+    Parameter,
+    Response,
+    Truth,
+    cross_matrix,
+    own_axis,
+    three,
+)
 from imucalib.effects.array.sensing_elements import across
 from imucalib.estimators.array.gram import Columns
 from imucalib.loop.posterior.catalogue import Component, Kind, Member

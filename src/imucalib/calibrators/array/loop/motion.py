@@ -8,10 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from imucalib.arrays import Array, Flags, Index
-from imucalib.core.context import Context
 from imucalib.core.course import Course, course_of
-from imucalib.core.effect import Channel
-from imucalib.core.truth import Motion, Truth
+from imucalib.core.effect import Channel, Context, Motion, Truth
 
 
 @dataclass(frozen=True)

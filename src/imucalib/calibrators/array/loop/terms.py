@@ -10,12 +10,9 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.calibrators.array.loop.motion import BoardMotion
 from imucalib.calibrators.array.rests import RestFit
-from imucalib.core.context import Context
 from imucalib.core.course import Course
-from imucalib.core.effect import Channel, Response
+from imucalib.core.effect import Channel, Context, Motion, Parameter, Response, Truth
 from imucalib.core.eigen import eigen
-from imucalib.core.parameter import Parameter
-from imucalib.core.truth import Motion, Truth
 from imucalib.estimators.array.gram import Columns
 
 SMALLEST, LARGEST = 1e-3, 10.0  # believable sizes of an effect, in its typical ones

@@ -18,7 +18,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.core.balance import Balanced, Noise, whitener
 from imucalib.core.fit import Fit
-from imucalib.core.sessions import BIAS, MOUNTING, session_of
+from imucalib.core.observations import BIAS, MOUNTING, session_of
 from imucalib.loop.held_out import Fold
 from imucalib.units import DEG, MG
 

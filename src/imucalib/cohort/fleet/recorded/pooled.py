@@ -9,10 +9,9 @@ import numpy as np
 
 from imucalib.arrays import Array, Index
 from imucalib.calibration.calibration import Calibration, StoredParameter
-from imucalib.cohort.fleet.device import Device
-from imucalib.cohort.fleet.pooled import gained
+from imucalib.cohort.fleet.pooled import Device, gained
 from imucalib.cohort.fleet.recorded.calibrated import Calibrated, Value
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.prior import Prior
 from imucalib.effects import named
 from imucalib.loop.sums import Sums, columns_of

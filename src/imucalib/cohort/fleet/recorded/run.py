@@ -10,10 +10,18 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibrators.population import Population
-from imucalib.cohort.fleet.device import Device
-from imucalib.cohort.fleet.following import population_of
 from imucalib.cohort.fleet.left_out import Said, said_by
-from imucalib.cohort.fleet.outcome import Asked, Fleet, Member, Recording
+from imucalib.cohort.fleet.outcome import (
+    Asked,
+    Fleet,
+    Member,
+    Recording,
+    Spread,
+    nested_spread,
+    outliers,
+    population_of,
+)
+from imucalib.cohort.fleet.pooled import Device
 from imucalib.cohort.fleet.recorded.calibrated import Calibrated, Value, calibrated
 from imucalib.cohort.fleet.recorded.devices import read_devices, with_devices
 from imucalib.cohort.fleet.recorded.pooled import (
@@ -25,8 +33,7 @@ from imucalib.cohort.fleet.recorded.pooled import (
     with_effects,
 )
 from imucalib.cohort.fleet.search import Rules
-from imucalib.cohort.fleet.spread import Spread, nested_spread, outliers
-from imucalib.core.context import Context
+from imucalib.core.effect import Context
 from imucalib.core.prior import Prior
 from imucalib.errors import UsageError
 from imucalib.loop.candidates import searched
