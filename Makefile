@@ -18,7 +18,7 @@ WHEEL = $(PYTHON) -m venv --clear $(VENV)/bare && \
 	$(VENV)/bare/bin/python -m pip install --quiet --disable-pip-version-check dist/imucalib-*.whl
 endif
 
-.PHONY: site demo test test-slow test-oldest test-costs check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz mutants clean
+.PHONY: site demo test test-slow test-oldest check wheel docs benchmark loop-benchmark stories benchmark-worn benchmark-array fuzz clean
 
 $(BIN)/imucal: pyproject.toml
 	test -x $(BIN)/python || $(CREATE)
@@ -32,10 +32,10 @@ $(VENV)/.dev: pyproject.toml $(BIN)/imucal
 demo: $(BIN)/imucal ## calibrate the sample logs: errors before and after, and where the reports are
 	@$(BIN)/python sample_logs/demo.py $(BIN)/imucal demo
 
-test: $(VENV)/.dev ## run the tests, but for those of the slow tier (make test-slow)
+test: $(VENV)/.dev ## run the tests, but for those that are marked slow
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
-test-slow: $(VENV)/.dev ## run the tests that `make test` leaves out: those of more than 0.4 CPU s
+test-slow: $(VENV)/.dev ## run the tests that `make test` leaves out
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m slow
 
 check: $(VENV)/.dev ## style, types and generated pages, as CI runs them
@@ -90,13 +90,6 @@ test-oldest: ## run the tests on the oldest versions of the dependencies that py
 	$(PYTHON) tests/oldest.py > $(VENV)/oldest.txt
 	$(VENV)/oldest/bin/python -m pip install --quiet --disable-pip-version-check -c $(VENV)/oldest.txt -e '.[dev]'
 	OPENBLAS_NUM_THREADS=1 $(VENV)/oldest/bin/python -m pytest -n auto
-
-test-costs: $(VENV)/.dev ## measure every test, and write the tiers and docs/testing.md's tables
-	rm -f $(VENV)/reach.jsonl
-	$(BIN)/python tests/costs --reach $(VENV)/reach.jsonl
-
-mutants: $(VENV)/.dev ## plant faults one at a time and list those that no test notices
-	$(BIN)/python tests/mutants --count $(or $(COUNT),10) --seed $(or $(SEED),0) --reach $(VENV)/reach.jsonl --tier 'not slow'
 
 clean:
 	rm -rf $(VENV) demo dist site .pytest_cache .mypy_cache .ruff_cache

@@ -1,4 +1,4 @@
-"""What holds for all tests: tiers, threads, and that none sees what another loaded."""
+"""What holds for all tests: threads, and that none sees what another loaded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from click.testing import CliRunner
 from hypothesis import HealthCheck, settings
 
-from costs.tiers import slow_tier
 from imucalib import effects
 
 # No test is timed: a busy machine is no defect.
@@ -26,15 +25,6 @@ settings.load_profile("any machine")
 
 if "mix_stderr" in inspect.signature(CliRunner.__init__).parameters:  # click 8.1
     CliRunner.__init__ = partialmethod(CliRunner.__init__, mix_stderr=False)
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of the slow tier are marked by their measured cost."""
-    slow = slow_tier()
-    for item in items:
-        if item.nodeid.removeprefix("tests/") in slow:
-            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(autouse=True)

@@ -6,6 +6,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 TESTS = Path(__file__).parent
 SOURCES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in TESTS.rglob("*.py")}
 #: Calls that assert: pytest's, numpy's, hypothesis' rules, and a schema's.
@@ -48,6 +50,7 @@ def _returns(function: ast.FunctionDef) -> bool:
     return any(isinstance(n, ast.Return) and id(n) not in inner for n in ast.walk(function))
 
 
+@pytest.mark.slow
 def test_every_test_asserts() -> None:
     known = asserting()
     silent = [

@@ -61,6 +61,7 @@ def test_a_unit_of_another_family_is_refused() -> None:
         factor("deg/s", ACCELERATION_UNITS)
 
 
+@pytest.mark.slow
 @given(st.text(max_size=12))
 def test_the_canonical_spelling_is_stable(text: str) -> None:
     assert canonical(canonical(text)) == canonical(text)

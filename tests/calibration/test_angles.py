@@ -43,6 +43,7 @@ def angles(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.degrees(np.arctan(z / np.sqrt(x**2 + y**2))), np.degrees(np.arctan2(x, y)) % 360
 
 
+@pytest.mark.slow
 def test_sds_are_those_of_drawn_parameters_and_noise(calibration: Calibration) -> None:
     recording = read(SAMPLES / "rests.mcap")
     rests = still_segments(recording)
@@ -74,6 +75,7 @@ def test_sds_are_those_of_drawn_parameters_and_noise(calibration: Calibration) -
             np.testing.assert_allclose(turned.std(axis=0)[flat], stated[flat], rtol=0.2)
 
 
+@pytest.mark.slow
 def test_every_sample_gets_a_row_and_rests_are_marked(
     calibration: Calibration, tmp_path: Path
 ) -> None:
@@ -87,6 +89,7 @@ def test_every_sample_gets_a_row_and_rests_are_marked(
     assert np.median(found.inclination_sd) > np.median(at_rest.inclination_sd)
 
 
+@pytest.mark.slow
 def test_the_tables_angles_come_back_in_its_conventions(
     calibration: Calibration, tmp_path: Path
 ) -> None:

@@ -334,6 +334,7 @@ def test_a_part_without_calibration_has_that_of_the_whole(
     assert parts[1].calibration.parameters != calibration.parameters
 
 
+@pytest.mark.slow
 def test_parts_keep_what_the_search_found_in_the_whole(tmp_path: Path) -> None:
     plant = {"temperature_bias": (1.5, -1.0, 2.0), "bias_step@86400s": (2.0, 0.0, -3.0)}
     request = ActigraphRequest(every=86400.0, only=("temperature_bias",))
@@ -361,6 +362,7 @@ def daily(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     return calibrated(plan, request, tmp_path_factory.mktemp("daily"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dated", [0, None])
 @pytest.mark.parametrize("date", [0, None])
 def test_a_recording_without_a_date_has_the_day_of_its_calibration(

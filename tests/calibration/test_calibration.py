@@ -98,6 +98,7 @@ def test_written_and_read_bit_by_bit(tmp_path: Path) -> None:
 floats = st.floats(allow_nan=False, allow_infinity=False)
 
 
+@pytest.mark.slow
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=60)
 @given(st.lists(floats, min_size=9, max_size=9), floats, st.text(max_size=30))
 def test_any_numbers_and_words_come_back(values: list[float], sd: float, words: str) -> None:
@@ -155,6 +156,7 @@ def test_bytes_and_absence_are_refused(tmp_path: Path) -> None:
         read(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("summed", [True, False])
 def test_a_truncated_file_is_refused_or_whole_in_its_numbers(tmp_path: Path, summed: bool) -> None:
     """Without the sum, the facts for people, which come last, may be cut off unseen."""
@@ -270,6 +272,7 @@ def test_matrices_are_each_others_inverse_and_what_apply_does() -> None:
     assert np.allclose(found.bias_mg * 9.80665e-3, found.c)
 
 
+@pytest.mark.slow
 def test_matrix_uncertainty_is_that_of_monte_carlo() -> None:
     calibration = _linear()
     found = calibration.matrices()

@@ -56,6 +56,7 @@ def _correcting_draws(fit: Fit, count: int) -> tuple[Model, Array]:
     return model, rng.multivariate_normal(fit.theta[pick], covariance, count, method="eigh")
 
 
+@pytest.mark.slow
 def test_angle_uncertainty_is_that_of_monte_carlo() -> None:
     fit, (i, t) = _fit(), _attitudes()
     found = angle_uncertainty(fit, i, t, GRAVITY, 0.0)
@@ -74,6 +75,7 @@ def test_angle_uncertainty_is_that_of_monte_carlo() -> None:
     assert np.allclose(found.tool_face, t / DEG)
 
 
+@pytest.mark.slow
 def test_the_readings_noise_is_that_of_monte_carlo() -> None:
     fit, (i, t) = _fit(), _attitudes()
     found = angle_uncertainty(fit, i, t, GRAVITY, 2.0 * MG)
@@ -185,6 +187,7 @@ def _bounds(level: float, count: int) -> tuple[int, int]:
     return int(binom.ppf(0.0001, count, level)), int(binom.ppf(0.9999, count, level))
 
 
+@pytest.mark.slow
 def test_intervals_of_parameters_cover() -> None:
     """Each parameter over the benches; sets of independent benches are binomial."""
     inside = np.array([_inside(fit, theta) for fit, theta in _benches()])
@@ -195,6 +198,7 @@ def test_intervals_of_parameters_cover() -> None:
     assert 0.91 <= inside.mean() <= 0.99
 
 
+@pytest.mark.slow
 def test_intervals_of_angles_cover() -> None:
     inside = np.array([_angles_inside(fit, theta) for fit, theta in _benches()])
     low, _ = _bounds(0.95, BENCHES)
@@ -214,6 +218,7 @@ def test_intervals_by_the_norm_alone_cover() -> None:
     assert 0.91 <= np.mean(inside) <= 0.99
 
 
+@pytest.mark.slow
 def test_intervals_that_forget_the_setting_errors_are_caught() -> None:
     """The noise of the readings alone, as declared: the law of coverage must fail."""
     nothing = Noise(1.0, SETTINGS, (0.0, 0.0))

@@ -87,6 +87,7 @@ def test_what_cannot_be_undone_keeps_its_linear_part() -> None:
     assert np.allclose(done.force[7], linear.force[7])
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_columns() -> None:
     model, theta = sensor((*NINE, "converter@xyz"))
     reading, context = around(200_000, 7)

@@ -87,6 +87,7 @@ def _run(*typed: str) -> Outcome:
     return run(list(typed), Path(typed[1]).parent)
 
 
+@pytest.mark.slow
 def test_seven_rests_and_a_fleet_make_a_calibration(tmp_path: Path) -> None:
     """Six devices of 24 rests tell the kind; the next one needs no twelve numbers of its own. One
     that is far from the others is told so."""

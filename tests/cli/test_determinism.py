@@ -64,6 +64,7 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return report(TABLE, tmp_path_factory.mktemp("usual"), PYTHONHASHSEED="0")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("environment", [{"PYTHONHASHSEED": "7"}, {"OPENBLAS_NUM_THREADS": "2"}])
 def test_the_process_decides_nothing(
     environment: dict[str, str], usual: dict[str, Any], tmp_path: Path
@@ -71,6 +72,7 @@ def test_the_process_decides_nothing(
     same(usual, report(TABLE, tmp_path, **environment))
 
 
+@pytest.mark.slow
 def test_the_order_of_the_columns_decides_nothing(usual: dict[str, Any], tmp_path: Path) -> None:
     lines = TABLE.read_text(encoding="utf-8").splitlines()
     notes = [line for line in lines if line.startswith("#")]
@@ -109,6 +111,7 @@ def sensor(found: dict[str, Any]) -> dict[str, Any]:
     return {**of_all(found), "loop": {"steps": steps, "errors": loop["errors"]}}
 
 
+@pytest.mark.slow
 def test_the_order_of_the_rows_decides_nothing_of_norms(tmp_path: Path) -> None:
     """Where it stands clear of chance; what follows the order is another rival, which moves what is
     told by a fifth of what is left open at most."""
@@ -125,6 +128,7 @@ def test_the_order_of_the_rows_decides_nothing_of_norms(tmp_path: Path) -> None:
             assert abs(one["value"] - two["value"]) < 0.2 * one["sd"]
 
 
+@pytest.mark.slow
 def test_a_time_column_says_the_order_and_rows_keep_their_numbers(tmp_path: Path) -> None:
     found = []
     for seed in (None, 1):
@@ -138,6 +142,7 @@ def test_a_time_column_says_the_order_and_rows_keep_their_numbers(tmp_path: Path
     same(*found)
 
 
+@pytest.mark.slow
 def test_an_order_that_is_none_is_told(usual: dict[str, Any], tmp_path: Path) -> None:
     """Where neighbours are taken to share a setting, another order is another model."""
     table = tmp_path / TABLE.name

@@ -91,6 +91,7 @@ def _ran(page: Path, folder: Path, *, slow: bool) -> int:
     return ran
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", shown.PAGES, ids=lambda p: p.name)
 def test_the_commands_of_every_page_run(page: Path, tmp_path: Path) -> None:
     _ran(page, tmp_path, slow=False)

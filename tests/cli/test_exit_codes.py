@@ -66,11 +66,13 @@ def test_a_fault_of_the_program_is_no_broken_limit(
     assert "in fault" in kept.read_text()
 
 
+@pytest.mark.slow
 def test_a_closed_stdout_is_no_fault(log: Path) -> None:
     found = run("inspect", log, preexec_fn=lambda: os.close(1))
     assert (found.returncode, found.stderr) == (0, b"")
 
 
+@pytest.mark.slow
 def test_a_full_stdout_is_told(log: Path) -> None:
     with open("/dev/full", "wb") as full:
         found = run("inspect", log, stdout=full)
@@ -86,6 +88,7 @@ def test_a_reader_that_leaves_is_no_broken_limit() -> None:
     assert (found.returncode, found.stderr) == (141, b"")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [b".h5", b".csv", b".mcap"])
 def test_names_of_any_bytes(log: Path, suffix: bytes) -> None:
     odd = os.fsencode(log.parent) + b"/\xff\xfe"
@@ -102,6 +105,7 @@ def test_text_with_names_of_any_bytes_is_written(tmp_path: Path) -> None:
     assert (tmp_path / "a.yaml").read_bytes() == b"path: \\udcff\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
 def test_a_file_that_may_not_grow_ends_cleanly(log: Path, suffix: str) -> None:
     def limited() -> None:
@@ -124,6 +128,7 @@ def test_a_start_that_is_no_date_is_left_out(log: Path, start: float) -> None:
     assert "is no date" in result.output
 
 
+@pytest.mark.slow
 def test_a_start_in_text_that_is_no_date_is_left_out(log: Path) -> None:
     path = log.with_suffix(".csv")
     runner = CliRunner()

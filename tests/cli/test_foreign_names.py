@@ -54,6 +54,7 @@ def run(*arguments: object) -> str:
     return (found.stdout + found.stderr).decode("utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [
@@ -79,6 +80,7 @@ def test_no_name_steers_the_terminal(make: object, tmp_path: Path) -> None:
         assert not [c for c in STEERING if c in told], (arguments, told)
 
 
+@pytest.mark.slow
 def test_json_keeps_the_name_itself(tmp_path: Path) -> None:
     told = json.loads(run("inspect", hdf5(tmp_path, "m/s2"), "--json", "--quiet"))
     assert EVIL in told["channels"][0]["name"]

@@ -98,6 +98,7 @@ def test_the_calibrators_are_found() -> None:
     assert set(COMMANDS) == set(INPUTS)
 
 
+@pytest.mark.slow
 def test_reports_and_calibrations_keep_their_schemas(done: Done) -> None:
     keeps_schema(done.report, "report")
     content = YAML(typ="safe", pure=True).load(done.calibration.read_text(encoding="utf-8"))
@@ -110,12 +111,14 @@ def test_reports_and_calibrations_keep_their_schemas(done: Done) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_json_is_pure_and_is_the_report(done: Done) -> None:
     assert json.loads(done.result.stdout) == done.report
     assert done.result.return_value == done.report["exit_code"]
     assert "wrote" in done.result.stderr
 
 
+@pytest.mark.slow
 def test_errors_are_told_before_and_after(done: Done) -> None:
     principal = done.report["loop"]["errors"][0]
     assert principal["held_out"]["final"] > 0.0
@@ -128,6 +131,7 @@ def test_errors_are_told_before_and_after(done: Done) -> None:
     assert f"imucal {done.name}" in page  # the command line in the footer
 
 
+@pytest.mark.slow
 def test_validate_accepts_it_and_no_number_that_is_none(done: Done, tmp_path: Path) -> None:
     assert run("validate", done.calibration).return_value == 0
     yaml = YAML(typ="safe", pure=True)
@@ -152,6 +156,7 @@ def test_validate_accepts_it_and_no_number_that_is_none(done: Done, tmp_path: Pa
     assert not (tmp_path / "c.csv").exists()
 
 
+@pytest.mark.slow
 def test_apply_accepts_it(done: Done, tmp_path: Path) -> None:
     target = tmp_path / "corrected.h5"
     result = run("apply", done.calibration, done.recording, "-o", target, "-q")
@@ -213,6 +218,7 @@ def _accepted_export(done: Done, form: str, target: Path) -> None:
         assert (done.out / exports()[form].file).read_text(encoding="utf-8") == text
 
 
+@pytest.mark.slow
 def test_batch_and_collect_accept_it(done: Done, tmp_path: Path) -> None:
     manifest, entries, table = tmp_path / "c.txt", tmp_path / "entries", tmp_path / "cohort.csv"
     manifest.write_text(f"{done.recording}\n{tmp_path / 'none.csv'}\n")
@@ -258,6 +264,7 @@ def test_help_shows_every_limit(name: str) -> None:
     assert {p.name for p in limits} - {p.name for p in told} == {"max_chunk"}  # bounds memory
 
 
+@pytest.mark.slow
 def test_a_broken_limit_is_exit_1(done: Done) -> None:
     result = run(done.name, done.recording, *done.options, "--max-error", "1e-9", "--json")
     report = json.loads(result.stdout)
@@ -271,6 +278,7 @@ def test_a_value_that_does_not_exist_passes_no_limit() -> None:
     assert not Limit("max-error", 1.0, 2.0, "mg").broken
 
 
+@pytest.mark.slow
 def test_without_the_loop_nothing_is_searched_and_quiet_is_quiet(done: Done) -> None:
     result = run(done.name, done.recording, *done.options, "--no-loop", "--json")
     report = json.loads(result.stdout)
@@ -302,6 +310,7 @@ def test_a_wrong_call_is_exit_2_and_json_says_so(
     assert error["message"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_a_failure_is_json_on_stdout_and_words_on_stderr(name: str, tmp_path: Path) -> None:
     given = INPUTS[name](tmp_path)

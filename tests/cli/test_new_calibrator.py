@@ -147,6 +147,7 @@ def test_everything_else_comes_by_itself(table: Path, tmp_path: Path) -> None:
     assert row["bias_x"] == report["parameters"][0]["value"]
 
 
+@pytest.mark.slow
 def test_text_limits_and_failures_come_too(table: Path, tmp_path: Path) -> None:
     shown = run("toy", table)
     assert "Closed loop" in shown.stdout

@@ -212,6 +212,7 @@ def test_another_machines_temporary_file_stays(
     assert not other.exists()
 
 
+@pytest.mark.slow
 def test_termination_takes_its_temporary_files_along(tmp_path: Path) -> None:
     source, target = tmp_path / "raw.csv", tmp_path / "out.csv"
     writers.write(recording(300_000), source)
@@ -238,6 +239,7 @@ def bench(folder: Path, name: str) -> Path:
     return table
 
 
+@pytest.mark.slow
 def test_results_of_another_input_are_replaced_only_by_force(tmp_path: Path) -> None:
     one, two, out = bench(tmp_path, "a.csv"), bench(tmp_path, "b.csv"), tmp_path / "out"
     assert lab(out, one).exit_code == 0
@@ -291,6 +293,7 @@ def test_a_run_that_is_ended_leaves_no_temporary_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_convert_holds_blocks_not_the_recording(tmp_path: Path) -> None:
     """Twice as long a log must not take twice the memory (of numpy's arrays)."""
     import tracemalloc

@@ -31,6 +31,7 @@ def test_one_page_and_the_whole() -> None:
     assert "Residual before and after ─" not in whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "answer"),
     [

@@ -16,6 +16,7 @@ from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from worlds.calibrations import INPUTS
 from worlds.warm_bench import HEADING, WarmBench
 
+pytestmark = pytest.mark.slow
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 
@@ -50,6 +51,7 @@ def cave(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return at
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_filled_in_ends_the_ambiguity(warm: Path) -> None:
     code, plan = separate(warm / "out", "-o", warm / "plan.csv", "--force")
     rivals = plan["ambiguities"][0]["rivals"]
@@ -82,6 +84,7 @@ def test_a_plan_that_is_filled_in_ends_the_ambiguity(warm: Path) -> None:
     assert (code, after["ambiguities"], after["table"]) == (0, [], "")
 
 
+@pytest.mark.slow
 def test_what_gravity_alone_never_tells_is_said_with_what_would(cave: Path) -> None:
     code, plan = separate(cave / "out")
     one = plan["ambiguities"][0]
@@ -106,6 +109,7 @@ def test_noise_that_neighbours_share_is_noise_of_later_rests(name: str, tmp_path
     assert report["record_next"]["reading_m_per_s2"] > 1e-3
 
 
+@pytest.mark.slow
 def test_temperatures_that_are_farther_apart_promise_more(warm: Path) -> None:
     def least(*options: object) -> float:
         one = separate(warm / "out", *options)[1]["ambiguities"][0]
@@ -127,6 +131,7 @@ def test_another_power_up_promises_less(warm: Path) -> None:
     assert other < same
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -171,6 +176,7 @@ def test_a_folder_that_does_not_serve_says_why(warm: Path, tmp_path: Path, damag
     assert str(tmp_path) in str(done.exception.where)
 
 
+@pytest.mark.slow
 def test_an_array_is_refused_with_what_would(tmp_path: Path) -> None:
     case, out = INPUTS["array"](tmp_path), tmp_path / "out"
     options = ("--board", "mimu4444_corners", "--samples", "60", "--no-loop", "-o", out, "-q")

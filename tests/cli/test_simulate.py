@@ -89,6 +89,7 @@ def test_faults_are_what_they_say(tmp_path: Path, fault: str, holds: Any) -> Non
     assert holds(readings(plain), found.channels["imu0/acceleration"].values, len(found.gaps))
 
 
+@pytest.mark.slow
 def test_two_sensors_change_places(tmp_path: Path) -> None:
     plain, broken = tmp_path / "plain.h5", tmp_path / "broken.h5"
     run("array", plain, "--rests", 3, "--seconds", 3)

@@ -50,6 +50,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return at
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("calibration", "log", "code", "cause"),
     [
@@ -75,6 +76,7 @@ def test_four_positions_tell(
         assert cause in content["explanation"][0]
 
 
+@pytest.mark.slow
 def test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan(folder: Path) -> None:
     log, calibration = folder / "same_rests.csv", folder / "norm" / "calibration.yaml"
     done = run("check", calibration, log, "--limit", "0.9mg", "--json")
@@ -90,6 +92,7 @@ def test_a_limit_that_could_not_be_seen_is_undecided_with_a_plan(folder: Path) -
     assert next(sizes) > 4.0 * next(sizes)
 
 
+@pytest.mark.slow
 def test_a_recording_with_rests_is_a_log_too(folder: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     table = simulated_table(BenchPlan("rings", 24), rng)
@@ -113,6 +116,7 @@ def test_a_recording_with_rests_is_a_log_too(folder: Path, tmp_path: Path) -> No
     assert lost.return_value == 2
 
 
+@pytest.mark.slow
 def test_a_history_multiplies_evidence(folder: Path, tmp_path: Path) -> None:
     history, calibration = tmp_path / "h.jsonl", folder / "norm" / "calibration.yaml"
     rng, found = np.random.default_rng(13), []
@@ -150,6 +154,7 @@ def test_a_chance_that_no_draw_reached_is_a_bound(folder: Path) -> None:
     assert "Changed (p < 0.0001)" in " ".join(done.stdout.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["check", "compare"])
 def test_a_long_result_is_one_page_unless_all_is_asked_for(
     command: str, folder: Path, tmp_path: Path
@@ -177,6 +182,7 @@ def test_a_long_result_is_one_page_unless_all_is_asked_for(
         assert not any(line.startswith(f"{title} ─") for line in page)
 
 
+@pytest.mark.slow
 def test_bad_input_is_told(folder: Path, tmp_path: Path) -> None:
     calibration, log = folder / "norm" / "calibration.yaml", folder / "same_rests.csv"
     for options, code, words in (

@@ -58,6 +58,7 @@ def batch(cohort: Path, out: Path, *options: str) -> dict:
     return json.loads(result.stdout) | {"exit": result.return_value}
 
 
+@pytest.mark.slow
 def test_bad_recordings_are_reported_and_the_rest_is_done(cohort: Path, tmp_path: Path) -> None:
     summary = batch(cohort, tmp_path / "out", "--jobs", "2")
     assert summary["exit"] == 3
@@ -77,6 +78,7 @@ def test_bad_recordings_are_reported_and_the_rest_is_done(cohort: Path, tmp_path
     assert float(rows["good1.csv"]["bias_x_sd"]) > 0.0
 
 
+@pytest.mark.slow
 def test_a_killed_batch_is_finished_by_a_rerun(cohort: Path, tmp_path: Path) -> None:
     undisturbed = batch(cohort, tmp_path / "calm")
     command = [sys.executable, "-m", "imucalib", "batch", str(cohort / "cohort.txt"), "-o",
@@ -99,6 +101,7 @@ def test_a_killed_batch_is_finished_by_a_rerun(cohort: Path, tmp_path: Path) -> 
         assert (one.report, one.exit_code, one.key) == (two.report, two.exit_code, two.key)
 
 
+@pytest.mark.slow
 def test_other_settings_or_content_are_done_again(cohort: Path, tmp_path: Path) -> None:
     recording = tmp_path / "one.csv"
     recording.write_bytes((cohort / "good0.csv").read_bytes())
@@ -130,6 +133,7 @@ def test_manifests(tmp_path: Path) -> None:
             read_manifest(path)
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_gives_the_same(cohort: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with (
@@ -141,6 +145,7 @@ def test_a_dask_cluster_gives_the_same(cohort: Path, tmp_path: Path) -> None:
     assert summary["calibrated"] == 3
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_named(cohort: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     import dask
@@ -152,6 +157,7 @@ def test_a_scheduler_that_does_not_answer_is_named(cohort: Path, tmp_path: Path)
     assert "127.0.0.1:1" in str(result.exception)
 
 
+@pytest.mark.slow
 def test_parquet(cohort: Path, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     batch(cohort, tmp_path / "out", "--shard", "1/3")

@@ -71,6 +71,7 @@ def eight(tmp_path_factory: pytest.TempPathFactory) -> Fleet:
     return fleet(tmp_path_factory.mktemp("eight"), squares(8, 2.0))
 
 
+@pytest.mark.slow
 def test_what_no_device_shows_alone_is_found_in_all(eight: Fleet) -> None:
     found = eight.search.found[0]
     assert "quadratic" in (found.effect, *found.rivals)
@@ -85,6 +86,7 @@ def test_one_such_device_shows_nothing(tmp_path: Path) -> None:
     assert not alone.result.loop.steps
 
 
+@pytest.mark.slow
 def test_each_device_has_its_own_size_with_its_doubt(tmp_path: Path) -> None:
     planted = squares(8, 2.0)
     request = replace(REQUEST, settings=replace(REQUEST.settings, only=("quadratic",)))
@@ -98,6 +100,7 @@ def test_each_device_has_its_own_size_with_its_doubt(tmp_path: Path) -> None:
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
+@pytest.mark.slow
 def test_devices_by_directions_are_a_fleet_too(tmp_path: Path) -> None:
     """Where each row's direction is known, a device has a mounting too, and squares are found."""
     paths = [write(tmp_path / f"d{k}.csv", q, 100 + k, directed=True)
@@ -120,6 +123,7 @@ def test_a_clean_fleet_stays_clean(tmp_path: Path) -> None:
     assert {m.base for m in clean.members} == {m.final for m in clean.members}
 
 
+@pytest.mark.slow
 def test_a_device_of_another_kind_and_a_bad_table_are_told(tmp_path: Path) -> None:
     paths = [write(tmp_path / f"d{k}.csv", np.zeros(3), k, bias=2.0) for k in range(7)]
     odd = write(tmp_path / "odd.csv", np.zeros(3), 50, bias=400.0)
@@ -135,6 +139,7 @@ def test_a_device_of_another_kind_and_a_bad_table_are_told(tmp_path: Path) -> No
         run_fleet(files[-2:], REQUEST, RULES, lambda _: None)
 
 
+@pytest.mark.slow
 def test_five_cave_instruments_have_squares(tmp_path: Path) -> None:
     tables = [str(SAMPLES / f"cave_{name}.csv") for name in ("ab", "ai", "bi", "fb", "jd")]
     out = tmp_path / "fleet"
@@ -166,6 +171,7 @@ def devices_of(folder: Path, planted: np.ndarray) -> list[Device]:
     return found
 
 
+@pytest.mark.slow
 def test_a_device_has_no_vote_in_what_predicts_it(tmp_path: Path) -> None:
     """Whatever its data say, the others find and size the same."""
     devices = devices_of(tmp_path, squares(6, 3.0))
@@ -200,6 +206,7 @@ def test_what_stands_out_is_chance_as_often_as_said() -> None:
     assert np.all(np.isfinite(evidence(gram, along)))
 
 
+@pytest.mark.slow
 def test_a_noise_estimated_from_the_same_data_is_that_of_the_null_too() -> None:
     """Fleets of five that lack nothing, 15 numbers each beside the base model, which the columns
     span: what would be explained is in the noise. P(p <= 0.1) of 400 is 0.1 within 3.5 sd; drawn
@@ -253,6 +260,7 @@ def test_a_table_that_is_given_twice_is_one_device(tmp_path: Path) -> None:
     assert "the same table as" in why
 
 
+@pytest.mark.slow
 def test_rivals_are_in_the_headline_and_what_was_refused_too(eight: Fleet) -> None:
     """A name that others explain as well alone is a claim that the data do not hold."""
     assert eight.search is not None

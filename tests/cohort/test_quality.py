@@ -13,6 +13,7 @@ from imucalib.cohort.quality import quality_of
 from worlds.places import SAMPLES
 
 
+@pytest.mark.slow
 def test_a_row_tells_a_manager_what_to_know() -> None:
     arguments = ["actigraph", str(SAMPLES / "wrist_day.csv.gz"), "--no-loop", "--json", "-q"]
     done = CliRunner().invoke(cli.cli, arguments, standalone_mode=False)

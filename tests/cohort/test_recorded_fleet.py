@@ -115,6 +115,7 @@ def pooled(paths: Sequence[Path], table: Path | None) -> Fleet:
     return run_recorded(paths, Wanted(devices=table, rules=Rules(draws=199)), lambda _: None)
 
 
+@pytest.mark.slow
 def test_what_no_recording_shows_alone_is_found_in_all(tmp_path: Path) -> None:
     paths, table, truth = cohort(tmp_path, 12, 2.0)
     found = pooled(paths, table)
@@ -136,6 +137,7 @@ def test_a_clean_cohort_stays_clean(tmp_path: Path) -> None:
     assert all(m.base == m.final == NOISE for m in found.members)
 
 
+@pytest.mark.slow
 def test_scatter_between_devices_and_between_recordings_of_one(tmp_path: Path) -> None:
     """20 mg and 1 mg were put in; 60 and 60 degrees of freedom: 4.5 sd are 41 %."""
     paths, table, _ = cohort(tmp_path, 60, 0.0)
@@ -196,6 +198,7 @@ def folder_of(path: Path, content: dict) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_folders_give_each_device_its_calibration_with_the_fleets_effects(tmp_path: Path) -> None:
     rng, folders = np.random.default_rng(3), []
     for k in range(12):
@@ -310,6 +313,7 @@ def test_the_products_survive_the_file() -> None:
     assert list(again.blocks) == list(EFFECTS)
 
 
+@pytest.mark.slow
 def test_one_recordings_products_give_the_fit_with_the_effect(tmp_path: Path) -> None:
     """Under a white noise, what the report keeps must give what a fit with the effect gives."""
     plan = replace(WeekPlan(days=1.0), plant={"temperature_bias": (0.3, -0.2, 0.1)})

@@ -257,6 +257,7 @@ def test_correct_inverts_predict(effects: list[Effect], seed: int) -> None:
     assert np.allclose(model.correct(theta, reading, context), truth, rtol=0.0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_model_slopes_chain_over_all_effects() -> None:
     context, model = _context(), Model(tuple(AT_REST.values()))
     x, typical = _force(context), np.array([p.typical for p in model.parameters(context)])

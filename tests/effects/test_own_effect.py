@@ -33,6 +33,7 @@ def run(*arguments: object) -> Result:
     return CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
 
 
+@pytest.mark.slow
 def test_the_example_is_found_written_and_applied(example: Path, tmp_path: Path) -> None:
     effects.load_file(example)
     plan = BenchPlan("rings", 32, {"xy_into_z": (14.0,)}, setting=(0.05, 0.05))

@@ -38,6 +38,7 @@ def test_a_kind_that_says_nothing_changes_nothing(known: bool, width: float) -> 
     assert wide.noise_sd == pytest.approx(plain.noise_sd, rel=0.05)
 
 
+@pytest.mark.slow
 def test_few_rests_of_one_of_a_kind_have_honest_sds() -> None:
     """Sixty devices drawn from their kind, six rests each by the size of gravity: nine parameters
     from six numbers, by normal theory z is standard normal."""

@@ -164,6 +164,7 @@ def test_every_file_is_here_and_read_whole() -> None:
             assert float(rest @ rest) == pytest.approx(data.rss, rel=1e-6), name
 
 
+@pytest.mark.slow
 def test_parameters_to_six_digits() -> None:
     misses = {run: f"{n[0]:.1f}" for run, n in _all_runs().items() if not n[0] >= DIGITS}
     print(f"{54 - len(misses)} of 54 parameter sets; misses: {misses}")
@@ -171,12 +172,14 @@ def test_parameters_to_six_digits() -> None:
     assert len(misses) <= 4, misses
 
 
+@pytest.mark.slow
 def test_standard_errors_to_six_digits() -> None:
     misses = {run: f"{n[1]:.1f}" for run, n in _all_runs().items() if not n[1] >= DIGITS}
     print(f"{54 - len(misses)} of 54 standard errors; misses: {misses}")
     assert len(misses) <= 6, misses
 
 
+@pytest.mark.slow
 def test_no_wrong_result_claims_convergence() -> None:
     wrong = {run: n for run, n in _all_runs().items() if n[2] and n[0] < DIGITS}
     assert not wrong

@@ -152,6 +152,7 @@ def test_the_header_notices_a_changed_coefficient(table: str, tmp_path: Path) ->
     assert corrected(compiled(broken, tmp_path / "ill"), some(1))[0] > 0
 
 
+@pytest.mark.slow
 def test_the_standard_deviation_is_that_of_drawn_parameters() -> None:
     made, rng = one(), np.random.default_rng(2)
     text = exported(made, "x.csv", "c-header").text
@@ -181,6 +182,7 @@ def test_scale_and_identity_are_those_of_the_file(tmp_path: Path) -> None:
     assert "#define IMUCAL_G_PER_RAW 1.000000000e-06f /* readings of the calibration: ug */" in text
 
 
+@pytest.mark.slow
 def test_every_imu_of_an_array_and_its_gyro(tmp_path: Path) -> None:
     made = board_calibration(board(np.random.default_rng(2), chips=3))
     text = exported(made, "log.mcap", "c-header").text

@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gates.__main__ import gates_of, table
 from gates.bounds import CHANCE, POWER, WORSE, at_most
-from testing_page import PAGE, filled
 
 TESTS = Path(__file__).parents[1]
 
@@ -58,13 +56,9 @@ def loose(source: str) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_counts_of_bad_runs_are_held_against_gates() -> None:
     assert loose("assert sum(t.bad for t in trials) <= 4") == ["sum((t.bad for t in trials)) <= 4"]
     found = {p: loose(p.read_text(encoding="utf-8")) for p in TESTS.rglob("test_*.py")}
     del found[Path(__file__)]
     assert not {str(p): each for p, each in found.items() if each}
-
-
-def test_the_page_lists_them() -> None:
-    assert len(gates_of(TESTS)) >= 5
-    assert PAGE.read_text(encoding="utf-8") == filled("gates", table()), "python tests/gates"

@@ -68,6 +68,7 @@ def test_stretches_add_their_squares() -> None:
     assert (found.seconds, found.longest) == (500.0, 300.0)
 
 
+@pytest.mark.slow
 def test_white_noise_is_told_with_its_doubt_and_nothing_else() -> None:
     z, named = [], 0
     for seed in range(30):
@@ -81,6 +82,7 @@ def test_white_noise_is_told_with_its_doubt_and_nothing_else() -> None:
     assert named == 0
 
 
+@pytest.mark.slow
 def test_a_walk_is_told_where_the_recording_is_long_enough() -> None:
     z = []
     for seed in range(12):

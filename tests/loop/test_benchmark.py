@@ -42,6 +42,7 @@ def test_worlds_import_nothing_of_the_program() -> None:
         assert path.name in KNOWS or not any(n.startswith("imucalib") for n in found), path.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "row"),
     [("bench", "slip"), *product(("bench", "norm", "worn"), ("clean", "15-40", "two", "outside"))],
@@ -70,6 +71,7 @@ def test_a_planted_effect_is_as_long_as_asked(kind: str) -> None:
     assert np.sqrt(change @ precision @ change - inside) == pytest.approx(aim, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["bench", "norm"])
 def test_the_oracle_is_right_and_the_base_is_not(kind: str) -> None:
     """Over many draws of the noise the strong effect costs the base model more."""
@@ -82,6 +84,7 @@ def test_the_oracle_is_right_and_the_base_is_not(kind: str) -> None:
     assert np.median(pairs) > 1.3
 
 
+@pytest.mark.slow
 def test_a_slip_is_undone_by_its_repair() -> None:
     """What the repair says stands in the sheet that the slip was made in."""
     slips, bench, world = module("slips"), module("bench"), module("world")
@@ -147,6 +150,7 @@ def test_a_report_is_read(tmp_path: Path) -> None:
     assert not found.steps[0].certain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gyro_rectification", "soft_saturation", "imu_shifts"])
 def test_what_a_board_does_beyond_the_catalogue_is_no_named_cause(name: str) -> None:
     job = module("trial").Job("array", "outside, strong", 51, outside=(name, 3.0))
@@ -156,6 +160,7 @@ def test_what_a_board_does_beyond_the_catalogue_is_no_named_cause(name: str) -> 
     assert trial.after <= 1.05 * trial.before
 
 
+@pytest.mark.slow
 def test_a_board_whose_clock_creeps_is_not_clean() -> None:
     trial = module("array_world").trial(
         module("trial").Job("array", "noise", 52, noise="slow clock")

@@ -54,6 +54,7 @@ def test_few_positions_are_left_out_one_by_one() -> None:
     assert {f.rows.size for f in folds_of(_grouped(13, 13))} == {1, 2}
 
 
+@pytest.mark.slow
 def test_the_interval_covers_the_gain() -> None:
     """Independent pairs: the plain interval covers 95 %, the widened one more."""
     rng = np.random.default_rng(4)

@@ -12,6 +12,7 @@ from imucalib.calibrators.lab.run import run_lab
 from worlds.plain_bench import Bench, Plan
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("planted", "seed", "strength", "first", "beside"),
     [
@@ -35,6 +36,7 @@ def test_a_name_is_certain_only_before_all_other_forms(
     assert not (step.certain and beside)
 
 
+@pytest.mark.slow
 def test_an_error_of_the_tool_face_comes_back_after_a_turn(tmp_path: Path) -> None:
     """A third harmonic was a sine of 117 deg, which jumps where the turn closes."""
     bench = Bench(Plan(40071002, (("third_harmonic", 25.0),)))

@@ -21,6 +21,7 @@ def noisier(path: Path, seed: int, times: tuple[float, float, float], n: int = 4
     return bench.write(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_noisy_axis_is_no_claim(tmp_path: Path, seed: int) -> None:
     """Before, records were doubted beside it, and steps of the bias suspected."""

@@ -117,6 +117,7 @@ def test_what_is_told_is_taken_back_into_the_misfit() -> None:
     assert there.columns[:, -1] == pytest.approx(problem.columns[:, -1], abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_walk_is_followed_where_it_is_and_nowhere_else() -> None:
     known = np.zeros(240)
     for wander in (0.0, 1.5):

@@ -46,6 +46,7 @@ def _creeping(path: Path, seed: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_what_settles_after_each_setting_is_nothing_certain(tmp_path: Path, seed: int) -> None:
     sheet = _creeping(tmp_path / "sheet.csv", seed)

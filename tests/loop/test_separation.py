@@ -174,6 +174,7 @@ def by_hand() -> Ambiguity:
     )
 
 
+@pytest.mark.slow
 def test_squares_are_products_of_axes_by_gravity_alone() -> None:
     """x³ = x - x y² - x z² where x² + y² + z² = 1."""
     one = by_hand()

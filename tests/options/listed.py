@@ -61,23 +61,3 @@ def shown() -> dict[tuple[str, str], list[str]]:
         if (name, option) in ELSEWHERE:
             tests.append(ELSEWHERE[name, option])
     return out
-
-
-def table() -> str:
-    """Markdown: a row an option, its commands, and the cases and laws that show what it does."""
-    of_option: dict[str, dict[str, list[str]]] = {}
-    for (command, option), tests in shown().items():
-        of_option.setdefault(option, {})[command] = tests
-    lines = ["| option | of | shown by |", "|---|---|---|"]
-    for option, found in sorted(of_option.items()):
-        tests = dict.fromkeys(_short(t) for each in found.values() for t in each)
-        lines.append(f"| `{option}` | {', '.join(found)} | {', '.join(tests)} |")
-    return "\n".join(lines)
-
-
-def _short(test: str) -> str:
-    """A case by its call, a law by its name."""
-    name, _, case = test.partition("[")
-    if name == EACH:
-        return f"`{case.rstrip(']')}`"
-    return f"`{name.partition('::')[2]}`"

@@ -9,6 +9,7 @@ from options.case import Case, held
 from options.cases import cases
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [pytest.param(c, id=c.label) for c in cases()])
 def test_the_option_does_it(case: Case, bench: Bench) -> None:
     held(case, bench)

@@ -80,6 +80,7 @@ PAIRS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "option"), PAIRS)
 def test_what_changes_a_number_is_in_the_provenance(
     name: str, option: str, bench: Bench, tmp_path: Path

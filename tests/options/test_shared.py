@@ -44,6 +44,7 @@ def bare(outcome: Outcome) -> dict[str, bytes]:
     return out
 
 
+@pytest.mark.slow
 @having("--json")
 def test_json_is_the_result_and_changes_no_file(name: str, bench: Bench) -> None:
     plain, done = with_and_without(bench, name, "--json")
@@ -56,6 +57,7 @@ def test_json_is_the_result_and_changes_no_file(name: str, bench: Bench) -> None
         assert file.endswith(binary) or bare(done)[file] == data, file
 
 
+@pytest.mark.slow
 @having("--quiet")
 def test_quiet_prints_nothing_and_changes_no_file(name: str, bench: Bench) -> None:
     into = ("-o", "<out>/form.h") if name == "export" else ()

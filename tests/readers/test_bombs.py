@@ -137,6 +137,7 @@ NEEDS_LINUX = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @NEEDS_LINUX
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_made_to_cost_ends_soon(name: str, tmp_path: Path) -> None:
@@ -148,6 +149,7 @@ def test_a_file_made_to_cost_ends_soon(name: str, tmp_path: Path) -> None:
     assert megabytes < MEGABYTES
 
 
+@pytest.mark.slow
 @NEEDS_LINUX
 @pytest.mark.parametrize("suffix", sorted({r.suffixes[0] for r in readers()}))
 def test_zeros_under_any_name_end_soon(suffix: str, tmp_path: Path) -> None:
@@ -159,6 +161,7 @@ def test_zeros_under_any_name_end_soon(suffix: str, tmp_path: Path) -> None:
     assert megabytes < MEGABYTES
 
 
+@pytest.mark.slow
 @NEEDS_LINUX
 @pytest.mark.parametrize("cut", [0, 7])
 @pytest.mark.parametrize("name", WRITE)

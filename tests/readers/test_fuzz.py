@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from imucalib import readers
 from imucalib.readers.conversion import readings_at_rest
@@ -18,6 +19,7 @@ from worlds.fuzz.truth import compare
 CASES = 3 * (len(kinds()) + 1)
 
 
+@pytest.mark.slow
 def test_damage_is_told(tmp_path: Path) -> None:
     fuzzer = Fuzzer(tmp_path, 1)
     bad = []

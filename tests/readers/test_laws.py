@@ -110,6 +110,7 @@ def outcome(path: Path) -> Recording | ImucalError:
         return error
 
 
+@pytest.mark.slow
 @BY_FORMAT
 def test_a_cut_file_is_told(pair: Pair, tmp_path: Path) -> None:
     example = written(pair, tmp_path, 24)
@@ -133,6 +134,7 @@ def test_a_cut_file_is_told(pair: Pair, tmp_path: Path) -> None:
             np.testing.assert_array_equal(channel.values, whole.channels[name].values[:n])
 
 
+@pytest.mark.slow
 @BY_FORMAT
 def test_a_flipped_byte_is_no_traceback(pair: Pair, tmp_path: Path) -> None:
     example = written(pair, tmp_path, 24)
@@ -249,6 +251,7 @@ def peak_of_blocks(path: Path) -> int:
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 @BY_NAME
 def test_ten_minutes_take_no_more_memory_than_five(pair: Pair, tmp_path: Path) -> None:
     (tmp_path / "five").mkdir()

@@ -108,6 +108,7 @@ def test_every_plain_cdr(tmp_path: Path, order: str, version: int, frame: str) -
         assert_equals_official(recording, tmp_path / "a.mcap", ["/imu"])
 
 
+@pytest.mark.slow
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     frames=st.lists(st.text(max_size=12).filter(lambda s: "\0" not in s), min_size=2, max_size=60)

@@ -88,6 +88,7 @@ def test_conformance_suite(tmp_path: Path) -> None:
     assert seen == 416
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 @pytest.mark.parametrize("data_crc", [False, True])
 def test_every_flipped_bit_of_a_chunk_is_found(
@@ -128,6 +129,7 @@ def test_data_section_crc_finds_what_no_chunk_protects(tmp_path: Path) -> None:
     assert "CRC of the whole data section" in str(messages(path)[1].damages)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_truncation_keeps_all_before_the_cut(tmp_path: Path, compression: CompressionType) -> None:
     # Chunks larger than a block of the compressor, so that the cut one holds whole blocks.

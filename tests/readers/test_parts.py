@@ -47,6 +47,7 @@ def test_the_end_of_summer_time_makes_two_parts(tmp_path: Path) -> None:
     assert sum("a part of its own" in note for note in found.notes) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1000, 36_000, 10**6])
 def test_blocks_do_not_matter(size: int, tmp_path: Path) -> None:
     path, _ = autumn(tmp_path, lose=range(45_000, 45_100))

@@ -60,6 +60,7 @@ def test_block_by_block_is_the_same(
         np.testing.assert_allclose(back.channels[name].t, channel.t, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".h5", ".csv", ".mcap"])
 def test_memory_is_that_of_a_block(tmp_path: Path, suffix: str) -> None:
     def peak(blocks: int) -> int:

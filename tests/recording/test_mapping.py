@@ -39,6 +39,7 @@ MAPPINGS = st.builds(
 )
 
 
+@pytest.mark.slow
 @given(mapping=MAPPINGS)
 @example(mapping=FieldMapping(gyro=("?0",)))
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -43,6 +43,7 @@ def test_no_tick_stands_beside_a_caution(tone: Tone) -> None:
     assert "✓" in render_html(document("ok"))
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 200), st.integers(60, 160))
 def test_a_report_with_a_card_is_one_page(rows: int, width: int) -> None:

@@ -30,6 +30,7 @@ MADE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(INPUTS))
 def test_everything_is_made_once(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

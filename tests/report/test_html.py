@@ -57,6 +57,7 @@ def _text(element: ET.Element) -> str:
     return "".join(element.itertext())
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(DOCUMENTS)
 def test_any_document_is_well_formed_and_self_contained(document: Document) -> None:
@@ -126,6 +127,7 @@ def test_text_cannot_become_markup() -> None:
     assert _text(_tree(html)).count(evil) >= 12
 
 
+@pytest.mark.slow
 def test_ten_long_plots_stay_below_a_megabyte() -> None:
     n = 200_000
     rng = np.random.default_rng(5)

@@ -38,6 +38,7 @@ def _plot(*series: Series, **options: bool) -> Plot:
     return Plot("title", "x", "y", series, **options)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(PLOTS)
 def test_any_plot_is_well_formed_and_finite(plot: Plot) -> None:

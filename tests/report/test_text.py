@@ -24,6 +24,7 @@ def _lines(*blocks: Text | Table | Plot, width: int = 80) -> list[str]:
     return render_text(document, width, color=False).splitlines()
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(DOCUMENTS, st.integers(40, 140))
 def test_no_line_is_wider_than_the_terminal(document: Document, width: int) -> None:

@@ -65,6 +65,7 @@ def test_planted_rests_are_found_with_their_means(seed: int) -> None:
     np.testing.assert_allclose(found.noise[0], SIGMA, rtol=0.06)
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(1, 6000), max_size=6), st.integers(0, 3))
 @settings(max_examples=25, deadline=None)
 def test_blocks_give_what_the_whole_gives(edges: list[int], seed: int) -> None:

@@ -70,6 +70,7 @@ def test_variance_far_from_zero(kind: str) -> None:
     assert np.allclose(variance, exact, rtol=1e-5 if kind == "f4" else 1e-10)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),

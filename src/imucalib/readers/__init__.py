@@ -82,7 +82,7 @@ class Reader(Protocol):
 
 @cache
 def readers() -> tuple[Reader, ...]:
-    """Every reader of this folder, in the order of their module names, then those of other packages.
+    """Every reader of this folder, in the order of their names, then those of other packages.
 
     An entry point of the group "imucal.readers" names an object like `READER` here.
     """

@@ -42,6 +42,7 @@ def test_the_mixture_is_a_ratio_of_multivariate_t_densities() -> None:
     assert found == pytest.approx(0.5 + 0.5 * np.mean(ratios))
 
 
+@pytest.mark.slow
 def test_its_mean_is_one_at_every_look_though_the_calibration_errs_alike_in_all() -> None:
     rng = np.random.default_rng(2)
     parameters = 0.05 * np.eye(6)

@@ -61,6 +61,7 @@ def misfits(rests: int, seed: int, alone: float) -> Misfits:
     return misfits_of(own, read(rests, rng, alone), check_noise(own))[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alone", [ALONE, 0.0])
 def test_misfits_scatter_and_hang_together_as_stated(alone: float) -> None:
     """Whitened by the stated covariance, 400 recordings of six rests are 2400 standard normal
@@ -83,6 +84,7 @@ def test_a_reading_scatters_by_both_with_the_freedom_of_both() -> None:
     assert "of which neighbours share 93 %" in noise.words[0]
 
 
+@pytest.mark.slow
 def test_an_unchanged_sensor_that_shares_all_its_noise_is_not_changed() -> None:
     """With the reading's own noise at its bound every later reading was a change. 60 checks at
     5 %: more than nine have a chance of 1 in 1000."""

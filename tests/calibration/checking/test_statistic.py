@@ -72,6 +72,7 @@ def test_misfits_and_their_covariance_are_the_physics_written_again() -> None:
     assert Statistic(found).tested()[ANYTHING].p == pytest.approx(stats.f.sf(t, 4, 12), rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dof", [4.0, 40.0])
 def test_the_level_and_the_power_stated_are_had(dof: float) -> None:
     """Also where the noise was estimated from four numbers: the statement moves with it."""

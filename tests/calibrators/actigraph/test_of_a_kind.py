@@ -61,6 +61,7 @@ def result(runs: PostureRuns, kind: Population | None) -> ActigraphResult:
     return calibrate(runs, SCAN, request)
 
 
+@pytest.mark.slow
 def test_sensors_of_the_kind_are_within_their_sds_from_six_postures() -> None:
     """40 sensors: z rms of 360 numbers is 1 within 4.5 sd of χ²'s; at 1 in 100 each, more than four
     that are told strange have a chance of 6e-5."""

@@ -27,6 +27,7 @@ def solved(worn: ModuleType, monkeypatch: pytest.MonkeyPatch, effect: Any, seed:
     return worn.Case("white", "planted", 30.0, seed).solved(ActigraphRequest())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [0.004, 0.02, 0.3])
 def test_a_play_is_no_share_of_the_posture_before(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch, width: float
@@ -37,6 +38,7 @@ def test_a_play_is_no_share_of_the_posture_before(
     assert not any(s.certain for s in result.loop.steps if s.effect == "hysteresis")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_share_of_the_posture_before_stays_certain(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch, seed: int

@@ -79,6 +79,7 @@ def test_a_point_that_no_bin_needs_is_left() -> None:
     assert len(points.missing) == 8
 
 
+@pytest.mark.slow
 def test_descent_finds_the_sensor_up_to_its_slow_misalignment() -> None:
     error = np.array([np.abs(np.subtract(descend(x), p)) for p, x in map(case, range(40))])
     # Measured over 500 cases: 7.6e-4, 1.7e-3 and 6.9e-4 after 50 iterations at 1 mg.
@@ -165,6 +166,7 @@ def test_the_closed_form_is_exact_without_misalignment() -> None:
         closed_form(np.array([[1.0, 0, 0]] * 18))
 
 
+@pytest.mark.slow
 def test_the_global_optimum_is_no_worse_than_the_descent() -> None:
     _, points = case(5)
     assert objective(global_optimum(points), points) <= objective(descend(points), points)
@@ -190,6 +192,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["float", "int32", "int16"])
 def test_as_published_writes_and_verifies(recording: Path, tmp_path: Path, arithmetic: str) -> None:
     arguments = ["actigraph", str(recording), "-o", str(tmp_path), "-q", "--as-published",
@@ -211,6 +214,7 @@ def test_as_published_writes_and_verifies(recording: Path, tmp_path: Path, arith
     assert error == pytest.approx(chosen["verified_mg"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_all_windows_beat_eighteen_points(recording: Path, tmp_path: Path) -> None:
     raw = read(recording).channels["imu0/acceleration"].values
     assert raw.shape[1] == 3

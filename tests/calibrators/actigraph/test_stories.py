@@ -51,6 +51,7 @@ STORIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", STORIES)
 def test_an_undeclared_effect_is_named_and_removed(effect: str) -> None:
     week = simulated_week(WeekPlan(days=DAYS, plant={effect: STORIES[effect]}), 3)
@@ -85,6 +86,7 @@ def the_very_converter() -> Effect:
     return Response("planted", "s", "y = x", "s", "s", each=each, basis=basis, basis_dx=basis_dx)
 
 
+@pytest.mark.slow
 def test_a_converters_curve_is_found_and_removed() -> None:
     week = simulated_week(WeekPlan(days=DAYS, curve=code_steps(2.4)), 4)
     result = solved(week)
@@ -94,6 +96,7 @@ def test_a_converters_curve_is_found_and_removed() -> None:
     assert result.error.held_out.final <= 1.3 * oracle
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_a_clean_week_stays_as_it_is(seed: int) -> None:
     result = solved(simulated_week(WeekPlan(days=2.0), 100 + seed))
@@ -111,6 +114,7 @@ def test_strange_runs_count_less_and_change_little() -> None:
     assert np.abs(z).max() < 4.0
 
 
+@pytest.mark.slow
 def test_a_wandering_bias_is_in_what_is_stated() -> None:
     z: list[Array] = []
     narrow: list[Array] = []

@@ -51,6 +51,7 @@ CHANGES: dict[str, Planted] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [0.5, 1.0])
 def test_only_a_straight_drift_is_certainly_one(loop_of: Callable[..., Any], power: float) -> None:
     """With the root of time nine of fifteen were a certain drift, some with a certain warm-up."""
@@ -66,6 +67,7 @@ def pressed(x: Any, t: Any, u: Any, c: Any) -> Any:
     return sum(np.exp((x @ p - 1.0) / 0.12)[:, None] * offset for p, offset in places)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_two_names_at_once_are_no_certain_one(loop_of: Callable[..., Any], seed: int) -> None:
     """A function of the posture holds both."""
@@ -74,11 +76,13 @@ def test_two_names_at_once_are_no_certain_one(loop_of: Callable[..., Any], seed:
     assert not any(s.certain for s in loop.steps)
 
 
+@pytest.mark.slow
 def test_a_strap_is_not_two_names(loop_of: Callable[..., Any]) -> None:
     loop = loop_of(pressed, 15.0, 1)
     assert [s.effect.partition("@")[0] for s in loop.steps] == ["posture"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
 @pytest.mark.parametrize("change", CHANGES)
 def test_what_changes_at_a_moment_is_no_certain_step_of_the_bias(
@@ -89,6 +93,7 @@ def test_what_changes_at_a_moment_is_no_certain_step_of_the_bias(
     assert not any(step.certain for step in loop.steps if step.effect.startswith("bias_step@"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_step_of_the_bias_alone_stays_certain(loop_of: Callable[..., Any], seed: int) -> None:
     loop = loop_of(lambda x, t, u, c: late(u) * c[0], 30.0, seed)
@@ -97,6 +102,7 @@ def test_a_step_of_the_bias_alone_stays_certain(loop_of: Callable[..., Any], see
     assert loop.unexplained == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("at", "hours", "seed"), [(0.07, 60.0, 1), (0.3, 30.0, 3)])
 def test_a_knock_that_recovers_is_no_certain_step(
     loop_of: Callable[..., Any], at: float, hours: float, seed: int
@@ -110,6 +116,7 @@ def test_a_knock_that_recovers_is_no_certain_step(
     assert not any(step.certain for step in loop.steps)
 
 
+@pytest.mark.slow
 def test_what_is_missing_makes_no_postures_few(loop_of: Callable[..., Any]) -> None:
     def saturating(x: Any, t: Any, u: Any, c: Any) -> Any:
         return 900.0 * np.tanh(x / 0.9) / np.tanh(1.0) - 1000.0 * x
@@ -125,6 +132,7 @@ LEFT: dict[str, Planted] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("structure", LEFT)
 def test_what_follows_a_driver_unlisted_is_told(
@@ -144,6 +152,7 @@ def behind_play(warm: Any, width: float) -> Any:
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [2.0, 3.5, 5.0])
 def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width: float) -> None:
     loop = loop_of(lambda x, t, u, c: c[0] * behind_play(t, width)[:, None], 30.0, 5)
@@ -152,6 +161,7 @@ def test_a_play_of_the_temperature_is_no_lag(loop_of: Callable[..., Any], width:
     assert certain <= {"thermal_hysteresis", "temperature_bias"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1])
 def test_what_a_long_lag_leaves_is_no_certain_swing_of_the_day(
     loop_of: Callable[..., Any], seed: int
@@ -175,6 +185,7 @@ def ahead_of_its_inside(warm: Any, hours: Any, minutes: float = 20.0) -> Any:
     return warm - np.interp(hours, grid, found)
 
 
+@pytest.mark.slow
 def test_what_the_rate_of_the_temperature_drives_is_no_lag(loop_of: Callable[..., Any]) -> None:
     """It was a certain temperature_bias beside a lag, or nothing at all."""
     loop = loop_of(lambda x, t, u, c: c[0] * ahead_of_its_inside(t, 144.0 * u)[:, None], 30.0, 5)
@@ -195,6 +206,7 @@ COURSES: dict[str, tuple[Planted, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("course", COURSES)
 def test_another_course_of_its_driver_takes_certainty_from_a_name(
@@ -212,6 +224,7 @@ STRAIGHT: dict[str, Planted] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STRAIGHT)
 def test_the_course_of_a_name_itself_stays_certain(loop_of: Callable[..., Any], name: str) -> None:
     loop = loop_of(STRAIGHT[name], 30.0, 2)

@@ -18,6 +18,7 @@ from imucalib.calibrators.actigraph.request import ActigraphRequest
 WANTED = ActigraphRequest()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "noise"),
     [
@@ -42,6 +43,7 @@ def test_an_effect_under_a_walk_is_named(worn: ModuleType, effect: str, noise: s
     assert loop.difference.likely
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mg", [5.0, 10.0, 20.0, 40.0])
 def test_a_step_of_any_size_is_named(worn: ModuleType, mg: float) -> None:
     """The block that holds its moment cannot say when: it takes no part in the judgement."""
@@ -56,12 +58,14 @@ def test_a_step_of_any_size_is_named(worn: ModuleType, mg: float) -> None:
     assert result.loop.verdict == "explained"
 
 
+@pytest.mark.slow
 def test_a_form_that_a_name_only_resembles_is_not_certain(worn: ModuleType) -> None:
     loop = worn.Case("white", "dead_band", 40.0, 7).solved(WANTED).loop
     assert loop.steps
     assert not any(s.certain for s in loop.steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "seed"), [("walk 10 min", 2000), ("walk 12 h", 2000)])
 def test_a_dead_band_is_no_cubic(worn: ModuleType, noise: str, seed: int) -> None:
     case = worn.Case(noise, "dead_band", 10.0, seed)
@@ -76,6 +80,7 @@ def of(worn: ModuleType, monkeypatch: pytest.MonkeyPatch, effect: Any, aim: floa
     return worn.Case("white", "planted", aim, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("aim", [8.0, 30.0])
 def test_a_saturation_is_no_certain_cubic(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch, aim: float
@@ -91,6 +96,7 @@ def test_a_saturation_is_no_certain_cubic(
     assert case.error(result.final) < 0.7 * case.error(result.base)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("middle", [0.0, 5.0])
 def test_a_square_of_the_temperature_is_no_straight_line(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch, middle: float
@@ -102,6 +108,7 @@ def test_a_square_of_the_temperature_is_no_straight_line(
     assert case.error(result.final) < 0.3 * case.error(result.base)
 
 
+@pytest.mark.slow
 def test_a_passing_offset_has_no_certain_name(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -112,6 +119,7 @@ def test_a_passing_offset_has_no_certain_name(
     assert names <= {"bias_step"}  # two jumps are what it is
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("aim", [10.0, 30.0])
 def test_an_offset_of_the_posture_is_no_certain_response(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch, aim: float
@@ -130,6 +138,7 @@ def test_an_offset_of_the_posture_is_no_certain_response(
     assert case.error(result.final) < 0.7 * case.error(result.base)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("runs", [144, 200])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_clusters_of_postures_are_no_certain_converter(
@@ -152,6 +161,7 @@ def test_clusters_of_postures_are_no_certain_converter(
     assert case.error(result.final) < case.error(result.base)
 
 
+@pytest.mark.slow
 def test_a_scale_that_swings_once_a_day_is_no_bias_that_does(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,6 +189,7 @@ def test_a_swing_of_seven_hours_is_followed(
     assert case.error(result.final) < 0.7 * case.error(result.base)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [-0.05, 0.07])
 def test_a_scale_that_jumps_is_no_certain_drift_of_it(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch, at: float
@@ -193,6 +204,7 @@ def test_a_scale_that_jumps_is_no_certain_drift_of_it(
     assert not any(s.certain for s in result.loop.steps)
 
 
+@pytest.mark.slow
 def test_a_day_that_drifts_is_no_swing(worn: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worn, "SPAN", 24 * 3600.0)
     monkeypatch.setattr(worn, "RUNS", 160)
@@ -201,6 +213,7 @@ def test_a_day_that_drifts_is_no_swing(worn: ModuleType, monkeypatch: pytest.Mon
     assert [s.effect for s in result.loop.steps] == ["bias_drift"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit", "refused"), [(0.93, True), (0.95, False)])
 def test_readings_at_a_limit_stop_no_run(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch, limit: float, refused: bool
@@ -225,6 +238,7 @@ def _without_effect(worn: ModuleType, noise: str, seed: int) -> Any:
     return worn.Case(noise, "", 0.0, 500 + seed).solved(WANTED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", NOISES)
 def test_noise_is_no_effect(worn: ModuleType, noise: str) -> None:
     for seed in range(4):
@@ -233,11 +247,13 @@ def test_noise_is_no_effect(worn: ModuleType, noise: str) -> None:
         assert not result.loop.unexplained
 
 
+@pytest.mark.slow
 def test_noise_is_taken_for_an_effect_as_seldom_as_stated(worn: ModuleType) -> None:
     runs = [_without_effect(worn, noise, seed) for noise in NOISES for seed in range(8)]
     assert sum(bool(run.loop.steps) for run in runs) <= at_most(40, 0.05).most
 
 
+@pytest.mark.slow
 def test_a_walk_is_measured_and_stated(worn: ModuleType) -> None:
     """1 mg an axis, 2 h: seen in |a| as 1 mg beside 0.8 mg of scatter; the parameters cover it."""
     z, sizes, hours = [], [], []
@@ -253,6 +269,7 @@ def test_a_walk_is_measured_and_stated(worn: ModuleType) -> None:
     assert 0.7 < np.std(z) < 1.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wanted",
     [
@@ -271,6 +288,7 @@ def test_who_wants_no_curve_follows_nothing(worn: ModuleType, wanted: ActigraphR
     assert case.error(case.solved(WANTED).final) < 0.8 * case.error(result.final)
 
 
+@pytest.mark.slow
 def test_squares_across_an_axis_lead_all_that_holds_them(
     worn: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -55,6 +55,7 @@ def short(rng: np.random.Generator, n: int) -> tuple[Week, Array]:
     return replace(week, runs=few), truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 4, 9, 12])
 def test_stated_uncertainty_covers_with_few_postures(n: int) -> None:
     rng = np.random.default_rng(n)
@@ -103,6 +104,7 @@ def test_held_out_fits_keep_the_prior() -> None:
         assert held_out(found).error[row, 0, 0] == pytest.approx(again, rel=0.1, abs=0.03 * MG)
 
 
+@pytest.mark.slow
 def test_postures_in_one_plane_are_weak_and_said_so() -> None:
     week = simulated_week(WeekPlan(days=1.0), 5)
     flat = week.runs.mean.copy()
@@ -153,6 +155,7 @@ def test_nothing_at_rest_is_refused(tmp_path: Path) -> None:
     assert isinstance(result.exception, Undetermined | UnreadableInput)
 
 
+@pytest.mark.slow
 def test_a_coarse_resolution_is_in_the_uncertainty() -> None:
     step = 15.6 * MG  # a quarter of a hundredth of the range, as old loggers have it
     z: dict[bool, list[Array]] = {True: [], False: []}
@@ -170,6 +173,7 @@ def test_a_coarse_resolution_is_in_the_uncertainty() -> None:
     assert np.std(z[False]) > 1.2 * np.std(z[True])
 
 
+@pytest.mark.slow
 def test_a_coarse_resolution_is_said_so() -> None:
     week = simulated_week(WeekPlan(days=1.0), 3)
     step = 12.0 * MG

@@ -22,6 +22,7 @@ def _shaking(recording: Recording, *, at_rest: bool) -> Recording:
     return replace(recording, channels=channels)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_rest", [False, True])
 def test_the_chip_that_shakes_is_named(at_rest: bool) -> None:
     recording = _shaking(planted_log("clean", 5)[0], at_rest=at_rest)
@@ -31,6 +32,7 @@ def test_the_chip_that_shakes_is_named(at_rest: bool) -> None:
     assert ("exchange the chip" if at_rest else "loose mount") in told[0]
 
 
+@pytest.mark.slow
 def test_like_chips_ask_for_nothing() -> None:
     recording = planted_log("clean", 5)[0]
     assert advice(closed(recording, 150), moving_of(recording)[1]) == ()

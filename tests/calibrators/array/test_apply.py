@@ -49,6 +49,7 @@ def spread(recording: Recording, quantity: str, rows: slice) -> float:
     return float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
 
 
+@pytest.mark.slow
 def test_it_is_read_back_whole(run: ArrayRun, tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     write(run.calibration, path)
@@ -62,6 +63,7 @@ def test_it_is_read_back_whole(run: ArrayRun, tmp_path: Path) -> None:
         assert np.allclose(one.covariance, two.covariance)
 
 
+@pytest.mark.slow
 def test_all_imus_read_the_same_force_and_rate(log: SimulatedLog, run: ArrayRun) -> None:
     found = apply_to_recording(run.calibration, log.recording)
     rest, motion = slice(0, 14 * 300 - 50), slice(14 * 300 + 100, None)
@@ -79,6 +81,7 @@ def test_all_imus_read_the_same_force_and_rate(log: SimulatedLog, run: ArrayRun)
     assert spread(before, "acceleration", rest) > 3 * spread(found, "acceleration", rest)
 
 
+@pytest.mark.slow
 def test_what_needs_the_motion_is_told(log: SimulatedLog, run: ArrayRun) -> None:
     left = {row["effect"]: row for row in run.calibration.facts["not_undone"]}
     assert "gyro_scale" not in left
@@ -95,6 +98,7 @@ def test_what_needs_the_motion_is_told(log: SimulatedLog, run: ArrayRun) -> None
     assert any("board's axes" in n for n in notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
 def test_every_format_gives_the_same(
     suffix: str, log: SimulatedLog, run: ArrayRun, tmp_path: Path
@@ -110,6 +114,7 @@ def test_every_format_gives_the_same(
         assert np.allclose(found.channels[name].values, channel.values, atol=1e-6), name
 
 
+@pytest.mark.slow
 def test_angles_of_an_array_are_refused_before_anything_is_written(
     log: SimulatedLog, run: ArrayRun, tmp_path: Path
 ) -> None:
@@ -181,6 +186,7 @@ def test_the_order_of_the_sensors_is_nothing(log: SimulatedLog, run: ArrayRun) -
         assert np.array_equal(found.channels[name].values, channel.values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", ["abcdefgh", "12345678"])
 def test_a_board_of_other_names_corrects_alike(
     log: SimulatedLog, run: ArrayRun, names: str

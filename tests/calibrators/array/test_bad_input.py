@@ -132,6 +132,7 @@ def test_exchanged_topics_are_noticed(recording: Recording) -> None:
         calibrate(changed(recording, change))
 
 
+@pytest.mark.slow
 def test_draws_have_the_layout_of_netcdf(recording: Recording, tmp_path: Path) -> None:
     """Dimension scales and attributes as netCDF4 and ArviZ read them."""
     run = calibrate(recording)

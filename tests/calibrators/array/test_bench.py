@@ -43,6 +43,7 @@ def run(log: SimulatedLog) -> ArrayRun:
     return calibrate(log.recording)
 
 
+@pytest.mark.slow
 def test_heights_over_a_flat_drawing_are_found() -> None:
     flat = replace(BOARD, positions=BOARD.positions * np.array([1.0, 1.0, 0.0]))
     plan = replace(PLAN, scatter=3e-4)
@@ -78,6 +79,7 @@ def changed(recording: Recording, **channels: Channel) -> Recording:
     return replace(recording, channels={**recording.channels, **channels})
 
 
+@pytest.mark.slow
 def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: ArrayRun) -> None:
     assert run.segments.n >= 9
     assert run.rests.residual < 0.02
@@ -89,12 +91,14 @@ def test_positions_are_recovered_within_what_is_stated(log: SimulatedLog, run: A
     assert run.final.convergence.reached()
 
 
+@pytest.mark.slow
 def test_gains_and_biases_come_from_gravity(run: ArrayRun) -> None:
     assert run.rests.gain_sd.max() < 5e-3
     turned = np.linalg.inv(run.rests.gain) - np.eye(3)
     assert 0.003 < np.abs(turned).max() < 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
 def test_every_format_gives_the_same_numbers(
     suffix: str, log: SimulatedLog, run: ArrayRun, tmp_path: Path
@@ -105,6 +109,7 @@ def test_every_format_gives_the_same_numbers(
     assert again.final.mean == pytest.approx(run.final.mean, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_shuffled_channels_change_nothing(log: SimulatedLog, run: ArrayRun) -> None:
     names = sorted(log.recording.channels, reverse=True)
     shuffled = replace(log.recording, channels={n: log.recording.channels[n] for n in names})
@@ -137,6 +142,7 @@ def test_different_rates_are_refused(log: SimulatedLog) -> None:
         calibrate(changed(log.recording, **{"imu2/angular_rate": slow}))
 
 
+@pytest.mark.slow
 def test_lost_samples_are_left_out_of_all(log: SimulatedLog) -> None:
     acc = log.recording.channels["imu2/acceleration"]
     keep = np.ones(acc.t.size, dtype=bool)
@@ -162,6 +168,7 @@ def test_a_wrong_mounting_is_refused(log: SimulatedLog) -> None:
         calibrate(log.recording, board=replace(BOARD, rotations=rotations))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plan", "message"),
     [
@@ -208,6 +215,7 @@ def test_bad_boards(tmp_path: Path, text: str, message: str) -> None:
         read_board(path)
 
 
+@pytest.mark.slow
 def test_the_command_writes_its_files(log: SimulatedLog, tmp_path: Path) -> None:
     path = tmp_path / "log.h5"
     write(log.recording, path)
@@ -223,6 +231,7 @@ def test_the_command_writes_its_files(log: SimulatedLog, tmp_path: Path) -> None
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_measured_board() -> None:
     """Underside accelerometers lie half a millimetre off the packages' middle, as published."""
     run = calibrate(read(SAMPLES / "board.h5"), gravity=9.8189, samples=400)

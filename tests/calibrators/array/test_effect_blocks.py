@@ -17,6 +17,7 @@ from worlds.array_stories import closed, planted_log
 from worlds.rigid_board import board, calibration
 
 
+@pytest.mark.slow
 def test_a_covariance_comes_back_as_it_was_fitted(tmp_path) -> None:  # type: ignore[no-untyped-def]
     loop = closed(planted_log("gyro scale of each IMU, 2 %", 2)[0], 150)
     blocks = effect_blocks(loop)

@@ -43,6 +43,7 @@ def clean() -> MotionLoop:
     return closed(planted_log("clean", 5)[0], 150)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in STORIES if n != "clean"])
 def test_a_planted_error_is_named(name: str) -> None:
     recording, true = planted_log(name, 11)
@@ -54,17 +55,20 @@ def test_a_planted_error_is_named(name: str) -> None:
     assert found.gained.after.acceleration <= found.gained.before.acceleration * 1.05
 
 
+@pytest.mark.slow
 def test_a_clean_log_is_left_alone(clean: MotionLoop) -> None:
     assert clean.verdict == "nothing missing"
     assert clean.base.noise[0].sigma == pytest.approx(PLAN.sigma, rel=0.05)
     assert clean.base.noise[1].sigma == pytest.approx(PLAN.sigma_gyro * DEG, rel=0.05)
 
 
+@pytest.mark.slow
 def test_clean_logs_are_left_alone_as_often_as_stated() -> None:
     again = [closed(planted_log("clean", seed)[0], 150) for seed in range(20, 60)]
     assert sum(bool(found.steps) for found in again) <= at_most(40, 0.05).most
 
 
+@pytest.mark.slow
 def test_sizes_come_with_their_uncertainty() -> None:
     found = closed(planted_log("common gyro delay, 1 ms", 3)[0], 200)
     term = next(t for t in found.final.found if t.name == "gyro_delay")
@@ -84,6 +88,7 @@ def _page_and_file_agree(found: MotionLoop) -> None:
         assert step.size == plus_minus(one["value"], one["sd"], one["unit"])
 
 
+@pytest.mark.slow
 def test_what_no_motion_shows_is_listed_with_its_weight(clean: MotionLoop) -> None:
     """1 % of common gyro scale is 2 % of the array's size, however it is computed."""
     size = 0.02 * np.sqrt(np.mean(clean.final.r[1:] ** 2))
@@ -92,6 +97,7 @@ def test_what_no_motion_shows_is_listed_with_its_weight(clean: MotionLoop) -> No
     assert clean.missing["gyro_sample_age"] == "no gyro shows a beat line"
 
 
+@pytest.mark.slow
 def test_unexplained_structure_is_said_and_not_named() -> None:
     """An accelerometer error that follows |ω| in a wave is in no catalogue."""
     recording, _ = planted_log("clean", 8)
@@ -202,6 +208,7 @@ def test_the_catalogue_knows_the_chip_axes() -> None:
         assert basis[k, 1] @ np.array([2.0, 0.0, -1.0]) == pytest.approx(expected)
 
 
+@pytest.mark.slow
 def test_corrected_readings_hold_no_effect(clean: MotionLoop) -> None:
     data = corrected_samples(clean.final)
     assert data.samples == len(clean.final.setup.inner)
@@ -225,6 +232,7 @@ def said(found: MotionLoop, width: int) -> str:
     return render_text(document, width, color=False)
 
 
+@pytest.mark.slow
 def test_reports_carry_the_loop(clean: MotionLoop) -> None:
     for found in (clean, closed(planted_log("bad accelerometer, 1 %", 4)[0], 150)):
         sections = loop_section(outcome_of(found)), candidate_section(array_findings(found))
@@ -240,6 +248,7 @@ def test_reports_carry_the_loop(clean: MotionLoop) -> None:
         assert {s.name for s in told.scores} >= {"gyro_delay", "cubic"}
 
 
+@pytest.mark.slow
 def test_too_broken_a_motion_is_not_searched() -> None:
     from worlds.array_stories import moving_of
 
@@ -254,6 +263,7 @@ def test_a_plain_noise_is_plain() -> None:
     assert not replace(noise, freedom=4.0).plain
 
 
+@pytest.mark.slow
 def test_a_measured_boards_clocks_delay_and_elements() -> None:
     from imucalib.readers import read
     from worlds.array_stories import moving_of
@@ -274,6 +284,7 @@ def test_a_measured_boards_clocks_delay_and_elements() -> None:
     _page_and_file_agree(found)
 
 
+@pytest.mark.slow
 def test_channels_stay_what_they_are() -> None:
     """The loop must not write into the recording."""
     recording, _ = planted_log("bad accelerometer, 1 %", 9)
@@ -284,6 +295,7 @@ def test_channels_stay_what_they_are() -> None:
         assert np.array_equal(channel.values, kept[name])
 
 
+@pytest.mark.slow
 def test_a_declared_effect_is_in_the_model_and_others_can_be_left_out() -> None:
     from worlds.array_stories import moving_of
 
@@ -338,6 +350,7 @@ def test_what_the_motion_does_not_show_cannot_be_declared(clean: MotionLoop) -> 
         with_declared(clean.base, ("common_gyro_scale",), moving)
 
 
+@pytest.mark.slow
 def test_a_drifting_delay_is_no_beat() -> None:
     """One chip on a slow clock: said to be that IMU's, not named as something else."""
     recording, _ = planted_log("clean", 12)
@@ -352,6 +365,7 @@ def test_a_drifting_delay_is_no_beat() -> None:
     assert found.unexplained[0].name == "curve of gyro delay against time, straight@imu3"
 
 
+@pytest.mark.slow
 def test_an_imu_that_moves_is_pointed_at() -> None:
     recording, _ = planted_log("clean", 13)
     t = recording.channels["imu5/angular_rate"].t
@@ -390,6 +404,7 @@ def test_the_command_lists_array_effects() -> None:
     assert isinstance(refused.exception, UsageError)
 
 
+@pytest.mark.slow
 def test_curves_correct_what_has_no_name_where_it_helps() -> None:
     """An IMU that moves: its mean position comes nearer, and no cause is claimed."""
     from worlds.array_stories import moving_of
@@ -418,6 +433,7 @@ def test_curves_correct_what_has_no_name_where_it_helps() -> None:
     assert "position against time, straight@imu5, corrected by a curve" in " ".join(text.split())
 
 
+@pytest.mark.slow
 def test_the_file_says_what_the_clocks_were() -> None:
     from imucalib.calibrators.array.loop.ages import beats
 

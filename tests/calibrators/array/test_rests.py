@@ -78,6 +78,7 @@ def fitted(segments: Segments, board: Board, asked: Asked | None = None) -> Rest
     return fit_rests(segments, board, list(range(K)), G, asked=asked or Asked())
 
 
+@pytest.mark.slow
 def test_gains_and_offsets_within_their_deviation() -> None:
     z = []
     for seed in range(8):
@@ -104,6 +105,7 @@ def test_the_frame_is_the_mean_of_the_triads() -> None:
     assert about_x.ravel() @ covariance @ about_x.ravel() < 1e-6 * np.trace(covariance)
 
 
+@pytest.mark.slow
 def test_corrected_readings_are_the_force() -> None:
     segments, board, gain, offset = simulated(4, warm=10.0 * MG)
     found = fitted(segments, board)
@@ -118,6 +120,7 @@ def test_corrected_readings_are_the_force() -> None:
     assert np.abs(found.corrected(seen, late) - force[:, None]).max() < 0.03
 
 
+@pytest.mark.slow
 def test_a_gain_that_drifts_is_undone_at_every_time() -> None:
     """An array whose rests showed it ended with a traceback."""
     segments, board, _, offset = simulated(6, n=40)
@@ -132,6 +135,7 @@ def test_a_gain_that_drifts_is_undone_at_every_time() -> None:
     assert np.linalg.norm(force, axis=2) == pytest.approx(np.full((40, K), G), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_what_bends_at_rest_does_not_run_away_far_from_it() -> None:
     segments, board, _, _ = simulated(5, n=40)
     segments = replace(segments, mean=25.0 * np.tanh(segments.mean / 25.0))
@@ -143,6 +147,7 @@ def test_what_bends_at_rest_does_not_run_away_far_from_it() -> None:
     assert np.abs(found.corrected(seen, np.zeros(1))).max() < 1.2 * np.abs(seen).max()
 
 
+@pytest.mark.slow
 def test_a_warm_up_is_named() -> None:
     segments, board, _, _ = simulated(11, warm=2.0 * MG)
     found = fitted(segments, board)
@@ -153,6 +158,7 @@ def test_a_warm_up_is_named() -> None:
     assert found.residual == pytest.approx(SIGMA, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_chip_that_hung_is_a_wrong_record() -> None:
     segments, board, gain, _ = simulated(12)
     segments.mean[7, 2] += np.array([0.0, 30.0 * MG, 0.0])
@@ -174,6 +180,7 @@ def test_a_rest_that_was_none_is_a_wrong_record() -> None:
     assert found.loop.records[0].size == pytest.approx(10.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_clean_rests_are_left_alone() -> None:
     claimed = 0
     for seed in range(30, 50):
@@ -232,6 +239,7 @@ def test_a_short_rest_counts_less() -> None:
     assert np.mean(size) == pytest.approx(SIGMA, rel=0.05)
 
 
+@pytest.mark.slow
 def test_short_rests_are_not_taken_for_something_missing() -> None:
     for seed in range(3):
         segments, board, _, _ = _uneven(seed, between=0.0)
@@ -249,6 +257,7 @@ def test_what_differs_from_rest_to_rest_is_estimated(between: float) -> None:
     assert np.abs(np.log(sigma / expected)).max() < 0.25  # the tried sizes are a factor 2 apart
 
 
+@pytest.mark.slow
 def test_only_and_without_hold_at_rest() -> None:
     segments, board, _, _ = simulated(15, warm=5.0 * MG)
     for asked in (Asked(without=("warm_up", "bias_drift")), Asked(only=("gyro_scale@imu3",))):
@@ -275,6 +284,7 @@ def coarse(segments: Segments, step: float, rate_step: float, bias: Array) -> Se
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_what_rounding_leaves_is_stated() -> None:
     """16 mg and 1 deg/s: samples by the hundred do not average them."""
     z, slow = [], []
@@ -293,6 +303,7 @@ def test_what_rounding_leaves_is_stated() -> None:
     assert 0.75 < np.sqrt(np.mean(np.square(slow))) < 1.25  # 36 numbers
 
 
+@pytest.mark.slow
 def test_what_rounding_leaves_is_no_effect() -> None:
     named = []
     for seed in range(6):

@@ -38,6 +38,7 @@ def calibrated(recording: Recording, board: Board) -> ArrayRun:
     return calibrate_array(recording, ArrayRequest(board, loop=False), lambda _: None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_pair_and_a_line_are_calibrated(count: int) -> None:
     board = rig(*[(20.0 * i / (count - 1), 0.0, 0.0) for i in range(count)])
@@ -50,6 +51,7 @@ def test_a_pair_and_a_line_are_calibrated(count: int) -> None:
     assert any("spin about it stays open" in note for note in run.outcome.notes)
 
 
+@pytest.mark.slow
 def test_without_a_search_mountings_of_gyros_are_no_noise() -> None:
     """A gyro turned by half a degree reads 6 deg/s of 700 about another axis."""
     board = rig((0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 20.0, 0.0), (20.0, 20.0, 0.0))
@@ -65,6 +67,7 @@ def test_without_a_search_mountings_of_gyros_are_no_noise() -> None:
         assert triad.gyro_gain == pytest.approx(parts.gyro_gain[k] @ np.linalg.inv(mean), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_board_is_found_without_a_drawing() -> None:
     recording, true = logged(CORNERS)
     drawn, bare = calibrated(recording, CORNERS), calibrated(recording, undrawn_board(8))
@@ -78,6 +81,7 @@ def test_a_board_is_found_without_a_drawing() -> None:
     assert bare.board.prior_sd > 0.01
 
 
+@pytest.mark.slow
 def test_clipping_shows_without_a_stated_range() -> None:
     rng = np.random.default_rng(1)
     parts = made_board(CORNERS.positions, CORNERS.rotations, CORNERS.imus, PLAN, rng)

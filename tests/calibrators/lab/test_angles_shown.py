@@ -94,6 +94,7 @@ def test_every_axis_of_angles_is_the_users(
     assert seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("meant", OTHERS)
 def test_every_table_and_row_of_json_is_the_users(
     paper_table: PositionTable, plain: LabRun, meant: Conventions

@@ -64,6 +64,7 @@ def spoilt(name: str, row: int, cell: str) -> list[str]:
 SWAPPED = {"inclination": column("tool_face"), "tool_face": column("inclination")}
 
 
+@pytest.mark.slow
 def test_a_wrong_record_is_named_and_left_to_the_user(tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = run("lab", SAMPLES / "bench.csv", "-o", out)
@@ -78,6 +79,7 @@ def test_a_wrong_record_is_named_and_left_to_the_user(tmp_path: Path) -> None:
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
 
 
+@pytest.mark.slow
 def test_the_repaired_bench_names_the_dial_and_passes(tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = run("lab", SAMPLES / "bench.csv", *REPAIR, "-o", out, "--json")
@@ -93,6 +95,7 @@ def test_the_repaired_bench_names_the_dial_and_passes(tmp_path: Path) -> None:
     assert {"quadratic", "cubic", "bias_drift"} <= refused
 
 
+@pytest.mark.slow
 def test_auto_exclude_leaves_the_record_out_and_says_so(tmp_path: Path) -> None:
     result = run("lab", SAMPLES / "bench.csv", "--auto-exclude", "--json", "-q")
     report = validated(result.stdout, "report")
@@ -101,6 +104,7 @@ def test_auto_exclude_leaves_the_record_out_and_says_so(tmp_path: Path) -> None:
     assert len([p for p in report["positions"] if p["fitted"]]) == 31
 
 
+@pytest.mark.slow
 def test_yaml_validates_and_applies_to_its_own_table(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-o", out)
@@ -121,6 +125,7 @@ def test_yaml_validates_and_applies_to_its_own_table(tmp_path: Path) -> None:
     np.testing.assert_allclose(by_matrix, loaded.apply(raw), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_recording_with_positions_in_order(tmp_path: Path) -> None:
     arguments = (SAMPLES / "positions.csv", "--recording", SAMPLES / "rests.mcap")
     result = run("lab", *arguments, "--json", "-q")
@@ -129,6 +134,7 @@ def test_a_recording_with_positions_in_order(tmp_path: Path) -> None:
     assert "quadratic" in {n for s in report["loop"]["steps"] for n in (s["effect"], *s["aliases"])}
 
 
+@pytest.mark.slow
 def test_the_norm_alone_calibrates_a_recording() -> None:
     result = run("lab", SAMPLES / "rests.mcap", "--reference", "norm", "--json", "-q")
     report = validated(result.stdout, "report")
@@ -138,12 +144,14 @@ def test_the_norm_alone_calibrates_a_recording() -> None:
     assert error["held_out"]["base"] < 0.1 * error["raw"]
 
 
+@pytest.mark.slow
 def test_a_broken_limit_is_exit_1() -> None:
     arguments = ("lab", SAMPLES / "bench.csv", "--fix", "10:y=-45.86119676", "-q")
     assert run(*arguments, "--max-inclination-error", "0.001").return_value == 1
     assert run(*arguments, "--max-inclination-error", "5").return_value == 0
 
 
+@pytest.mark.slow
 def test_the_same_again_is_the_same_result() -> None:
     arguments = ("lab", SAMPLES / "bench.csv", "--json", "-q")
     one, two = (json.loads(run(*arguments).stdout) for _ in range(2))
@@ -199,6 +207,7 @@ def test_bad_options(tmp_path: Path, options: tuple[str, ...], code: int, words:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_duplicated_rows_are_named(tmp_path: Path) -> None:
     axes = {f"{a}_mg": column(f"{a}_mg") for a in "xyz"}
     for values in axes.values():
@@ -210,6 +219,7 @@ def test_duplicated_rows_are_named(tmp_path: Path) -> None:
     assert record["likely"] == "a copy of row 21"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", ["vector", "norm"])
 def test_counts_of_a_table_are_spelt_as_those_of_a_recording(
     tmp_path: Path, reference: str
@@ -233,6 +243,7 @@ def test_counts_of_a_table_are_spelt_as_those_of_a_recording(
     assert "is not one number" in str(refused.exception)
 
 
+@pytest.mark.slow
 def test_a_unit_that_is_stated_is_the_recordings(tmp_path: Path) -> None:
     """The table with --recording holds angles; the unit of its readings is used once."""
     mcap = SAMPLES / "rests.mcap"

@@ -114,6 +114,7 @@ def test_what_a_ring_leaves_open_is_infinite() -> None:
     assert second.gain == pytest.approx(np.sqrt(2.0))  # the same once more
 
 
+@pytest.mark.slow
 def test_open_is_known_worse_than_three_typical_sizes() -> None:
     """Two rings a little above and below the level: the less they are apart, the more is open."""
     t = np.arange(0.0, 360.0, 30.0)

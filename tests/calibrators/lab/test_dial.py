@@ -24,6 +24,7 @@ from worlds.places import SAMPLES
 from worlds.sheets import direction
 
 
+@pytest.mark.slow
 def test_a_dial_that_shows_too_little_is_told_by_how_much(tmp_path: Path) -> None:
     """The tool stands 1.2 deg steeper than its dial says, at every setting."""
     rng = np.random.default_rng(2)
@@ -70,6 +71,7 @@ def test_rivals_share_the_dial_by_their_weights(monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(found.half, np.sqrt(wide + 1.96**2 * between))
 
 
+@pytest.mark.slow
 def test_the_dial_is_told_with_what_is_wrong_set_right() -> None:
     result = run_lab(read_position_table(SAMPLES / "bench.csv"), LabRequest()).result
     told = dial_words(result)

@@ -90,6 +90,7 @@ def _clean() -> tuple[LabRun, ...]:
     return tuple(calibrated(six_faces(seed, 2 + seed % 3)) for seed in range(40))
 
 
+@pytest.mark.slow
 def test_no_row_of_a_clean_table_is_accused() -> None:
     loops = [run.result.loop for run in _clean()]
     alarms = sum(bool(loop and (loop.records or loop.steps)) for loop in loops)
@@ -104,6 +105,7 @@ def _away(run: LabRun) -> dict[str, tuple[float, float, float]]:
     return {n: (o, s, h) for (n, o), s, h in zip(off.items(), fit.sd, half, strict=True)}
 
 
+@pytest.mark.slow
 def test_intervals_hold_what_they_promise() -> None:
     found = [_away(run) for run in _clean()]
     assert all(set(one) == set(TRUTH) for one in found)
@@ -114,6 +116,7 @@ def test_intervals_hold_what_they_promise() -> None:
     assert np.abs(z.mean(axis=0)).max() < 4.0 / np.sqrt(len(found))
 
 
+@pytest.mark.slow
 def test_the_scatter_is_split_into_noise_and_tilt() -> None:
     noise = np.array([run.result.base.noise.factor for run in _clean()])
     tilt = np.degrees([run.result.base.noise.sd[0] for run in _clean()])
@@ -121,6 +124,7 @@ def test_the_scatter_is_split_into_noise_and_tilt() -> None:
     assert np.mean(tilt**2) == pytest.approx(TILT_DEG**2, rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_mounting_carries_the_tilt() -> None:
     """The mean of n tilts is known to tilt / sqrt(n), whatever the readings' noise."""
     sd = [dict(zip(TRUTH, calibrated(six_faces(s, 4), loop=False).result.base.sd, strict=True))
@@ -131,6 +135,7 @@ def test_the_mounting_carries_the_tilt() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_a_lost_sign_is_found(seed: int) -> None:
     table = six_faces(seed + 50, 2 + seed % 3)

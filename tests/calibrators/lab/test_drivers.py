@@ -35,6 +35,7 @@ def _run(*words: str | Path) -> Result:
     return CliRunner().invoke(cli.cli, [str(word) for word in words], standalone_mode=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["bias", "scale"])
 def test_what_follows_a_named_column_is_found_and_done_without(tmp_path: Path, kind: str) -> None:
     sheet, out = _sheet(tmp_path / "sheet.csv", 3.0, kind), tmp_path / "out"
@@ -68,6 +69,7 @@ def test_a_heading_with_a_colon_is_found_again(tmp_path: Path) -> None:
         read_position_table(sheet, {"driver": "supply V"})
 
 
+@pytest.mark.slow
 def test_a_column_that_nobody_names_takes_no_part_and_is_told(tmp_path: Path) -> None:
     run = _run("lab", _sheet(tmp_path / "sheet.csv", 0.0, "bias"), "-o", tmp_path / "out")
     assert "columns that take no part: supply_V (--columns driver=supply_V" in run.stderr

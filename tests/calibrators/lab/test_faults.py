@@ -30,6 +30,7 @@ def lab(path: Path, *options: str) -> tuple[int, str, dict]:
     return result.return_value, " | ".join(report["undecided"]), report
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", sheets.KINDS)
 def test_pasting_the_line_ends_the_matter(tmp_path: Path, kind: str) -> None:
     clean = sheets.bench(11, name="paper" if kind != "vertical" else "sweeps", scatter=0.1)
@@ -44,6 +45,7 @@ def test_pasting_the_line_ends_the_matter(tmp_path: Path, kind: str) -> None:
     assert not report["faults"]
 
 
+@pytest.mark.slow
 def test_a_typed_angle_is_told_with_the_value(tmp_path: Path) -> None:
     made = sheets.mistyped(sheets.bench(4, scatter=0.1), 14, "tool_face", 10.0)
     code, text, _ = lab(made.write(tmp_path / "sheet.csv"))
@@ -53,6 +55,7 @@ def test_a_typed_angle_is_told_with_the_value(tmp_path: Path) -> None:
     assert "e-0" not in text
 
 
+@pytest.mark.slow
 def test_a_typed_angle_is_told_in_rows_that_stand_in_no_order(tmp_path: Path) -> None:
     """Its setting was its own: mended, one fewer is left."""
     rng = np.random.default_rng(5)
@@ -69,6 +72,7 @@ def test_a_typed_angle_is_told_in_rows_that_stand_in_no_order(tmp_path: Path) ->
     assert f"--fix 21:tool_face={t[20]:g}" in text
 
 
+@pytest.mark.slow
 def test_a_lost_sign_is_told_once(tmp_path: Path) -> None:
     made = sheets.cell(sheets.bench(4, scatter=0.1), 14, 0, -1.0)
     path = made.write(tmp_path / "sheet.csv")
@@ -79,6 +83,7 @@ def test_a_lost_sign_is_told_once(tmp_path: Path) -> None:
     assert "--fix 14:x" in report["undecided"][0]
 
 
+@pytest.mark.slow
 def test_a_turned_sensor_is_a_question_until_it_is_answered(tmp_path: Path) -> None:
     made = sheets.axes(sheets.bench(4, name="spread"), (1, 0, 2), (1, -1, 1))
     path = made.write(tmp_path / "sheet.csv")
@@ -90,6 +95,7 @@ def test_a_turned_sensor_is_a_question_until_it_is_answered(tmp_path: Path) -> N
         assert (code, text) == (0, ""), line
 
 
+@pytest.mark.slow
 def test_counts_that_look_like_mg_are_asked_about(tmp_path: Path) -> None:
     made = sheets.in_counts(sheets.bench(4, name="spread"), 1024.0)
     path = made.write(tmp_path / "sheet.csv", "inclination,tool_face,x,y,z")
@@ -108,6 +114,7 @@ def test_the_norm_claims_nothing_about_places(tmp_path: Path) -> None:
         assert lab(path, "--reference", "norm")[:2] == (0, "")
 
 
+@pytest.mark.slow
 def test_a_converter_at_its_end(tmp_path: Path) -> None:
     made = sheets.bench(5, name="spread")
     y = made.reading.copy()
@@ -119,6 +126,7 @@ def test_a_converter_at_its_end(tmp_path: Path) -> None:
     assert [int(r) - 1 for r in rows.split(",")] == list(np.flatnonzero(y[:, 2] == y[:, 2].max()))
 
 
+@pytest.mark.slow
 def test_angles_thrown_by_hand_do_not_pass(tmp_path: Path) -> None:
     """No single slip, but no bench either: settings within ten degrees."""
     made = sheets.bench(6, name="spread", scatter=8.0)
@@ -193,6 +201,7 @@ def test_lines_that_are_wrong_are_refused(
     assert repaired(table(), Repairs(), (), False)[1] == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_a_sensor_that_saturates_under_its_noise_is_told_and_passes_without_those_rows(
     tmp_path: Path, known: bool

@@ -32,6 +32,7 @@ def repaired() -> LabRun:
     return paper(LabRequest(gravity=9.8061, fixes=REPAIR))
 
 
+@pytest.mark.slow
 def test_the_misprint_of_row_10_is_found_unprompted() -> None:
     run = paper(LabRequest(gravity=9.8061))
     loop = run.result.loop
@@ -42,6 +43,7 @@ def test_the_misprint_of_row_10_is_found_unprompted() -> None:
     assert run.outcome.exit_code == 5
 
 
+@pytest.mark.slow
 def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> None:
     loop = repaired.result.loop
     assert loop is not None
@@ -58,6 +60,7 @@ def test_the_dial_is_named_and_the_sensor_is_not_blamed(repaired: LabRun) -> Non
     )
 
 
+@pytest.mark.slow
 def test_what_twenty_rows_say_of_the_dial_is_within_chance_of_all() -> None:
     """Rows 1-20 hardly tell a zero from a scale: 0.91 ± 0.21 deg at 50, all rows 1.45, the paper
     1.37."""
@@ -67,6 +70,7 @@ def test_what_twenty_rows_say_of_the_dial_is_within_chance_of_all() -> None:
     assert abs(dial.shift[0] - 1.37) < 2.6 * dial.sd[0]
 
 
+@pytest.mark.slow
 def test_held_out_errors_reach_the_marks(repaired: LabRun) -> None:
     left_out = attitude_errors(repaired.result.splits[0].final, Conventions())
     assert worst(left_out.inclination) <= 0.55
@@ -77,6 +81,7 @@ def test_held_out_errors_reach_the_marks(repaired: LabRun) -> None:
     assert rms(repaired.result.angles.norm) <= 1.3
 
 
+@pytest.mark.slow
 def test_the_papers_split() -> None:
     """The model that all rows ask for, fitted on rows 1-20 and tested on rows 21-32."""
     settings = LabSettings(loop=False, declare=("inclination_zero", "inclination_scale"))
@@ -100,6 +105,7 @@ def test_two_thirds_of_the_table_blame_no_record() -> None:
     assert test.final.rms() < 1.01 * test.base.rms()
 
 
+@pytest.mark.slow
 def test_as_published_is_the_printed_table_2() -> None:
     run = paper(as_published(LabRequest(fixes=REPAIR)))
     printed = np.genfromtxt(

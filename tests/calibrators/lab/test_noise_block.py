@@ -34,6 +34,7 @@ def test_noise_that_rows_share_is_in_mg() -> None:
     assert block["shared_memory_positions"] == pytest.approx(memory)
 
 
+@pytest.mark.slow
 def test_a_bias_is_stated_as_well_as_noise_that_rows_share_leaves_it(tmp_path: Path) -> None:
     """Of forty rows whose noise neighbours share, an error of the mean is several times that of as
     many readings: nine sheets of three biases each."""

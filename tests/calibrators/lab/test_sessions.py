@@ -60,6 +60,7 @@ def told(planted, tmp_path_factory) -> LabRun:
     return run(write(folder / "five.csv", rows_of(*planted)))
 
 
+@pytest.mark.slow
 def test_each_session_has_its_own_offset(told: LabRun, planted) -> None:
     for one, truth in zip(told.sessions.between, planted, strict=True):
         off = one.offsets - (truth - truth.mean(axis=0))
@@ -70,6 +71,7 @@ def test_each_session_has_its_own_offset(told: LabRun, planted) -> None:
         assert low < one.sd < high
 
 
+@pytest.mark.slow
 def test_the_scatter_is_that_of_the_analysis_of_variance(told: LabRun, planted) -> None:
     """Balanced data: REML's size of the bias is the sample sd of the sessions' own means, with the
     noise of a mean, 0.2 mg / 4, far below it."""
@@ -77,6 +79,7 @@ def test_the_scatter_is_that_of_the_analysis_of_variance(told: LabRun, planted) 
         assert one.sd == pytest.approx(np.sqrt(truth.var(axis=0, ddof=1).mean()), rel=0.06)
 
 
+@pytest.mark.slow
 def test_the_next_power_up_is_less_certain_than_the_mean(told: LabRun) -> None:
     scatter = {one.effect: one.sd for one in told.sessions.between}
     assert {p.effect for p in told.sessions.parameters} == {"bias", "mounting"}
@@ -90,6 +93,7 @@ def test_a_session_that_was_left_out_errs_by_the_scatter(told: LabRun) -> None:
     assert held["another session"] > 1.05 * held["held out"]
 
 
+@pytest.mark.slow
 def test_files_are_sessions_as_a_column_is(told: LabRun, planted, tmp_path: Path) -> None:
     rows = rows_of(*planted)
     each = [
@@ -104,6 +108,7 @@ def test_files_are_sessions_as_a_column_is(told: LabRun, planted, tmp_path: Path
     assert several.outcome.provenance.parts == tuple(sha256_of(path) for path in each)
 
 
+@pytest.mark.slow
 def test_one_session_changes_nothing(planted, tmp_path: Path) -> None:
     rows = rows_of(planted[0][:1], planted[1][:1])
     with_name = run(write(tmp_path / "a.csv", rows))
@@ -112,6 +117,7 @@ def test_one_session_changes_nothing(planted, tmp_path: Path) -> None:
     assert np.array_equal(with_name.result.final.theta, without.result.final.theta)
 
 
+@pytest.mark.slow
 def test_sessions_alike_state_what_they_could_not_see(tmp_path: Path) -> None:
     """Without any scatter the next power-up is nearly as good as the mean, and not exactly so."""
     same = run(write(tmp_path / "a.csv", rows_of(np.full((4, 3), 5.0), np.zeros((4, 3)))))

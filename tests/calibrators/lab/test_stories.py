@@ -47,6 +47,7 @@ PLANTED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "values", "layout"), PLANTED)
 def test_a_planted_effect_is_named(name: str, values: tuple[float, ...], layout: str) -> None:
     warm = (20.0, 30.0) if name.startswith("temperature") else None
@@ -63,6 +64,7 @@ def test_a_planted_effect_is_named(name: str, values: tuple[float, ...], layout:
         assert np.all(np.abs(pull) < 4.5)
 
 
+@pytest.mark.slow
 def test_clean_benches_stay_clean() -> None:
     alarms = 0
     for seed in range(40):
@@ -72,6 +74,7 @@ def test_clean_benches_stay_clean() -> None:
     assert alarms <= at_most(40, 0.05).most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("row", "axis"), [(10, "y"), (3, "z"), (20, "x")])
 def test_a_lost_sign_is_named(row: int, axis: str) -> None:
     result = bench(BenchPlan(slips=((row, axis),), plant={"inclination_zero": (0.7,)}), 11)
@@ -82,6 +85,7 @@ def test_a_lost_sign_is_named(row: int, axis: str) -> None:
     assert "inclination_zero" in found(result)
 
 
+@pytest.mark.slow
 def test_structure_outside_the_catalogue_gets_a_formula_but_no_cause() -> None:
     """A third harmonic of the tool-face, which no effect of the catalogue is."""
     rng = np.random.default_rng(3)
@@ -98,6 +102,7 @@ def test_structure_outside_the_catalogue_gets_a_formula_but_no_cause() -> None:
     assert [s.effect for s in result.loop.steps] == ["shape@tool_face:tool_face:sine:120"]
 
 
+@pytest.mark.slow
 def test_an_absorbed_effect_is_listed_as_not_testable() -> None:
     loop = bench(BenchPlan(plant={"tool_face_zero": (2.0,)}), 9).loop
     assert loop is not None
@@ -106,6 +111,7 @@ def test_an_absorbed_effect_is_listed_as_not_testable() -> None:
     assert not loop.steps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_a_slip_of_a_factor_ten_is_told_before_anything_is_fitted(axis: str) -> None:
     table = simulated_table(BenchPlan(), np.random.default_rng(3))

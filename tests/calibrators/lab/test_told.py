@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from imucalib.calibrators.lab.calibrate import LabSettings
 from imucalib.calibrators.lab.files import LabFiles, calibrate_files
-from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.request import LabRequest
-from imucalib.calibrators.lab.run import LabRun, run_lab
+from imucalib.calibrators.lab.run import LabRun
 from imucalib.cli import cli as main
-from worlds import plain_bench, sheets
+from worlds import sheets
 
 
 def calibrated(path: Path, request: LabRequest | None = None) -> tuple[LabRun, list[str]]:
@@ -31,6 +29,7 @@ def timed(sheet: sheets.Sheet, path: Path, order: np.ndarray) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_rows_out_of_order_are_put_in_order_by_their_time(tmp_path: Path) -> None:
     sheet = sheets.bench(3, effect="bias_drift")
     n = len(sheet.reading)
@@ -54,6 +53,7 @@ def faces(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_what_the_positions_cannot_show_is_told_everywhere(faces: Path) -> None:
     command = ["lab", str(faces), "--reference", "direction"]
     text = " ".join(CliRunner().invoke(main, command).output.split())
@@ -67,6 +67,7 @@ def test_what_the_positions_cannot_show_is_told_everywhere(faces: Path) -> None:
     assert absorbed["shift"] == pytest.approx(3.0, rel=0.1)  # its typical 3 mg/g³ on these faces
 
 
+@pytest.mark.slow
 def test_the_floor_is_measured_or_unknown(faces: Path, tmp_path: Path) -> None:
     direction = LabRequest(unit="mg", reference="direction")
     repeated = calibrated(faces, direction)[0].outcome.error.floor
@@ -81,21 +82,10 @@ def test_the_floor_is_measured_or_unknown(faces: Path, tmp_path: Path) -> None:
     assert np.isnan(calibrated(nowhere)[0].outcome.error.floor)
 
 
+@pytest.mark.slow
 def test_who_has_no_dials_is_told_a_direction() -> None:
     table = Path(__file__).parents[3] / "sample_logs" / "cave_ab.csv"
     run, _ = calibrated(table, LabRequest(unit="g", reference="norm"))
     asked = [line for line in run.outcome.advice if "One more position" in line]
     assert asked
     assert not any("tool-face" in line for line in asked)
-
-
-def test_advice_names_the_row_of_a_slip_whatever_was_left_out(tmp_path: Path) -> None:
-    """It begins with row 19 of the sheet, the 18th of those that are kept."""
-    bench = plain_bench.Bench(plain_bench.Plan(0, (("slip", 30.0),)))
-    path = bench.write(tmp_path / "sheet.csv")
-    settings = LabSettings(only=("slip",))
-    request = LabRequest(unit="mg", exclude=(3,), settings=settings)
-    run = run_lab(read_position_table(path), request)
-    (told,) = [text for text in run.outcome.advice if "clamp" in text]
-    assert told.startswith("From row 19 on the tool stands turned about its own axis in its clamp.")
-    assert "Return to the first position at the end" in told

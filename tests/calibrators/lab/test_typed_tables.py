@@ -165,6 +165,7 @@ def lines(table: np.ndarray) -> list[str]:
     return [",".join(map(repr, row)) for row in table.tolist()]
 
 
+@pytest.mark.slow
 def test_rows_that_were_pasted_twice_count_once(tmp_path: Path) -> None:
     once, bias = lab(tmp_path / "a.csv", lines(turns()))
     twice, same = lab(tmp_path / "b.csv", lines(turns()) * 2)
@@ -173,6 +174,7 @@ def test_rows_that_were_pasted_twice_count_once(tmp_path: Path) -> None:
     assert any("24 rows repeat others to the last digit" in n and "25-48" in n for n in twice.notes)
 
 
+@pytest.mark.slow
 def test_a_row_with_an_empty_cell_is_excluded_before_it_is_read(tmp_path: Path) -> None:
     rows = lines(turns())
     whole, bias = lab(tmp_path / "a.csv", rows, exclude=(5,))
@@ -194,6 +196,7 @@ def test_a_blank_tool_face_at_the_vertical_is_none(zero: str, tmp_path: Path) ->
         read(tmp_path / "a.csv", heading + rows.replace(",40,", ",,"))
 
 
+@pytest.mark.slow
 def test_a_blank_tool_face_is_no_other_reading(tmp_path: Path) -> None:
     top = [90.0, 0.0, 0.0118, -0.0203, 1.0304]
     rows = lines(np.vstack([turns(), top]))
@@ -203,6 +206,7 @@ def test_a_blank_tool_face_is_no_other_reading(tmp_path: Path) -> None:
     np.testing.assert_allclose(blank, bias, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_one_of_two_tools_is_calibrated(tmp_path: Path) -> None:
     one, other = turns(), turns()
     other[:, 2:] += [0.0, 0.05, 0.0]

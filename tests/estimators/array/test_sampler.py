@@ -66,6 +66,7 @@ def test_more_rates_are_drawn_where_the_gyros_are_poor() -> None:
     assert variance <= 0.1
 
 
+@pytest.mark.slow
 def test_algorithm_one_and_the_fast_sampler_agree() -> None:
     """Four IMUs: means and standard deviations within Monte Carlo error."""
     rng = np.random.default_rng(5)
@@ -99,6 +100,7 @@ def test_positions_are_covered(samples: int) -> None:
     assert 0.8 < np.std(z) < 1.25
 
 
+@pytest.mark.slow
 def test_too_slow_a_motion_is_refused() -> None:
     data, _ = data_of(corners(), 200, np.random.default_rng(6), sigma=0.79, rate=60.0, spin=500.0)
     with pytest.raises(Undetermined, match=r"too little rotation|collapses"):

@@ -55,6 +55,7 @@ def assert_same(text: bytes, layout: Layout) -> None:
     assert np.array_equal(one.stamps, two.stamps, equal_nan=one.stamps.dtype.kind == "f")
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None)
 @given(
     table=st.lists(st.tuples(stamps, cells, cells, cells), min_size=1, max_size=6),
@@ -67,6 +68,7 @@ def test_same_rows_or_same_message(table: list[tuple[str, ...]], kind: str, deli
     assert_same(text, Layout(delimiter, ".", 4, time, kind, (1, 3)))
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(rows=st.lists(st.tuples(decimals, doubles, decimals), min_size=1, max_size=20))
 def test_plain_numbers_are_read_by_pyarrow(rows: list[tuple[str, ...]]) -> None:

@@ -304,6 +304,7 @@ def dialects(draw: st.DrawFn) -> tuple[str, np.ndarray, np.ndarray]:
     return end.join(lines) + end, step * np.arange(n) / 1000, values
 
 
+@pytest.mark.slow
 @given(table=dialects())
 @settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -318,6 +319,7 @@ def test_any_dialect_gives_the_right_numbers(
     np.testing.assert_allclose(read_t - read_t[0], t, atol=1e-9)
 
 
+@pytest.mark.slow
 @given(table=dialects(), data=st.data())
 @settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -131,6 +131,7 @@ def test_external_storage_is_read_only_when_allowed(tmp_path: Path) -> None:
         readers.read(path, ALLOWED)
 
 
+@pytest.mark.slow
 def test_a_damaged_index_never_gives_wrong_samples(tmp_path: Path) -> None:
     """Bits of the trees that say where the chunks are; those have checksums, the trees have not."""
     path = chunked(tmp_path / "a.h5", slice(0, 0))

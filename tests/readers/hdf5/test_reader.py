@@ -147,6 +147,7 @@ def test_no_clock_and_no_inertial_data(tmp_path: Path) -> None:
         readers.read(path, FieldMapping(acc=("acc",)))
 
 
+@pytest.mark.slow
 def test_the_real_array_board() -> None:
     found = readers.read(SAMPLES / "board.h5")
     assert len(found.channels) == 16
@@ -175,6 +176,7 @@ def test_a_flipped_byte_of_ours_costs_ten_seconds(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.values, values[np.rint(found.t * 100).astype(int)])
 
 
+@pytest.mark.slow
 def test_a_heap_whose_walk_would_not_end_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:

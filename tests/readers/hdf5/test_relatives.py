@@ -85,6 +85,7 @@ def test_every_cut_of_a_matlab_file_is_told(tmp_path: Path) -> None:
             read(path)
 
 
+@pytest.mark.slow
 def test_a_matlab_file_made_to_cost_ends_soon(tmp_path: Path) -> None:
     path = tmp_path / "a.mat"
     savemat(path, {"acc": np.zeros((1 << 22, 3))}, do_compression=True)

@@ -20,7 +20,7 @@ from imucalib.loop.posterior.held_out import LeftOut, left_out
 from imucalib.loop.posterior.noise import Point, shared_bias
 from imucalib.loop.posterior.odds import OPEN
 from imucalib.loop.posterior.slips import Mended, Written, mended
-from imucalib.loop.posterior.solution import Explored, change, fit_of, noises_of, solved
+from imucalib.loop.posterior.solution import Explored, axes_of, change, fit_of, noises_of, solved
 from imucalib.loop.posterior.words import Place, Told, name_of, rivals_of, scores_of, told
 from imucalib.loop.record_errors import accused, record_names, reduced
 from imucalib.units import MG
@@ -58,6 +58,10 @@ def close_loop(
     every record as it stands.
     """
     plain = fit_model(model, observations, start=start)
+    uneven = axes_of(plain, asked)
+    if np.any(uneven != 1.0):
+        observations = replace(observations, sigma=observations.sigma * uneven)
+        plain = fit_model(model, observations, start=plain.theta)
     state = mended(plain, asked, written)
     found = state.found
     said = told(found.problem, found.posterior)

@@ -20,7 +20,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.effects.record_error import GROSS_MG
 from imucalib.loop.posterior.noise import Point, Terms
-from imucalib.loop.posterior.odds import GROSS, HEARD, REACH
+from imucalib.loop.posterior.odds import AXES, GROSS, HEARD, REACH, UNEVEN
 from imucalib.loop.posterior.problem import Problem
 from imucalib.units import MG
 
@@ -194,12 +194,9 @@ def grams_of(problem: Problem, terms: Terms) -> Grams:
     """At all noises that the data do not exclude, be the base complete or lack every free function
     at once, with gross errors: what a model lacks looks like noise, and what it holds does not."""
     n = len(terms.order)
-    free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
-    rich = problem.columns[:n, np.concatenate(free)] if free else np.zeros((n, 0))
-    brief = problem.columns[:, [*range(problem.base), problem.columns.shape[1] - 1]]
-    found, dof = np.zeros(len(terms.points), bool), problem.numbers - problem.base
-    for beside in (0.0, REACH**2 * rich @ rich.T + _gross(problem, terms)):
-        evidence = np.array([_evidence(brief, terms, p, beside, dof) for p in terms.points])
+    found = np.zeros(len(terms.points), bool)
+    for lacked in _lacked(problem, terms):
+        evidence = np.array([_evidence(problem, terms, p, lacked) for p in terms.points])
         found |= evidence > evidence.max() - HEARD
     kept = tuple(terms.points[k] for k in np.flatnonzero(found))
     weighted = np.empty((len(kept), n, problem.columns.shape[1]))
@@ -211,6 +208,44 @@ def grams_of(problem: Problem, terms: Terms) -> Grams:
     products = Weighted(problem.columns[:n], weighted, problem.columns[n:])
     nothing = np.zeros((len(kept), 0, problem.columns.shape[1]))
     return Grams(products, nothing, weight, problem.numbers, kept, _spread(problem))
+
+
+def axis_noise(problem: Problem, terms: Terms) -> Array:
+    """(K, 3) likeliest standard deviations of the axes' noise beside each other, in steps, be the
+    base complete or lack every free function at once: an effect on one axis is no noise of it."""
+    rare = float(np.log(UNEVEN / (1.0 - UNEVEN) / len(AXES)))
+    still = [p for p in terms.points if p.walk is None and not p.sharing]
+    best, power = -np.inf, np.ones(terms.axes.shape[1])
+    for lacked in _lacked(problem, terms):
+        point = max(still, key=lambda p: _evidence(problem, terms, p, lacked))
+        own = np.ones(terms.axes.shape[1])
+        reached = _evidence(problem, terms, point, lacked)
+        for axis in np.argsort(-_misfit(problem, terms)):
+            for step in AXES:
+                trial = own.copy()
+                trial[axis] = step**2
+                evidence = _evidence(problem, terms, point, lacked, trial)
+                evidence += rare * np.count_nonzero(trial != 1.0)
+                if evidence > reached:
+                    reached, own = evidence, trial
+        if reached > best:
+            best, power = reached, own
+    return np.asarray(np.sqrt(power).reshape(-1, 3))
+
+
+def _misfit(problem: Problem, terms: Terms) -> Array:
+    """(K 3,) mean square of what the base leaves, by axis."""
+    left = problem.columns[: len(terms.order), -1]
+    return np.asarray(left**2 @ terms.axes / np.maximum(terms.axes.sum(axis=0), 1e-12))
+
+
+def _lacked(problem: Problem, terms: Terms) -> tuple[Array | float, Array]:
+    """Covariances of what the base may lack: nothing, or every free function with gross errors."""
+    free = [c.at for c in problem.choices if problem.components[c.component].kind == "free"]
+    rich = np.zeros((len(terms.order), 0))
+    if free:
+        rich = problem.columns[: len(terms.order), np.concatenate(free)]
+    return 0.0, REACH**2 * rich @ rich.T + _gross(problem, terms)
 
 
 def _spread(problem: Problem) -> float:
@@ -243,11 +278,14 @@ def _gross(problem: Problem, terms: Terms) -> Array:
     return whole
 
 
-def _evidence(brief: Array, terms: Terms, point: Point, beside: Array | float, dof: float) -> float:
-    """Log evidence of the base model at one noise, beside a covariance of what it may lack; brief :
-    (N, p + 1) its columns and the misfit."""
-    n = len(terms.order)
-    lower = _cholesky(terms.covariance(point) + beside)
+def _evidence(
+    problem: Problem, terms: Terms, point: Point, lacked: Array | float, power: Array | float = 1.0
+) -> float:
+    """Log evidence of the base model at one noise, beside a covariance of what it may lack; power :
+    as in `Terms.covariance`"""
+    n, dof = len(terms.order), problem.numbers - problem.base
+    brief = problem.columns[:, [*range(problem.base), problem.columns.shape[1] - 1]]
+    lower = _cholesky(terms.covariance(point, power) + lacked)
     white = np.vstack([_solved(lower, brief[:n]), brief[n:]])
     r = np.linalg.qr(white, mode="r")
     size = np.maximum(np.abs(np.diag(r)), 1e-12)

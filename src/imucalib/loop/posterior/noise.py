@@ -1,10 +1,11 @@
 """What the noise may be: points over which every evidence is summed.
 
-    n ~ N(0, s² V),   V = 1 + Σ_c r_c² N_c N_cᵀ + ρ² K ∘ B Bᵀ
+    n ~ N(0, s² V),   V = A + Σ_c r_c² N_c N_cᵀ + ρ² K ∘ B Bᵀ
 
-s is integrated out under Jeffreys' prior. A setting's error is shared by rows that were set
-together: by neighbours of one dial value, by all rows of one value, or by none; where the order of
-rows is not that of work, nobody knows which. A bias that walks goes on through the whole recording:
+s is integrated out under Jeffreys' prior. A = 1 but while the noise of each axis is sought
+(`gram.axis_noise`). A setting's error is shared by rows that were set together: by neighbours of
+one dial value, by all rows of one value, or by none; where the order of rows is not that of work,
+nobody knows which. A bias that walks goes on through the whole recording:
 K(i, j) = exp(-|i - j| / memory), B what a bias does to each number.
 """
 
@@ -42,16 +43,18 @@ class Point:
 @dataclass(frozen=True)
 class Terms:
     """grams : of every way of sharing, N_c N_cᵀ (N, N) of each component
-    bias : (N, N) B Bᵀ; order : (N,) row of each number; points : all that are weighed"""
+    bias : (N, N) B Bᵀ; axes : (N, K 3) share of each axis of K triads in a number's variance
+    order : (N,) row of each number; points : all that are weighed"""
 
     grams: tuple[tuple[Array, ...], ...]
     bias: Array
+    axes: Array
     order: Index
     points: tuple[Point, ...]
 
-    def covariance(self, point: Point) -> Array:
-        """(N, N) V."""
-        whole = np.eye(len(self.bias))
+    def covariance(self, point: Point, power: Array | float = 1.0) -> Array:
+        """(N, N) V; power : (K 3,) variance of each axis' noise beside what is assumed"""
+        whole = np.diag(1.0 + self.axes @ (power - np.ones(self.axes.shape[1])))
         for ratio, gram in zip(point.ratio, self.grams[point.sharing], strict=True):
             if ratio:
                 whole += ratio**2 * gram
@@ -87,7 +90,7 @@ def terms_of(fit: Fit) -> Terms:
     bias = np.concatenate(each, axis=1)
     grams = tuple(tuple(m @ m.T for m in way) for way in ways)
     points = tuple(_points(fit, ways, n))
-    return Terms(grams, bias @ bias.T, at.owner, points)
+    return Terms(grams, bias @ bias.T, bias**2, at.owner, points)
 
 
 def _sharings(fit: Fit) -> Iterator[tuple[Array, ...]]:

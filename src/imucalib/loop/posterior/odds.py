@@ -49,6 +49,9 @@ FOLD_BEAMS, FOLD_DEEPEST = (4, 2), 3
 #: Sd of a setting as its largest effect on a reading over the readings' noise; the half-Cauchy
 #: prior of the sd is the bench's own (`NoisePrior`).
 SETTINGS = (0.0, 1.0, 2.5, 6.0, 15.0, 40.0)
+#: Prior probability that an axis is noisier than the others, and how many times it may be: data
+#: sheets give z up to twice the noise of x and y, wear and supplies more.
+UNEVEN, AXES = 0.1, (1.5, 2.25, 3.4, 5.0, 8.0)
 #: Prior probability that rows in an order of work share settings as their neighbours do: all rows
 #: of one dial value together would hold any error of the dial.
 AS_SET = 0.98

@@ -21,7 +21,7 @@ from imucalib.estimators.least_squares import fit as fit_model
 from imucalib.estimators.starting_point import alike_rows, full_matrix_start
 from imucalib.loop.candidates import Searched
 from imucalib.loop.posterior.catalogue import Component, components_of, scan_of
-from imucalib.loop.posterior.gram import Grams, grams_of
+from imucalib.loop.posterior.gram import Grams, axis_noise, grams_of
 from imucalib.loop.posterior.noise import Terms, terms_of
 from imucalib.loop.posterior.odds import FAR, HEARD
 from imucalib.loop.posterior.problem import Choice, Problem, problem_of
@@ -53,6 +53,13 @@ def explored(fit: Fit, asked: Searched) -> Explored:
     if near:
         first = _once(base, refined(components, near, data, asked), terms)
     return replace(first, posterior=heard(first))
+
+
+def axes_of(fit: Fit, asked: Searched) -> Array:
+    """(K, 3) noise of the axes beside each other at a fitted base model."""
+    base = _anchored(fit)
+    problem = problem_of(base, components_of(base.model, base.observations, asked))
+    return axis_noise(problem, terms_of(base))
 
 
 def refined(

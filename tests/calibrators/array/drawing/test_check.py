@@ -160,6 +160,7 @@ def test_one_of_several_logs_does_not_change_the_board_file_of_all(recording: Re
     assert beside.value.remedy.endswith(lines)
 
 
+@pytest.mark.slow
 def test_it_ends_with_the_lines_or_goes_on_as_drawn(recording: Recording) -> None:
     broken = wired(recording, "3", "angular", FLIPPED)
     with pytest.raises(Undetermined, match="imu3") as caught:
@@ -170,6 +171,7 @@ def test_it_ends_with_the_lines_or_goes_on_as_drawn(recording: Recording) -> Non
     assert run.moving.gyros.gain[3, 0, 0] * run.moving.gyros.gain[3, 1, 1] < 0.0
 
 
+@pytest.mark.slow
 def test_a_sensor_wired_otherwise_is_calibrated_and_applied(
     recording: Recording, tmp_path: Path
 ) -> None:

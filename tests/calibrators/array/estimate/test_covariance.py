@@ -21,6 +21,7 @@ from worlds.twisted_board import BOARD, fitted, moved
 TWIST = BoardPlan(twist_s=6.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tails", [3.0, np.inf])
 def test_errors_are_what_is_stated_with_tails_and_without(tails: float) -> None:
     plan = BoardPlan(twist_s=6.0, tails=tails)
@@ -58,6 +59,7 @@ def _of_a_pair(state: ArrayState) -> float:
     return float(slope.mean() / weight.mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 4])
 def test_few_imus_tell_less_than_their_weights_say(count: int) -> None:
     """Of few chips' errors the motion takes a part, and may lay one on another."""

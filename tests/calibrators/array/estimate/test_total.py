@@ -38,6 +38,7 @@ def turns_of(scale: float, seed: int, *, clipped: slice | None = None) -> Turns 
     return common_scale(t, rate, usable, up, start, stop)
 
 
+@pytest.mark.slow
 def test_turns_between_rests_show_the_common_scale() -> None:
     z = []
     for seed in range(30):

@@ -67,6 +67,7 @@ def test_noise_that_neighbours_share_is_no_part_of_its_own() -> None:
     assert asked(held, factor=8.0) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop", [True, False])
 def test_a_board_that_bows_with_its_chips_is_not_known_to_its_sd(loop: bool) -> None:
     """Its chips tilt by the slope of the bow: no single IMU's place said so, and positions were

@@ -72,6 +72,7 @@ def z_of(seed: int) -> Array:
     return np.asarray((np.concatenate(off, axis=1) / sd)[motion.t > STILL + 2.0])
 
 
+@pytest.mark.slow
 def test_what_the_calibration_leaves_open_is_in_the_covariance() -> None:
     z = np.stack([z_of(seed) for seed in range(12)])
     force, spin, rate = (float(np.sqrt(np.mean(z[..., k : k + 3] ** 2))) for k in (0, 3, 6))

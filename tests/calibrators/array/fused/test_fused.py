@@ -85,6 +85,7 @@ def plain() -> World:
     return world(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["still", "moving"])
 def test_noise_falls_as_the_root_of_the_chips_and_is_stated(plain: World, part: str) -> None:
     rows = plain.moving if part == "moving" else plain.moves.t < STILL - 0.5
@@ -96,6 +97,7 @@ def test_noise_falls_as_the_root_of_the_chips_and_is_stated(plain: World, part: 
     assert 0.7 < rms(plain.z[rows, 3:6]) < 1.05
 
 
+@pytest.mark.slow
 def test_dw_dt_is_far_better_than_the_accelerometers_alone(plain: World) -> None:
     # The board's inertia: noise of one chip over the root of the squared distances.
     places = plain.board.places - plain.board.places.mean(axis=0)
@@ -104,6 +106,7 @@ def test_dw_dt_is_far_better_than_the_accelerometers_alone(plain: World) -> None
     assert rms(plain.error[plain.moves.t < STILL, 4]) < 0.2 * alone
 
 
+@pytest.mark.slow
 def test_each_chip_counts_by_its_own_noise() -> None:
     sigma = np.array([1.0, 1.0, 2.0, 4.0, 1.0, 1.0, 1.0, 0.5])
     made = world(1, sigma=0.04 * sigma, gyro_sigma=0.2 * DEG * sigma[::-1])
@@ -113,6 +116,7 @@ def test_each_chip_counts_by_its_own_noise() -> None:
     assert 0.94 < rms(made.z[made.moving][:, [0, 1, 2, 6, 7, 8]]) < 1.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chips", [2, 3])
 def test_rigs_of_two_and_three(chips: int) -> None:
     made = world(11, chips=chips, seconds=15.0)
@@ -122,6 +126,7 @@ def test_rigs_of_two_and_three(chips: int) -> None:
     assert 0.6 < rms(made.z[rows, 3:6]) < 1.1
 
 
+@pytest.mark.slow
 def test_effects_that_need_the_motion_are_undone() -> None:
     rng = np.random.default_rng(7)
     more = {
@@ -140,6 +145,7 @@ def test_effects_that_need_the_motion_are_undone() -> None:
     assert rms(off[made.moving]) > 3.0 * rms(made.error[made.moving, 6:])
 
 
+@pytest.mark.slow
 def test_an_effect_of_force_that_the_rests_contradict_is_left_out() -> None:
     rng = np.random.default_rng(7)
     made = world(5)
@@ -156,6 +162,7 @@ def test_an_effect_of_force_that_the_rests_contradict_is_left_out() -> None:
     assert kept.instrument.beyond.refuted == ()
 
 
+@pytest.mark.slow
 def test_a_lost_rate_comes_from_the_accelerometers() -> None:
     made = world(3, twist=600.0, ranges=(16 * G, 500.0 * DEG))
     lost = made.fused.alone
@@ -166,6 +173,7 @@ def test_a_lost_rate_comes_from_the_accelerometers() -> None:
     assert 0.7 < rms(made.z[lost, 6:]) < 1.1
 
 
+@pytest.mark.slow
 def test_missing_stuck_and_clipped_readings_are_left_out() -> None:
     rng = np.random.default_rng(4)
     made = board(rng, ranges=(16.0, 1e9))
@@ -190,6 +198,7 @@ def test_missing_stuck_and_clipped_readings_are_left_out() -> None:
     assert not fused.live[2100:2300, 0].any()
 
 
+@pytest.mark.slow
 def test_biases_are_taken_anew_at_rest() -> None:
     made = world(5)
     moved = replace(
@@ -210,6 +219,7 @@ def test_biases_are_taken_anew_at_rest() -> None:
     assert survey([cut], old).rests == 0.0
 
 
+@pytest.mark.slow
 def test_the_point_is_the_users() -> None:
     at = np.array([0.03, -0.01, 0.02])
     made = world(0, at=at)
@@ -236,6 +246,7 @@ def _in_blocks(log: Recording, size: int) -> list[Recording]:
     return made
 
 
+@pytest.mark.slow
 def test_a_log_in_uneven_blocks_is_the_same(plain: World) -> None:
     log = recording(plain.board, plain.moves.t, *plain.readings)
     parts = list(side_by_side(_in_blocks(log, 777), plain.survey.instrument))

@@ -51,6 +51,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     return Files(folder, motion)
 
 
+@pytest.mark.slow
 def test_hdf5_holds_the_nine_and_their_covariances(files: Files) -> None:
     result = files.apply("fused.h5", "--fused", "--json")
     assert result.return_value == 0, result.exception
@@ -68,6 +69,7 @@ def test_hdf5_holds_the_nine_and_their_covariances(files: Files) -> None:
     assert 0.9 < each.mean() / 3.0 < 1.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["h5", "csv", "mcap"])
 def test_every_format_and_source_gives_the_same(files: Files, suffix: str) -> None:
     assert files.apply("one.h5", "--fused", "-q").return_value == 0
@@ -81,6 +83,7 @@ def test_every_format_and_source_gives_the_same(files: Files, suffix: str) -> No
         assert np.allclose(two.channels[name].values, channel.values, atol=1e-6), name
 
 
+@pytest.mark.slow
 def test_ros_reads_the_covariances(files: Files) -> None:
     rosbags = pytest.importorskip("rosbags.highlevel")
     stores = pytest.importorskip("rosbags.typesys")
@@ -129,6 +132,7 @@ def test_csv_names_every_column(files: Files) -> None:
     assert "fused/angular_rate_covariance/xy [rad2/s2]" in names
 
 
+@pytest.mark.slow
 def test_options_do_what_they_say(files: Files) -> None:
     assert files.apply("each.h5", "--no-fused", "-q").return_value == 0
     with h5py.File(files.folder / "each.h5") as file:

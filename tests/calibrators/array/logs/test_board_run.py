@@ -38,6 +38,7 @@ def found() -> BoardRun:
     return board_run(tuple(log(seed) for seed in (1, 2, 3)))
 
 
+@pytest.mark.slow
 def test_logs_of_one_board_agree_and_pool(found: BoardRun) -> None:
     assert found.pooled.freedom == 42
     assert found.pooled.p > 1e-3
@@ -48,6 +49,7 @@ def test_logs_of_one_board_agree_and_pool(found: BoardRun) -> None:
     assert found.outcome.exit_code == 0
 
 
+@pytest.mark.slow
 def test_the_common_gyro_scale_counts_the_data_sheet_once(found: BoardRun) -> None:
     assert found.gyros.sd < min(run.gyros.sd for run in found.runs)
     assert abs(found.gyros.value - 0.004) < 4.0 * found.gyros.sd
@@ -55,6 +57,7 @@ def test_the_common_gyro_scale_counts_the_data_sheet_once(found: BoardRun) -> No
     assert found.gyros.turns.count == sum(r.gyros.turns.count for r in found.runs if r.gyros.turns)
 
 
+@pytest.mark.slow
 def test_gains_repeat_and_biases_are_of_each_log(found: BoardRun) -> None:
     kinds = {one.name: one for one in found.repeats}
     assert kinds["accelerometer gains"].holds
@@ -65,6 +68,7 @@ def test_gains_repeat_and_biases_are_of_each_log(found: BoardRun) -> None:
     assert np.all(gain_sd < 2e-3)
 
 
+@pytest.mark.slow
 def test_a_log_of_another_board_is_seen() -> None:
     moved = replace(PARTS, positions=PARTS.positions + np.array([0.0, 0.0, 2e-4]) *
                     (np.arange(8) % 2)[:, None])  # fmt: skip
@@ -81,6 +85,7 @@ def test_one_log_is_no_joint_estimate() -> None:
         board_run(())
 
 
+@pytest.mark.slow
 def test_the_command_writes_one_calibration_above_the_logs(tmp_path: Path) -> None:
     paths = []
     for seed in (1, 2):

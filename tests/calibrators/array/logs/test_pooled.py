@@ -34,6 +34,7 @@ def test_two_equal_logs_are_one_with_half_the_variance() -> None:
     assert found.p == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tau", [0.0, 1.0])
 def test_errors_and_predictions_are_what_is_stated(tau: float) -> None:
     errors, left_out, taus, p = [], [], [], []

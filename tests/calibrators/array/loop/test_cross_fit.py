@@ -60,6 +60,7 @@ def clean() -> Recording:
     return planted_log("clean", 7)[0]
 
 
+@pytest.mark.slow
 def test_halves_share_no_sample_and_no_clock_learns_of_them(clean: Recording) -> None:
     recording = planted_log("clock skew, 1 ms", 3)[0]
     moving, rests, setup = looked_at(recording)
@@ -81,6 +82,7 @@ def test_halves_share_no_sample_and_no_clock_learns_of_them(clean: Recording) ->
     assert len(silent) > 30
 
 
+@pytest.mark.slow
 def test_what_both_halves_share_is_proved(clean: Recording) -> None:
     found = closed(by_block(clean, 1.0, 1.0))
     assert "gyro_scale" in {s.effect for s in found.steps}
@@ -90,6 +92,7 @@ def test_what_both_halves_share_is_proved(clean: Recording) -> None:
     assert found.verdict.startswith("explained")
 
 
+@pytest.mark.slow
 def test_what_one_half_refuses_of_the_other_is_not_taken(clean: Recording) -> None:
     found = closed(by_block(clean, 3.0, -2.0))
     assert found.gained is not None
@@ -98,6 +101,7 @@ def test_what_one_half_refuses_of_the_other_is_not_taken(clean: Recording) -> No
     assert found.verdict in ("unexplained", "suspected")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_few_chips_that_agreed_while_one_counted_little_have_lost_nothing(seed: int) -> None:
     """Of four chips one behind 4 ms counts little in the base model, and three leave nothing that
@@ -114,6 +118,7 @@ def test_few_chips_that_agreed_while_one_counted_little_have_lost_nothing(seed: 
     assert found.gained.proved
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [8, 20])
 @pytest.mark.parametrize("ratio", [1.0, 0.85])
 def test_the_interval_of_medians_holds_the_truth(ratio: float, blocks: int) -> None:

@@ -31,6 +31,7 @@ def started(seed: int) -> ArrayState:
     return start_state(setup, rest_terms(rests))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_gyro_that_is_followed_is_let_go(seed: int) -> None:
     """As where its errors were the least before the effects were known: it counted 1600 times as

@@ -20,6 +20,7 @@ BOARD = read_board("mimu4444_corners")
 LATE = np.array([2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_late_imus_are_late_and_nothing_else() -> None:
     """Gains of half a percent act on what was 2 ms before, and the delay is no straight line."""
     rng = np.random.default_rng(1)

@@ -16,6 +16,7 @@ ONE = frozenset({2})
 OTHERS = {"gyro_misalignment", "gyro_scale"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "name", "ms", "rivals"),
     [
@@ -46,6 +47,7 @@ def _made(plant: Plant) -> MotionLoop:
     return closed(odd_log(parts, plant, PLAN, rng, often=10).recording, 400)
 
 
+@pytest.mark.slow
 def test_few_with_both_sensors_slow_are_low_passes_against_what_is_slow_itself() -> None:
     """What the board says is half way between: five of the times against it are negative."""
     found = _made(slow(force=4e-3, rate=4e-3, imus=frozenset({0, 1, 2})))
@@ -58,6 +60,7 @@ def test_few_with_both_sensors_slow_are_low_passes_against_what_is_slow_itself()
     assert theta.min() < -1.0
 
 
+@pytest.mark.slow
 def test_all_gyros_late_beside_one_slow_accelerometer_are_no_delay_of_every_accelerometer() -> None:
     def plant(m: Moved, r: Array, k: int) -> Planted:
         one = slow(force=4e-3, imus=ONE)(m, r, k)
@@ -69,6 +72,7 @@ def test_all_gyros_late_beside_one_slow_accelerometer_are_no_delay_of_every_acce
     assert "accelerometer_low_pass@imu2" in steps
 
 
+@pytest.mark.slow
 def test_small_lags_are_doubtful_between_a_delay_and_a_low_pass() -> None:
     """0.02 ms about the mean of all: a low-pass and a delay differ by 1e-4 deg/s."""
     late = 2e-5 * np.array([1.0, -1.0, 0.5, -0.5, 1.0, -1.0, 0.7, -0.7])

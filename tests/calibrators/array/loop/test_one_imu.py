@@ -17,6 +17,7 @@ from worlds.odd_boards import PLAN, PLANTS, odd_log
 BOARD = read_board("mimu4444_corners")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "name", "true"),
     [
@@ -52,6 +53,7 @@ def test_it_is_told_as_that_imus(plant: str, name: str, true: tuple[float, ...])
     assert np.abs(got - true).max() < 5.0 * sd.max() + 0.03 * np.abs(true).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "name"),
     [("gyro saturating", "gyro_saturation@imu0"), ("gyros saturating", "gyro_saturation")],
@@ -70,6 +72,7 @@ def test_gyros_that_saturate_softly_are_told_and_move_no_position(plant: str, na
     assert 0.3 < fifth / (2.0 * 2000.0**5 / (15.0 * limit**4)) < 1.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_gyro_that_reads_more_of_one_direction_is_told_as_that(seed: int) -> None:
     """A square, a cube, a bias and a drift of that IMU were four wrong names, three as certain."""

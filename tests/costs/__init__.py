@@ -1,1 +1,0 @@
-"""What each test costs, and which tier it belongs to by that."""

@@ -1,1 +1,0 @@
-"""Faults planted into the code one at a time, to see whether a test notices."""
