@@ -40,7 +40,7 @@ from imucalib.calibrators.lab.faults import look_for_faults
 from imucalib.calibrators.lab.position_table import read_position_table
 from imucalib.calibrators.lab.repairs import repaired
 from imucalib.cli.lab import command
-from imucalib.cli.lab_options import request_of
+from imucalib.cli.lab.options import request_of
 from imucalib.errors import ImucalError
 from worlds import sheets
 

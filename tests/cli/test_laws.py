@@ -184,7 +184,8 @@ def _at_rest(recording: Recording, name: str) -> np.ndarray:
 @pytest.mark.parametrize("form", sorted(exports()))
 def test_export_accepts_it_or_says_why_not(done: Done, form: str, tmp_path: Path) -> None:
     content = YAML(typ="safe", pure=True).load(done.calibration.read_text(encoding="utf-8"))
-    if form in (OF_ONE if "triads" in content else OF_ARRAYS):
+    alone = () if "imu" in content else OF_ARRAYS
+    if form in (OF_ONE if "triads" in content else alone):
         words = "8 IMUs" if "triads" in content else "one accelerometer"
         _refused_export(done, form, tmp_path / "form.txt", words)
     else:

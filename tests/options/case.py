@@ -17,6 +17,7 @@ USUAL: dict[str, tuple[str, ...]] = {
     "actigraph": ("actigraph", "<worn.h5>", "--no-loop", "--json"),
     "array": ("array", "<log.h5>", "--board", "<board.yaml>", "--no-loop", "--samples", "40",
               "--json"),
+    "imu": ("imu", "<turns.csv>", "--no-loop", "--json"),
     "check": ("check", "<calibration.yaml>", "<bench.csv>", "--json"),
     "compare": ("compare", "<calibration.yaml>", "<own_calibration.yaml>", "--effects", "<own.py>",
                 "--json"),

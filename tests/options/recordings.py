@@ -20,6 +20,7 @@ from imucalib.writers import write
 from options.inputs import TABLES, Make, Rows, rows, still
 from options.outcome import run
 from worlds.places import ROOT
+from worlds.turned_imu import Log, chip, turned
 
 G = 9.80665
 BOARD = """name: four
@@ -52,6 +53,29 @@ def _rippled(made: Recording, size: float, waves: float) -> Recording:
             ripple = size * G * np.sin(waves * c.values / G) * np.array([1.0, 0.0, 0.0])
             out[name] = replace(c, values=c.values + ripple)
     return replace(made, channels=out)
+
+
+def _turned() -> Log:
+    rng = np.random.default_rng(2)
+    return turned(chip(rng), rng, rests=20)
+
+
+def _turns(path: Path) -> None:
+    _turned().write(path)
+
+
+def _turned_axes(path: Path) -> None:
+    """The same with x and y of the gyroscope exchanged."""
+    log = _turned()
+    replace(log, rate=log.rate[:, [1, 0, 2]]).write(path)
+
+
+def _bent_turns(path: Path) -> None:
+    """An accelerometer whose x ripples by 10 mg."""
+    rng = np.random.default_rng(3)
+    log = turned(chip(rng), rng, rests=45)
+    ripple = 0.01 * np.sin(6.0 * log.force) * np.array([1.0, 0.0, 0.0])
+    replace(log, force=log.force + ripple).write(path)
 
 
 def _loose(path: Path) -> None:
@@ -282,6 +306,9 @@ RECORDINGS: dict[str, Make] = {
     "tight.yaml": lambda path: path.write_text(BOARD.replace("prior_sd: 3.0", "prior_sd: 0.001")),
     "log.h5": board_log,
     "other_log.h5": lambda path: board_log(path, 4),
+    "turns.csv": _turns,
+    "turned_axes.csv": _turned_axes,
+    "bent_turns.csv": _bent_turns,
     "samples.csv": log("time_s,ax_m/s2,ay_m/s2,az_m/s2,gx_rad/s,gy_rad/s,gz_rad/s,temp_C"),
     "bare.csv": log(),
     "counts.csv": log(of=_in_counts),

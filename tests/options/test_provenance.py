@@ -32,6 +32,7 @@ BEGINS: dict[str, tuple[str, ...]] = {
         "imucalib.calibrators.actigraph.published.calibrate_as_published",
     ),
     "array": ("imucalib.calibrators.array.calibrate.calibrate_array",),
+    "imu": ("imucalib.calibrators.imu.run.run_imu",),
     "fleet": (
         "imucalib.cohort.fleet.run.run_fleet",
         "imucalib.cohort.fleet.recorded.run.run_recorded",

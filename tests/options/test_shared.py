@@ -73,6 +73,7 @@ OUTPUTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "lab": (("-o", "<out>/made"),),
     "actigraph": (("-o", "<out>/made"),),
     "array": (("-o", "<out>/made"),),
+    "imu": (("-o", "<out>/made"),),
     "check": (("--html", "<out>/made"),),
     "compare": (("--html", "<out>/made"),),
     "design": (("-o", "<out>/made"),),
@@ -105,7 +106,7 @@ def test_another_file_is_replaced_by_force_alone(name: str, bench: Bench, tmp_pa
         words = [a.replace("<out>", str(folder)) for a in (*USUAL[name], *option)]
         typed = [re.sub(r"<([^<>]+)>", lambda m: str(bench.path(m[1])), a) for a in words]
         target = Path(next(a for a in reversed(typed) if a.startswith(str(folder))))
-        if name in ("lab", "actigraph", "array", "fleet"):
+        if name in ("lab", "actigraph", "array", "imu", "fleet"):
             target.mkdir(parents=True)
             target = target / ("report.json" if name == "fleet" else "calibration.yaml")
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -20,11 +20,13 @@ MADE = {
     "lab_calibration": "imucalib.calibrators.lab.run",
     "actigraph_calibration": "imucalib.calibrators.actigraph.run",
     "array_calibration": "imucalib.calibrators.array.run",
+    "imu_calibration": "imucalib.calibrators.imu.run",
     "coverage_of": "imucalib.calibrators.actigraph.run",
     "linear_part": "imucalib.calibrators.array.calibrate",
     "lab_document": "imucalib.report.lab.document",
     "actigraph_document": "imucalib.report.actigraph.document",
     "array_document": "imucalib.report.array.document",
+    "imu_document": "imucalib.report.imu.document",
     "report_dict": "imucalib.report.files",
     "matrices": "imucalib.calibration.calibration",
 }
@@ -60,7 +62,7 @@ def test_everything_is_made_once(
         assert result.exception is None, result.output
         own = {n for n in MADE if n.startswith(name)} | {"report_dict"}
         own |= {"lab": {"matrices"}, "actigraph": {"matrices", "coverage_of"},
-                "array": {"linear_part"}}[name]  # fmt: skip
+                "imu": {"matrices", "lab_calibration"}, "array": {"linear_part"}}[name]  # fmt: skip
         assert dict(calls) == dict.fromkeys(own, 1)
 
 

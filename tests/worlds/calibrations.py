@@ -13,6 +13,7 @@ from imucalib.calibrators.array.board import read_board
 from imucalib.calibrators.array.simulation import LogPlan, simulated_log
 from imucalib.calibrators.lab.simulation import BenchPlan, simulated_recording, simulated_table
 from imucalib.writers import write, write_blocks
+from worlds.turned_imu import chip, turned
 
 
 @dataclass(frozen=True)
@@ -45,5 +46,16 @@ def _log(folder: Path) -> Input:
     return Input(path, ("--board", "mimu4444_corners", "--samples", "100", "--only", "gyro_delay"))
 
 
+def _turns(folder: Path) -> Input:
+    rng = np.random.default_rng(2)
+    made = turned(chip(rng), rng, rests=14)
+    return Input(made.write(folder / "turns.csv"), ("--without", "gyro_saturation"))
+
+
 #: A new calibrating command needs one line here; the laws do the rest.
-INPUTS: dict[str, Callable[[Path], Input]] = {"lab": _rests, "actigraph": _day, "array": _log}
+INPUTS: dict[str, Callable[[Path], Input]] = {
+    "lab": _rests,
+    "actigraph": _day,
+    "array": _log,
+    "imu": _turns,
+}

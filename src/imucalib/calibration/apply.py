@@ -9,7 +9,8 @@ from pathlib import Path
 
 from imucalib.calibration.calibration import Calibration
 from imucalib.calibration.correction import Correction
-from imucalib.calibration.mark import mark_of, refuse_second
+from imucalib.calibration.file import identity
+from imucalib.calibration.gyroscope import gyroscope_of, with_rates_corrected
 from imucalib.calibration.rest_drift import DRIFT, rest_drift, without_drift
 from imucalib.calibration.shared_gravity import held_against_gravity
 from imucalib.calibration.triads import Triad, correct_triads, named_triads, pairing_of
@@ -18,6 +19,7 @@ from imucalib.readers import blocks, read, reader_for
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.pairing import Pairing
 from imucalib.recording.recording import Channel, Recording
+from imucalib.recording.recording import Correction as Mark
 from imucalib.rests.segments import find_segments
 from imucalib.rests.thermal import (
     ThermalHistory,
@@ -87,9 +89,31 @@ def apply_to_recording(
     if ready.parts:
         note += f", each sample with the one of {len(ready.parts)} parts that is valid at its time"
     said = ready.notes if correction is None else ()
-    marks = (*recording.corrections, mark_of(calibration, channel.triad))
+    corrections = (*recording.corrections, mark_of(calibration, channel.triad))
     notes = (*recording.notes, note, *said)
-    return replace(recording, channels=channels, notes=notes, corrections=marks)
+    whole = replace(recording, channels=channels, notes=notes, corrections=corrections)
+    gyro = gyroscope_of(calibration)
+    return whole if gyro is None else with_rates_corrected(gyro, whole, channel.triad)
+
+
+def mark_of(calibration: Calibration, triad: str) -> Mark:
+    """The mark of a calibration."""
+    return Mark(triad, calibration.calibrator, identity(calibration))
+
+
+def refuse_second(recording: Recording, triad: str) -> None:
+    """Raise UsageError when the sensor is corrected already.
+
+    A mark whose sensor the recording does not have, since it was renamed, may be any of them.
+    """
+    present = {c.triad for c in recording.channels.values()}
+    for mark in recording.corrections:
+        if mark.triad == triad or mark.triad not in present:
+            raise UsageError(
+                str(mark),
+                where=recording.path,
+                remedy="correct the recording that it was made from, or insist with --again",
+            )
 
 
 def paired_at_rest(triads: Sequence[Triad], found: Iterable[Recording]) -> Pairing:

@@ -34,7 +34,7 @@ class StoredParameter:
 
 
 #: Stages of parameters that no correction of a reading undoes.
-NEVER_APPLIED = ("fixture", "array")
+NEVER_APPLIED = ("fixture", "array", "gyroscope")
 #: Covariates by which time drives an effect: a later reading finds what they have come to.
 PASSING = ("order", "record", "time")
 

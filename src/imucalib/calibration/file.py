@@ -84,6 +84,12 @@ def as_dict(calibration: Calibration) -> dict[str, Any]:
     }
 
 
+def identity(calibration: Calibration) -> str:
+    """SHA-256 of a calibration's file; one that was not read from a file is hashed as it would be
+    written."""
+    return calibration.sha256 or hashlib.sha256(to_yaml(calibration).encode()).hexdigest()
+
+
 def write(calibration: Calibration, path: Path) -> None:
     """Write the YAML file whole or not at all."""
     write_whole(path, to_yaml(calibration))

@@ -17,6 +17,7 @@ from imucalib.errors import CRASH_EXIT_CODE, ImucalError
 COMMANDS = {
     "lab": "Calibrate a tool's accelerometer on a bench with known angles, or by gravity alone.",
     "actigraph": "Calibrate a worn sensor from days of recording, by gravity at rest.",
+    "imu": "Calibrate one IMU, accelerometer and gyroscope, from rests and turns.",
     "array": "Find the positions of the accelerometers of an inertial sensor array.",
     "design": "Judge a set of positions, and say which added ones help most.",
     "inspect": "Say what a recording holds and how it would be read.",

@@ -22,6 +22,8 @@ def ardupilot(calibration: Calibration, filename: str) -> Made:
     ]
     for name, values in (("INS_ACCOFFS", flight.offset), ("INS_ACCSCAL", flight.scale)):
         lines += [f"{name}_{axis},{values[k]:.9g}" for k, axis in enumerate("XYZ")]
+    if flight.rate is not None:  # rad/s, taken off (_rotate_and_correct_gyro)
+        lines += [f"INS_GYROFFS_{axis},{flight.rate[k]:.9g}" for k, axis in enumerate("XYZ")]
     return Made("\n".join([*lines, ""]), flight.lost, flight.loss)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.mark import identity
+from imucalib.calibration.file import identity
+from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.core.sphere import even_directions
 from imucalib.exports import Export, Made
 from imucalib.exports.c_functions import ROUNDED, Correction, array, functions, tables
@@ -56,7 +57,12 @@ def _of_one(calibration: Calibration) -> Made:
             f"{linear.worst:.2f} mg at most; M and b are the nearest there",
             *lost,
         )
-    text = "\n".join([*tables(one), "", ROUNDED, *functions(one)])
+    every = [one]
+    if (gyro := gyroscope_of(calibration)) is not None:
+        every.append(_rate(gyro.gain[None], -(gyro.gain @ gyro.bias)[None], single=True))
+        lost = (*lost, *gyro.beyond, *(["gyro_g_sensitivity"] if gyro.by_force.any() else []))
+    made = [line for each in every for line in tables(each)]
+    text = "\n".join([*made, "", ROUNDED, *(line for each in every for line in functions(each))])
     return Made(text, lost, linear.mean)
 
 
@@ -68,11 +74,8 @@ def _of_array(calibration: Calibration) -> Made:
     sd = np.array([_triad_sd(t.gain, t.covariance) for t in triads])
     force = _acceleration(M, b, sd, single=False)
     turn = np.array([np.linalg.inv(t.gyro_gain) @ t.rotation for t in triads])
-    rest = np.array([-np.linalg.inv(t.gyro_gain) @ t.gyro_bias for t in triads]) / DEG
-    rate = Correction(
-        name="gyro_", M=turn, b=rest, sd=None, unit="deg/s", fine=100000, coarse=10, size=100.0,
-        single=False,
-    )  # fmt: skip
+    rest = np.array([-np.linalg.inv(t.gyro_gain) @ t.gyro_bias for t in triads])
+    rate = _rate(turn, rest, single=False)
     lines = [
         f"/* IMUs in this order: {', '.join(t.name for t in triads)}. */",
         "/* Corrected vectors are in board axes. */",
@@ -98,6 +101,14 @@ def _acceleration(M: Array, b: Array, sd: Array, *, single: bool) -> Correction:
     return Correction(
         name="", M=M, b=b / STANDARD_GRAVITY, sd=sd / STANDARD_GRAVITY, unit="g", fine=1000000,
         coarse=2048, size=1.0, single=single,
+    )  # fmt: skip
+
+
+def _rate(M: Array, b: Array, *, single: bool) -> Correction:
+    """b in rad/s; 10 µdeg/s in 32 bits, and a tenth of a deg/s in 16."""
+    return Correction(
+        name="gyro_", M=M, b=b / DEG, sd=None, unit="deg/s", fine=100000, coarse=10, size=100.0,
+        single=single,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The IMUs of an array as other programs see them: each one's frame, place and raw readings.
+"""IMUs, of an array or one alone, as other programs see them: frame, place and raw readings.
 
     accelerometer reading = L_a Q_a f + b_a,   gyro reading = L_g Q_g ω + Tg f + b_g
 
@@ -16,10 +16,12 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.gyroscope import Gyroscope, gyroscope_of
 from imucalib.calibration.triads import Triad
 from imucalib.core.effect import Response
 from imucalib.effects import catalogue
 from imucalib.errors import UnreadableInput, UsageError
+from imucalib.exports.linear import beyond_linear
 from imucalib.inspection.noise import read_noise
 from imucalib.units import DEG, MG, STANDARD_GRAVITY
 
@@ -64,11 +66,13 @@ def homogeneous(turn: Array, shift: Array) -> Array:
 
 
 def imus_of(calibration: Calibration, form: str) -> tuple[Imu, ...]:
-    """Every IMU of an array's calibration.
+    """Every IMU of an array's calibration, or the one with a gyroscope.
 
     Raises UsageError for another calibration and for left-handed sensors, which no rotation turns
     into the form's frame; UnreadableInput where positions are missing.
     """
+    if (gyro := gyroscope_of(calibration)) is not None:
+        return (_alone(calibration, gyro, form),)
     if not calibration.triads:
         raise UsageError(
             f"{form} holds IMUs, this calibration is of one accelerometer",
@@ -113,6 +117,30 @@ def _imu(calibration: Calibration, triad: Triad, place: Array, form: str) -> Imu
         elements=elements @ (frame @ triad.rotation).T,
         noise=_noise(calibration, triad),
     )
+
+
+def _alone(calibration: Calibration, gyro: Gyroscope, form: str) -> Imu:
+    """One IMU, whose frame is the board's and its accelerometer's."""
+    linear = calibration.matrices()
+    lower, frame = _lower(linear.S, "the accelerometer", form)
+    gyro_lower, turn = _lower(
+        np.asarray(np.linalg.inv(gyro.gain), np.float64), "the gyroscope", form
+    )
+    own = calibration.facts["imu"]
+    root = float(np.sqrt(own["sample_interval_s"]))
+    told = calibration.facts.get("noise_density", {})
+    measured = {
+        "accelerometer_noise_density": root * float(np.mean(own["accelerometer_noise_m_per_s2"])),
+        "gyroscope_noise_density": DEG
+        * float(np.mean(own["gyroscope_noise"]["white_deg_per_s_per_root_hz"])),
+        "update_rate": 1.0 / root**2,
+    }
+    return Imu(
+        name="imu0", place=np.zeros(3), frame=frame, accelerometer=lower, gyro=gyro_lower,
+        gyro_turn=turn @ frame.T, bias=linear.c, gyro_bias=gyro.bias,
+        by_force=gyro.by_force @ turn.T, elements=np.zeros((3, 3)),
+        noise=dict(next(iter(told.values()), measured)),
+    )  # fmt: skip
 
 
 def _lower(matrix: Array, name: str, form: str) -> tuple[Array, Array]:
@@ -183,7 +211,9 @@ def lost_to_filters(calibration: Calibration, program: str) -> tuple[str, ...]:
 def lost_of(calibration: Calibration, kept: tuple[str, ...] = _KEPT) -> tuple[str, ...]:
     """Effects that the form has no place for, beside a common delay (`late_of`)."""
     kept = (*kept, *_common_delays())
-    return tuple(
+    gyro = gyroscope_of(calibration)
+    own = (*gyro.beyond, *filter(None, [beyond_linear(calibration)])) if gyro else ()
+    return own + tuple(
         f"{row['effect']}, {float(row['rms']):.3g} {row['unit']} rms in the motion that was "
         "calibrated"
         for row in calibration.facts.get("not_undone", ())

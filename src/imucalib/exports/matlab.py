@@ -8,6 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.exports import Export, Made
 from imucalib.exports.imus import force_lost, late_of, lost_of, places_of
 from imucalib.exports.linear import beyond_linear, lost_parts, nearest_linear
@@ -33,6 +34,14 @@ def _of_one(calibration: Calibration) -> Made:
     if names := beyond_linear(calibration):
         lost = (f"{names}: {linear.mean:.2f} mg on average, {linear.worst:.2f} mg at most", *lost)
     text = f"M = {_matrix(linear.M)};\nb = {_matrix(linear.b[:, None])};"
+    gyro = gyroscope_of(calibration)
+    if gyro is not None:
+        text += (
+            "\n% rate = gyro_K * (reading - gyro_b - gyro_G * corrected), rad/s."
+            f"\ngyro_K = {_matrix(gyro.gain)};\ngyro_b = {_matrix(gyro.bias[:, None])};"
+            f"\ngyro_G = {_matrix(gyro.by_force)};"
+        )
+        lost = (*lost, *gyro.beyond)
     return Made(text, lost, linear.mean)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from imucalib.arrays import Array
 from imucalib.calibration.calibration import Calibration
+from imucalib.calibration.gyroscope import gyroscope_of
 from imucalib.core.sphere import CELLS, cell_of
 from imucalib.errors import UsageError
 from imucalib.estimators.levenberg_marquardt import minimise
@@ -155,11 +156,13 @@ def lost_per_axis(calibration: Calibration, row: Row, aside: str = "") -> tuple[
 class Flight:
     """corrected = scale (raw - offset) of a flight controller, which has no slope over temperature.
 
-    offset, scale : (3,), offset in m/s²; lost : in words; loss : mg, of the vector
+    offset, scale : (3,), offset in m/s²; rate : (3,) rad/s, the gyroscope's, or None
+    lost : in words; loss : mg, of the vector
     """
 
     offset: Array
     scale: Array
+    rate: Array | None
     lost: tuple[str, ...]
     loss: float
 
@@ -184,4 +187,10 @@ def flight_of(
             f"{np.abs(found).max():.2f}",
             remedy="check the unit of the readings",
         )
-    return Flight(found, row.scale, lost_per_axis(calibration, row), row.vector)
+    lost, gyro = lost_per_axis(calibration, row), gyroscope_of(calibration)
+    if gyro is None:
+        return Flight(found, row.scale, None, lost, row.vector)
+    off = np.abs(gyro.gain - np.eye(3)).max()
+    named = (*(["gyro_g_sensitivity"] if gyro.by_force.any() else []), *gyro.beyond)
+    more = f"the gyroscope's gains, up to {100.0 * off:.1f} % of a rate"
+    return Flight(found, row.scale, gyro.bias, (*lost, ", ".join((more, *named))), row.vector)

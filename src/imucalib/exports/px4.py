@@ -33,6 +33,11 @@ def px4(calibration: Calibration, filename: str) -> Made:
     for k, axis in enumerate("XYZ"):
         for name, value in (("OFF", flight.offset[k]), ("SCALE", flight.scale[k])):
             lines.append(f"1\t1\tCAL_ACC0_{axis}{name}\t{value:.9g}\t{_FLOAT}")
+    if flight.rate is not None:  # corrected = rotation (raw - offset), rad/s (Gyroscope.hpp)
+        lines += [
+            f"1\t1\tCAL_GYRO0_{axis}OFF\t{value:.9g}\t{_FLOAT}"
+            for axis, value in zip("XYZ", flight.rate, strict=True)
+        ]
     return Made("\n".join([*lines, ""]), lost, flight.loss)
 
 

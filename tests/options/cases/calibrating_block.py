@@ -17,6 +17,7 @@ SEARCH: dict[str, tuple[str, str]] = {
     "lab": ("cubic", "quadratic"),
     "actigraph": ("asymmetry", "hysteresis"),
     "array": ("gyro_delay", "gyro_scale"),
+    "imu": ("gyro_asymmetry", "gyro_quadratic"),
 }
 RESULTS = ("calibration.yaml", "report.html", "report.json")
 
@@ -170,17 +171,19 @@ def _curve_corrected(name: str) -> Check:
 CURVED: dict[str, tuple[str, tuple[str, ...]]] = {
     "lab": ("--no-curves", ("lab", "<curved.csv>", "--reference", "norm", "--only", "bias_drift")),
     "actigraph": ("--no-curves", ("actigraph", "<bent.h5>", "--only", "converter")),
+    "imu": ("--no-curves", ("imu", "<bent_turns.csv>", "--only", "bias_drift")),
     "array": ("--curves", ("array", "<loose_log.h5>", "--board", "<board.yaml>", "--samples",
                            "150", "--only", "gyro_delay")),
 }  # fmt: skip
 
 
 #: What a call of each ends with, and exit 0; the call.
-GATE = {"lab": "caution", "actigraph": "caution", "array": "unexplained"}
+GATE = {"lab": "caution", "actigraph": "caution", "array": "unexplained", "imu": "caution"}
 CAUTIONED: dict[str, tuple[str, ...]] = {
     "lab": CURVED["lab"][1],
     "actigraph": ("actigraph", "<bent.h5>", "--only", "bias_drift"),
     "array": (*CURVED["array"][1], "--accept-mm", "1"),
+    "imu": CURVED["imu"][1],
 }
 
 
@@ -218,6 +221,8 @@ LIMITS: tuple[tuple[str, str, Callable[[Any], float]], ...] = (
     ("actigraph", "--max-worst-error", lambda report: max(
         abs(v) for f in report["figures"] if f["title"] == "Error of |a| against time"
         for s in f["series"] if s["label"] == "after" for v in s["y"])),
+    ("imu", "--max-error", _final(0)),
+    ("imu", "--max-force-error", _final(1)),
     ("array", "--max-error", _final(0)),
     ("array", "--max-gyro-error", _final(1)),
     ("array", "--max-position-sd", lambda report: max(

@@ -57,6 +57,7 @@ class LabSettings:
     declare : effects of the base model beyond `model`; only, without : restrict the search
     train : rows (0-based) to choose and fit on; the rest is the test set
     sigma : declared noise of a reading, m/s², or None to take it from the data
+    partial : whether positions may leave something open, which other data close
     population : what a fleet says of the device: its effects are in the base model, and there is no
         search beside a prior
     """
@@ -73,6 +74,7 @@ class LabSettings:
     extra_effects: Mapping[str, Effect] = field(default_factory=dict)
     conventions: Conventions = field(default_factory=Conventions)
     population: Population | None = None
+    partial: bool = False
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,7 @@ def calibrate(
     # fleet nothing is: what it leaves wide has that sd.
     clean = loop.base if loop else base
     closed = settings.population is not None or faulty or settings.objective in OBJECTIVES
+    closed |= settings.partial
     if clean.null_directions and not closed:
         raise undetermined(clean)
     if not final.converged:

@@ -53,7 +53,7 @@ def calibrate_files(files: LabFiles, request: LabRequest, say: Callable[[str], N
         return _run(table, recording, request)
     if request.reference == "norm" and positions_in(files) is None:
         recording, segments = still_rests(files.table, files.mapping, request.still, say)
-        return _run(_rests(segments, recording), recording, request)
+        return _run(table_of_rests(segments, recording), recording, request)
     return run_lab(_ordered(files, request, say), request)
 
 
@@ -71,7 +71,7 @@ def _sessions(files: LabFiles, request: LabRequest, say: Callable[[str], None]) 
             tables.append(_ordered(one, request, say))
             continue
         recording, segments = still_rests(one.table, one.mapping, request.still, say)
-        tables.append(_rests(segments, recording))
+        tables.append(table_of_rests(segments, recording))
         notes += recording.notes
     table, joining = joined(tables)
     for note in joining:
@@ -180,7 +180,7 @@ def still_rests(
     return recording, segments
 
 
-def _rests(segments: Segments, recording: Recording) -> PositionTable:
+def table_of_rests(segments: Segments, recording: Recording) -> PositionTable:
     """Still segments of the first triad as a table in m/s²."""
     mean = segments.mean[:, 0]
     columns = {"x": mean[:, 0], "y": mean[:, 1], "z": mean[:, 2]}
@@ -212,7 +212,7 @@ def _in_order(positions: PositionTable, segments: Segments, recording: Recording
             where=recording.path,
             remedy="add or remove rows so that they match one to one, in order",
         )
-    rests = _rests(segments, recording)
+    rests = table_of_rests(segments, recording)
     columns = {**rests.columns, **{k: v for k, v in positions.columns.items() if k not in "xyz"}}
     names = {**rests.names, **positions.names}
     return replace(rests, columns=columns, names=names, unit={**rests.unit, **positions.unit})

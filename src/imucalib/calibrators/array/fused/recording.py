@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from imucalib.arrays import Array, Flags
-from imucalib.calibration.apply import apply_to_recording, write_over
+from imucalib.calibration.apply import apply_to_recording, mark_of, refuse_second, write_over
 from imucalib.calibration.calibration import Calibration
-from imucalib.calibration.mark import mark_of, refuse_second
 from imucalib.calibrators.array.fused.fuse import Fused, Stretch, fuse
 from imucalib.calibrators.array.fused.instrument import instrument_of
 from imucalib.calibrators.array.fused.survey import Survey, ages, side_by_side, survey

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from imucalib.cli.calibrating import calibrating, calibrating_of, finish
-from imucalib.cli.lab_options import lab_options, request_of
+from imucalib.cli.lab.options import lab_options, request_of
 from imucalib.cli.output import pairs
 from imucalib.cli.paged_help import PagedCommand
 from imucalib.cli.recording_options import mapping_of, shortest_rest_option

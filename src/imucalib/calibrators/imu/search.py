@@ -1,0 +1,370 @@
+"""What the gyroscope may do beside its gains, by the one posterior over what is missing.
+
+The rows of the joint fit, linearised where it stands, are the products that the posterior asks for;
+the biases and directions of the rests leave them at every noise. Noise points are the floor of a
+turn and what grows with its angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags, Index
+from imucalib.calibrators.array.loop.laws import array_functions, array_laws
+from imucalib.calibrators.array.loop.motion import BoardMotion
+from imucalib.core.context import Context
+from imucalib.core.effect import Effect, Response
+from imucalib.core.truth import Motion, Truth
+from imucalib.effects import catalogue
+from imucalib.estimators.turns import (
+    ACCELEROMETER,
+    GAIN,
+    PER_ANGLE,
+    Laws,
+    Rows,
+    TurnFit,
+    TurnLog,
+    fitted,
+    linearised,
+    variances,
+    without,
+)
+from imucalib.loop.posterior.catalogue import Component, Kind, Member, log_odds
+from imucalib.loop.posterior.gram import Grams, Multiplied, swept
+from imucalib.loop.posterior.odds import HEARD, SIZES, TOGETHER
+from imucalib.loop.posterior.problem import Choice
+from imucalib.loop.posterior.space import Hypothesis, Posterior, climbed
+from imucalib.loop.posterior.words import Told, told
+from imucalib.units import DEG, STANDARD_GRAVITY
+
+_FIXED = ACCELEROMETER + GAIN
+#: rad, floors of a turn, and κ over its usual value.
+_FLOORS = DEG * np.array([0.0, 0.02, 0.05, 0.12, 0.3, 1.0, 4.0])
+_SHARES = (0.0, 0.5, 1.0, 2.0)
+#: Share of a column's square that the gains leave, below which it is theirs.
+_LEFT = 1e-3
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect in the model, or some of its parameters (w,), with the sd of each in its unit."""
+
+    effect: Response
+    own: Index
+    sizes: Array
+
+    @property
+    def name(self) -> str:
+        return self.effect.name
+
+
+@dataclass(frozen=True)
+class TurnProblem:
+    """What turns may lack; see `Contest`. terms : of every choice; absorbed : names whose columns
+    the gains take up, and why effects could not be tried; seen : of each component the share of its
+    columns that the gains leave, and their length in units of the noise"""
+
+    components: tuple[Component, ...]
+    odds: Array
+    choices: tuple[Choice, ...]
+    terms: tuple[Term, ...]
+    absorbed: tuple[str, ...]
+    missing: Mapping[str, str]
+    seen: tuple[tuple[float, float], ...]
+
+    @property
+    def base(self) -> int:
+        """Accelerometer and gains."""
+        return _FIXED
+
+    @property
+    def flat(self) -> tuple[Index, float]:
+        """They are free, but for what their rows say."""
+        return np.arange(_FIXED), np.inf
+
+    @property
+    def sizes(self) -> Array:
+        """Those of a component."""
+        return SIZES
+
+    def terms_of(self, hypothesis: Hypothesis) -> tuple[Term, ...]:
+        """What a set takes into the model, at its sizes; laws without a name are not corrected."""
+        return tuple(
+            replace(self.terms[p.choice], sizes=p.size * self.terms[p.choice].sizes)
+            for p in hypothesis.picks
+            if self.components[self.choices[p.choice].component].named
+        )
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A base fit, the posterior over what it lacks, what is told, and the fit with that."""
+
+    base: TurnFit
+    lacking: Lacking
+    problem: TurnProblem
+    posterior: Posterior
+    said: Told
+    terms: tuple[Term, ...]
+    final: TurnFit
+
+
+@dataclass(frozen=True)
+class AskedTurns:
+    """declare : in the base; only, without : names; own : effects of the user"""
+
+    declare: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    own: Mapping[str, Effect] | None = None
+    loop: bool = True
+
+
+def gyro_effects(asked: AskedTurns) -> dict[str, Response]:
+    """Effects of a gyroscope that no delay is part of: turns from rest to rest show none."""
+    every = {**catalogue(), **(asked.own or {})}
+    return {
+        name: effect
+        for name, effect in every.items()
+        if isinstance(effect, Response) and effect.channel == "angular_rate" and not effect.lagged
+    }
+
+
+def declared_terms(asked: AskedTurns) -> tuple[Term, ...]:
+    """Those of the base model, held by no more than ten times their usual size."""
+    every = gyro_effects(asked)
+    return tuple(_term(every[n], 10.0) for n in asked.declare if n in every)
+
+
+def _term(effect: Response, size: float = 1.0) -> Term:
+    typical = np.array([p.typical for p in effect.each])
+    return Term(effect, np.arange(typical.size), size * typical)
+
+
+def laws_of(terms: Sequence[Term], span: float) -> Laws | None:
+    """The columns of terms side by side, or None. span : s, of the recording"""
+    if not terms:
+        return None
+
+    def laws(rate: Array, force: Array, t: Array) -> Array:
+        truth, context = _exposed(rate, force, t, span)
+        return np.concatenate(
+            [np.asarray(e.effect.basis(truth, context)[:, 0][..., e.own]) for e in terms], axis=2
+        )
+
+    return laws
+
+
+def _exposed(rate: Array, force: Array, t: Array, span: float) -> tuple[Truth, Context]:
+    none = np.zeros((len(rate), 1, 3))
+    truth = Truth(STANDARD_GRAVITY * force[:, None], Motion(rate[:, None], none, none))
+    return truth, Context(len(rate), {"order": t / span, "time": t}, moving=True)
+
+
+def joint_fit(
+    log: TurnLog, terms: Sequence[Term], span: float, start: TurnFit | None = None
+) -> TurnFit:
+    """The joint fit with terms, of the turns that a start has used."""
+    sizes = np.concatenate([np.zeros(0), *(t.sizes for t in terms)])
+    return fitted(
+        log, laws_of(terms, span), sizes=sizes,
+        used=None if start is None else start.used, start=None if start is None else start.state,
+    )  # fmt: skip
+
+
+def searched(base: TurnFit, span: float, asked: AskedTurns) -> Searched:
+    """The posterior over what a base fit lacks, at the set that it tells: searched again from where
+    that stands, until the same is told."""
+    declared = declared_terms(asked)
+    final, terms, seen = base, declared, set[tuple[str, ...]]()
+    while True:
+        lacking = lacking_of(final, span, asked)
+        problem, grams = lacking.contest(final)
+        posterior = climbed(problem, grams)
+        said = told(problem, posterior, names_first=True)
+        new = problem.terms_of(said.hypothesis)
+        names = _names(new)
+        if not asked.loop or names in seen or not names:
+            if not names:
+                final, terms = base, declared
+            return Searched(
+                base=base, lacking=lacking, problem=problem, posterior=posterior, said=said,
+                terms=terms, final=final,
+            )  # fmt: skip
+        seen.add(names)
+        terms = (*declared, *new)
+        final = joint_fit(base.log, terms, span, base)
+
+
+def _names(terms: Sequence[Term]) -> tuple[str, ...]:
+    return tuple(sorted(f"{t.name} {t.own}" for t in terms))
+
+
+def in_fold(found: Searched, out: Flags, span: float, asked: AskedTurns) -> tuple[TurnFit, TurnFit]:
+    """Base and final fit without some turns (T,), everything chosen anew from the products of the
+    others. Where the same is told, the final fit is that of the others, linear about the whole."""
+    base = without(found.base, out)
+    if not asked.loop:
+        return base, base
+    problem, grams = found.lacking.contest(base)
+    new = problem.terms_of(told(problem, climbed(problem, grams), names_first=True).hypothesis)
+    if not new:
+        return base, base
+    terms = (*declared_terms(asked), *new)
+    if _names(terms) == _names(found.terms):
+        sizes = {f"{t.name} {t.own}": t.sizes for t in terms}
+        return base, without(
+            found.final, out, np.concatenate([sizes[f"{t.name} {t.own}"] for t in found.terms])
+        )
+    return base, joint_fit(base.log, terms, span, base)
+
+
+@dataclass(frozen=True)
+class Lacking:
+    """Rows of a joint fit with the columns of all that it may lack, in typical sizes.
+
+    prior : (m,) sd of the columns, of which the first `held` are in the base; tried : an effect a
+    block of the others
+    """
+
+    components: tuple[Component, ...]
+    terms: tuple[tuple[Term, ...], ...]
+    missing: Mapping[str, str]
+    tried: tuple[Term, ...]
+    rows: Rows
+    prior: Array
+    held: int
+
+    def contest(self, fit: TurnFit) -> tuple[TurnProblem, Grams]:
+        """The problem and its products with the turns, weights and noise of a fit."""
+        grams = self._grams(fit)
+        first = _FIXED + np.cumsum([0, *(t.own.size for t in self.tried)])
+        place = {t.name: int(k) for t, k in zip(self.tried, first, strict=False)}
+        one = swept(grams, np.arange(_FIXED), np.inf)
+        one = one.of(np.array([int(np.argmax(one.log_weight))]))
+        choices, chosen, absorbed, seen = [], [], [], []
+        kept = list[Component]()
+        for component, own in zip(self.components, self.terms, strict=True):
+            at = [place[t.name] + t.own for t in own]
+            before = float(np.trace(one.products.blocks(at[0][None])[0, 0]))
+            after = float(np.trace(one.blocks(at[0][None])[0, 0]))
+            if not after > max(_LEFT * before, 1e-12):
+                absorbed.append(component.name)
+                continue
+            for term, member, columns in zip(own, component.members, at, strict=True):
+                choices.append(Choice(len(kept), member, columns, member.log_weight))
+                chosen.append(term)
+            seen.append((after / before, float(np.sqrt(after))))
+            kept.append(component)
+        problem = TurnProblem(
+            components=tuple(kept), odds=log_odds(tuple(kept)), choices=tuple(choices),
+            terms=tuple(chosen), absorbed=tuple(absorbed), missing=self.missing, seen=tuple(seen),
+        )  # fmt: skip
+        return problem, grams
+
+    def _grams(self, fit: TurnFit) -> Grams:
+        """All but accelerometer, gains, columns and y taken out, at the noise points that count."""
+        whole = np.column_stack([self.rows.jacobian, self.rows.residual])
+        size, turns = whole.shape[1], 2 * self.rows.turns
+        out = np.r_[_FIXED : _FIXED + self.held, _FIXED + self.prior.size : size - 1]
+        kept = np.setdiff1d(np.arange(size), out)
+        used = np.repeat(fit.used, 2)
+        share = np.where(used, np.repeat(fit.weight, 2), 0.0)
+        rest = whole[turns:] / variances(fit.log, fit.noise, self.prior)[turns:, None]
+        rest = whole[turns:].T @ rest
+        matrices, logs = [], []
+        for floor, angle in product(_FLOORS, _SHARES):
+            noise = replace(fit.noise, floor=float(floor), per_angle=angle * PER_ANGLE)
+            variance = variances(fit.log, noise, self.prior)[:turns]
+            every = rest + whole[:turns].T @ (whole[:turns] * (share / variance)[:, None])
+            root = np.linalg.cholesky(every[np.ix_(out, out)])
+            across = np.linalg.solve(root, every[np.ix_(out, kept)])
+            matrices.append(every[np.ix_(kept, kept)] - across.T @ across)
+            logs.append(-0.5 * float(np.log(variance[used]).sum()) - np.log(np.diag(root)).sum())
+        unlinked = int((~fit.log.linked).sum())
+        numbers = float(used.sum()) + 4.0 * fit.log.rests - 3.0 * (1 + unlinked)
+        grams = Grams(
+            products=Multiplied(np.array(matrices)),
+            taken=np.zeros((len(matrices), 0, kept.size)),
+            log_weight=np.array(logs) - max(logs),
+            numbers=numbers,
+            points=(None,) * len(matrices),
+            spread=np.inf,
+        )
+        return grams.of(_heard(grams, numbers - _FIXED))
+
+
+def _heard(grams: Grams, dof: float) -> Index:
+    """Noise points that neither the base model excludes nor one that lacks everything."""
+    base = swept(grams, np.arange(_FIXED), np.inf)
+    rich = swept(base, np.arange(_FIXED, grams.taken.shape[2] - 1), 1.0)
+    logs = np.array([g.log_weight + g.log_noise(g.power, dof) for g in (base, rich)])
+    return np.flatnonzero((logs > logs.max(axis=1)[:, None] - HEARD).any(axis=0))
+
+
+def lacking_of(fit: TurnFit, span: float, asked: AskedTurns) -> Lacking:
+    """All that a fit may lack, linearised where it stands."""
+    components, terms, missing = _components(fit.log, span, asked)
+    declared = declared_terms(asked)
+    tried = tuple(_term(e) for e in dict.fromkeys(t.effect for own in terms for t in own))
+    held, sizes = (np.concatenate([np.zeros(0), *(t.sizes for t in p)]) for p in (declared, tried))
+    prior = np.concatenate([held, np.full(sizes.size, np.inf)])
+    state = replace(fit.state, theta=np.zeros(prior.size))
+    rows = linearised(fit.log, state, laws_of((*declared, *tried), span), prior)
+    rows.jacobian[:, _FIXED + held.size : _FIXED + prior.size] *= sizes
+    return Lacking(
+        components=tuple(components), terms=tuple(terms), missing=missing, tried=tried, rows=rows,
+        prior=prior, held=held.size,
+    )  # fmt: skip
+
+
+def _components(
+    log: TurnLog, span: float, asked: AskedTurns
+) -> tuple[list[Component], list[tuple[Term, ...]], dict[str, str]]:
+    """Names, unnamed laws and free functions of the gyroscope, and their terms member by member;
+    and why effects could not be tried."""
+    t, rate, force = (
+        np.concatenate([getattr(turn, name) for turn in log.turns])
+        for name in ("t", "rate", "force")
+    )
+    truth, context = _exposed(rate, force, t, span)
+    motion = BoardMotion(truth, context)
+    found: dict[str, tuple[Kind, str, list[Response]]] = {}
+    missing = {}
+    for name, effect in gyro_effects(asked).items():
+        if name in (*asked.declare, *asked.without) or (asked.only and name not in asked.only):
+            continue
+        if reason := effect.missing(context):
+            missing[name] = reason
+        else:
+            found[name] = "name", "", [effect]
+    for driver, law in array_laws(motion) if not asked.only else ():
+        if law.channel == "angular_rate" and not law.lagged:
+            found.setdefault(f"another law of {driver}", ("law", driver, []))[2].append(law)
+    for driver, free in array_functions(motion) if not asked.only else ():
+        if free.channel == "angular_rate":
+            found[free.name] = "free", driver, [free]
+    components, terms = [], []
+    for name, (kind, driver, effects) in found.items():
+        own = [one for effect in effects for one in _members(effect, kind)]
+        members = tuple(
+            Member(((term.effect, term.own, term.sizes),), share - np.log(len(effects)))
+            for term, share in own
+        )
+        components.append(Component(name, kind, members, driver))
+        terms.append(tuple(term for term, _ in own))
+    return components, terms, missing
+
+
+def _members(effect: Response, kind: Kind) -> list[tuple[Term, float]]:
+    """All of its parameters together, or one alone, each with its share in logs."""
+    whole = _term(effect)
+    if kind == "free" or whole.own.size == 1:
+        return [(whole, 0.0)]
+    one = float(np.log((1.0 - TOGETHER) / whole.own.size))
+    alone = (Term(effect, whole.own[[k]], whole.sizes[[k]]) for k in range(whole.own.size))
+    return [(whole, float(np.log(TOGETHER))), *((term, one) for term in alone)]

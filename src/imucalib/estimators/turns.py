@@ -1,0 +1,494 @@
+"""Accelerometer and gyroscope of one IMU from rests and the turns between them, jointly.
+
+    f = L (a - b_a),    ω = K (w - b(t) - Σ_j θ_j h_j(t)),    u_{k+1} = R_k' u_k
+
+a : readings in g, L lower triangular: the frame is the accelerometer's, x along its x axis, y in
+its x-y plane; w : rates as read; h_j : what else the gyroscope does, of what its axes meet;
+b : its bias, a walk linked at the rests, linear between them; u_k : gravity's direction at rest k,
+R_k : the rotation of the turn after it (`carried`).
+
+At a rest f_k = u_k + noise and w_k = b_k + Σ θ_j h_j; a turn is two numbers in the plane across
+u_{k+1}. One Gauss-Newton over all, as Skog and Händel (2006) for the norm and Tedaldi, Pretto and
+Menegatti (ICRA 2014) for the turns have it apart, with the covariance of integrated noise:
+
+    V = σ² T + q² T³ / 12 + s² + (κ path)²
+
+σ : white noise, q : the walk between two rests that are known, s : a floor that is estimated, κ :
+errors that grow with the angle turned. Turns are Student's with 4 degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from imucalib.arrays import Array, Flags, Index
+from imucalib.estimators.carried import attitudes, between, cross_matrices, shares
+
+#: What else a gyroscope does: (rate (n, 3) rad/s in its axes, force (n, 3) g, time (n,) s) to
+#: (n, 3, m) rad/s per unit of each of m parameters.
+Laws = Callable[[Array, Array, Array], Array]
+
+#: Places of L's free elements, rows first, and their number with the accelerometer's bias.
+LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
+ACCELEROMETER, GAIN = 9, 9
+#: Error of a turn per angle turned: 3e-4 rad a rad is what held-out turns of three chips refuse to
+#: be without, and what 99 % of intervals of worlds without it still hold.
+PER_ANGLE = 3e-4
+_NU = 4.0  # degrees of freedom of a turn's errors
+#: Known before any reading (data sheets): accelerometer's bias (g), scale and cross terms, gains.
+_BIAS, _SCALE, _CROSS, _GAIN = 0.1, 0.03, 0.02, 0.1
+_MOST, _SETTLED = 30, 1e-2  # steps, and standard deviations that the last one may go
+_NOISES = 6  # steps in which the noise is estimated anew
+#: rad, floors of a turn that are weighed.
+_FLOORS = np.radians([0.0, *0.005 * 2.0 ** np.arange(11)])
+_NORMAL = 0.455  # median of the square of a normal number
+
+
+@dataclass(frozen=True)
+class Turn:
+    """The samples of a turn, from inside rest `rest` to inside the next one.
+
+    t : (n,) s; rate : (n, 3) rad/s, force : (n, 3) g, as read at t
+    moving : (n,) share of a rate beside the bias that is motion: one in the turn, less at rest
+    """
+
+    rest: int
+    t: Array
+    rate: Array
+    force: Array
+    moving: Array
+
+    @property
+    def lasting(self) -> float:
+        """s that it is in motion."""
+        return float(shares(self.t) @ self.moving)
+
+
+@dataclass(frozen=True)
+class TurnLog:
+    """N rests and the turns between them that can be used.
+
+    time : (N,) s; force : (N, 3) g and rate : (N, 3) rad/s, means as read; force_sd : (N,) g and
+    rate_sd : (N, 3) rad/s of these means; linked : (N - 1,) whether the bias walks from a rest to
+    the next one, as it does within one log; white : rad/s √s, noise density of the gyroscope
+    """
+
+    time: Array
+    force: Array
+    rate: Array
+    force_sd: Array
+    rate_sd: Array
+    linked: Flags
+    turns: tuple[Turn, ...]
+    white: float
+
+    @property
+    def rests(self) -> int:
+        return len(self.time)
+
+    @cached_property
+    def spans(self) -> Array:
+        """(3, T) of every turn: s that count for what is steady, and for white noise; rad, the path
+        in all."""
+        found = np.empty((3, len(self.turns)))
+        for k, turn in enumerate(self.turns):
+            h, (seen, _) = shares(turn.t), moved_by(self, self.rate, turn)
+            found[:, k] = h @ np.stack(
+                [turn.moving, turn.moving**2, np.linalg.norm(seen, axis=1)], axis=1
+            )
+        return found
+
+
+@dataclass(frozen=True)
+class State:
+    """bias : (3,) g, lower : (3, 3), of the accelerometer; gain : (3, 3) K; theta : (m,)
+    drift : (N, 3) rad/s, the gyroscope's bias at every rest; up : (N, 3) u"""
+
+    bias: Array
+    lower: Array
+    gain: Array
+    theta: Array
+    drift: Array
+    up: Array
+
+    def force(self, reading: Array) -> Array:
+        """(..., 3) g."""
+        return np.asarray((reading - self.bias) @ self.lower.T)
+
+    @property
+    def first_up(self) -> int:
+        """Column at which directions begin; before it are accelerometer, K, θ and biases."""
+        return ACCELEROMETER + GAIN + self.theta.size + self.drift.size
+
+
+@dataclass(frozen=True)
+class TurnNoise:
+    """floor : rad, s; per_angle : κ; walk : (3,) rad/s/√s, q; force : g, of a rest's mean reading
+    beside what its samples say"""
+
+    floor: float
+    per_angle: float
+    walk: Array
+    force: float
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The linearised problem: residual (R,) + jacobian (R, P) dx, two rows a turn, then the rests'
+    forces (3), rates (3), the walk's steps (3), and what is known before."""
+
+    residual: Array
+    jacobian: Array
+    turns: int
+
+
+@dataclass(frozen=True)
+class TurnFit:
+    """A settled fit. covariance : (P, P) in the order accelerometer (bias, `LOWER`), K rows first,
+    θ, biases, directions; variance : (R,) of every row; used : (T,) turns that took part; weight :
+    (T,) Student's"""
+
+    log: TurnLog
+    state: State
+    noise: TurnNoise
+    rows: Rows
+    covariance: Array
+    variance: Array
+    used: Flags
+    weight: Array
+    laws: Laws | None
+    converged: bool
+
+    @cached_property
+    def gains(self) -> Array:
+        """(9 + m, 9 + m) covariance of K and θ."""
+        own = np.arange(ACCELEROMETER, ACCELEROMETER + GAIN + self.state.theta.size)
+        return np.asarray(self.covariance[np.ix_(own, own)])
+
+
+def fitted(
+    log: TurnLog,
+    laws: Laws | None = None,
+    *,
+    sizes: Array | None = None,
+    used: Flags | None = None,
+    start: State | None = None,
+    noise: TurnNoise | None = None,
+) -> TurnFit:
+    """The joint fit.
+
+    laws : of parameters θ with a normal prior of sd `sizes` (m,); used : (T,) turns that take
+    part; start : where to begin; noise : held at these values, or None to estimate it
+    """
+    chosen = np.ones(len(log.turns), bool) if used is None else used
+    prior = np.zeros(0) if sizes is None else sizes
+    count = prior.size
+    state = _started(log, count) if start is None else replace(start, theta=_padded(start, count))
+    found = TurnNoise(0.0, PER_ANGLE, np.ones(3), 0.0) if noise is None else noise
+    converged, covariance = False, np.zeros((0, 0))
+    weight = np.ones(len(log.turns))
+    for k in range(_MOST):
+        rows = linearised(log, state, laws, prior)
+        square = _squares(rows, rows.residual, covariance)
+        if noise is None and k < _NOISES:
+            found = _estimated(log, state, laws, rows, prior, np.where(chosen, weight, 0.0))
+        variance = variances(log, found, prior)
+        weight = _weights(square, variance[: 2 * rows.turns : 2])
+        step, covariance = _solved(rows, variance, np.where(chosen, weight, 0.0))
+        state = _moved(state, step)
+        if np.max(np.abs(step) / np.sqrt(np.diag(covariance))) < _SETTLED:
+            converged = True
+            break
+    rows = linearised(log, state, laws, prior)
+    return TurnFit(
+        log=log, state=state, noise=found, rows=rows, covariance=covariance, variance=variance,
+        used=chosen, weight=weight, laws=laws, converged=converged,
+    )  # fmt: skip
+
+
+def without(fit: TurnFit, out: Flags, sizes: Array | None = None) -> TurnFit:
+    """The fit without some turns, linear about where it stands: what a refit would end at, to the
+    second order in what these turns move. out : (T,); sizes : (m,) sd of θ, or as it was"""
+    log, rows, m = fit.log, fit.rows, fit.state.theta.size
+    chosen, step, covariance = fit.used & ~out, np.zeros(rows.jacobian.shape[1]), fit.covariance
+    prior = np.sqrt(fit.variance[len(fit.variance) - m :]) if sizes is None else sizes
+    noise, variance, weight = fit.noise, fit.variance, fit.weight
+    for _ in range(_NOISES):
+        moved = replace(rows, residual=rows.residual + rows.jacobian @ step)
+        square = _squares(rows, moved.residual, covariance)
+        noise = _estimated(log, fit.state, fit.laws, moved, prior, np.where(chosen, weight, 0.0))
+        variance = variances(log, noise, prior)
+        weight = _weights(square, variance[: 2 * rows.turns : 2])
+        step, covariance = _solved(rows, variance, np.where(chosen, weight, 0.0))
+    return replace(
+        fit, state=_moved(fit.state, step), noise=noise, covariance=covariance, variance=variance,
+        used=chosen, weight=weight,
+    )  # fmt: skip
+
+
+def _padded(state: State, count: int) -> Array:
+    return state.theta if state.theta.size == count else np.zeros(count)
+
+
+def _started(log: TurnLog, count: int) -> State:
+    """Plain readings: the norm's own fit is a few Gauss-Newton steps away."""
+    up = log.force / np.linalg.norm(log.force, axis=1)[:, None]
+    return State(np.zeros(3), np.eye(3), np.eye(3), np.zeros(count), log.rate.copy(), up)
+
+
+def tangents(up: Array) -> Array:
+    """(N, 3, 2) two unit vectors across each of directions (N, 3), by Householder's reflection."""
+    sign = np.where(up[:, 2] < 0.0, -1.0, 1.0)
+    v = up + sign[:, None] * np.array([0.0, 0.0, 1.0])
+    reflected = (
+        np.eye(3) - 2.0 * v[:, :, None] * v[:, None, :] / np.sum(v * v, axis=1)[:, None, None]
+    )
+    return np.asarray(reflected[:, :, :2])
+
+
+def exposed(
+    state: State, rate: Array, force: Array, turn: Turn, laws: Laws | None
+) -> tuple[Array, Array]:
+    """What the gyroscope's axes are exposed to, (n, 3) rad/s, of rates (n, 3) without their bias,
+    and the laws' columns (n, 3, m) there: the reading less what the laws add, settled in three
+    rounds since they are small."""
+    if laws is None or not state.theta.size:
+        return rate, np.zeros((*rate.shape, 0))
+
+    def at(true: Array) -> Array:
+        return turn.moving[:, None, None] * laws(true, force, turn.t)
+
+    columns = at(rate)
+    for _ in range(3 if state.theta.any() else 0):
+        columns = at(rate - columns @ state.theta)
+    return rate - columns @ state.theta, columns
+
+
+def moved_by(log: TurnLog, drift: Array, turn: Turn) -> tuple[Array, Array]:
+    """(n, 3) rad/s along a turn, as read without the bias, and the share (n,) of the bias there
+    that is of the rest which ends it."""
+    k = turn.rest
+    share = (turn.t - log.time[k]) / (log.time[k + 1] - log.time[k])
+    bias = drift[k] + share[:, None] * (drift[k + 1] - drift[k])
+    return turn.moving[:, None] * (turn.rate - bias), share
+
+
+def linearised(log: TurnLog, state: State, laws: Laws | None, prior: Array) -> Rows:
+    """All rows at a state; prior : (m,) sd of θ."""
+    n, m, across = log.rests, state.theta.size, tangents(state.up)
+    first = ACCELEROMETER + GAIN
+    walk, ups = first + m, state.first_up
+    size = ups + 2 * n
+    turns = np.zeros((len(log.turns), 2, size))
+    left = np.zeros((len(log.turns), 2))
+    for i, turn in enumerate(log.turns):
+        k = turn.rest
+        seen, share = moved_by(log, state.drift, turn)
+        rate, columns = exposed(state, seen, state.force(turn.force), turn, laws)
+        whole = attitudes(turn.t, rate @ state.gain.T)
+        weighted = whole * shares(turn.t)[:, None, None]
+        gained = weighted @ state.gain
+        q = np.zeros((3, walk + 6))
+        q[:, ACCELEROMETER:first] = np.tensordot(weighted, rate, (0, 0)).reshape(3, 9)
+        q[:, first:walk] = -(
+            gained.transpose(1, 0, 2).reshape(3, -1) @ columns.reshape(3 * len(turn.t), m)
+        )
+        q[:, walk:] = -np.concatenate(
+            [
+                np.tensordot(v, gained, 1)
+                for v in ((1.0 - share) * turn.moving, share * turn.moving)
+            ],
+            axis=1,
+        )
+        back = across[k + 1].T @ whole[-1].T
+        own = back @ cross_matrices(state.up[k]) @ q
+        turns[i, :, :walk] = own[:, :walk]
+        turns[i, :, walk + 3 * k : walk + 3 * k + 6] = own[:, walk:]
+        turns[i, :, ups + 2 * k : ups + 2 * k + 2] = back @ across[k]
+        turns[i, :, ups + 2 * k + 2 : ups + 2 * k + 4] = -np.eye(2)
+        left[i] = back @ state.up[k]  # u_{k+1} is across the plane
+    rests, off = _rest_rows(log, state, laws, across, prior, size)
+    return Rows(
+        np.concatenate([left.ravel(), off]), np.concatenate([turns.reshape(-1, size), rests]),
+        len(log.turns),
+    )  # fmt: skip
+
+
+def _rest_rows(
+    log: TurnLog, state: State, laws: Laws | None, across: Array, prior: Array, size: int
+) -> tuple[Array, Array]:
+    """Jacobian and residual of the rests' forces and rates, of the walk, and of what is known."""
+    n, m = log.rests, state.theta.size
+    first, ups = ACCELEROMETER + GAIN, state.first_up
+    walk, each = first + m, np.arange(n)
+    force, rate, step = (np.zeros((n, 3, size)) for _ in range(3))
+    away = log.force - state.bias
+    force[:, :, :3] = -state.lower
+    for column, (i, j) in enumerate(LOWER):
+        force[:, i, 3 + column] = away[:, j]
+    columns = _at_rest(log, state, laws)
+    rate[:, :, first:walk] = columns
+    for axis in range(3):
+        rate[each, axis, walk + 3 * each + axis] = 1.0
+        step[each, axis, walk + 3 * each + axis] = 1.0
+        step[each[1:], axis, walk + 3 * each[:-1] + axis] = -1.0
+        for k in range(2):
+            force[each, axis, ups + 2 * each + k] = -across[:, axis, k]
+    known = np.zeros((ACCELEROMETER + GAIN + m, size))
+    known[:, : len(known)] = np.eye(len(known))
+    lower = np.array([state.lower[i, j] - (i == j) for i, j in LOWER])
+    own = np.concatenate([state.bias, lower, (state.gain - np.eye(3)).ravel(), state.theta])
+    residual = [
+        state.force(log.force) - state.up,
+        state.drift + columns @ state.theta - log.rate,
+        np.diff(state.drift, axis=0),
+    ]
+    jacobian = [v.reshape(-1, size) for v in (force, rate, step[1:])]
+    return (
+        np.concatenate([*jacobian, known]),
+        np.concatenate([*(v.ravel() for v in residual), own]),
+    )
+
+
+def _at_rest(log: TurnLog, state: State, laws: Laws | None) -> Array:
+    """(N, 3, m) the laws' columns at the rests, where nothing turns."""
+    if laws is None or not state.theta.size:
+        return np.zeros((log.rests, 3, 0))
+    return laws(np.zeros((log.rests, 3)), state.up, log.time)
+
+
+def variances(log: TurnLog, noise: TurnNoise, prior: Array) -> Array:
+    """(R,) of every row of a linearised problem; prior : (m,) sd of θ."""
+    turns = _of_turns(log, noise)
+    apart = np.where(log.linked, np.diff(log.time), np.inf)
+    return np.concatenate(
+        [
+            np.repeat(turns, 2),
+            np.repeat(log.force_sd**2 + noise.force**2, 3),
+            (log.rate_sd**2).ravel(),
+            (apart[:, None] * noise.walk**2).ravel(),
+            np.repeat([_BIAS, _SCALE, _CROSS, _SCALE, _CROSS, _CROSS, _SCALE, _GAIN],
+                      [3, 1, 1, 1, 1, 1, 1, 9]) ** 2,
+            prior**2,
+        ]
+    )  # fmt: skip
+
+
+def _of_turns(log: TurnLog, noise: TurnNoise) -> Array:
+    """(T,) rad²."""
+    span, noisy, path = log.spans
+    walk = float(np.mean(noise.walk**2)) * span**3 / 12.0
+    return np.asarray(log.white**2 * noisy + walk + noise.floor**2 + (noise.per_angle * path) ** 2)
+
+
+def _squares(rows: Rows, residual: Array, covariance: Array) -> Array:
+    """(T,) expected square of what a turn is off, over its two numbers: that of its residual, and
+    what the unknowns may still move it (the E step of Dempster, Laird and Rubin 1977). Directions
+    of rests follow a turn, so that residuals alone are too small."""
+    own = 2 * rows.turns
+    square = residual[:own] ** 2
+    if covariance.size:
+        jacobian = rows.jacobian[:own]
+        square = square + np.sum((jacobian @ covariance) * jacobian, axis=1)
+    return np.asarray(square.reshape(-1, 2).sum(axis=1))
+
+
+def _weights(square: Array, variance: Array) -> Array:
+    """(T,) of Student's distribution, over a turn's two numbers together."""
+    return np.asarray((_NU + 2.0) / (_NU + square / variance))
+
+
+def _solved(rows: Rows, variance: Array, weight: Array) -> tuple[Array, Array]:
+    """The step and its covariance."""
+    inverse = 1.0 / variance
+    inverse[: 2 * rows.turns] *= np.repeat(weight, 2)
+    weighted = rows.jacobian * inverse[:, None]
+    normal = rows.jacobian.T @ weighted
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
+    return -covariance @ (weighted.T @ rows.residual), covariance
+
+
+def _moved(state: State, step: Array) -> State:
+    m, n = state.theta.size, len(state.up)
+    lower = state.lower.copy()
+    for (i, j), more in zip(LOWER, step[3:9], strict=True):
+        lower[i, j] += more
+    parts = np.split(step[9:], np.cumsum([9, m, 3 * n]))
+    up = state.up + np.einsum("nij,nj->ni", tangents(state.up), parts[3].reshape(n, 2))
+    return State(
+        bias=state.bias + step[:3],
+        lower=lower,
+        gain=state.gain + parts[0].reshape(3, 3),
+        theta=state.theta + parts[1],
+        drift=state.drift + parts[2].reshape(n, 3),
+        up=up / np.linalg.norm(up, axis=1)[:, None],
+    )
+
+
+def _estimated(
+    log: TurnLog, state: State, laws: Laws | None, rows: Rows, prior: Array, weight: Array
+) -> TurnNoise:
+    """Walk and the rests' scatter by their moments; the floor as the mean of its square under the
+    restricted likelihood of all rows, its logarithm flat on a grid that begins with none."""
+    noise = TurnNoise(0.0, PER_ANGLE, _walk(log, state, laws), _scatter(log, state))
+    variance, own = variances(log, noise, prior), 2 * rows.turns
+    whole = np.column_stack([rows.jacobian, rows.residual])
+    rest = whole[own:].T @ (whole[own:] / variance[own:, None])
+    weights, logs = np.repeat(weight, 2), list[float]()
+    scale = np.ones(len(rest))
+    for floor in _FLOORS:
+        v = variance[:own] + floor**2
+        every = rest + whole[:own].T @ (whole[:own] * (weights / v)[:, None])
+        if not logs:
+            scale = 1.0 / np.sqrt(np.maximum(np.diag(every), 1e-300))
+        root = np.linalg.cholesky(every * scale[:, None] * scale + 1e-12 * np.eye(len(every)))
+        power = float((root[-1, -1] / scale[-1]) ** 2)
+        logs.append(
+            -0.5 * (float(np.log(v[weights > 0.0]).sum()) + power)
+            - float(np.log(np.diag(root)[:-1]).sum())
+        )
+    likely = np.exp(np.array(logs) - max(logs))
+    return replace(noise, floor=float(np.sqrt(likely @ _FLOORS**2 / likely.sum())))
+
+
+def _walk(log: TurnLog, state: State, laws: Laws | None) -> Array:
+    """(3,) of the differences of neighbouring rests' means, their own noise taken off; of it a part
+    is always left, for a median of few may be anything."""
+    if not log.linked.any():
+        return np.full(3, 1e-9)
+    own = log.rate - _at_rest(log, state, laws) @ state.theta
+    change = np.diff(own, axis=0)[log.linked] ** 2
+    noise = (log.rate_sd[1:] ** 2 + log.rate_sd[:-1] ** 2)[log.linked]
+    apart = np.diff(log.time)[log.linked][:, None]
+    more = np.median(np.maximum(change / _NORMAL - noise, 0.0) / apart, axis=0)
+    return np.asarray(np.sqrt(np.maximum(more, 0.09 * np.median(noise / apart, axis=0))))
+
+
+def _scatter(log: TurnLog, state: State) -> float:
+    """g, of the norms of the rests beside what their samples say."""
+    off = 1.0 - np.linalg.norm(state.force(log.force), axis=1)
+    whole = float(np.sum(off**2)) / max(log.rests - ACCELEROMETER, 1)
+    return float(np.sqrt(max(whole - float(np.mean(log.force_sd**2)), 1e-14)))
+
+
+def carried_error(fit: TurnFit, at: Index) -> Array:
+    """(k,) rad: gravity of the rest before a turn, carried by the rate, against the rest after,
+    both as the accelerometer reads them.
+
+    at : turns, of which none need have taken part in the fit
+    """
+    log, state = fit.log, fit.state
+    force = state.force(log.force)
+    found = []
+    for i in at:
+        turn = log.turns[i]
+        seen, _ = moved_by(log, state.drift, turn)
+        rate, _ = exposed(state, seen, state.force(turn.force), turn, fit.laws)
+        whole = attitudes(turn.t, rate @ state.gain.T)[-1]
+        found.append(float(between(whole.T @ force[turn.rest], force[turn.rest + 1])))
+    return np.array(found)

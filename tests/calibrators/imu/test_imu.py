@@ -1,0 +1,225 @@
+"""`imucal imu` on logs whose truth is known, measured logs, and logs that are no good."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from ruamel.yaml import YAML
+
+from imucalib import cli
+from imucalib.calibration.file import read as read_calibration
+from imucalib.calibration.gyroscope import gyroscope_of
+from imucalib.errors import ImucalError
+from imucalib.readers import read
+from imucalib.recording.recording import Channel, Recording
+from imucalib.writers import write
+from worlds.places import MEASURED
+from worlds.turned_imu import G0, Log, chip, plan, turned
+
+MPU = ("--rate", "100", "--acc", "1,2,3", "--gyro", "4,5,6", "--unit", "m/s2", "--gyro-unit",
+       "rad/s")  # fmt: skip
+
+
+def run(*arguments: object) -> Result:
+    result = CliRunner().invoke(cli.cli, [str(a) for a in arguments], standalone_mode=False)
+    if isinstance(result.exception, ImucalError):
+        result.return_value = result.exception.exit_code
+    return result
+
+
+def report(*arguments: object) -> dict:  # type: ignore[type-arg]
+    result = run("imu", *arguments, "--json", "-q")
+    assert result.exception is None, result.exception
+    return json.loads(result.stdout)  # type: ignore[no-any-return]
+
+
+def made(path: Path, seed: int = 1, **options: object) -> tuple[Log, Path]:
+    rng = np.random.default_rng(seed)
+    log = turned(chip(rng), rng, **options)  # type: ignore[arg-type]
+    return log, log.write(path)
+
+
+@pytest.mark.parametrize(("name", "mark"), [("imu0.log.gz", 0.10), ("imu1.log.gz", 0.11)])
+def test_measured_logs_turned_by_hand(name: str, mark: float) -> None:
+    content = report(MEASURED / name, *MPU)
+    error = content["loop"]["errors"][0]
+    assert error["unit"] == "deg"
+    assert error["held_out"]["final"] < mark < 0.3 < error["held_out"]["raw"]
+    assert not any(step["certain"] for step in content["loop"]["steps"])
+    assert content["exit_code"] == 0
+
+
+def test_sensitivity_to_force_is_named_and_undone(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    planted = np.radians(0.15) * rng.normal(size=(3, 3))
+    log = turned(chip(rng, by_force=planted), rng, rests=20)
+    path = log.write(tmp_path / "turns.csv")
+    result = run("imu", path, "-o", tmp_path / "out", "-q", "--json")
+    content = json.loads(result.stdout)
+    step = content["loop"]["steps"][0]
+    assert (step["effect"], step["certain"]) == ("gyro_g_sensitivity", True)
+    held = content["loop"]["errors"][0]["held_out"]
+    assert held["final"] < 0.5 * held["base"]
+    target = tmp_path / "corrected.h5"
+    assert (
+        run("apply", tmp_path / "out/calibration.yaml", path, "-o", target, "-q").exception is None
+    )
+    corrected, before = read(target), read(path)
+    name = "imu0/angular_rate"
+    # What turns gravity is the truth's own: du/dt = -ω x u, where it is fast.
+    slope = np.gradient(log.up, log.t, axis=0)
+    off = [
+        np.sqrt(np.mean((slope + np.cross(r.channels[name].values, log.up)) ** 2))
+        for r in (before, corrected)
+    ]
+    assert off[1] < 0.2 * off[0]
+
+
+def test_exports_say_what_the_sensor_reads(tmp_path: Path) -> None:
+    """Kalibr's and OpenVINS' equations, by hand, against the calibration's own inverse."""
+    rng = np.random.default_rng(4)
+    log = turned(chip(rng, by_force=np.radians(0.15) * rng.normal(size=(3, 3))), rng, rests=20)
+    path, out = log.write(tmp_path / "turns.csv"), tmp_path / "out"
+    run("imu", path, "-o", out, "-q")
+    gyro = gyroscope_of(read_calibration(out / "calibration.yaml"))
+    assert gyro is not None
+    assert gyro.by_force.any()
+    rate, force = rng.normal(size=3), 9.8 * rng.normal(size=3)
+    reading = np.linalg.inv(gyro.gain) @ rate + gyro.by_force @ force + gyro.bias
+    np.testing.assert_allclose(gyro.rate(reading[None], force[None])[0], rate, atol=1e-12)
+    yaml = YAML(typ="safe", pure=True)
+    text = run("export", out / "calibration.yaml", "--to", "kalibr", "-q", "--force").stdout
+    (block,) = yaml.load(text).values()
+    g, turn = block["gyroscopes"], np.array(block["gyroscopes"]["C_gyro_i"])
+    own = np.array(g["M"]) @ turn @ rate + np.array(g["A"]) @ turn @ force
+    np.testing.assert_allclose(own, reading - gyro.bias, atol=1e-9)
+    np.testing.assert_allclose(np.triu(g["M"], 1), 0.0, atol=1e-12)
+    text = run("export", out / "calibration.yaml", "--to", "openvins", "-q", "--force").stdout
+    (block,) = yaml.load(text.partition("\n")[2]).values()
+    turn = np.array(block["R_IMUtoGYRO"])
+    back = (
+        turn.T @ np.linalg.inv(block["Tw"]) @ (reading - gyro.bias - np.array(block["Tg"]) @ force)
+    )
+    np.testing.assert_allclose(back, rate, atol=1e-9)
+
+
+AXES = {"y,x,z": (1, 0, 2, 1, 1, 1), "-x,y,z": (0, 1, 2, -1, 1, 1), "y,-x,z": (1, 0, 2, 1, -1, 1)}
+
+
+@pytest.mark.parametrize("line", AXES)
+def test_wrong_axes_are_refused_with_the_line_that_undoes_them(line: str, tmp_path: Path) -> None:
+    log, _ = made(tmp_path / "right.csv")
+    order, sign = np.array(AXES[line][:3]), np.array(AXES[line][3:])
+    wrong = np.empty_like(log.rate)
+    wrong[:, order] = log.rate * sign
+    path = Log(log.t, log.force, log.t_gyro, wrong, log.up).write(tmp_path / "wrong.csv")
+    result = run("imu", path, "-q")
+    assert result.return_value == 3
+    assert str(result.exception).endswith(f"--gyro-axes={line}")
+    assert run("imu", path, "-q", "--no-loop", f"--gyro-axes={line}").return_value == 0
+
+
+def test_a_rate_in_deg_is_refused_with_its_unit(tmp_path: Path) -> None:
+    log, _ = made(tmp_path / "right.csv")
+    path = log.write(tmp_path / "deg.csv", rate_unit=np.degrees(1.0))
+    result = run("imu", path, "-q")
+    assert result.return_value == 3
+    assert "--gyro-unit deg/s" in str(result.exception)
+
+
+def test_counts_and_no_gyroscope(tmp_path: Path) -> None:
+    log, _ = made(tmp_path / "right.csv")
+    header = "time (s),ax (m/s2),ay (m/s2),az (m/s2),gx,gy,gz"
+    path = log.write(tmp_path / "counts.csv", rate_unit=7506.0, header=header)
+    result = run("imu", path, "-q")
+    assert result.return_value == 3
+    assert "--gyro-lsb" in str(result.exception)
+    bare = tmp_path / "bare.csv"
+    table = np.column_stack([log.t, G0 * log.force])
+    np.savetxt(bare, table, delimiter=",", header=header[:41], comments="")
+    result = run("imu", bare, "-q")
+    assert result.return_value == 2
+    assert "no gyroscope" in str(result.exception)
+
+
+def test_turns_about_the_vertical_show_nothing(tmp_path: Path) -> None:
+    """The sensor lies flat and is turned about z, over and over."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 60.0, 0.01)
+    inside = t % 4.0 < 2.0
+    rate = np.zeros((t.size, 3))
+    rate[~inside, 2] = 2.0 * np.sin(np.pi * (t[~inside] % 4.0 - 2.0) / 2.0) ** 2
+    rate += 1e-3 * rng.normal(size=rate.shape)
+    force = np.tile([0.0, 0.0, 1.0], (t.size, 1)) + 3e-3 * rng.normal(size=rate.shape)
+    path = Log(t, force, t, rate, force).write(tmp_path / "flat.csv")
+    result = run("imu", path, "-q")
+    assert result.return_value == 4
+    assert "about the vertical" in str(result.exception)
+    assert "design" in str(result.exception)
+
+
+def test_clipped_turns_and_gaps_are_left_out_and_counted(tmp_path: Path) -> None:
+    log, _ = made(tmp_path / "right.csv", rests=16)
+    top = 0.93 * np.abs(log.rate).max()
+    kept = np.ones(len(log.t), bool)
+    fast = np.flatnonzero(np.linalg.norm(log.rate, axis=1) > 1.0)
+    lost = fast[len(fast) // 3]
+    kept[lost : lost + 30] = False
+    parts = (log.t, log.force, log.t, np.clip(log.rate, -top, top), log.up)
+    path = Log(*(v[kept] for v in parts)).write(tmp_path / "worse.csv")
+    content = report(path, "--no-loop")
+    left = content["imu"]["turns_left_out"]
+    assert any("clipped" in words for words in left)
+    assert any("gap" in words or "missing" in words for words in left)
+    assert content["imu"]["turns"] + len(left) == content["imu"]["rests"] - 1
+    assert any("turns were left out" in note for note in content["notes"])
+
+
+def test_sensors_at_rates_of_their_own(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    log = turned(chip(rng), rng, rate=100.0, gyro_rate=400.0)
+    channels = {
+        "imu0/acceleration": Channel(log.t, G0 * log.force, "m/s2", "acceleration", "imu0", 100.0),
+        "imu0/angular_rate": Channel(log.t_gyro, log.rate, "rad/s", "angular_rate", "imu0", 400.0),
+    }
+    path = tmp_path / "apart.h5"
+    write(Recording(channels, "apart", "hdf5", ""), path)
+    content = report(path, "--no-loop")
+    assert content["loop"]["errors"][0]["held_out"]["final"] < 0.2
+    late = Channel(log.t_gyro + 500.0, log.rate, "rad/s", "angular_rate", "imu0", 400.0)
+    write(Recording({**channels, "imu0/angular_rate": late}, "late", "hdf5", ""), tmp_path / "l.h5")
+    assert run("imu", tmp_path / "l.h5", "-q").return_value in (3, 4)
+
+
+def test_a_plan_of_135_deg_and_two_logs_together(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    own = chip(rng)
+    paths = [
+        turned(own, rng, rests=19, plan=plan(19)).write(tmp_path / f"{k}.csv") for k in range(2)
+    ]
+    one, both = report(paths[0], "--no-loop"), report(*paths, "--no-loop")
+    assert both["imu"]["turns"] == 36
+    sd = [
+        np.mean([p["sd"] for p in r["parameters"] if p["effect"] == "gyro_gain"])
+        for r in (one, both)
+    ]
+    assert sd[0] < 1.5e-3
+    assert sd[1] < 0.9 * sd[0]
+    values = [p["value"] for p in both["parameters"] if p["effect"] == "gyro_gain"]
+    sds = [p["sd"] for p in both["parameters"] if p["effect"] == "gyro_gain"]
+    assert np.abs((np.array(values) - np.linalg.inv(own.M).ravel()) / sds).max() < 4.0
+
+
+def test_a_later_log_is_checked_and_calibrations_are_compared(tmp_path: Path) -> None:
+    rng = np.random.default_rng(9)
+    own = chip(rng)
+    paths = [turned(own, rng, rests=16).write(tmp_path / f"{k}.csv") for k in range(2)]
+    for k, path in enumerate(paths):
+        assert run("imu", path, "-o", tmp_path / f"out{k}", "-q", "--no-loop").return_value == 0
+    made_of = [tmp_path / f"out{k}/calibration.yaml" for k in range(2)]
+    assert run("check", made_of[0], paths[1], "-q").exception is None
+    assert run("compare", *made_of, "-q").exception is None
