@@ -1,7 +1,5 @@
 """An inspection tells what is in a recording, in one pass, also when something is missing."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -43,18 +41,6 @@ def recording(unit: str = "m/s2") -> Recording:
     )
 
 
-def test_a_gap_of_several_sensors_counts_once_in_the_time_that_is_missing() -> None:
-    gaps = [
-        Gap(3.0, 7.0, "imu0"),
-        Gap(3.5, 6.0, "imu1"),
-        Gap(6.5, 8.0, "imu2"),
-        Gap(9.0, 9.5, "imu0"),
-    ]
-    found = inspect_recording([replace(recording(), gaps=tuple(gaps))])
-    assert found.gap_count == 4
-    assert found.gap_seconds == pytest.approx(5.5)
-
-
 def test_facts() -> None:
     found = inspect_recording([recording()])
     acc, gyro = found.channels
@@ -78,19 +64,6 @@ def test_facts() -> None:
     assert found.candidates[0][0] == "imu0/acceleration"
     assert found.notes[0] == "a note"
     assert found.mapping == {"acc": ["x"]}
-
-
-def test_counts_are_no_candidate_to_trust() -> None:
-    assert "no scale" in inspect_recording([recording("counts")]).candidates[0][1]
-
-
-def test_without_acceleration_the_reason_is_told() -> None:
-    whole = recording()
-    gyro = {"imu0/angular_rate": whole.channels["imu0/angular_rate"]}
-    found = inspect_recording([Recording(gyro, "f", "made", "")])
-    assert found.still is None
-    assert "no acceleration" in found.why_not_still
-    assert found.channels[0].samples == 2400
 
 
 def test_too_short_is_told_with_all_samples_counted() -> None:

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
@@ -53,15 +51,6 @@ def test_it_is_that_of_allantools() -> None:
         # Beyond 64 samples the overlap goes in steps of 1/64.
         assert deviation == pytest.approx(golden[int(tau)], rel=1e-12 if tau <= 64 else 0.01)
     assert found.deviation[0] == pytest.approx(2.922319e-01, abs=5e-8)  # NIST SP 1065, table 31
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(20, 300), st.integers(1, 9), st.integers(0, 2**32))
-def test_blocks_make_no_difference(count: int, pieces: int, seed: int) -> None:
-    values = 5.0 + np.random.default_rng(seed).normal(size=count)
-    found = curve(values, pieces=pieces)
-    for m, variance in zip((1, 2, 4), found.variance, strict=False):
-        assert variance == pytest.approx(by_definition(values, m), rel=1e-9)
 
 
 def test_stretches_add_their_squares() -> None:
@@ -185,11 +174,3 @@ def test_inspect_tells_it_from_the_rests(night: Path, tmp_path: Path) -> None:
     assert kalibr["update_rate"] == pytest.approx(HZ)
     assert "accelerometer_random_walk" not in kalibr
     assert "accelerometer_random_walk" in target.read_text().splitlines()[1]  # said, not guessed
-
-
-def test_inspect_shows_a_table(night: Path) -> None:
-    arguments = ["inspect", str(night), "--noise"]
-    shown = CliRunner().invoke(cli.cli, arguments, standalone_mode=False).stdout
-    assert "white, µg/√Hz" in shown
-    assert "imu0 z" in shown
-    assert "<" in shown

@@ -166,33 +166,6 @@ CLOCKS: dict[str, tuple[np.ndarray, dict[str, object], int | None]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("form", CLOCKS)
-def test_hdf5_reads_a_clock_by_its_own_attributes(form: str, tmp_path: Path) -> None:
-    stamps, attributes, start = CLOCKS[form]
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["acceleration"] = si("acceleration")
-        file["time"] = stamps
-        file["time"].attrs.update(attributes)
-    found = readers.read(tmp_path / "a.h5", FieldMapping(acc_unit="m/s2"))
-    channel = found.channels["imu0/acceleration"]
-    np.testing.assert_allclose(channel.t, T, atol=1e-6)
-    assert found.start_ns == (start if start is None else pytest.approx(start, abs=1e4))
-
-
-def test_two_clocks_of_one_file_have_one_zero(tmp_path: Path) -> None:
-    start = 1_700_000_000.0
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for name, at, scale, unit in (("acceleration", 0.0, 1e9, "ns"), ("gyro", 2.5, 1e3, "ms")):
-            group = file.create_group(f"imu0/{name}")
-            group["values"] = si("acceleration" if name == "acceleration" else "angular_rate")
-            group["time"] = np.rint((T + start + at) * scale).astype(np.int64)
-            group["time"].attrs["units"] = unit
-    found = readers.read(tmp_path / "a.h5", FieldMapping(acc_unit="m/s2", gyro_unit="rad/s"))
-    assert found.start_ns == int(start * 1e9)
-    one, two = (found.channels[f"imu0/{q}"] for q in ("acceleration", "angular_rate"))
-    np.testing.assert_allclose([one.t[0], two.t[0]], [0.0, 2.5], atol=1e-6)
-
-
 def test_a_unit_of_time_that_is_not_known_is_refused(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["acceleration"] = si("acceleration")

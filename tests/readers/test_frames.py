@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from imucalib import readers
-from imucalib.errors import UnreadableInput
 from imucalib.readers.joining import join
 from imucalib.recording.pairing import channel_names, paired
 from worlds.bag_logs import ros1_bag, ros2_bag
@@ -63,13 +62,3 @@ def test_a_frame_is_paired_as_a_topic_is(name: str, tmp_path: Path) -> None:
             assert paired(wanted, recording, "the board").partner == {"imu0": 1, "imu1": 0}
         # What a calibration keeps is the topic: only that is one in every file.
         assert channel_names(recording) == dict(zip(("imu0", "imu1"), TOPICS, strict=True))
-
-
-@pytest.mark.parametrize("name", WRITE)
-@pytest.mark.parametrize("frame", ["", "base_link"])
-def test_a_frame_that_all_have_names_none(name: str, frame: str, tmp_path: Path) -> None:
-    recording = readers.read(WRITE[name](tmp_path, _logged((frame, frame))))
-    found = paired([("base_link",), ("other",)], recording, "the board")
-    assert "no name of the board fits" in found.notes[0]
-    with pytest.raises(UnreadableInput, match="no name fits"):
-        paired([("base_link",)], recording, "the calibration")

@@ -75,11 +75,6 @@ def same(one: Recording, two: Recording) -> None:
         )
 
 
-def test_every_writer_has_a_reader() -> None:
-    assert {w.name for w in writers.writers()} <= {r.name for r in readers.readers()}
-    assert {"csv", "hdf5"} <= {r.name for r, _ in PAIRS}
-
-
 @BY_FORMAT
 def test_what_was_written_is_read_back(pair: Pair, tmp_path: Path) -> None:
     example = written(pair, tmp_path, 700)

@@ -16,14 +16,12 @@ from mcap_ros2.decoder import DecoderFactory
 
 from imucalib import units
 from imucalib.errors import UnreadableInput, UsageError
-from imucalib.readers import blocks, read, reader_for
-from imucalib.readers.joining import join
+from imucalib.readers import blocks, read
 from imucalib.recording.mapping import FieldMapping, from_dict
 from imucalib.recording.recording import Recording
 from worlds.mcap_logs import (
     HEADER_ROS2,
     IMU_ROS1,
-    IMU_ROS2,
     SEPARATOR,
     START,
     Reading,
@@ -110,12 +108,6 @@ def test_every_plain_cdr(tmp_path: Path, order: str, version: int, frame: str) -
         assert_equals_official(recording, tmp_path / "a.mcap", ["/imu"])
 
 
-def test_cdr_that_is_not_plain_is_named(tmp_path: Path) -> None:
-    logs = {"/imu": [(t, b"\0\x0b" + p[2:]) for t, p in packed(readings(5), cdr)]}
-    with pytest.raises(UnreadableInput, match=r"/imu: 5 x.*the CDR encapsulation 000b"):
-        read(write_log(tmp_path / "a.mcap", logs))
-
-
 @pytest.mark.slow
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
@@ -167,36 +159,6 @@ def test_split_topics_become_one_triad(tmp_path: Path) -> None:
     assert recording.mapping["gyro"] == ["/camera/gyro/sample:angular_velocity"]
 
 
-def test_topics_sort_naturally(tmp_path: Path) -> None:
-    logs = {f"/imu{i}": packed(readings(20, seed=i), cdr) for i in (10, 2, 1)}
-    recording = read(write_log(tmp_path / "a.mcap", logs))
-    assert recording.mapping["acc"] == [f"/imu{i}:linear_acceleration" for i in (1, 2, 10)]
-
-
-def test_no_imu_lists_every_topic(tmp_path: Path) -> None:
-    logs = {"/chatter": [(START + i, b"\0\1\0\0\1\0\0\0\0") for i in range(3)]}
-    schema = ("std_msgs/msg/String", "ros2msg", b"string data")
-    with pytest.raises(UnreadableInput, match=r"/chatter: 3 x, std_msgs/msg/String \(cdr\)"):
-        read(write_log(tmp_path / "a.mcap", logs, schema=schema))
-
-
-def test_blocks_join_to_the_whole(tmp_path: Path) -> None:
-    logs = {f"/imu{i}": packed(readings(3000, seed=i, rate=500.0 + i), cdr) for i in range(2)}
-    del logs["/imu1"][1000:1040]
-    logs["/imu0"][500], logs["/imu0"][503] = logs["/imu0"][503], logs["/imu0"][500]
-    logs["/imu0"] = [(START + i, p) for i, (_, p) in enumerate(logs["/imu0"])]
-    path = write_log(tmp_path / "a.mcap", logs)
-    whole = read(path)
-    pieces = list(blocks(path, block_samples=400))
-    assert len(pieces) > 3
-    assert_same(join(pieces, "x"), whole)
-    assert join(pieces, "x").gaps == whole.gaps
-    assert join(pieces, "x").notes == whole.notes
-    assert (np.diff(whole.channels["imu0/acceleration"].t) > 0).all()
-    assert any("steps back in time" in note for note in whole.notes)
-    assert len(whole.gaps) == 1
-
-
 # -- clocks -----------------------------------------------------------------------------------
 
 
@@ -216,31 +178,6 @@ def test_useless_stamps_fall_back_to_log_time(tmp_path: Path, stamp: int) -> Non
     assert recording.channels["imu0/acceleration"].rate == pytest.approx(200.0)
     assert recording.start_ns == START
     assert any("time from log_time: the stamp" in note for note in recording.notes)
-
-
-def test_a_clock_that_jumps_falls_back_to_log_time(tmp_path: Path) -> None:
-    logs = [START + i * 5_000_000 for i in range(100)]
-    stamps = [log - (60 * 10**9 if i >= 50 else 0) for i, log in enumerate(logs)]
-    recording = timed(tmp_path / "a.mcap", stamps, logs)
-    assert recording.start_ns == START
-    assert any("jumps back by up to 59.995 s" in note for note in recording.notes)
-
-
-def test_boot_clock_has_no_date(tmp_path: Path) -> None:
-    stamps = [5 * 10**9 + i * 5_000_000 for i in range(100)]
-    recording = timed(tmp_path / "a.mcap", stamps, [START + i * 5_000_000 for i in range(100)])
-    assert recording.start_ns is None
-    assert recording.channels["imu0/acceleration"].t[0] == 0.0
-
-
-def test_repeats_and_gaps_are_counted(tmp_path: Path) -> None:
-    stamps = [START + i * 10_000_000 for i in range(300) if not 100 <= i < 150]
-    stamps[20] = stamps[19]
-    recording = timed(tmp_path / "a.mcap", stamps, [s + 7 for s in stamps])
-    assert any("1 times are equal to the one before" in note for note in recording.notes)
-    gap = next(g for g in recording.gaps if g.stop - g.start > 0.1)
-    assert (gap.start, gap.stop) == (pytest.approx(0.99), pytest.approx(1.5))
-    assert np.unique(np.diff(recording.channels["imu0/acceleration"].t)).size > 2
 
 
 def batched(stamps: list[int], each: int) -> list[int]:
@@ -264,12 +201,6 @@ def test_samples_that_share_a_stamp_are_spread_to_the_next(tmp_path: Path) -> No
     np.testing.assert_array_equal(joined, channel.t)
 
 
-def test_one_time_for_all_samples_asks_for_the_rate(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableInput, match=r"all 100 samples have one time.*--rate"):
-        timed(tmp_path / "a.mcap", [START] * 100, [START] * 100)
-    read(tmp_path / "a.mcap", FieldMapping(rate=100.0))
-
-
 def test_stamps_of_two_epochs_are_told_as_such(tmp_path: Path) -> None:
     rows, pairs = readings(100), {}
     for name, epoch in (("accel", 0), ("gyro", 10**9 * 7200)):
@@ -284,13 +215,6 @@ def test_stamps_of_two_epochs_are_told_as_such(tmp_path: Path) -> None:
 def _half(reading: Reading, name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
     zero = (0.0, 0.0, 0.0)
     return (reading.acc, zero) if name == "accel" else (zero, reading.gyro)
-
-
-def test_log_time_and_rate_on_request(tmp_path: Path) -> None:
-    path = imu_log(tmp_path / "a.mcap", 100)
-    assert read(path, FieldMapping(time="log_time")).start_ns == START + 1000
-    t = read(path, FieldMapping(rate=50.0)).channels["imu0/acceleration"].t
-    assert np.allclose(t, np.arange(100) / 50.0, atol=1e-9)
 
 
 # -- field paths ------------------------------------------------------------------------------
@@ -360,17 +284,6 @@ def test_many_triads_in_one_message_and_mapping_reads_again(tmp_path: Path) -> N
     assert_same(read(path, from_dict(recording.mapping)), recording)
 
 
-def test_resolved_mapping_reads_the_same(tmp_path: Path) -> None:
-    logs = {f"/imu{i}": packed(readings(300, seed=i), cdr) for i in range(3)}
-    path = write_log(tmp_path / "a.mcap", logs)
-    recording = read(path)
-    assert_same(read(path, from_dict(recording.mapping)), recording)
-    only = read(path, FieldMapping(acc=("/imu2",)))
-    assert same_bits(
-        only.channels["imu0/angular_rate"].values, recording.channels["imu2/angular_rate"].values
-    )
-
-
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [
@@ -396,38 +309,6 @@ def test_bad_json_messages_are_counted(tmp_path: Path) -> None:
     assert any("3 messages cannot be decoded" in note for note in recording.notes)
     with pytest.raises(UnreadableInput, match="/imu"):
         read(path, strict=True)
-
-
-def test_wrong_length_messages_are_counted(tmp_path: Path) -> None:
-    pairs = packed(readings(200), cdr)
-    pairs[50] = (pairs[50][0], pairs[50][1][:-8])
-    pairs[60] = (pairs[60][0], b"")
-    pairs[70] = (pairs[70][0], pairs[70][1] + b"\0" * 8)
-    recording = read(write_log(tmp_path / "a.mcap", {"/imu": pairs}))
-    kept = [r for i, r in enumerate(readings(200)) if i not in (50, 60, 70)]
-    assert same_bits(recording.channels["imu0/acceleration"].values, values(kept, "acc"))
-    assert any("3 messages cannot be decoded" in note for note in recording.notes)
-
-
-def test_px4_names_state_their_units(tmp_path: Path) -> None:
-    text = (
-        "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 dt\nfloat32[3] accelerometer_m_s2\nuint8 n\n"
-    )
-    dtype = np.dtype(
-        [("e", "V4"), ("t", "<u8"), ("g", "<f4", 3), ("d", "<u4"), ("a", "<f4", 3), ("n", "u1")]
-    )
-    rows = readings(300, rate=250.0)
-    data = np.zeros(300, dtype=dtype)
-    data["e"] = np.void(b"\0\1\0\0")
-    data["t"] = [(r.ns - START) // 1000 + 9_000_000 for r in rows]
-    data["g"], data["a"] = values(rows, "gyro"), values(rows, "acc")
-    pairs = [(r.ns, row.tobytes()) for r, row in zip(rows, data, strict=True)]
-    schema = ("px4_msgs/msg/SensorCombined", "ros2msg", text.encode())
-    recording = read(write_log(tmp_path / "a.mcap", {"/fmu": pairs}, schema=schema))
-    channel = recording.channels["imu0/acceleration"]
-    assert (channel.unit, recording.channels["imu0/angular_rate"].unit) == ("m/s2", "rad/s")
-    assert same_bits(channel.values, data["a"].astype(np.float64))
-    assert channel.rate == pytest.approx(250.0)
 
 
 def test_sequences_and_nested_types(tmp_path: Path) -> None:
@@ -505,33 +386,3 @@ def test_protobuf_without_its_package_names_the_extra(
         read(path, FieldMapping(acc=("/imu",)))
     with pytest.raises(UnreadableInput, match="need the protobuf package"):
         read(path)
-
-
-def test_reader_recognises_only_its_magic(tmp_path: Path) -> None:
-    reader = reader_for(imu_log(tmp_path / "a.mcap", 5))
-    assert reader.name == "mcap"
-    assert not reader.recognises(tmp_path / "b", b"\x89HDF\r\n\x1a\n")
-
-
-def test_imu_schema_text_is_not_needed_for_the_official_layout() -> None:
-    from imucalib.readers.messages import layout as mcap_definition
-
-    own = mcap_definition.parse_definition("sensor_msgs/msg/Imu", mcap_definition.IMU_ROS2, False)
-    theirs = mcap_definition.parse_definition("sensor_msgs/msg/Imu", IMU_ROS2, False)
-    assert own.types == theirs.types
-
-
-def test_topics_of_one_type_with_different_fields(tmp_path: Path) -> None:
-    text = f"Sample[] samples\n{SEPARATOR}\nMSG: my/Sample\nfloat64[3] acc\n"
-    rows = readings(40)
-    logs = {}
-    for topic, count in (("/one", 1), ("/two", 2)):
-        head = b"\0\1\0\0" + count.to_bytes(4, "little") + bytes(4)
-        pairs = [(r.ns, head + np.array([r.acc] * count).tobytes()) for r in rows]
-        logs[topic] = pairs
-    schema = ("my/msg/Bundle", "ros2msg", text.encode())
-    path = write_log(tmp_path / "a.mcap", logs, schema=schema)
-    mapping = FieldMapping(acc=("/two:samples.1.acc", "/one:samples.0.acc"))
-    recording = read(path, mapping, strict=True)
-    for name in ("one", "two"):
-        assert same_bits(recording.channels[f"{name}/acceleration"].values, values(rows, "acc"))

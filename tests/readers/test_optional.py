@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -33,14 +32,6 @@ def count(found: readers.Recording) -> int:
     return found.channels["imu0/acceleration"].t.size
 
 
-@pytest.mark.parametrize("unit", ["?C", "\ufffdC", "ï¿½C", "Â°C", "ºC", "˚C", "\u2103"])
-def test_a_mangled_degree_sign_is_a_degree(unit: str, tmp_path: Path) -> None:
-    path = table(tmp_path / "a.csv", f"{HEADING},Temp. ({unit})", ",21.5")
-    channel = readers.read(path).channels["imu0/temperature"]
-    assert channel.unit == "degC"
-    assert set(channel.values.ravel()) == {21.5}
-
-
 def test_a_table_does_without_a_thermometer_and_gyroscope_of_unknown_units(tmp_path: Path) -> None:
     more = ",gyr_x (furlong/s),gyr_y (furlong/s),gyr_z (furlong/s),temperature (Rankine)"
     path = table(tmp_path / "a.csv", HEADING + more, ",0.1,0.2,0.3,531.7")
@@ -57,18 +48,6 @@ def test_a_table_does_without_a_thermometer_and_gyroscope_of_unknown_units(tmp_p
         readers.read(alone)
 
 
-def test_a_file_does_without_a_thermometer_of_an_unknown_unit(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["acceleration"] = acc()
-        file["acceleration"].attrs["units"] = "g"
-        file["temperature"] = np.full(ROWS, 531.7)
-        file["temperature"].attrs["units"] = "Rankine"
-        file["time"] = np.arange(ROWS) / 100.0
-    found = readers.read(tmp_path / "a.h5")
-    assert set(found.channels) == {"imu0/acceleration"}
-    assert any("temperature left out" in note for note in found.notes)
-
-
 def test_a_last_line_that_lacks_only_its_end_is_a_row(tmp_path: Path) -> None:
     whole = readers.read(table(tmp_path / "a.csv"))
     ended = readers.read(table(tmp_path / "b.csv", end=""))
@@ -81,19 +60,6 @@ def test_a_last_line_that_lacks_only_its_end_is_a_row(tmp_path: Path) -> None:
     found = readers.read(cut)
     assert count(found) == ROWS - 1
     assert any("may be cut" in note for note in found.notes)
-
-
-def test_zero_bytes_before_a_repeated_heading_cost_no_more_than_that_line(tmp_path: Path) -> None:
-    path = table(tmp_path / "a.csv")
-    lines = path.read_bytes().split(b"\n")
-    broken = b"\n".join([*lines[:200], bytes(40) + lines[0], *lines[200:]])
-    path.write_bytes(broken)
-    found = readers.read(path)
-    assert count(found) == ROWS
-    assert any("line 201" in note for note in found.notes)
-    path.write_bytes(b"\n".join([lines[0], bytes(8) + lines[0], *lines[1:]]))
-    found = readers.read(path)
-    assert count(found) == ROWS
 
 
 def test_a_unit_above_the_table_counts_where_no_heading_has_one(tmp_path: Path) -> None:

@@ -9,10 +9,8 @@ import pytest
 
 from imucalib import readers, writers
 from imucalib.readers import blocks, read
-from imucalib.readers.joining import in_parts, join
-from imucalib.recording.recording import Channel, Gap, Recording
-from worlds.mcap_logs import START, Reading, cdr, packed, readings, write_log
-from worlds.mcap_logs import values as axes
+from imucalib.readers.joining import join
+from imucalib.recording.recording import Channel, Recording
 
 RATE = 10.0
 
@@ -81,38 +79,6 @@ def test_every_format_keeps_the_order(suffix: str, tmp_path: Path) -> None:
     assert any("set back by 14.99 s" in note for note in found.notes)
 
 
-def test_stamps_out_of_order_are_no_parts(tmp_path: Path) -> None:
-    path, _ = autumn(tmp_path, back=0.25)
-    found = read(path)
-    assert not any("part of its own" in note for note in found.notes)
-    assert [g.reason for g in found.gaps] == ["time steps back"]
-
-
-@pytest.mark.parametrize("chunk", [2_000, 40_000, 10_000_000])
-def test_a_log_whose_clocks_were_both_set_back_keeps_its_order(chunk: int, tmp_path: Path) -> None:
-    rows = readings(2000, rate=100.0)
-    back = [Reading(r.ns - 15 * 10**9 * (k >= 1000), r.acc, r.gyro) for k, r in enumerate(rows)]
-    path = tmp_path / "a.mcap"
-    write_log(path, {"/imu": packed(back, cdr)}, chunk_size=chunk, in_order=False)
-    found = read(path)
-    acc = found.channels[
-        "imu/acceleration" if "imu/acceleration" in found.channels else "imu0/acceleration"
-    ]
-    np.testing.assert_array_equal(acc.values, axes(rows, "acc"))
-    np.testing.assert_allclose(np.diff(acc.t), 0.01, atol=1e-6)
-    assert [g.reason for g in found.gaps] == ["the clock was set back by 14.99 s"]
-    assert START - 5 * 10**9 - 1 <= (found.start_ns or 0) <= START
-
-
-def test_a_message_that_comes_late_is_put_in_order(tmp_path: Path) -> None:
-    rows = readings(2000, rate=100.0)
-    late = [*rows[:500], *rows[501:800], rows[500], *rows[800:]]
-    path = tmp_path / "a.mcap"
-    write_log(path, {"/imu": packed(late, cdr)}, in_order=False)
-    (acc,) = [c for name, c in read(path).channels.items() if name.endswith("acceleration")]
-    np.testing.assert_array_equal(acc.values, axes(rows, "acc"))
-
-
 @pytest.mark.parametrize("row", [0, 1, 2, 3, 500, 1998, 1999])
 @pytest.mark.parametrize("off", [-90.0, 90.0, 9e6])
 def test_one_wrong_stamp_sets_no_clock(row: int, off: float, tmp_path: Path) -> None:
@@ -131,17 +97,3 @@ def test_one_wrong_stamp_sets_no_clock(row: int, off: float, tmp_path: Path) -> 
         same = np.delete(np.arange(acc.t.size), row)
         np.testing.assert_allclose(acc.t[same], t[same], atol=1e-9)
         assert not any("part of its own" in note for note in found.notes)
-
-
-def test_a_clock_without_a_rate_is_parted_too() -> None:
-    """A damaged log whose stamps name one moment and then an earlier one: no time step tells a
-    rate, and the part still follows the one before."""
-    t = np.repeat([100.0, 3.0], 8)
-    channel = Channel(t, np.zeros((16, 3)), "m/s2", "acceleration", "imu0", 0.0)
-    back = Gap(100.0, 3.0, "back")
-    log = Recording({"imu0/acceleration": channel}, "a.mcap", "mcap", "", START, (back,))
-    found = next(in_parts(iter([log])))
-    moved = found.channels["imu0/acceleration"].t
-    assert np.all(np.diff(moved) >= 0.0)
-    assert moved[0] == 100.0
-    assert any("set back by 97 s" in note for note in found.notes)

@@ -65,13 +65,6 @@ def test_a_rate_that_no_sensor_has_is_refused(put: Put, step: float, tmp_path: P
 
 
 @FORMATS
-@pytest.mark.parametrize("step", [2e-5, 8.0])
-def test_a_rate_that_a_sensor_can_have_is_read(put: Put, step: float, tmp_path: Path) -> None:
-    found = readers.read(put(tmp_path, np.arange(ROWS) * step))
-    assert next(iter(found.channels.values())).rate == pytest.approx(1 / step, rel=1e-3)
-
-
-@FORMATS
 def test_samples_of_one_time_are_refused(put: Put, tmp_path: Path) -> None:
     path = put(tmp_path, np.full(ROWS, 7.0))
     with pytest.raises(UnreadableInput, match=r"--rate"):
@@ -134,15 +127,6 @@ def test_rows_are_selected_by_a_value(where: str, time: bool, tmp_path: Path) ->
     parts = list(readers.blocks(path, mapping, block_samples=30))
     values = np.concatenate([p.channels["imu0/acceleration"].values for p in parts])
     np.testing.assert_array_equal(values, acc()[ROWS // 2 :])
-
-
-def test_a_bad_row_among_the_selected_is_named_by_its_own_line(tmp_path: Path) -> None:
-    path = _two_tools(tmp_path, time=False)
-    lines = path.read_text().split("\n")
-    lines[301] = "B07,2.0,x,1,2"
-    path.write_text("\n".join(lines))
-    found = readers.read(path, FieldMapping(where=("serial=B07",), rate=100.0))
-    assert any("line 302, column 3: 'x' is not a number" in note for note in found.notes)
 
 
 def test_a_value_that_no_row_has_is_refused(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from imucalib import readers
 from imucalib.inspection.inspection import Inspection, inspect_recording, problems
 from imucalib.recording.mapping import FieldMapping
-from imucalib.rests.runs import scan
 from worlds.every_format import WRITE
 from worlds.places import DATA, MEASURED, SAMPLES
 from worlds.turned import turned
@@ -23,8 +22,6 @@ RATES = FieldMapping(gyro_unit="rad/s")
 WORDS = "repeat the one before to the last digit"
 #: Steps of a converter of 16 bits, a quarter of the noise of a sample and less.
 ACC_STEP, RATE_STEP = 0.0024, 0.00025
-#: Of `turned`: rests of 2 s begin every 4 s.
-THIRD_REST = slice(800, 1000)
 
 
 def _changed(change: Change | None = None, steps: float = 1.0) -> tuple[Array, Array, Array]:
@@ -81,18 +78,6 @@ def test_every_reader_tells_what_noise_does_not_do(
 
 
 @pytest.mark.parametrize("name", WRITE)
-@pytest.mark.parametrize("block", [500, 1 << 18])
-def test_no_block_is_without_its_channels(name: str, block: int, tmp_path: Path) -> None:
-    path = WRITE[name](tmp_path, *_changed(_hold))
-    whole = readers.read(path, RATES).channels
-    found = list(readers.blocks(path, RATES, block_samples=block))
-    assert all(one.channels for one in found)
-    for key, channel in whole.items():
-        joined = np.concatenate([b.channels[key].values for b in found if key in b.channels])
-        np.testing.assert_array_equal(joined, channel.values)
-
-
-@pytest.mark.parametrize("name", WRITE)
 @pytest.mark.parametrize("change", [None, _dead_zone, _offset_zone])
 def test_no_reader_tells_what_a_sound_sensor_does(
     name: str, change: Change | None, tmp_path: Path
@@ -115,21 +100,6 @@ def test_what_is_held_is_no_rest(change: Change, tmp_path: Path) -> None:
         assert found is not None
         assert found.n == 8
         assert not ((found.start < 9.9) & (found.stop > 8.1)).any()
-
-
-def test_what_is_held_shortly_is_no_sample_of_noise(tmp_path: Path) -> None:
-    sound = _inspected(WRITE["hdf5"](tmp_path, *_changed())).still
-    held = _inspected(WRITE["hdf5"](tmp_path, *_changed(_hold_shortly))).still
-    assert sound is not None
-    assert held is not None
-    np.testing.assert_allclose(held.noise, sound.noise, rtol=0.1)
-
-
-def test_no_window_of_a_worn_sensor_is_held(tmp_path: Path) -> None:
-    path = WRITE["hdf5"](tmp_path, *_changed(_hold))
-    windows = scan(readers.blocks(path, RATES), 1.0).windows
-    assert windows.start.size
-    assert not ((windows.start < 9.9) & (windows.stop > 8.1)).any()
 
 
 def test_a_gyroscope_that_is_dead_hides_no_rest_and_is_told(tmp_path: Path) -> None:
@@ -175,17 +145,3 @@ def test_no_measured_log_is_refused_or_told(path: Path) -> None:
     for block in readers.blocks(path, SOUND[path]):
         assert not [note for note in block.notes if WORDS in note]
         assert not block.held
-
-
-@pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.5])
-@pytest.mark.parametrize("shaken", [0.0, 2.0, 20.0])
-def test_a_coarse_converter_that_is_shaken_between_rests_repeats_honestly(
-    share: float, shaken: float, tmp_path: Path
-) -> None:
-    """share : of the noise in a step; shaken : m/s² between the rests, so that what moves is far
-    louder than a step"""
-    t, acc, rate = turned(8, noise=share * 0.16)
-    moving = np.abs(rate).max(axis=1) > 0.05
-    acc += moving[:, None] * np.random.default_rng(1).normal(0.0, shaken, acc.shape)
-    path = WRITE["hdf5"](tmp_path, t, np.round(acc / 0.16) * 0.16, rate)
-    assert not [note for note in readers.read(path, RATES).notes if WORDS in note]

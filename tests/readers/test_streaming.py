@@ -118,15 +118,6 @@ def with_rates(whole: Recording, late: float) -> Recording:
     return replace(whole, channels={**whole.channels, "imu0/angular_rate": rates})
 
 
-def test_messages_are_numbered_on(tmp_path: Path) -> None:
-    from mcap.reader import make_reader
-
-    write_blocks([recording(10), recording(10, 10)], tmp_path / "a.mcap")
-    with (tmp_path / "a.mcap").open("rb") as file:
-        found = make_reader(file).iter_messages(topics=["/imu0/imu"])
-        assert [message.sequence for _, _, message in found] == list(range(20))
-
-
 def test_a_correction_goes_on_where_channels_change(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imucalib import cli, readers
+from imucalib import readers
 from imucalib.errors import UsageError
 from imucalib.recording.mapping import FieldMapping
 
@@ -49,20 +48,6 @@ def test_both_files_keep_their_moments(
     if start == START:
         assert found.start_ns == pytest.approx((start + min(0.0, later)) * 1e9, abs=1e3)
     assert any("by the name of the file" in note for note in found.notes)
-
-
-@pytest.mark.parametrize("suffix", [".h5", ".mcap"])
-def test_convert_joins_them(suffix: str, tmp_path: Path) -> None:
-    paths, acc, gyro = phone(tmp_path, START)
-    target = tmp_path / f"phone{suffix}"
-    arguments = ["convert", *map(str, paths), str(target), "--gyro-unit", "rad/s"]
-    done = CliRunner().invoke(cli.cli, arguments)
-    assert done.exit_code == 0, done.output
-    back = readers.read(target)
-    assert {c.quantity for c in back.channels.values()} == {"acceleration", "angular_rate"}
-    for channel in back.channels.values():
-        wanted = acc if channel.quantity == "acceleration" else gyro
-        np.testing.assert_allclose(channel.values, wanted, rtol=1e-12)
 
 
 def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:

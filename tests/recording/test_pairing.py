@@ -86,15 +86,6 @@ def test_the_channel_that_was_calibrated_counts_where_names_do_not() -> None:
     assert paired(wanted, turned, "the calibration").partner == {"imu0": 1, "imu1": 0}
 
 
-def test_what_only_one_side_has_is_left_out_and_said() -> None:
-    found = paired([("a",), ("b",), ("c",)], recording(["b", "a"]), "the calibration")
-    assert found.partner == {"b": 1, "a": 0}
-    assert found.notes == ("of the calibration, not in the recording: c",)
-    found = paired([("a",), ("b",)], recording(["b", "x", "a"]), "the board")
-    assert found.partner == {"b": 1, "a": 0}
-    assert found.notes == ("not of the board, left as they are: x",)
-
-
 @given(st.lists(WORDS, min_size=3, max_size=6, unique=True))
 def test_a_name_that_several_have_is_none(names: list[str]) -> None:
     *own, shared = names
@@ -105,12 +96,6 @@ def test_a_name_that_several_have_is_none(names: list[str]) -> None:
     assert found.notes[1] == f"of the board, not in the recording: {shared}"
     with pytest.raises(UnreadableInput, match=f"no name fits: {shared}"):
         paired([(shared,)], plain, "the calibration")
-
-
-def test_topics_that_do_not_differ_by_a_word_give_no_names() -> None:
-    assert distinct_names([("/imu/1/data",), ("/imu/2/data",)]) == ()
-    assert distinct_names([("/imu/data",), ("/imu/data_raw",)]) == ("data", "data_raw")
-    assert distinct_names([("/a/acc", "/a/gyro"), ("/b/acc", "/b/gyro")]) == ("a", "b")
 
 
 def test_a_calibration_keeps_only_names_that_it_may_hold() -> None:

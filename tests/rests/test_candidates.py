@@ -12,7 +12,7 @@ from imucalib.errors import Undetermined
 from imucalib.recording.recording import Channel, Recording
 from imucalib.rests import windows
 from imucalib.rests.runs import WORN, posture_runs, scan
-from imucalib.rests.segments import Segments, StillSettings, find_segments, still_segments
+from imucalib.rests.segments import Segments, find_segments, still_segments
 
 RATE, G = 100.0, 9.80665
 MG = 1e-3 * G
@@ -63,15 +63,6 @@ def test_rests_are_found_down_to_the_shortest(length: float, pause: float) -> No
     for k, (a, b) in enumerate(spans):
         assert abs(found.start[k] - a) < 0.12
         assert abs(found.stop[k] - b) < 0.12
-
-
-@pytest.mark.parametrize(("shortest", "expected"), [(0.5, 6), (1.0, 0), (0.9, 0)])
-def test_the_shortest_rest_can_be_stated(shortest: float, expected: int) -> None:
-    values, spans = bench(np.random.default_rng(3), [0.62] * 6)
-    found = still_segments(recorded(values), StillSettings(shortest=shortest))
-    assert found.n == expected
-    if not expected:
-        assert all(reasons(found, a, b) <= {"too short", "vibrating"} for a, b in spans)
 
 
 def test_ends_are_to_the_sample_not_to_a_window() -> None:
@@ -151,17 +142,6 @@ def test_rests_of_a_louder_half_do_not_vanish(louder: float) -> None:
     assert any("times the noise of the quietest" in note for note in found.notes)
 
 
-def test_one_louder_rest_is_refused_with_its_reason() -> None:
-    rng = np.random.default_rng(8)
-    values, spans = bench(rng, [3.0] * 10, 1 * MG)
-    a, b = spans[4]
-    inside = slice(round(a * RATE), round(b * RATE))
-    values[inside] += rng.normal(0, 20 * MG, values[inside].shape)
-    found = still_segments(recorded(values))
-    assert found.n == 9
-    assert reasons(found, a + 0.5, b - 0.5) == {"vibrating"}
-
-
 def test_vibration_all_the_time_is_no_rest() -> None:
     rng = np.random.default_rng(9)
     values = np.array([0, 0, G]) + rng.normal(0, 200 * MG, (360_000, 3))
@@ -229,26 +209,3 @@ def test_a_long_recording_in_blocks_keeps_its_rests(
         assert a - 0.06 <= found.start[k] < a + (0.3 if most else 1.1)
         assert b + 0.06 >= found.stop[k] > b - (0.3 if most else 1.1)
     assert any("too long" in note for note in found.notes) == (not most)
-
-
-@pytest.mark.parametrize(("shortest", "rests"), [(3.0, 8), (4.6, 0)])
-def test_a_rest_in_blocks_is_as_long_as_its_windows(
-    shortest: float, rests: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of rests of five seconds half a second at each end is left out; nothing is added for that."""
-    values, _ = bench(np.random.default_rng(15), [5.0] * 8)
-    monkeypatch.setattr(windows.Samples.__init__, "__defaults__", (0,))
-    found = find_segments(in_blocks(values), StillSettings(shortest=shortest))
-    assert found.n == rests
-
-
-def test_a_candidate_tells_its_drift_and_noise() -> None:
-    rng = np.random.default_rng(14)
-    t = np.arange(3000) / RATE
-    values = middle_of(rng, np.stack([0.5 * MG * t, 0 * t, 0 * t], axis=1), 1 * MG)
-    found = still_segments(recorded(values))
-    (turn,) = (c for c in found.candidates if c.start > 36.0 and c.stop < 64.0)
-    assert turn.reason == "turning"
-    assert turn.drift == pytest.approx(15 * MG, rel=0.4)
-    assert turn.noise == pytest.approx(MG, rel=0.15)
-    assert turn.length == pytest.approx(30.0, abs=4.0)

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucalib.errors import UsageError
 from imucalib.readers import read
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
-from imucalib.rests.segments import Segments, StillSettings, find_segments, still_segments
+from imucalib.rests.segments import Segments, find_segments, still_segments
 from worlds.places import DATA, MEASURED, needs_data
 
 RATE, SIGMA = 100.0, 0.02
@@ -129,13 +128,6 @@ def test_coarse_quantisation_does_not_look_frozen() -> None:
     assert np.all(found.noise >= step / np.sqrt(12) * 0.999)
 
 
-def test_a_long_rest_is_split_on_request() -> None:
-    recording, _ = tumble(7, 3)
-    found = still_segments(recording, StillSettings(longest=1.5))
-    assert np.all(found.stop - found.start <= 1.5)
-    assert found.n > 3
-
-
 def test_temperature_and_rate_come_along() -> None:
     recording, spans = tumble(8, 5)
     acc = recording.channels["imu0/acceleration"]
@@ -155,13 +147,6 @@ def test_temperature_and_rate_come_along() -> None:
     np.testing.assert_allclose(found.temperature[:, 0], 20.0 + 0.1 * middle, atol=0.01)
 
 
-def test_a_recording_without_acceleration_is_refused() -> None:
-    t = np.arange(500) / RATE
-    gyro = Channel(t, np.zeros((500, 3)), "rad/s", "angular_rate", "imu0", RATE)
-    with pytest.raises(UsageError, match="no acceleration"):
-        still_segments(Recording({"imu0/angular_rate": gyro}, "", "", ""))
-
-
 def test_time_that_steps_back_is_left_out_and_said() -> None:
     recording, spans = tumble(9, 6)
     old = recording.channels["imu0/acceleration"]
@@ -174,14 +159,6 @@ def test_time_that_steps_back_is_left_out_and_said() -> None:
     for k in range(found.n):
         first, last = found.first[k, 0], found.last[k, 0]
         np.testing.assert_allclose(found.mean[k, 0], old.values[first:last].mean(axis=0))
-
-
-def test_no_rest_gives_no_segment() -> None:
-    recording, _ = tumble(10, 2)
-    found = still_segments(recording, StillSettings(shortest=1000.0))
-    assert found.n == 0
-    assert found.mean.shape == (0, 1, 3)
-    assert np.all(found.noise > 0)
 
 
 def attitudes(found: Segments) -> int:
@@ -226,12 +203,3 @@ def test_idle_sleep_that_repeats_the_last_value_is_no_rest() -> None:
     assert any("idle sleep" in n for n in recording.notes)
     # The sensor's resolution is 1/256 g, and its noise a little below that.
     assert np.all((found.noise > 0.02) & (found.noise < 0.04))
-
-
-def test_a_rest_has_the_times_of_its_first_and_last_sample() -> None:
-    recording, _ = tumble(2, 6)
-    found = still_segments(recording)
-    t = recording.channels["imu0/acceleration"].t
-    np.testing.assert_array_equal(found.start, t[found.first[:, 0]])
-    np.testing.assert_array_equal(found.stop, t[found.last[:, 0] - 1])
-    assert found.first[0, 0] == 0  # the recording begins at rest

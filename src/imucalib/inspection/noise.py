@@ -376,16 +376,12 @@ def noise_blocks(noise: Sequence[SensorNoise]) -> dict[str, dict[str, Any]]:
         block = blocks.setdefault(sensor.triad, {})
         prefix = _PREFIX[sensor.quantity]
         for name, term in (("noise_density", "white"), ("random_walk", "walk")):
-            shown = [_value(getattr(axis, term)) for axis in sensor.axes]
+            shown = [getattr(axis, term).value for axis in sensor.axes]
             if known := [value for value in shown if value is not None]:
                 block[f"{prefix}_{name}"] = max(known)
         block["rostopic"] = f"/{sensor.triad}/imu"
         block["update_rate"] = sensor.rate
     return blocks
-
-
-def _value(found: Coefficient) -> float | None:
-    return found.value
 
 
 def save_noise(noise: Sequence[SensorNoise], source: str, path: Path) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Index
 from imucalib.errors import UnreadableInput
 from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
@@ -64,11 +64,12 @@ class _Messages:
 _Layouts = dict[int, tuple[str, np.dtype[Any]]]
 
 
-class DataflashReader:
+class DataflashReader(Joined):
     """Reader of DataFlash logs; see `imucalib.readers.Reader`."""
 
     name = "dataflash"
     suffixes = (".bin",)
+    at_once = 1 << 20
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Messages that state the format of messages, one after the other; the first may be
@@ -76,10 +77,6 @@ class DataflashReader:
         mark = _MAGIC + bytes([_FMT])
         at = [k for k in range(0, 8 * _FMT_SIZE, _FMT_SIZE) if head[k : k + 3] == mark]
         return len(at) > 1 or head.startswith(mark)
-
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all inertial sensors."""
-        return join(self.blocks(path, mapping, block_samples=1 << 20, strict=strict), str(path))
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool

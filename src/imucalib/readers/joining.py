@@ -19,6 +19,7 @@ import numpy as np
 from imucalib.arrays import Array, Index
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.timebase import FASTEST, SIDES, SLOWEST, set_back
+from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
 
 
@@ -43,6 +44,23 @@ def join(blocks: Iterable[Recording], where: str) -> Recording:
         )
     channels = {name: _joined(pieces) for name, pieces in parts.items()}
     return replace(first, channels=channels, gaps=tuple(gaps), notes=tuple(notes))
+
+
+class Joined:
+    """A reader whose `read` joins its blocks, of `at_once` samples each."""
+
+    at_once = 1 << 18
+
+    def blocks(
+        self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool
+    ) -> Iterator[Recording]:
+        """See `imucalib.readers.Reader`."""
+        raise NotImplementedError
+
+    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
+        """Read the whole recording."""
+        found = self.blocks(path, mapping, block_samples=self.at_once, strict=strict)
+        return join(found, str(path))
 
 
 def together(recordings: Sequence[Recording]) -> Recording:

@@ -14,7 +14,7 @@ import numpy as np
 
 from imucalib.errors import ImucalError, UnreadableInput
 from imucalib.readers.hdf5.reader import blocks_in_memory
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
@@ -22,19 +22,16 @@ _START = b"MATLAB 5.0 MAT-file"
 _MOST_BYTES, _MOST_RATIO, _DEEPEST = 4 << 30, 200, 8  # packed better than this is no recording
 
 
-class MatlabReader:
+class MatlabReader(Joined):
     """Reader of MATLAB files; see `imucalib.readers.Reader`."""
 
     name = "matlab"
     suffixes = (".mat",)
+    at_once = 1 << 20
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The text that every file of version 5 to 7 begins with."""
         return head.startswith(_START)
-
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read the whole file."""
-        return join(self.blocks(path, mapping, block_samples=1 << 20, strict=strict), str(path))
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool

@@ -324,7 +324,7 @@ _KNOWN = range(0x01, 0x10)
 class Scanner:
     """One pass over a file: `blocks` yields the messages, `topics` and `damages` fill meanwhile.
 
-    With `strict` the first damage raises UnreadableInput; max_chunk : bytes, see `chunks`.
+    With `strict` the first damage raises UnreadableInput; max_chunk : bytes, see `MAX_CHUNK`.
     """
 
     def __init__(self, path: Path, *, strict: bool = False, max_chunk: int | None = None) -> None:

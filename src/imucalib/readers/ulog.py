@@ -18,7 +18,7 @@ import numpy as np
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput, UsageError
 from imucalib.readers.hdf5.reader import blocks_in_memory, put_channel
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
@@ -39,19 +39,16 @@ _FILTERED = (
 )
 
 
-class UlogReader:
+class UlogReader(Joined):
     """Reader of PX4 logs; needs the extra `px4`. See `imucalib.readers.Reader`."""
 
     name = "ulog"
     suffixes = (".ulg",)
+    at_once = 1 << 20
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The seven bytes that every such log begins with."""
         return head.startswith(_MAGIC)
-
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all sensors."""
-        return join(self.blocks(path, mapping, block_samples=1 << 20, strict=strict), str(path))
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool

@@ -183,7 +183,7 @@ def with_refused(
         ("turning", kinds.still | kinds.slow, kinds.slow),
     )
     for reason, flags, needed in looked:
-        free = flags & ~_taken(w, [c for c in found if c.reason != "too short"])
+        free = flags & ~_overlapped(w.start, w.stop, [c for c in found if c.reason != "too short"])
         runs = [(a, b) for a, b in _runs(w, free) if b - a >= _LISTED and needed[a:b].any()]
         new = [_of_windows(w, a, b, reason) for a, b in runs]
         new = [c for c in new if c.length >= settings.shortest and c.noise <= _MOTION * gravity]
@@ -192,10 +192,6 @@ def with_refused(
         kept = [c for c, gone in zip(found, drop, strict=True) if not gone]
         found = sorted([*kept, *new], key=lambda c: c.start)
     return found
-
-
-def _taken(w: Windows, settled: list[Candidate]) -> Flags:
-    return _overlapped(w.start, w.stop, settled)
 
 
 def _overlapped(

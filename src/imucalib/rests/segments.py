@@ -80,7 +80,7 @@ def find_segments(blocks: Iterable[Recording], settings: StillSettings | None = 
 
     Every triad with acceleration takes part, and its gyroscope if that has a scale; a rest is
     one of all of them. The ends are to the sample as long as the blocks hold fewer numbers than
-    `samples.KEPT`, else to the window. Raises UsageError when there is no acceleration,
+    `windows.KEPT`, else to the window. Raises UsageError when there is no acceleration,
     Undetermined when the recording is shorter than one window.
     """
     chosen = settings or StillSettings()

@@ -209,7 +209,8 @@ class _Table:
     def extend(self, rows: Array) -> None:
         needed = self._used + len(rows)
         if needed > len(self._held):
-            more = _pages(max(_ROOM, 2 * needed), rows.shape[1])
+            shape = max(_ROOM, 2 * needed), rows.shape[1]
+            more = np.frombuffer(mmap.mmap(-1, 8 * shape[0] * shape[1])).reshape(shape)
             if self._used:
                 more[: self._used] = self._held[: self._used]
             self._held = more
@@ -219,10 +220,6 @@ class _Table:
     def rows(self) -> Array:
         """The rows so far; later ones come after them."""
         return self._held[: self._used]
-
-
-def _pages(rows: int, columns: int) -> Array:
-    return np.frombuffer(mmap.mmap(-1, 8 * rows * columns)).reshape(rows, columns)
 
 
 def converted(windows: Windows, how: Pending | None) -> Windows:

@@ -47,15 +47,6 @@ def in_blocks(whole: Recording, rows: int) -> list[Recording]:
     return parts
 
 
-def test_repeated_rows_become_a_gap_and_the_rest_stays() -> None:
-    whole = recording(asleep([(5, False), (4, True), (3, False), (2, True)]))
-    (found,) = without_repeats(iter([whole]))
-    channel = found.channels["imu0/acceleration"]
-    assert channel.t.size == 8 * RATE
-    assert [(g.start, g.stop) for g in found.gaps] == [(4.95, 9.0)]
-    assert found.notes == ("120 rows that repeat the last (idle sleep) left out",)
-
-
 @settings(deadline=None, max_examples=40)
 @given(
     st.lists(st.tuples(st.integers(1, 4), st.booleans()), min_size=1, max_size=6),
@@ -91,14 +82,6 @@ def test_the_rest_before_a_gap_is_a_window(rows: int) -> None:
     assert runs.n == 1
     assert runs.time[0] == pytest.approx(34.5, abs=0.1)
     assert np.allclose(runs.mean[0], rest, atol=0.02)
-
-
-def test_a_window_that_is_frozen_in_part_is_not_at_rest() -> None:
-    rng = np.random.default_rng(2)
-    values = STANDARD_GRAVITY * np.array([0.0, 0.0, 1.0]) + 0.04 * rng.standard_normal((1600, 3))
-    values[500:1100] = values[499]
-    runs = posture_runs(scan([recording(values)], WORN.window))
-    assert runs.windows.tolist() == [2, 2]
 
 
 @needs_data

@@ -13,7 +13,7 @@ from imucalib.errors import ImucalError, UnreadableInput, UsageError
 from imucalib.readers.joining import join
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Recording
-from imucalib.units import DEG, STANDARD_GRAVITY
+from imucalib.units import STANDARD_GRAVITY
 from worlds.places import DATA, MEASURED, needs_data
 
 G = STANDARD_GRAVITY
@@ -75,30 +75,6 @@ def test_actigraph_date_format_that_lies(tmp_path: Path) -> None:
     assert any("swapped" in n for n in found.notes)
 
 
-def test_actigraph_epoch_counts_are_refused(tmp_path: Path) -> None:
-    head = (
-        "------ Data File Created By ActiGraph ActiLife date format M/d/yyyy ------\n"
-        "Epoch Period (hh:mm:ss) 00:00:05\n"
-    )
-    with pytest.raises(UnreadableInput, match="activity counts"):
-        readers.read(put(tmp_path, head + "12,3,45\n" * 50))
-
-
-def test_geneactiv(tmp_path: Path) -> None:
-    head = ["Device Type,GENEActiv", "Measurement Frequency,50.0 Hz", "Time Zone,GMT +01:00"]
-    head += [f"Field {k},value {k}" for k in range(97)]
-    values = at_rest(300)
-    lines = [
-        f"2012-05-01 10:00:{k // 50:02d}:{k % 50 * 20:03d},{row},12,0,25.5"
-        for k, row in enumerate(rows(values))
-    ]
-    found = readers.read(put(tmp_path, "\n".join(head + lines) + "\n"))
-    np.testing.assert_allclose(acc_of(found), values * G, rtol=1e-14)
-    np.testing.assert_allclose(found.channels["imu0/acceleration"].t, np.arange(300) / 50)
-    assert np.all(found.channels["imu0/temperature"].values == 25.5)
-    assert found.start_ns == 1_335_866_400_000_000_000
-
-
 @pytest.mark.parametrize(
     ("name", "reading", "triad"),
     [
@@ -123,23 +99,6 @@ def test_a_temperature_may_have_its_unit_in_its_name(
     np.testing.assert_allclose(found.channels[f"{triad}/temperature"].values, 25.5, rtol=1e-12)
 
 
-@pytest.mark.parametrize("stamp", ["unix", "text"])
-def test_axivity(stamp: str, tmp_path: Path) -> None:
-    values = at_rest(300)
-    if stamp == "unix":
-        times = [f"{1600000000 + k / 100:.4f}" for k in range(300)]
-    else:
-        times = [f"2020-09-13 12:26:{40 + k // 100:02d}.{k % 100 * 10:03d}" for k in range(300)]
-    lines = [f"{t},{r}" for t, r in zip(times, rows(values), strict=True)]
-    found = readers.read(put(tmp_path, "\n".join(lines) + "\n"))
-    np.testing.assert_allclose(acc_of(found), values * G, rtol=1e-14)
-    np.testing.assert_allclose(
-        found.channels["imu0/acceleration"].t, np.arange(300) / 100, atol=3e-7
-    )
-    assert found.start_ns == 1_600_000_000_000_000_000
-    assert any("-> unit g" in n for n in found.notes)
-
-
 def test_euroc_nanoseconds_are_exact(tmp_path: Path) -> None:
     head = (
         "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
@@ -157,66 +116,12 @@ def test_euroc_nanoseconds_are_exact(tmp_path: Path) -> None:
     assert np.all(found.channels["imu0/angular_rate"].values == [0.01, 0.02, -0.03])
 
 
-def test_xsens_mt(tmp_path: Path) -> None:
-    head = (
-        "// General information: \n//  MT Manager version: 2022.2.0 \n// Device information: \n"
-        "//  DeviceId: 0\n//  Update Rate: 100.0Hz\n// Coordinate system: ENU\n"
-        "PacketCounter\tSampleTimeFine\tYear\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z\tRoll\t\n"
-    )
-    values = np.round(at_rest(300) * G, 4)
-    lines = [
-        f"{5 + k}\tNaN\tNaN\t{r}\t0.1\t0.2\t0.3\t1.5\t" for k, r in enumerate(rows(values, "\t"))
-    ]
-    found = readers.read(put(tmp_path, head + "\n".join(lines) + "\n", "a.txt"))
-    np.testing.assert_array_equal(acc_of(found), values)
-    assert found.channels["imu0/acceleration"].rate == 100.0
-    assert found.channels["imu0/angular_rate"].unit == "rad/s"
-
-
-def test_several_imus_and_units_in_names(tmp_path: Path) -> None:
-    names = ["time_ms", *(f"imu{k}_{q}{a}" for k in range(3) for q in "ag" for a in "xyz")]
-    values = at_rest(200)
-    one = [f"{r},1.0,2.0,3.0" for r in rows(values)]
-    lines = [f"{10 * k},{one[k]},{one[k]},{one[k]}" for k in range(200)]
-    path = put(tmp_path, "\n".join([",".join(names), *lines]) + "\n")
-    found = readers.read(path, FieldMapping(gyro_unit="deg/s"))
-    assert len(found.channels) == 6
-    for k in range(3):
-        np.testing.assert_allclose(acc_of(found, f"imu{k}"), values * G, rtol=1e-14)
-        rates = found.channels[f"imu{k}/angular_rate"].values
-        np.testing.assert_allclose(rates, np.tile([1.0, 2.0, 3.0], (200, 1)) * DEG, rtol=1e-14)
-    unknown = readers.read(path).channels["imu0/angular_rate"]
-    assert unknown.unit == "counts"
-
-
 def test_quoted_decimal_comma_in_a_comma_table(tmp_path: Path) -> None:
     values = at_rest(100)
     lines = [",".join(f'"{c}"' for c in r.split(";")) for r in rows(values, ";", ",")]
     path = put(tmp_path, "\n".join(['"X","Y","Z"', *lines]) + "\n")
     found = readers.read(path, FieldMapping(rate=50, acc_unit="g"))
     np.testing.assert_allclose(acc_of(found), values * G, rtol=1e-14)
-
-
-def test_a_file_that_begins_with_zeros_and_decimal_commas(tmp_path: Path) -> None:
-    values = at_rest(3000)
-    values[:600] = 0.0
-    lines = ["0;0;0"] * 600 + rows(values[600:], ";", ",")
-    path = put(tmp_path, "\n".join(["x;y;z", *lines]) + "\n")
-    found = readers.read(path, FieldMapping(rate=100))
-    np.testing.assert_allclose(acc_of(found), values * G, rtol=1e-14)
-
-
-def test_missing_values_become_gaps_and_are_never_filled(tmp_path: Path) -> None:
-    values = at_rest(200)
-    lines = rows(values)
-    lines[50], lines[51], lines[120], lines[121] = ",,", "NaN,NaN,NaN", "", "0.1,,0.2"
-    path = put(tmp_path, "\n".join(["x,y,z", *lines]) + "\n")
-    found = readers.read(path, FieldMapping(rate=100))
-    keep = np.setdiff1d(np.arange(200), [50, 51, 120, 121])
-    np.testing.assert_allclose(acc_of(found), values[keep] * G, rtol=1e-14)
-    np.testing.assert_array_equal(found.channels["imu0/acceleration"].t, keep / 100)
-    assert [(g.start, g.stop) for g in found.gaps] == [(0.49, 0.52), (1.19, 1.22)]
-    assert all(g.reason == "values missing" for g in found.gaps)
 
 
 STAMPED = [f"{0.01 * k:.2f}," for k in range(500)]
@@ -275,65 +180,6 @@ def test_a_damaged_heading_is_no_other_heading(tmp_path: Path) -> None:
         readers.read(put(tmp_path, text))
 
 
-def test_a_table_of_bad_rows_is_no_table(tmp_path: Path) -> None:
-    lines = rows(at_rest(400)) + ["a,b,c"] * 500
-    path = put(tmp_path, "\n".join(["x,y,z", *lines]) + "\n")
-    with pytest.raises(UnreadableInput, match="no table of numbers"):
-        readers.read(path, FieldMapping(rate=100))
-
-
-def test_a_shifted_row_is_never_read_as_numbers(tmp_path: Path) -> None:
-    lines = [f"{k * 10},{r},7" for k, r in enumerate(rows(at_rest(100)))]
-    lines[40] = lines[40].replace(".", ",", 1)  # one cell becomes two
-    path = put(tmp_path, "\n".join(["time_ms,x,y,z,temp", *lines]) + "\n")
-    found = readers.read(path)
-    assert acc_of(found).shape == (99, 3)
-    assert any("line 42: 6 cells" in note for note in found.notes)
-
-
-def test_what_a_spreadsheet_writes(tmp_path: Path) -> None:
-    """Windows-1252 with a degree sign, a title, a units row and error values."""
-    values = at_rest(300)
-    lines = [f"{0.01 * k:.2f},{r},21.5" for k, r in enumerate(rows(values))]
-    lines[7] = "0.07,#N/A,#VALUE!,#DIV/0!,#REF!"
-    text = ["Bench of March", "time,x,y,z,temperature", "s,g,g,g,°C", *lines]
-    path = tmp_path / "a.csv"
-    path.write_bytes(("\r\n".join(text) + "\r\n").encode("cp1252"))
-    found = readers.read(path)
-    np.testing.assert_allclose(acc_of(found), np.delete(values, 7, axis=0) * G, rtol=1e-14)
-    assert found.channels["imu0/temperature"].unit == "degC"
-    assert found.mapping["acc_unit"] == "g"
-    assert found.mapping["temperature_unit"] in ("degC", "°C")
-    assert not any("no unit" in note for note in found.notes)
-
-
-@pytest.mark.parametrize("scale", [0.2, 55.0, 4000.0])
-def test_implausible_units_are_refused(scale: float, tmp_path: Path) -> None:
-    path = put(tmp_path, "\n".join(["x,y,z", *rows(at_rest(300) * scale)]) + "\n")
-    with pytest.raises(UnreadableInput, match="norm at rest"):
-        readers.read(path, FieldMapping(rate=100))
-
-
-def test_a_stated_unit_that_cannot_be_is_refused(tmp_path: Path) -> None:
-    path = put(tmp_path, "\n".join(["x [m/s2],y [m/s2],z [m/s2]", *rows(at_rest(300))]) + "\n")
-    with pytest.raises(UnreadableInput, match="as the file states"):
-        readers.read(path, FieldMapping(rate=100))
-    found = readers.read(path, FieldMapping(rate=100, acc_unit="g"))
-    np.testing.assert_allclose(acc_of(found), at_rest(300) * G, rtol=1e-14)
-
-
-def test_counts_offset_scale_and_axes(tmp_path: Path) -> None:
-    counts = np.array([[100, 200, 16484], [101, 201, 16485]] * 50)
-    text = "\n".join(" ".join(map(str, row)) for row in counts) + "\n"
-    mapping = FieldMapping(
-        acc=("1", "2", "3"), rate=100, lsb_per_g=(16384,), acc_offset=(100, 200, 100),
-        axis_map="y,-x,z",
-    )  # fmt: skip
-    found = acc_of(readers.read(put(tmp_path, text, "a.log"), mapping))
-    np.testing.assert_allclose(found[0], [0, 0, G], atol=1e-12)
-    np.testing.assert_allclose(found[1], [G / 16384, -G / 16384, G * 16385 / 16384], rtol=1e-12)
-
-
 def test_coarse_stamps_are_spread_and_said(tmp_path: Path) -> None:
     values = at_rest(30 * 40)
     lines = [f"2020-01-01 00:00:{k // 30:02d},{r}" for k, r in enumerate(rows(values)) if k >= 12]
@@ -355,52 +201,6 @@ def test_time_gaps_back_steps_and_duplicates(tmp_path: Path) -> None:
     assert found.channels["imu0/acceleration"].t.size == 400
     reasons = [g.reason for g in found.gaps if abs(g.stop - g.start - 0.02) > 1e-9]
     assert reasons == ["no samples", "time steps back"]
-
-
-@pytest.mark.parametrize("zone", ["Z", "+02:00", "+0200 [Europe/Paris]"])
-def test_time_zones(zone: str, tmp_path: Path) -> None:
-    lines = [
-        f"2021-07-01T12:00:{k // 100:02d}.{k % 100 * 10:03d}{zone},{r}"
-        for k, r in enumerate(rows(at_rest(200)))
-    ]
-    found = readers.read(put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n"))
-    hours = 0 if zone == "Z" else 2
-    assert found.start_ns == (1_625_140_800 - hours * 3600) * 1_000_000_000
-    np.testing.assert_allclose(found.channels["imu0/acceleration"].t, np.arange(200) / 100)
-
-
-@pytest.mark.parametrize("form", ["{d}.{m}.2020 {c}", "{m}/{d}/2020 {c}", "{d}/{m}/2020 {c}"])
-def test_day_and_month(form: str, tmp_path: Path) -> None:
-    lines = [
-        form.format(d=25, m="03", c=f"10:00:{k // 50:02d}.{k % 50 * 2:02d}") + f";{r}"
-        for k, r in enumerate(rows(at_rest(200), ";", ","))
-    ]
-    found = readers.read(put(tmp_path, "\n".join(["time;x;y;z", *lines]) + "\n"))
-    assert found.start_ns == 1_585_130_400_000_000_000
-    np.testing.assert_allclose(found.channels["imu0/acceleration"].t, np.arange(200) / 50)
-
-
-def test_midnight_without_a_date(tmp_path: Path) -> None:
-    lines = []
-    for k, r in enumerate(rows(at_rest(400))):
-        s = (86398 + k / 100) % 86400
-        lines.append(f"{int(s // 3600):02d}:{int(s % 3600 // 60):02d}:{s % 60:06.3f},{r}")
-    found = readers.read(put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n"))
-    t = found.channels["imu0/acceleration"].t
-    np.testing.assert_allclose(np.diff(t), 0.01, atol=1e-9)
-
-
-def test_an_unclear_time_unit_is_asked_for(tmp_path: Path) -> None:
-    lines = [f"{k},{r}" for k, r in enumerate(rows(at_rest(200)))]
-    path = put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n")
-    with pytest.raises(UnreadableInput, match="--time-unit"):
-        readers.read(path, FieldMapping(time_unit=""))
-    lines = [f"{200 * k},{r}" for k, r in enumerate(rows(at_rest(200)))]
-    path = put(tmp_path, "\n".join(["time,x,y,z", *lines]) + "\n")
-    with pytest.raises(UnreadableInput, match="--time-unit"):
-        readers.read(path)
-    found = readers.read(path, FieldMapping(time_unit="us"))
-    assert found.channels["imu0/acceleration"].rate == pytest.approx(5000.0)
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -426,13 +226,6 @@ def test_cut_gzip_gives_what_is_readable(tmp_path: Path) -> None:
     assert any("breaks off" in note for note in found.notes)
     with pytest.raises(UnreadableInput):
         readers.read(path, FieldMapping(rate=100), strict=True)
-
-
-def test_a_tail_of_zero_bytes_is_noted(tmp_path: Path) -> None:
-    path = put(tmp_path, "\n".join(["x,y,z", *rows(at_rest(100))]) + "\n" + "\0" * 4096)
-    found = readers.read(path, FieldMapping(rate=100))
-    assert acc_of(found).shape == (100, 3)
-    assert any("4096 zero bytes" in n for n in found.notes)
 
 
 @pytest.mark.parametrize("before", ["", "0.1,-0.2,0.9"])
@@ -590,13 +383,6 @@ def test_explicit_columns_without_names_keep_the_time(stamp: str, tmp_path: Path
     assert any("column 1 taken as time" in note for note in found.notes)
 
 
-def test_explicit_columns_keep_the_temperature(tmp_path: Path) -> None:
-    rows = [f"{0.01 * k:.2f},0.01,-0.02,{9.8 + 0.01 * (k % 3)},21.5" for k in range(400)]
-    (tmp_path / "a.csv").write_text("time [s],p,q,r,temperature [degC]\n" + "\n".join(rows) + "\n")
-    found = readers.read(tmp_path / "a.csv", FieldMapping(acc=("p", "q", "r")))
-    assert set(found.channels) == {"imu0/acceleration", "imu0/temperature"}
-
-
 def test_our_own_table_is_held_against_its_sum(tmp_path: Path) -> None:
     t = np.arange(300) / 100.0
     values = at_rest(300) * G
@@ -637,17 +423,3 @@ def test_a_bare_axis_may_have_its_unit_in_its_name(
     assert np.allclose(channel.values, values / factor * G, atol=1e-4)
     assert channel.t[-1] - channel.t[0] == pytest.approx(399 * 0.02)
     assert not [note for note in read.notes if "unit" in note]  # both are stated
-
-
-def test_x_g_is_a_gyro_beside_an_acceleration(tmp_path: Path) -> None:
-    values = np.column_stack([at_rest(400), 0.01 * at_rest(400, 1)])
-    rows = [f"{k * 0.02:.2f}," + ",".join(f"{v:.5f}" for v in row) for k, row in enumerate(values)]
-    path = put(tmp_path, "time_s,x_a,y_a,z_a,x_g,y_g,z_g\n" + "\n".join(rows) + "\n")
-    assert set(readers.read(path).channels) == {"imu0/acceleration", "imu0/angular_rate"}
-
-
-def test_stamps_in_stated_seconds_are_not_taken_for_milliseconds(tmp_path: Path) -> None:
-    rows = [f"{8.0 * k:.1f},0.1,0.2,{0.97 + 1e-4 * (k % 3)}" for k in range(60)]
-    path = put(tmp_path, "time_s,ax_g,ay_g,az_g\n" + "\n".join(rows) + "\n")
-    channel = readers.read(path).channels["imu0/acceleration"]
-    assert channel.t[-1] - channel.t[0] == pytest.approx(59 * 8.0)

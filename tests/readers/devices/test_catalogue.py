@@ -65,22 +65,6 @@ def test_without_that_file_the_dialect_is_unknown(tmp_path: Path) -> None:
         readers.read(path)
 
 
-@pytest.mark.parametrize("name", devices())
-def test_presets_fill_only_what_is_not_stated(name: str) -> None:
-    full = with_preset(FieldMapping(preset=name, acc_unit="mg"))
-    assert full.acc_unit == "mg"
-    assert full.acc == devices()[name].fields.acc
-    assert full.preset == name
-
-
-def test_the_devices_are_those_that_the_help_promises() -> None:
-    promised = {"actigraph", "geneactiv", "kalibr", "axivity", "euroc", "xsens", "apdm",
-                "sensor_msgs", "empatica", "gcdc"}  # fmt: skip
-    assert set(devices()) == promised
-    words = [word for device in devices().values() for word in device.words]
-    assert words == [word.lower() for word in words]
-
-
 def test_an_unknown_preset_is_refused() -> None:
     with pytest.raises(UsageError, match=r"unknown preset.*actigraph"):
         with_preset(FieldMapping(preset="nokia"))

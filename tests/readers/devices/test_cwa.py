@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers import blocks, read
+from imucalib.readers import read
 from imucalib.units import DEG, STANDARD_GRAVITY
 from worlds.logger_files import ax_file, ax_header, ax_sector
 from worlds.places import MEASURED
@@ -51,14 +51,6 @@ def test_both_packings(axes: int, per_sector: int, tmp_path: Path) -> None:
         assert found.notes[0] == "Axivity AX3 4711"
 
 
-def test_an_exponent_of_two_widens_ten_bits(tmp_path: Path) -> None:
-    wanted = counts(240)
-    wanted[7] = [4088, -4096, 8]  # a multiple of eight survives an exponent of three
-    found = read(saved(tmp_path, ax_file(wanted.tolist(), START)))
-    g = found.channels["imu0/acceleration"].values[7] / STANDARD_GRAVITY
-    assert g.tolist() == pytest.approx([4088 / 256, -16.0, 8 / 256])
-
-
 def test_an_ax6_turns(tmp_path: Path) -> None:
     wanted = counts(400, one_g=4096, axes=6)
     scales = 4 << 13 | 2 << 10  # 1/2^12 g, 8000/2^2 deg/s
@@ -84,34 +76,6 @@ def test_a_sensor_that_is_slow_keeps_the_loggers_time(tmp_path: Path) -> None:
     assert np.diff(acc.t).min() > 0.99 / true
     assert np.diff(acc.t).max() < 1.01 / true
     assert acc.t[-1] == pytest.approx(2399 / true, abs=0.005)
-
-
-def test_a_counter_that_restarts_loses_nothing(tmp_path: Path) -> None:
-    first = ax_file(counts(1200).tolist(), START)
-    second = ax_file(counts(1200).tolist(), START + timedelta(hours=1))[1024:]
-    found = read(saved(tmp_path, first + second))
-    assert found.channels["imu0/acceleration"].t.size == 2400
-    assert [(round(g.start, 6), round(g.stop, 6), g.reason) for g in found.gaps] == [
-        (11.99, 3600.0, "no samples")
-    ]
-
-
-def test_a_clock_set_back_makes_parts(tmp_path: Path) -> None:
-    first = ax_file(counts(1200).tolist(), START)
-    second = ax_file(counts(1200).tolist(), START - timedelta(hours=1))[1024:]
-    found = read(saved(tmp_path, first + second))
-    assert found.channels["imu0/acceleration"].t.size == 2400
-    assert [g.reason for g in found.gaps] == ["the clock was set back by 3611.99 s"]
-    assert (np.diff(found.channels["imu0/acceleration"].t) > 0).all()
-
-
-@pytest.mark.parametrize("size", [130, 1000, 1 << 18])
-def test_blocks_do_not_matter(size: int, tmp_path: Path) -> None:
-    path = saved(tmp_path, ax_file(counts(3000).tolist(), START))
-    whole = read(path).channels["imu0/acceleration"]
-    parts = [b.channels["imu0/acceleration"] for b in blocks(path, block_samples=size)]
-    np.testing.assert_array_equal(np.concatenate([p.values for p in parts]), whole.values)
-    np.testing.assert_allclose(np.concatenate([p.t for p in parts]), whole.t, atol=1e-9)
 
 
 @pytest.mark.parametrize("harm", ["flip", "insert", "remove"])

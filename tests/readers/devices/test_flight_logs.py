@@ -48,13 +48,6 @@ def test_a_damaged_px4_log_is_told_in_notes_not_on_stdout(
     assert capsys.readouterr().out == ""
 
 
-def test_every_sensor_of_a_px4_log(tmp_path: Path) -> None:
-    pytest.importorskip("pyulog")
-    found = read(ulog(tmp_path / "1.ulg"), strict=True)
-    _both(found)
-    assert found.format == "ulog"
-
-
 @pytest.mark.parametrize(("raw_every", "read_from"), [(200, 0), (2, 1)])
 def test_px4_sensors_that_are_thinned_out_give_way_to_what_the_filter_was_fed(
     raw_every: int, read_from: int, tmp_path: Path
@@ -68,13 +61,6 @@ def test_px4_sensors_that_are_thinned_out_give_way_to_what_the_filter_was_fed(
     np.testing.assert_array_equal(channel.values, ACC[0][::every])
     said = [n for n in found.notes if "sensor_accel 0 (1" in n and "sensor_combined" in n]
     assert bool(said) == (read_from == 0)
-
-
-def test_a_px4_log_of_the_filters_input_only(tmp_path: Path) -> None:
-    pytest.importorskip("pyulog")
-    found = read(ulog(tmp_path / "1.ulg", combined=True))
-    assert sorted(found.channels) == ["imu0/acceleration", "imu0/angular_rate"]
-    np.testing.assert_array_equal(found.channels["imu0/acceleration"].values, ACC[0])
 
 
 def test_bytes_of_no_message_cost_only_themselves(tmp_path: Path) -> None:

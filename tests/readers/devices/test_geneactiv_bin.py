@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from imucalib.errors import UnreadableInput
-from imucalib.readers import blocks, read
+from imucalib.readers import read
 from imucalib.units import STANDARD_GRAVITY
-from worlds.logger_files import gene_file, gene_page
+from worlds.logger_files import gene_file
 from worlds.places import MEASURED
 
 START = datetime(2020, 5, 21, 16, 16, 43, tzinfo=UTC)
@@ -43,23 +43,6 @@ def test_values_clock_and_temperature(tmp_path: Path) -> None:
         assert found.start_ns == (round(START.timestamp()) - 7200) * 10**9  # the clock is at +02:00
         np.testing.assert_allclose(warm.values[:, 0], 20 + np.arange(5) / 10)
         assert found.gaps == ()
-
-
-def test_pages_that_do_not_follow_leave_a_gap(tmp_path: Path) -> None:
-    wanted = counts(600)
-    late = gene_page(wanted[300:].tolist(), START + timedelta(seconds=6.5), number=1, rate=50.0)
-    data = gene_file(wanted[:300].tolist(), START) + late
-    found = read(saved(tmp_path, data))
-    assert [(g.start, g.stop) for g in found.gaps] == [(pytest.approx(5.98), pytest.approx(6.5))]
-
-
-@pytest.mark.parametrize("size", [300, 700, 1 << 18])
-def test_blocks_do_not_matter(size: int, tmp_path: Path) -> None:
-    path = saved(tmp_path, gene_file(counts(3000).tolist(), START))
-    whole = read(path).channels["imu0/acceleration"]
-    parts = [b.channels["imu0/acceleration"] for b in blocks(path, block_samples=size)]
-    np.testing.assert_array_equal(np.concatenate([p.values for p in parts]), whole.values)
-    np.testing.assert_allclose(np.concatenate([p.t for p in parts]), whole.t, atol=1e-9)
 
 
 @pytest.mark.parametrize("harm", ["digit", "cut line", "stamp", "frequency"])

@@ -64,15 +64,6 @@ def test_chunks_that_were_never_written_are_missing(of: str, absent: slice, tmp_
     )
 
 
-def test_a_sensor_without_any_number_is_told_so(tmp_path: Path) -> None:
-    """Not that its time stands still, which sends the user to the clock."""
-    path = chunked(tmp_path / "dead.h5", slice(0, 0))
-    with h5py.File(path, "a") as file:
-        file["acc"][...] = np.nan
-    with pytest.raises(UnreadableInput, match="holds no number"):
-        readers.read(path)
-
-
 def test_a_table_with_absent_rows_is_refused(tmp_path: Path) -> None:
     path = chunked(tmp_path / "a.h5", slice(300, 400))
     with pytest.raises(UnreadableInput, match="not in the file"):
@@ -118,16 +109,6 @@ def test_a_virtual_dataset_without_its_source_is_missing(tmp_path: Path) -> None
     assert only_truth(readers.read(path, ALLOWED)) == N
 
 
-def test_rows_that_a_virtual_dataset_does_not_map_are_missing(tmp_path: Path) -> None:
-    layout = h5py.VirtualLayout(shape=(N, 3), dtype="f8")
-    layout[500:] = h5py.VirtualSource(".", "own", shape=(N - 500, 3))
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["own"], file["time"] = TRUTH[500:], STAMPS
-        file.create_virtual_dataset("acc", layout)
-        file["acc"].attrs["units"], file["time"].attrs["units"] = "m/s2", "ns"
-    assert only_truth(readers.read(tmp_path / "a.h5")) == N - 500
-
-
 def test_external_storage_is_read_only_when_allowed(tmp_path: Path) -> None:
     secret, path, target = tmp_path / "secret.bin", tmp_path / "a.h5", tmp_path / "b.csv"
     secret.write_bytes(TRUTH.tobytes())
@@ -148,15 +129,6 @@ def test_external_storage_is_read_only_when_allowed(tmp_path: Path) -> None:
     secret.write_bytes(b"short")
     with pytest.raises(ImucalError):
         readers.read(path, ALLOWED)
-
-
-def test_what_lies_elsewhere_is_not_described(tmp_path: Path) -> None:
-    (tmp_path / "secret.bin").write_bytes(np.full(100, 77.125).tobytes())
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.create_dataset("x", shape=(100,), dtype="f8", external=[("secret.bin", 0, 800)])
-    with pytest.raises(UnreadableInput, match="lies in another file") as caught:
-        readers.read(tmp_path / "a.h5")
-    assert "77.1" not in str(caught.value)
 
 
 @pytest.mark.slow

@@ -40,22 +40,6 @@ def test_apdm_opal(tmp_path: Path) -> None:
     assert found.start_ns == 1_600_000_000_000_000_000
 
 
-@pytest.mark.parametrize("spelling", ["units", "unit", "Units"])
-def test_groups_with_units_and_a_rate(spelling: str, tmp_path: Path) -> None:
-    path = tmp_path / "a.hdf5"
-    with h5py.File(path, "w") as f:
-        f["left/acc"] = TRUTH / STANDARD_GRAVITY * 1000
-        f["left/gyr"] = TRUTH
-        f["left/acc"].attrs[spelling] = "mg"
-        f["left/gyr"].attrs[spelling] = np.bytes_("deg/s")
-        f["left"].attrs["sampling_rate"] = 128.0
-    found = readers.read(path)
-    np.testing.assert_allclose(found.channels["left/acceleration"].values, TRUTH, rtol=1e-13)
-    np.testing.assert_allclose(found.channels["left/angular_rate"].values, TRUTH * DEG, rtol=1e-13)
-    assert found.channels["left/acceleration"].rate == 128.0
-    np.testing.assert_array_equal(found.channels["left/angular_rate"].t, np.arange(N) / 128.0)
-
-
 def test_counts_of_several_triads_with_a_scale(tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
     counts = np.round(np.stack([TRUTH, -TRUTH], axis=1) / 0.005).astype(np.int16)
@@ -148,28 +132,6 @@ def test_a_writer_that_was_killed(tmp_path: Path) -> None:
         readers.read(copy, strict=True)
 
 
-def test_a_cut_file_says_how_long_it_should_be(tmp_path: Path) -> None:
-    path = tmp_path / "a.h5"
-    own(path)
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(UnreadableInput, match="truncated"):
-        readers.read(path)
-
-
-def test_unknown_and_implausible_units(tmp_path: Path) -> None:
-    path = tmp_path / "a.h5"
-    with h5py.File(path, "w") as f:
-        f["acc"] = TRUTH * 30
-        f.attrs["rate"] = 100.0
-    with pytest.raises(UnreadableInput, match="norm at rest"):
-        readers.read(path)
-    with h5py.File(path, "a") as f:
-        f["acc"].attrs["units"] = "furlong"
-    with pytest.raises(UnreadableInput, match="unknown unit 'furlong'"):
-        readers.read(path)
-
-
 def test_no_clock_and_no_inertial_data(tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as f:
@@ -183,29 +145,6 @@ def test_no_clock_and_no_inertial_data(tmp_path: Path) -> None:
         readers.read(path)
     with pytest.raises(UsageError, match="no dataset 'acc'"):
         readers.read(path, FieldMapping(acc=("acc",)))
-
-
-def test_channels_with_clocks_of_their_own_stream_in_step(tmp_path: Path) -> None:
-    path = tmp_path / "a.h5"
-    slow = np.arange(0, 40, 0.5)
-    channels = {
-        "imu0/acceleration": Channel(
-            np.arange(N) / 100, TRUTH, "m/s2", "acceleration", "imu0", 100.0
-        ),
-        "imu0/temperature": Channel(slow, slow[:, None], "degC", "temperature", "imu0", 2.0),
-    }
-    writers.write(Recording(channels, "", "", ""), path)
-    parts = list(readers.blocks(path, block_samples=500))
-    assert len(parts) == 8
-    for part in parts[:-1]:
-        t = part.channels["imu0/acceleration"].t
-        warm = part.channels["imu0/temperature"].t
-        assert warm[0] >= t[0] - 0.01
-        assert warm[-1] <= t[-1] + 0.01
-    whole = readers.read(path)
-    for name, channel in channels.items():
-        np.testing.assert_array_equal(whole.channels[name].values, channel.values)
-        np.testing.assert_array_equal(whole.channels[name].t, channel.t)
 
 
 @pytest.mark.slow
@@ -222,18 +161,6 @@ def test_the_real_array_board() -> None:
     turned = np.degrees(np.arccos(np.clip(np.sum(unit[1:] * unit[:-1], axis=1), -1, 1))) > 5
     assert 1 + turned.sum() == 20
     assert rests.n <= 22
-
-
-def test_explicit_channels_keep_temperature_and_time(tmp_path: Path) -> None:
-    path = tmp_path / "a.h5"
-    with h5py.File(path, "w") as f:
-        for name in ("left", "right"):
-            f[f"{name}/acc"], f[f"{name}/temperature"] = TRUTH, np.full(N, 21.0)
-            f[f"{name}/time"] = 0.01 * np.arange(N)
-            f[f"{name}/acc"].attrs["units"], f[f"{name}/time"].attrs["units"] = "m/s2", "s"
-    found = readers.read(path, FieldMapping(acc=("/right/acc",)))
-    assert set(found.channels) == {"imu0/acceleration", "imu0/temperature"}
-    assert found.channels["imu0/acceleration"].rate == pytest.approx(100.0)
 
 
 def test_a_flipped_byte_of_ours_costs_ten_seconds(tmp_path: Path) -> None:
@@ -265,12 +192,3 @@ def test_a_heap_whose_walk_would_not_end_is_refused(tmp_path: Path) -> None:
             [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
         )
         assert f"byte {at}: a heap of texts is damaged" in run.stderr
-
-
-def test_our_own_files_need_no_heap(tmp_path: Path) -> None:
-    t = np.arange(20) / 100.0
-    channel = Channel(t, TRUTH[:20], "m/s2", "acceleration", "µ", 100.0)
-    path = tmp_path / "a.h5"
-    writers.write(Recording({"µ/acceleration": channel}, "made", "made", ""), path)
-    assert b"GCOL" not in path.read_bytes()
-    assert list(readers.read(path).channels) == ["µ/acceleration"]

@@ -321,7 +321,9 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         raise UnreadableInput("the file holds no whole line of text", where=where)
     dialect = sniff(pieces, mapping, where)
     facts = facts_of(dialect.preamble, where)
-    conditions = _conditions(mapping, dialect)
+    conditions = tuple(
+        Condition(column_index(c, dialect, "where"), v) for c, v in map(parted, mapping.where)
+    )
     said = _columns_told(dialect, pieces) if not conditions else []
     if conditions:
         pieces = _pieces_chosen(pieces, conditions, dialect, mapping, where)
@@ -366,11 +368,6 @@ def make_plan(path: Path, mapping: FieldMapping) -> Plan:
         corrections=facts.corrections,
         conditions=conditions,
     )
-
-
-def _conditions(mapping: FieldMapping, dialect: Dialect) -> tuple[Condition, ...]:
-    parts = map(parted, mapping.where)
-    return tuple(Condition(column_index(c, dialect, "where"), v) for c, v in parts)
 
 
 def _pieces_chosen(
@@ -507,12 +504,6 @@ def _triads(selection: Selection) -> tuple[str, ...]:
     return tuple(acc if gyro == acc[: len(gyro)] else acc + gyro)
 
 
-def _scale_of(signals: Sequence[Signal]) -> tuple[float, ...]:
-    """Counts a g that the device was found to have."""
-    found = {s.conversion.counts_per_g for s in signals if s.conversion.counts_per_g}
-    return tuple(found) if len(found) == 1 else ()
-
-
 def _resolved(
     mapping: FieldMapping,
     dialect: Dialect,
@@ -524,24 +515,22 @@ def _resolved(
 ) -> FieldMapping:
     """The mapping that reads this file, and others like it, the same way."""
 
-    def address(column: int) -> str:
-        name = dialect.names[column] if dialect.names else ""
-        return name if name and dialect.names.count(name) == 1 else str(column + 1)
-
     def addresses(quantity: str) -> tuple[str, ...]:
         chosen = [v for v in selection.vectors if v.quantity == quantity]
-        return tuple(address(c) for v in chosen for c in v.columns)
+        return tuple(dialect.address(c) for v in chosen for c in v.columns)
 
     def unit(quantity: str) -> str:
         found = {s.conversion.source_unit for s in signals if s.quantity == quantity}
         return found.pop() if len(found) == 1 else ""
 
+    # Counts a g that the device was found to have.
+    scales = {s.conversion.counts_per_g for s in signals if s.conversion.counts_per_g}
     return replace(
         mapping,
         acc=addresses("acceleration"),
         gyro=addresses("angular_rate"),
         temperature=addresses("temperature"),
-        time=",".join(map(address, selection.time)) if clock.kind else "",
+        time=",".join(map(dialect.address, selection.time)) if clock.kind else "",
         triads=_triads(selection),
         acc_unit=unit("acceleration"),
         gyro_unit=unit("angular_rate"),
@@ -551,5 +540,5 @@ def _resolved(
         decimal=dialect.decimal,
         delimiter=dialect.delimiter,
         preset=mapping.preset or device,
-        lsb_per_g=mapping.lsb_per_g or _scale_of(signals),
+        lsb_per_g=mapping.lsb_per_g or (tuple(scales) if len(scales) == 1 else ()),
     )

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
-from imucalib.readers.csv.plan import Plan, Signal, bad_stamp, make_plan
+from imucalib.readers.csv.plan import Plan, bad_stamp, make_plan
 from imucalib.readers.csv.rows import Rows, parse
 from imucalib.readers.csv.stamps import spread
 from imucalib.readers.csv.text import Lines, cells_of, is_number, line_blocks, text_head
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import find_gaps
 from imucalib.recording.mapping import FieldMapping
@@ -188,11 +188,12 @@ def spread_stamps(
     return t, values
 
 
-class CsvReader:
+class CsvReader(Joined):
     """Reader of text tables; see `imucalib.readers.Reader`."""
 
     name = "csv"
     suffixes = (".csv", ".txt", ".tsv", ".log", ".dat", ".csv.gz", ".txt.gz", ".tsv.gz", ".log.gz")
+    at_once = 1 << 17
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Text in which some line holds three numbers."""
@@ -211,26 +212,16 @@ class CsvReader:
     ) -> Iterator[Recording]:
         """Yield the table in blocks of about `block_samples` rows."""
         try:
-            yield from _blocks(path, mapping, block_samples, strict)
+            plan = make_plan(path, mapping)
+            found = _table(path, plan, block_samples, strict)
+            yield from without_repeats(found) if plan.idle else found
         except OSError as error:
             raise UnreadableInput(
                 f"the file cannot be read: {error.strerror or error}", where=str(path)
             ) from error
 
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read the whole table."""
-        return join(self.blocks(path, mapping, block_samples=1 << 17, strict=strict), str(path))
-
 
 READER = CsvReader()
-
-
-def _blocks(
-    path: Path, mapping: FieldMapping, block_samples: int, strict: bool
-) -> Iterator[Recording]:
-    plan = make_plan(path, mapping)
-    found = _table(path, plan, block_samples, strict)
-    yield from without_repeats(found) if plan.idle else found
 
 
 def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator[Recording]:
@@ -248,10 +239,14 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
     before: Recording | None = None
     lost: list[str] = []
     crc = 0
-    size = block_samples * _bytes_per_row(plan)
-    for lines in (_ended(x, plan) for x in line_blocks(path, size, strict=strict)):
+    size = block_samples * max(16, 10 * plan.layout.width)
+    for some in line_blocks(path, size, strict=strict):
+        # A last line that lacks nothing but its end is a row.
+        ended = some.tail and plan.dialect.is_whole(some.tail)
+        lines = Lines(some.tail + b"\n", some.first_line) if ended else some
         lost += [lines.note] if lines.note else []
-        crc = zlib.crc32(_below_first(lines), crc) if plan.stated else 0
+        below = lines.data.partition(b"\n")[2] if lines.first_line == 1 else lines.data
+        crc = zlib.crc32(below, crc) if plan.stated else 0
         block = _block(
             plan.chosen(_data_lines(lines, plan)), plan, position, str(path), flush=False
         )
@@ -275,21 +270,6 @@ def _table(path: Path, plan: Plan, block_samples: int, strict: bool) -> Iterator
     if strict and lost:
         raise UnreadableInput(lost[0], where=str(path), remedy="copy the file again")
     yield replace(before, notes=(*before.notes, *lost, *_left_out(plan, position)))
-
-
-def _bytes_per_row(plan: Plan) -> int:
-    return max(16, 10 * plan.layout.width)
-
-
-def _ended(lines: Lines, plan: Plan) -> Lines:
-    """The lines, the last one with the end that it lacks where nothing else is missing."""
-    whole = lines.tail and plan.dialect.is_whole(lines.tail)
-    return Lines(lines.tail + b"\n", lines.first_line) if whole else lines
-
-
-def _below_first(lines: Lines) -> bytes:
-    """The lines without the file's first."""
-    return lines.data.partition(b"\n")[2] if lines.first_line == 1 else lines.data
 
 
 def _left_out(plan: Plan, position: Position) -> list[str]:
@@ -361,22 +341,13 @@ def _channels(
             at, known, rows = t[usable], raw[usable], numbers[usable]
         if signal.quantity != "temperature":
             missing |= ~usable & keep
-            for gap in _gaps_of(signal, at, rows, position):
+            last = position.last.get(signal.name)
+            for gap in find_gaps(at, rows, signal.threshold, last):
                 gaps.setdefault((gap.start, gap.stop), gap)
         if at.size:
-            channels[signal.name] = _channel(signal, at, known)
+            position.last[signal.name] = float(at[-1])
+            how, of = signal.conversion, signal
+            values_si = how.apply(known)
+            channels[signal.name] = Channel(at, values_si, how.unit, of.quantity, of.triad, of.rate)
     position.missing_rows += int(missing.sum())
     return (channels, tuple(gaps.values())) if channels else None
-
-
-def _gaps_of(signal: Signal, t: Array, numbers: Array, position: Position) -> list[Gap]:
-    gaps = find_gaps(t, numbers, signal.threshold, position.last.get(signal.name))
-    if t.size:
-        position.last[signal.name] = float(t[-1])
-    return gaps
-
-
-def _channel(signal: Signal, t: Array, raw: Array) -> Channel:
-    converted = signal.conversion.apply(raw)
-    how = signal.conversion
-    return Channel(t, converted, how.unit, signal.quantity, signal.triad, signal.rate)

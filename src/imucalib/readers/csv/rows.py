@@ -109,6 +109,7 @@ _MISSING = re.compile(
     rb"(?i)(?<=[,;\t| \n])(?:na|n/a|#n/a|null|none|--?|\?|" + _ERRORS + rb")(?=[,;\t| \n])"
 )
 _LARGEST_EXACT = 2.0**53
+_INTEGER = re.compile(r"[+-]?\d{1,18}(\.0*)?|[+-]?\d{19}")
 
 
 @dataclass(frozen=True)
@@ -185,7 +186,11 @@ def _attempt(text: bytes, delimiter: str, layout: Layout, kind: str) -> Rows | N
     if arrow_is_installed():
         time = (layout.time, kind) if used else None
         found = columns_of(text, delimiter, layout.width, time, layout.values)
-        if found is not None and all(_fits(part, kind, layout) for part in found[0]):
+        # A stamp as text would be cut to the width that is kept.
+        cut = kind == "text" and any(
+            part.dtype.itemsize > layout.text_width for part in (found[0] if found else ())
+        )
+        if found is not None and not cut:
             return Rows(joined(found[0]), _known(found[1]))
     count = text.count(b"\n")
     if not _complete(text, delimiter, layout.width, count):
@@ -224,11 +229,6 @@ def joined(stamps: Sequence[NDArray[np.generic]]) -> NDArray[np.generic]:
         whole = np.char.add(np.char.add(whole, b" "), part)
     whole[blank] = b""
     return whole
-
-
-def _fits(stamps: NDArray[np.generic], kind: str, layout: Layout) -> bool:
-    """Whether no stamp as text would be cut to the width that is kept."""
-    return kind != "text" or stamps.dtype.itemsize <= layout.text_width
 
 
 def _known(values: Array) -> Array:
@@ -333,7 +333,7 @@ def _wrong(line: str, layout: Layout) -> tuple[str, int] | None:
     for column in (*stamps, *layout.values):
         cell = row[column]
         integer = column in stamps and layout.time_kind == "int"
-        bad = not is_number(cell, layout.decimal) or (integer and not _is_integer(cell))
+        bad = not is_number(cell, layout.decimal) or (integer and not _INTEGER.fullmatch(cell))
         if bad and not is_blank(cell):
             return f"'{cell[:40]}' is not {'an integer' if integer else 'a number'}", column
     return None
@@ -343,7 +343,3 @@ def _unclear(lines: Lines, where: str) -> UnreadableInput:
     last = lines.first_line + lines.data.count(b"\n")
     span = f"{where}: lines {lines.first_line} to {last}"
     return UnreadableInput("a row cannot be read", where=span, remedy="look for odd characters")
-
-
-def _is_integer(cell: str) -> bool:
-    return re.fullmatch(r"[+-]?\d{1,18}(\.0*)?|[+-]?\d{19}", cell) is not None

@@ -129,7 +129,7 @@ _ROWS = 50  # of each look
 def contents_of(dialect: Dialect, pieces: Sequence[bytes]) -> tuple[Content, ...]:
     """Every column with its median, and every three neighbours whose norm is that of gravity."""
     rows = rows_of(dialect, pieces)
-    names = [_address(dialect, i) for i in range(dialect.width)]
+    names = [dialect.address(i) for i in range(dialect.width)]
     columns: list[Content] = []
     for i, name in enumerate(names):
         if not dialect.numeric[i]:
@@ -186,11 +186,6 @@ def _numbers(cells: list[str], decimal: str) -> Array:
     return np.array(
         [float(c.replace(decimal, ".")) if is_number(c, decimal) else np.nan for c in cells]
     )
-
-
-def _address(dialect: Dialect, column: int) -> str:
-    name = dialect.names[column] if dialect.names else ""
-    return name if name and dialect.names.count(name) == 1 else str(column + 1)
 
 
 def nothing_found(dialect: Dialect, pieces: Sequence[bytes], where: str) -> UnreadableInput:

@@ -259,6 +259,11 @@ class Dialect:
     example: tuple[str, ...] = ()
     decimals: int = -1
 
+    def address(self, column: int) -> str:
+        """The name of a column where no other has it, else its number from 1."""
+        name = self.names[column] if self.names else ""
+        return name if name and self.names.count(name) == 1 else str(column + 1)
+
     def is_whole(self, line: bytes) -> bool:
         """Whether a last line without its end is a row: of a number that is cut, decimals lack."""
         row = cells_of(decoded(line), self.delimiter)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.packets import Log, Packets, Stream, head_unpacked, opened, recordings
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
@@ -51,7 +51,7 @@ _TYPE = np.dtype(
 Bytes = NDArray[np.uint8]
 
 
-class CwaReader:
+class CwaReader(Joined):
     """The reader of Axivity's own files."""
 
     name = "cwa"
@@ -62,10 +62,6 @@ class CwaReader:
         """The header's mark, or the first sector's where the header is damaged."""
         head = head_unpacked(head, 2 * _HEAD)
         return head.startswith(_START) or head[_HEAD : _HEAD + 4] == _MARK
-
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all samples."""
-        return join(self.blocks(path, mapping, block_samples=1 << 18, strict=strict), str(path))
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool

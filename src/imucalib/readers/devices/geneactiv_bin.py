@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.packets import Log, Packets, Stream, head_unpacked, opened, recordings
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
@@ -78,7 +78,7 @@ class _Loss:
         self.lost.append(what)
 
 
-class GeneactivReader:
+class GeneactivReader(Joined):
     """The reader of GENEActiv's own files."""
 
     name = "geneactiv"
@@ -88,10 +88,6 @@ class GeneactivReader:
     def recognises(self, path: Path, head: bytes) -> bool:
         """The header's first line."""
         return head_unpacked(head, 64).startswith(_FIRST)
-
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all samples."""
-        return join(self.blocks(path, mapping, block_samples=1 << 18, strict=strict), str(path))
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool

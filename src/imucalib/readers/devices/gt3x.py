@@ -24,7 +24,7 @@ from imucalib.readers.devices.actigraph_archive import (
     members_of,
     pieces_of,
 )
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.readers.source import sha256_of
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Channel, Gap, Recording
@@ -42,7 +42,7 @@ class _Second:
     counts: NDArray[np.int16]
 
 
-class Gt3xReader:
+class Gt3xReader(Joined):
     """The reader of ActiGraph's .gt3x files."""
 
     name = "gt3x"
@@ -52,10 +52,6 @@ class Gt3xReader:
     def recognises(self, path: Path, head: bytes) -> bool:
         """A zip archive, perhaps a cut one, that holds log.bin and info.txt."""
         return {"log.bin", "info.txt"} <= members_of(path, head)
-
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all samples."""
-        return join(self.blocks(path, mapping, block_samples=1 << 18, strict=strict), str(path))
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool

@@ -25,7 +25,7 @@ from imucalib.readers.devices.actigraph_archive import (
 )
 from imucalib.readers.devices.gt3x import unpacked
 from imucalib.readers.devices.packets import Log, Packets, recordings
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
@@ -44,7 +44,7 @@ class _Start:
     scale: float
 
 
-class OldGt3xReader:
+class OldGt3xReader(Joined):
     """The reader of ActiGraph's older archives."""
 
     name = "gt3x activity"
@@ -55,10 +55,6 @@ class OldGt3xReader:
         """A zip archive that holds activity.bin and info.txt, and no log.bin."""
         names = members_of(path, head)
         return {_DATA, "info.txt"} <= names and "log.bin" not in names
-
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all samples."""
-        return join(self.blocks(path, mapping, block_samples=1 << 18, strict=strict), str(path))
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool

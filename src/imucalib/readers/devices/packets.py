@@ -259,7 +259,10 @@ def _timed(
                 return
             continue
         whole = _joined([*back, *held])
-        first, near = sum(p.count.size for p in back), _near(whole)
+        first, near = (
+            sum(p.count.size for p in back),
+            2 + int(_NEAR * whole.rate.max() / max(1.0, float(np.median(whole.count)))),
+        )
         ready = whole.count.size - (0 if piece is None else near)
         if ready > first:
             seconds = _times(whole, int(whole.stamp[0]), drift)
@@ -274,11 +277,6 @@ def _timed(
             held = [whole.part(ready, whole.count.size)]
         if piece is None:
             return
-
-
-def _near(packets: Packets) -> int:
-    """Packets of `_NEAR` seconds."""
-    return 2 + int(_NEAR * packets.rate.max() / max(1.0, float(np.median(packets.count))))
 
 
 def _times(packets: Packets, base: int, drift: float) -> Array:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from imucalib.arrays import Array
 from imucalib.errors import UnreadableInput
 from imucalib.readers.devices.packets import Log, Packets, recordings
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.recording.mapping import FieldMapping
 from imucalib.recording.recording import Recording
 
@@ -51,7 +51,7 @@ class _Head:
         return found if len(found) == 3 else []
 
 
-class WavReader:
+class WavReader(Joined):
     """The reader of Axivity's .wav files."""
 
     name = "wav"
@@ -61,10 +61,6 @@ class WavReader:
     def recognises(self, path: Path, head: bytes) -> bool:
         """A RIFF file of waves whose comment names accelerations."""
         return head[:4] == b"RIFF" and head[8:12] == b"WAVE" and b"Accel-X" in head
-
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read all samples."""
-        return join(self.blocks(path, mapping, block_samples=1 << 18, strict=strict), str(path))
 
     def blocks(
         self, path: Path, mapping: FieldMapping, *, block_samples: int, strict: bool

@@ -22,7 +22,7 @@ from imucalib.readers.columns import Content, listing, norm_of, suggestion
 from imucalib.readers.conversion import Conversion
 from imucalib.readers.hdf5.fields import Found, datasets, fields_of, number_of, text_of, unit_of
 from imucalib.readers.hdf5.file import File, Walk, opened
-from imucalib.readers.joining import join
+from imucalib.readers.joining import Joined
 from imucalib.readers.source import sha256_of
 from imucalib.readers.timebase import (
     Stepping,
@@ -248,11 +248,12 @@ def resolved_mapping(mapping: FieldMapping, signals: Sequence[Signal]) -> FieldM
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
-class Hdf5Reader:
+class Hdf5Reader(Joined):
     """Reader of HDF5 files; see `imucalib.readers.Reader`."""
 
     name = "hdf5"
     suffixes = (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".mat")
+    at_once = 1 << 20
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """The HDF5 signature, at the start or after a user block."""
@@ -271,10 +272,6 @@ class Hdf5Reader:
         """The same blocks with the numbers as the file has them; see `readers.stored_blocks`."""
         with opened(path, strict, bool(mapping.allow_external)) as file:
             yield from blocks_of(file, path, mapping, block_samples, stored=True)
-
-    def read(self, path: Path, mapping: FieldMapping, *, strict: bool) -> Recording:
-        """Read the whole file."""
-        return join(self.blocks(path, mapping, block_samples=1 << 20, strict=strict), str(path))
 
 
 READER = Hdf5Reader()
@@ -316,9 +313,10 @@ def blocks_of(
         for signal in signals:
             stop = _stop(file, signal, main, at[signal.name], size=size, until=until)
             channel, new = _channel(file, signal, at[signal.name], stop, last)
-            if channel is not None and not stored:
-                channel = _converted(channel)
             at[signal.name] = stop
+            if channel is not None and channel.pending and not stored:
+                values = channel.pending.apply(channel.values)
+                channel = replace(channel, values=values, pending=None)
             if channel is not None:
                 channels[signal.name] = channel
             gaps.update({(g.start, g.stop): g for g in new})
@@ -393,11 +391,6 @@ def _finite(values: NDArray[np.generic]) -> bool:
         return True
     with np.errstate(invalid="ignore", over="ignore"):
         return bool(np.isfinite(np.sum(values)) or np.isfinite(values).all())
-
-
-def _converted(channel: Channel) -> Channel:
-    assert channel.pending is not None
-    return replace(channel, values=channel.pending.apply(channel.values), pending=None)
 
 
 def blocks_in_memory(

@@ -205,7 +205,10 @@ class TreeDecoder:
 def _numbers(values: list[Any]) -> NDArray[Any]:
     """(n, k) numbers; ISO 8601 text becomes int64 nanoseconds since 1970."""
     if values and isinstance(values[0], str):
-        texts = [_utc(value).replace("T", " ") for value in values]
+        if not all(value.endswith(("Z", "+00:00")) for value in values):
+            raise ValueError("a text time must be UTC and end in Z")
+        bare = (value.removesuffix("Z").removesuffix("+00:00") for value in values)
+        texts = [value.replace("T", " ") for value in bare]
         ns, wrong = text_to_ns(np.array(texts, dtype=np.bytes_), TextTime("YMDhmsf", True))
         if wrong.any() or (ns == MISSING).any():
             raise ValueError(f"'{texts[int(np.argmax(wrong | (ns == MISSING)))]}' is no date")
@@ -216,12 +219,6 @@ def _numbers(values: list[Any]) -> NDArray[Any]:
     if array.dtype.kind != "f" and array.size and np.abs(array).max() < 2**53:
         array = array.astype(np.float64)  # exact, and the same type as a neighbour like 1.5
     return array[:, None] if array.ndim == 1 else array.reshape(len(values), -1)
-
-
-def _utc(text: str) -> str:
-    if text.endswith(("Z", "+00:00")):
-        return text.removesuffix("Z").removesuffix("+00:00")
-    raise ValueError("a text time must be UTC and end in Z")
 
 
 def _spread(values: NDArray[Any], good: NDArray[np.bool_]) -> NDArray[Any]:
@@ -328,7 +325,14 @@ def protobuf_decoder(schema: Schema | None) -> TreeDecoder:
         except message.DecodeError:
             return None
 
-    return TreeDecoder(parse, _flatten_protobuf, _protobuf_step)
+    def flatten(tree: Any) -> dict[str, int]:
+        found: dict[str, int] = {}
+        _descend_protobuf(tree, "", found)
+        return found
+
+    return TreeDecoder(
+        parse, flatten, lambda tree, key: tree[int(key)] if key.isdigit() else getattr(tree, key)
+    )
 
 
 def _dependencies_first(files: list[Any]) -> list[Any]:
@@ -343,16 +347,6 @@ def _dependencies_first(files: list[Any]) -> list[Any]:
         names |= {f.name for f in ready}
         files = [f for f in files if f.name not in names]
     return ordered
-
-
-def _protobuf_step(tree: Any, key: str) -> Any:
-    return tree[int(key)] if key.isdigit() else getattr(tree, key)
-
-
-def _flatten_protobuf(tree: Any) -> dict[str, int]:
-    found: dict[str, int] = {}
-    _descend_protobuf(tree, "", found)
-    return found
 
 
 def _descend_protobuf(tree: Any, path: str, found: dict[str, int], depth: int = 0) -> None:
